@@ -1,0 +1,38 @@
+"""Lag windows: which samples a regressor sees, and where it may be used."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+
+def lagged(
+    signals: Float[Array, "time signals"],
+    at: Int[Array, " rows"],
+    rows: tuple[tuple[int, int], ...],
+) -> Float[Array, "vars rows"]:
+    """Lagged variables `signals[at - lag, signal]` for each (signal, lag) of `rows`.
+
+    Several records may lie behind one another in `signals`; `usable` tells where a
+    window would cross a border. Indices before the first sample are clipped to it and
+    must be masked by the caller.
+    """
+    signal = np.array([s for s, _ in rows], dtype=np.int64)
+    lag = np.array([d for _, d in rows], dtype=np.int64)
+    return signals.T[signal[:, None], jnp.maximum(at[None] - lag[:, None], 0)]
+
+
+def usable(
+    valid: Bool[np.ndarray, "records time signals"],
+    rows: tuple[tuple[int, int], ...],
+    history: int,
+) -> Bool[np.ndarray, "records time"]:
+    """Samples with `history` earlier ones in their record and only valid lags.
+
+    `valid` is False for missing samples and padding alike.
+    """
+    records, time, _ = valid.shape
+    good = np.zeros((records, time), bool)
+    good[:, history:] = True
+    for s, d in set(rows):
+        good[:, d:] &= valid[:, : time - d, s] if d else valid[:, :, s]
+    return good

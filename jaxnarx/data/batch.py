@@ -1,0 +1,54 @@
+"""A dataset as arrays of one shape, for everything that is traced."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.errors import SpecError
+
+
+class Batch(eqx.Module):
+    """Records padded to one length. Signals are inputs, then outputs, physical units.
+
+    `valid` is False for missing samples and for padding alike.
+    """
+
+    signals: Float[Array, "records time signals"]
+    valid: Bool[np.ndarray, "records time signals"]
+
+    @property
+    def flat(self) -> Float[Array, "samples signals"]:
+        """All records behind one another, padding included."""
+        return self.signals.reshape(-1, self.signals.shape[-1])
+
+
+def check_precision(dtype: np.dtype) -> None:
+    """Refuse float64 data while jax would silently round it to float32."""
+    if dtype == np.float64 and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise SpecError(
+            "the data are float64 but jax rounds to float32; run "
+            "jax.config.update('jax_enable_x64', True) first, or convert the data to "
+            "float32 on purpose",
+            field="jax_enable_x64",
+        )
+
+
+def stack(data: Dataset) -> Batch:
+    """Pad the records to the longest and stack them. Needs at least one record."""
+    if not len(data):
+        raise SpecError("the dataset has no records", field="data")
+    dtype = data.records[0].u.dtype
+    check_precision(dtype)
+    longest = max(len(r) for r in data)
+    width = len(data.channels.all)
+    signals = np.zeros((len(data), longest, width), dtype)
+    valid = np.zeros((len(data), longest, width), bool)
+    for n, record in enumerate(data):
+        signals[n, : len(record)] = np.concatenate([record.u, record.y], axis=1)
+        valid[n, : len(record)] = record.valid
+        # Padding repeats the last sample: the free run goes on quietly and unscored.
+        signals[n, len(record) :] = signals[n, len(record) - 1 : len(record)]
+    return Batch(jnp.asarray(signals), valid)

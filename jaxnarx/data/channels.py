@@ -1,0 +1,70 @@
+"""Named, unit-carrying channels: the schema every dataset and every model carries."""
+
+import dataclasses
+
+from jaxnarx.errors import SpecError, suggest
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One measured signal. `unit` is free text; the empty string means not stated."""
+
+    name: str
+    unit: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name and unit as they stand on an axis, `speed [rpm]`."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclasses.dataclass(frozen=True)
+class Channels:
+    """Input and output channels in the order of the arrays' columns.
+
+    The *signal table* that lagged variables index is inputs, then outputs. Hashable, so
+    it can be static in a traced value.
+    """
+
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+
+    def __post_init__(self):
+        names = self.names
+        for name in names:
+            if not isinstance(name, str) or not name.strip():
+                raise SpecError(
+                    f"channel names must be non-empty text, got {name!r}",
+                    field="inputs",
+                )
+        repeated = sorted({n for n in names if names.count(n) > 1})
+        if repeated:
+            raise SpecError(
+                f"channel {repeated[0]!r} is named more than once among inputs and "
+                "outputs; give every column a name of its own",
+                field="inputs",
+            )
+
+    @property
+    def all(self) -> tuple[Channel, ...]:
+        return self.inputs + self.outputs
+
+    @property
+    def names(self) -> list[str]:
+        return [c.name for c in self.all]
+
+    @property
+    def input_names(self) -> list[str]:
+        return [c.name for c in self.inputs]
+
+    @property
+    def output_names(self) -> list[str]:
+        return [c.name for c in self.outputs]
+
+    def signal(self, name: str) -> int:
+        """Index of channel `name` in the signal table; unknown names raise SpecError."""
+        if name not in self.names:
+            raise SpecError(
+                f"unknown channel {name!r}. {suggest(name, self.names)}", field=name
+            )
+        return self.names.index(name)

@@ -1,0 +1,149 @@
+"""A look at the data before anything is fitted to them."""
+
+from collections.abc import Iterator
+
+from jaxnarx.data import check_samples as samples
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.files import fingerprint
+from jaxnarx.data.findings import Finding, Findings
+from jaxnarx.data.response import excitation_order, responses
+from jaxnarx.errors import SpecError
+
+
+def check(data: Dataset, *, max_lag: int = 20) -> Findings:
+    """What a careful engineer would ask about `data` before modelling.
+
+    Constant, copied, saturated, stuck and outlying channels; gaps; records that are too
+    short or repeated; missing units; whether inputs excite a model with lags up to
+    `max_lag` samples; dead times; and signs of feedback from outputs to inputs.
+    Findings are hints with their places, nothing is changed.
+    """
+    if max_lag < 1:
+        raise SpecError(
+            f"max_lag must be at least 1 sample, got {max_lag}", field="max_lag"
+        )
+    if not data.samples:
+        return Findings((Finding("error", "rows", "the dataset has no samples"),))
+    items = [
+        *_units(data),
+        *_rows(data, max_lag),
+        *_identical(data),
+        *samples.constant(data),
+        *samples.duplicates(data),
+        *samples.gaps(data),
+        *samples.stuck(data),
+        *samples.spikes(data),
+        *_excitation(data, max_lag),
+        *_dynamics(data, max_lag),
+    ]
+    return Findings(tuple(items))
+
+
+def _units(data: Dataset) -> Iterator[Finding]:
+    bare = [c.name for c in data.channels.all if not c.unit]
+    if bare:
+        yield Finding(
+            "note",
+            "units",
+            f'no unit is stated for {", ".join(bare)}. State them ("1" if there is '
+            "none), so that other data can be compared.",
+        )
+
+
+def _rows(data: Dataset, max_lag: int) -> Iterator[Finding]:
+    for record in data:
+        if len(record) <= 2 * max_lag:
+            useless = len(record) <= max_lag
+            yield Finding(
+                "warning",
+                "rows",
+                f"{record.name} has {len(record)} rows, "
+                + ("none" if useless else "few")
+                + f" after lag {max_lag}. Join it to a longer record or leave it out.",
+                record=record.name,
+            )
+    signals = len(data.channels.names)
+    usable = sum(max(len(r) - max_lag, 0) for r in data)
+    if usable < 10 * signals:
+        yield Finding(
+            "warning" if usable else "error",
+            "rows",
+            f"{usable} rows remain after lag {max_lag}; need >= {10 * signals}, ten "
+            "for each channel, for even a linear model. Measure longer, or use fewer "
+            "lags.",
+        )
+
+
+def _identical(data: Dataset) -> Iterator[Finding]:
+    seen: dict[str, str] = {}
+    for record in data:
+        first = seen.setdefault(fingerprint(record), record.name)
+        if first != record.name:
+            yield Finding(
+                "warning",
+                "identical",
+                f"{record.name} has the same contents as {first}. Leave one out; they "
+                "must not serve for training and test.",
+                record=record.name,
+            )
+
+
+def _excitation(data: Dataset, max_lag: int) -> Iterator[Finding]:
+    wanted = max_lag + 1
+    for i, name in enumerate(data.channels.input_names):
+        reached = excitation_order(data, i, order=wanted)
+        if 0 < reached < wanted:
+            yield Finding(
+                "warning",
+                "excitation",
+                f"input {name} is persistently exciting of order {reached} only, lags "
+                f"up to {max_lag} need {wanted}. At most {reached} coefficients of its "
+                "lags can be told apart: use fewer, or move the input more richly.",
+                channel=name,
+            )
+
+
+def _dynamics(data: Dataset, max_lag: int) -> Iterator[Finding]:
+    if not data.channels.inputs or max(len(r) for r in data) < 3 * max_lag:
+        return
+    found = responses(data, reach=max(100, 2 * max_lag))
+    outputs = data.channels.output_names
+    for i, u in enumerate(data.channels.input_names):
+        for o, y in enumerate(outputs):
+            dead = found.dead_time(i, o)
+            if dead:
+                yield _dead_time(u, y, dead, max_lag, data.sample_time)
+        yield from _feedback(found, i, u, outputs, data.sample_time)
+
+
+def _dead_time(u: str, y: str, dead: int, max_lag: int, step: float) -> Finding:
+    late = dead > max_lag
+    advice = (
+        f"This is beyond the largest lag, {max_lag}: use lags from {dead} on."
+        if late
+        else f"Include lag {dead}."
+    )
+    return Finding(
+        "warning" if late else "note",
+        "dead time",
+        f"{y} answers {u} after about {dead} sample(s), {dead * step:.6g} s. {advice}",
+        channel=u,
+    )
+
+
+def _feedback(found, i, u, outputs, step) -> Iterator[Finding]:
+    """Correlation with past outputs, clearly above chance and a fifth of the answer."""
+    for o, y in enumerate(outputs):
+        past = abs(found.backward(i, o)[:20])
+        ahead = abs(found.forward(i, o)).max()
+        lag = int(past.argmax())
+        if past[lag] > max(1.5 * found.bound, 0.1, 0.2 * ahead):
+            yield Finding(
+                "warning",
+                "closed loop",
+                f"input {u} follows past values of {y} (correlation {past[lag]:.2f} "
+                f"after {(lag + 1) * step:.6g} s): the data look as if taken in closed "
+                "loop. One-step fits may be biased; excite the set point, or model the "
+                "noise.",
+                channel=u,
+            )

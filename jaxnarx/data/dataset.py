@@ -1,0 +1,147 @@
+"""Measurements as values: several records of different lengths with named channels."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, overload
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.data.channels import Channel, Channels
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Record:
+    """One uninterrupted run at a constant sample time.
+
+    `u` and `y` are in physical units and finite everywhere: where a sample was missing,
+    `valid` is False and the value is held from its neighbour, so that arithmetic stays
+    finite; nothing is ever fitted to or scored on such a sample. `start_row` is the
+    record's first row in its source, so that messages can name rows as the user sees
+    them.
+    """
+
+    u: Float[np.ndarray, "time inputs"]
+    y: Float[np.ndarray, "time outputs"]
+    valid: Bool[np.ndarray, "time signals"]
+    name: str
+    start_row: int = 0
+
+    def __len__(self) -> int:
+        return self.u.shape[0]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dataset:
+    """Records that share channels and sample time [s]. Immutable; host memory only."""
+
+    records: tuple[Record, ...]
+    channels: Channels
+    sample_time: float
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __iter__(self) -> Iterator[Record]:
+        return iter(self.records)
+
+    @overload
+    def __getitem__(self, index: int) -> "Dataset": ...
+    @overload
+    def __getitem__(self, index: slice) -> "Dataset": ...
+    @overload
+    def __getitem__(self, index: Sequence[int]) -> "Dataset": ...
+    def __getitem__(self, index) -> "Dataset":
+        """A dataset of the chosen records: `data[3]`, `data[:20]`, `data[[0, 5]]`."""
+        if isinstance(index, slice):
+            chosen = self.records[index]
+        elif isinstance(index, Sequence):
+            chosen = tuple(self.records[i] for i in index)
+        else:
+            chosen = (self.records[index],)
+        return dataclasses.replace(self, records=chosen)
+
+    @property
+    def samples(self) -> int:
+        """Number of rows over all records."""
+        return sum(len(r) for r in self.records)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the records."""
+        return [r.name for r in self.records]
+
+    @classmethod
+    def from_arrays(
+        cls,
+        u: Any,
+        y: Any,
+        *,
+        inputs: Sequence[str | Channel],
+        outputs: Sequence[str | Channel],
+        sample_time: float | int,
+        units: Mapping[str, str] | None = None,
+        names: Sequence[str] | None = None,
+        missing: str = "refuse",
+    ) -> "Dataset":
+        """Records from (time, channels) arrays in physical units.
+
+        `u` and `y` are arrays, or lists of arrays, one per record. One-dimensional
+        arrays stand for a single channel; integers and booleans become float64, float32
+        stays if every channel has it. `u=None` with no `inputs` is a free series.
+        `sample_time` in s, `units` by channel name, `names` of the records (default
+        "record 1", ...).
+
+        `missing` says what NaN and inf mean: "refuse" raises DataError, "mask" holds
+        the previous sample (the next at the beginning) and marks it invalid, "split"
+        begins a new record after every gap, "interpolate" joins neighbours by a line
+        and masks the ends. A channel without any finite sample in a record, or with
+        magnitudes whose squares overflow, is always a DataError.
+        """
+        from jaxnarx.data.construct import from_arrays
+
+        return from_arrays(
+            u,
+            y,
+            inputs=inputs,
+            outputs=outputs,
+            sample_time=sample_time,
+            units=units,
+            names=names,
+            missing=missing,
+        )
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        *,
+        inputs: Sequence[str | Channel],
+        outputs: Sequence[str | Channel],
+        sample_time: float | int | None = None,
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+        missing: str = "refuse",
+        record: str | None = None,
+    ) -> "Dataset":
+        """Records from the columns of a pandas, polars or pyarrow table.
+
+        The sample time [s] is stated as `sample_time` or taken from the column `time`
+        (numbers in s, dates or durations), which must increase in uniform steps; given
+        both, the column is checked against the number. `record` names a column whose
+        value changes from one record to the next. `missing` and `units` as in
+        `from_arrays`; with `missing="split"` a jump in time begins a new record too.
+        Columns that are not named are ignored; text columns are refused.
+        """
+        from jaxnarx.data.frames import from_frame
+
+        return from_frame(
+            frame,
+            inputs=inputs,
+            outputs=outputs,
+            sample_time=sample_time,
+            time=time,
+            units=units,
+            missing=missing,
+            record=record,
+        )

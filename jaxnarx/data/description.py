@@ -1,0 +1,235 @@
+"""The TOML description of a set of measured files.
+
+```toml
+[data]
+sample_time = 0.1            # s; or  time = "t", a column; or both, to have it checked
+missing = "refuse"           # or "mask", "split", "interpolate"
+root = "."                   # folder of the files, see below
+columns = ["speed", "NOx"]   # only for CSV files without a header line: all, in order
+decimal = "."                # or ","
+delimiter = ","              # found out (comma, semicolon, tab) when left out
+encoding = "utf-8"           # or "cp1252", ...
+skip_rows = 0                # lines before the header
+unit_row = false             # a line of units follows the header
+
+[channels.inputs]            # name = unit, in the order of the dataset's columns
+speed = "rpm"
+load = {column = "Md_rel", unit = "%"}   # where the file calls it otherwise
+[channels.outputs]
+NOx = "ppm"
+
+[records]
+files = ["bench1/*.csv"]     # or parts: train = [...], validate = [...], test = [...]
+```
+
+Only `sample_time` or `time`, one output and `[records]` are required. Columns that no
+channel names are ignored. `root` is relative to the `root` argument of `read`, else to
+the environment variable `JAXNARX_DATA`, else to the folder of the description; the
+patterns of `[records]` are relative to it and stay inside. Each pattern's files come
+in alphabetical order, and each file is one record.
+"""
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.data.channels import Channel, Channels
+from jaxnarx.data.csv_table import CsvLayout
+from jaxnarx.data.missing import require_missing
+from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.errors import DataFileError, SpecError, suggest
+
+PARTS = ("train", "validate", "test")
+
+
+@dataclasses.dataclass(frozen=True)
+class Description:
+    """A parsed description: which columns of which files make which dataset.
+
+    `columns` maps channel names to column names; `patterns` maps parts (`files`, or
+    `train`, `validate`, `test`) to glob patterns.
+    """
+
+    channels: Channels
+    columns: Mapping[str, str]
+    patterns: Mapping[str, tuple[str, ...]]
+    sample_time: float | None
+    time: str | None
+    missing: str
+    root: str
+    layout: CsvLayout
+
+    @property
+    def wanted(self) -> list[str]:
+        """The columns to read: every channel's, and the time column."""
+        return [*self.columns.values(), *([self.time] if self.time else [])]
+
+
+def load_description(path: Path) -> Description:
+    """Parse a description file.
+
+    A file that is missing or no TOML is a DataFileError, a wrong setting a SpecError
+    whose `field` names it; both name the file.
+    """
+    if path.suffix.lower() != ".toml":
+        raise SpecError(
+            f"{path}: read takes a TOML description that names channels, units, sample "
+            "time and files; for arrays and frames see Dataset.from_arrays and "
+            "Dataset.from_frame",
+            field="path",
+        )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise DataFileError(
+            f"{path}: cannot be opened ({error.strerror or error}).", path=path
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataFileError(f"{path}: not valid TOML: {error}.", path=path) from error
+    try:
+        return parse_description(table)
+    except SpecError as error:
+        raise SpecError(f"{path}: {error}", field=error.field) from error
+
+
+_DATA: dict[str, type] = {
+    "root": str,
+    "sample_time": float,
+    "time": str,
+    "missing": str,
+    "columns": list,
+    "decimal": str,
+    "delimiter": str,
+    "encoding": str,
+    "skip_rows": int,
+    "unit_row": bool,
+}
+
+_KINDS = {
+    str: "text",
+    float: "a number",
+    list: "a list of text",
+    int: "a whole number",
+    bool: "true or false",
+    dict: "a table",
+}
+
+
+def parse_description(table: Mapping[str, Any]) -> Description:
+    """The description in an already parsed TOML table; SpecError names the field."""
+    _require_keys(table, ("data", "channels", "records"), "")
+    data = _section(table, "data")
+    _require_keys(data, _DATA, "data")
+    settings = {k: _typed(v, _DATA[k], f"data.{k}") for k, v in data.items()}
+    if "sample_time" not in settings and "time" not in settings:
+        raise SpecError(
+            "[data] needs sample_time in seconds, or time, the name of a time column",
+            field="data.sample_time",
+        )
+    if "sample_time" in settings:
+        positive_sample_time(settings["sample_time"])
+    require_missing(settings.get("missing", "refuse"))
+    channels, columns = _channels(_section(table, "channels"))
+    return Description(
+        channels=channels,
+        columns=columns,
+        patterns=_patterns(_section(table, "records")),
+        sample_time=settings.get("sample_time"),
+        time=settings.get("time"),
+        missing=settings.get("missing", "refuse"),
+        root=settings.get("root", "."),
+        layout=_layout(settings),
+    )
+
+
+def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:
+    if name not in table:
+        raise SpecError(f"the section [{name}] is missing", field=name)
+    return _typed(table[name], dict, name)
+
+
+def _require_keys(table, known, section: str):
+    for key in table:
+        if key not in known:
+            where = f"[{section}]" if section else "the description"
+            raise SpecError(
+                f"{where} has the unknown key {key!r}. {suggest(key, known)}",
+                field=f"{section}.{key}".strip("."),
+            )
+
+
+def _typed(value: Any, kind: type, field: str) -> Any:
+    """`value` if it has the TOML type `kind`; whole numbers serve as numbers."""
+    if kind is float and type(value) is int:
+        value = float(value)
+    good = type(value) is kind
+    if kind is list:
+        good = good and all(isinstance(v, str) for v in value)
+    if not good:
+        raise SpecError(f"{field} must be {_KINDS[kind]}, got {value!r}", field=field)
+    return value
+
+
+def _channels(section) -> tuple[Channels, dict[str, str]]:
+    _require_keys(section, ("inputs", "outputs"), "channels")
+    columns: dict[str, str] = {}
+    groups = {"inputs": [], "outputs": []}
+    for group, chosen in groups.items():
+        field = f"channels.{group}"
+        for name, value in _typed(section.get(group, {}), dict, field).items():
+            if isinstance(value, dict):
+                _require_keys(value, ("column", "unit"), f"{field}.{name}")
+            else:
+                value = {"unit": value}
+            unit = _typed(value.get("unit", ""), str, f"{field}.{name}")
+            column = value.get("column", name)
+            columns[name] = _typed(column, str, f"{field}.{name}.column")
+            chosen.append(Channel(name, unit))
+    channels = Channels(tuple(groups["inputs"]), tuple(groups["outputs"]))
+    if not channels.outputs:
+        raise SpecError(
+            "[channels.outputs] is empty; name at least one output",
+            field="channels.outputs",
+        )
+    return channels, columns
+
+
+def _patterns(section) -> dict[str, tuple[str, ...]]:
+    _require_keys(section, ("files", *PARTS), "records")
+    found = {k: tuple(_typed(v, list, f"records.{k}")) for k, v in section.items()}
+    if "files" in found and len(found) > 1:
+        raise SpecError(
+            "[records] has files beside train, validate or test; use either",
+            field="records.files",
+        )
+    if not any(found.values()):
+        raise SpecError(
+            'no file is named; give files = ["*.csv"] or train, validate and test',
+            field="records",
+        )
+    order = ("files", *PARTS)
+    return {part: found[part] for part in order if found.get(part)}
+
+
+def _layout(settings) -> CsvLayout:
+    layout = CsvLayout(
+        columns=tuple(settings.get("columns", ())),
+        decimal=settings.get("decimal", "."),
+        delimiter=settings.get("delimiter", ""),
+        encoding=settings.get("encoding", "utf-8"),
+        skip_rows=settings.get("skip_rows", 0),
+        unit_row=settings.get("unit_row", False),
+    )
+    if layout.decimal not in (".", ","):
+        raise SpecError('decimal must be "." or ","', field="data.decimal")
+    if len(layout.delimiter) > 1 or layout.delimiter == layout.decimal:
+        raise SpecError(
+            f"delimiter must be one character other than the decimal mark, "
+            f"got {layout.delimiter!r}",
+            field="data.delimiter",
+        )
+    if layout.skip_rows < 0:
+        raise SpecError("skip_rows must not be negative", field="data.skip_rows")
+    return layout

@@ -1,0 +1,32 @@
+"""Where rows come from, so that messages count them as the user does."""
+
+import dataclasses
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """A source of rows: `name` leads a message, `start_row` is the first row's number.
+
+    `counting` says how rows are counted (", counted from 1 with the header line"); it
+    is empty for arrays and frames, whose rows count from 0 as in Python.
+    """
+
+    name: str = ""
+    start_row: int = 0
+    counting: str = ""
+
+    @property
+    def lead(self) -> str:
+        """The beginning of a message, `"run1.csv: "`, or nothing without a name."""
+        return f"{self.name}: " if self.name else ""
+
+    def row(self, index: int | np.integer) -> str:
+        """Data row `index` (from 0) as the user finds it in the source."""
+        return f"row {self.start_row + int(index)}{self.counting}"
+
+    def rows(self, first: int | np.integer, second: int | np.integer) -> str:
+        """Two data rows (from 0) as the user finds them in the source."""
+        start = self.start_row
+        return f"rows {start + int(first)} and {start + int(second)}{self.counting}"

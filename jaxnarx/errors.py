@@ -1,0 +1,65 @@
+"""The error tree: every message says what is wrong, where, and what to do.
+
+Jax-free, so that the command line can report bad input without importing jax.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class JaxnarxError(ValueError):
+    """Root of all errors this package raises on purpose."""
+
+
+class DataError(JaxnarxError):
+    """The measurements cannot be used as they are.
+
+    `channel` is a name, `row` the zero-based data row in its record, `time` the time of
+    that row in seconds; each is `None` where it does not apply.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        channel: str | None = None,
+        row: int | None = None,
+        time: float | None = None,
+    ):
+        super().__init__(message)
+        self.channel = channel
+        self.row = row
+        self.time = time
+
+
+class DataFileError(JaxnarxError):
+    """A data or description file cannot be read; `path` names it."""
+
+    def __init__(self, message: str, *, path: object = None):
+        super().__init__(message)
+        self.path = path
+
+
+class SpecError(JaxnarxError):
+    """A request makes no sense; `field` names the offending argument or setting."""
+
+    def __init__(self, message: str, *, field: str | None = None):
+        super().__init__(message)
+        self.field = field
+
+
+class ModelFileError(JaxnarxError):
+    """A model file is truncated, foreign or newer than this program; `path` names it."""
+
+    def __init__(self, message: str, *, path: object = None):
+        super().__init__(message)
+        self.path = path
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """The sentence 'Did you mean ...' with the nearest names, or the list of names."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if near:
+        return "Did you mean " + " or ".join(repr(n) for n in near) + "?"
+    return "Known names: " + ", ".join(known) + "."

@@ -1,0 +1,139 @@
+"""What a reader of the scores must know beside them, in plain sentences."""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.data import Channels, Dataset, Record
+from jaxnarx.evaluation.rows import POOLED, Row
+from jaxnarx.evaluation.table import number
+
+
+def fingerprint(data: Dataset, record: Record) -> str:
+    """SHA-256 of a record's content by channel name; its own name does not count."""
+    columns = np.concatenate([record.u, record.y], axis=1).astype(np.float64)
+    names = data.channels.names
+    digest = hashlib.sha256()
+    for i in np.argsort(np.asarray(names)):
+        digest.update(names[i].encode() + b"\0")
+        digest.update(np.where(record.valid[:, i], columns[:, i], 0.0).tobytes())
+        digest.update(np.ascontiguousarray(record.valid[:, i]).tobytes())
+    return digest.hexdigest()
+
+
+def data_hash(data: Dataset) -> str:
+    """SHA-256 over all records of a dataset, in order."""
+    joined = "".join(fingerprint(data, record) for record in data)
+    return hashlib.sha256(joined.encode()).hexdigest()
+
+
+def data_notes(
+    parts: Mapping[str, Dataset], channels: Channels, modelled: list[str]
+) -> list[str]:
+    """Findings that need no simulation; the loudest first.
+
+    `channels` are those of the model, `modelled` the names of its outputs.
+    """
+    notes = _repeated(parts)
+    if len(parts) > 1 and "test" not in parts:
+        notes.append(
+            "No test data: the figures come from records that took part in choosing "
+            "the model and may flatter it."
+        )
+    known = {c.name: c.unit for c in channels.all}
+    unused = [name for name in channels.output_names if name not in modelled]
+    if unused:
+        notes.append(f"Outputs that are not modelled: {_list(unused)}.")
+    for part, data in parts.items():
+        extra = [name for name in data.channels.names if name not in known]
+        if extra:
+            notes.append(f"Extra channels in {part}, ignored: {_list(extra)}.")
+        notes += [
+            f"Units differ: the model's {c.name} is in {known[c.name] or 'no unit'}, "
+            f"the {part} data's in {c.unit or 'no unit'}."
+            for c in data.channels.all
+            if known.get(c.name, c.unit) != c.unit
+        ]
+    return notes
+
+
+def score_notes(rows: Iterable[Row]) -> list[str]:
+    """Divergence, constant outputs and records without samples, from the scores."""
+    rows = list(rows)
+    notes = [_divergence(row, rows) for row in rows if _is_pooled_loss(row)]
+    for row in rows:
+        if row.mode == rows[-1].mode and row.record != POOLED:
+            notes += _edge(row)
+    return notes
+
+
+def _repeated(parts: Mapping[str, Dataset]) -> list[str]:
+    """Fault 23: data that was learned from proves nothing."""
+    seen = {
+        part: {fingerprint(data, r): r.name for r in data}
+        for part, data in parts.items()
+    }
+    notes = []
+    for first, second in _pairs(list(parts)):
+        both = [name for key, name in seen[second].items() if key in seen[first]]
+        if not both:
+            continue
+        loud = (
+            "VALIDATION DATA EQUALS ESTIMATION DATA"
+            if first == "train"
+            else "REPEATED DATA"
+        )
+        notes.append(
+            f"{loud}: {len(both)} of {len(parts[second])} {second} records "
+            f"({_list(both)}) are also in {first}; the {second} figures do not show "
+            "how the model does on new data."
+        )
+    return notes
+
+
+def _pairs(names: list[str]) -> list[tuple[str, str]]:
+    """Every pair, the part that was learned from first."""
+    order = sorted(names, key=lambda n: (n != "train", n == "test"))
+    return [(a, b) for i, a in enumerate(order) for b in order[i + 1 :]]
+
+
+def _is_pooled_loss(row: Row) -> bool:
+    return row.diverged and row.record == POOLED
+
+
+def _divergence(row: Row, rows: list[Row]) -> str:
+    lost = [
+        r.record
+        for r in rows
+        if (r.part, r.output, r.mode) == (row.part, row.output, row.mode)
+        and r.diverged
+        and r.record != POOLED
+    ]
+    note = f"{row.output}, {row.part}, {row.mode}: {row.status}, records {_list(lost)}."
+    if row.others is None:
+        return note
+    others: dict[str, Any] = row.others
+    return note + (
+        f" The others alone: RMSE {number(others['rmse'])}, NRMSE "
+        f"{number(others['nrmse'])}, R2 {number(others['r2'])}, fit "
+        f"{number(others['fit'], '.1f')} %, NMSE {number(others['nmse'])}."
+    )
+
+
+def _edge(row: Row) -> list[str]:
+    where = f"{row.part} record {row.record}"
+    if row.status == "constant output":
+        return [
+            f"{row.output} is constant in {where}: NRMSE, R2, fit and NMSE have "
+            "nothing to compare with and are infinite unless the error is zero."
+        ]
+    if row.status == "no samples":
+        return [f"{row.output} has no valid sample to score in {where}."]
+    return []
+
+
+def _list(names: list[str], most: int = 6) -> str:
+    shown = ", ".join(str(n) for n in names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -1,0 +1,42 @@
+"""A network's partition as plain values, in the units of its scheduling variables."""
+
+from typing import Any
+
+import numpy as np
+
+
+def describe_partition(
+    network: Any, *, start: Any | None = None
+) -> dict[str, dict[str, Any]]:
+    """By output: scheduling names, their training ranges, centres and widths.
+
+    `start` is the network before refinement, shown as `before`. Outputs with a single
+    local model, or whose validity has no centres and widths, are left out. The form is
+    the one `Report.partition` takes.
+    """
+    after, before = _regions(network), _regions(start) if start is not None else {}
+    out = {}
+    for name, model in zip(network.output_names, network.models, strict=True):
+        regions = after.get(name, [])
+        if len(regions) < 2 or not all(regions):
+            continue
+        low = np.asarray(model.offset, float)
+        high = low + np.asarray(model.span, float)
+        out[name] = {
+            "scheduling": list(regions[0]),
+            "ranges": [(float(a), float(b)) for a, b in zip(low, high, strict=True)],
+            "before": [_model(r) for r in before.get(name, []) if r],
+            "after": [_model(r) for r in regions],
+        }
+    return out
+
+
+def _regions(network: Any) -> dict[str, list[dict[str, Any]]]:
+    out: dict[str, list[dict[str, Any]]] = {}
+    for entry in network.equations(style="text"):
+        out.setdefault(entry["output"], []).append(entry["region"])
+    return out
+
+
+def _model(region: dict[str, Any]) -> dict[str, list[float]]:
+    return {key: [v[key] for v in region.values()] for key in ("centre", "width")}

@@ -1,0 +1,263 @@
+"""The report: one-step, k-step and free-run figures of a network, side by side."""
+
+import dataclasses
+import importlib.metadata
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxnarx.data import Channel, Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
+from jaxnarx.evaluation.regions import describe_partition
+from jaxnarx.evaluation.rows import (
+    FREE_RUN,
+    POOLED,
+    Row,
+    Samples,
+    collect,
+    mode_name,
+    score,
+)
+from jaxnarx.evaluation.strict import strict
+from jaxnarx.evaluation.table import text_table
+from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Report:
+    """How good a network is and where, as host values; `print` shows the table.
+
+    `main` names the part the verdict rests on: `"test"` when there is one, else the
+    last part. `traces` and `residuals` belong to it.
+
+    Optional, shown when present; attach them with the arguments of `report` or with
+    `dataclasses.replace(report, history=...)`:
+
+    - `selection`: by output name (or flat, for one), a dict of `names`, `err` and
+      `cumulative` lists in order of choice, and `criteria`: name -> values by size;
+    - `history`: one dict per refinement iteration with `iteration`, `stage`, `horizon`
+      [samples], `loss`, and where known `validation` and `damping`;
+    - `partition`: by output name (or flat), a dict of `scheduling` names, `ranges`
+      (low, high) of each, and `before`, `after`: lists of `{"centre", "width"}` per
+      local model, all in the units of the scheduling variables; `cloud` may hold data
+      points (samples, dims);
+    - `provenance`: anything worth stating; versions and data hashes are filled in.
+    """
+
+    outputs: tuple[Channel, ...]
+    main: str
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+    traces: tuple[Trace, ...]
+    residuals: tuple[Residuals, ...]
+    equations: tuple[dict[str, Any], ...] = ()
+    selection: Mapping[str, Any] | None = None
+    history: Sequence[Mapping[str, Any]] | None = None
+    partition: Mapping[str, Any] | None = None
+    provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """`one step`, ..., `free run` in the order shown."""
+        return tuple(dict.fromkeys(row.mode for row in self.rows))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(row.part for row in self.rows))
+
+    def pooled(self, output: str, *, part: str | None = None, mode: str = FREE_RUN):
+        """The row of all records of a part (default: `main`) together."""
+        for row in self.rows:
+            key = (row.output, row.part, row.mode, row.record)
+            if key == (output, part or self.main, mode, POOLED):
+                return row
+        raise SpecError(f"no scores of {output!r}, {part or self.main!r}, {mode!r}")
+
+    @property
+    def table(self) -> str:
+        """The scores as aligned text, 80 to 100 columns wide, the notes below."""
+        notes = [f"note: {note}" for note in self.notes]
+        return "\n".join([text_table(self.rows), *notes])
+
+    def __str__(self) -> str:
+        return self.table
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the traces' samples, as strict JSON values.
+
+        A diverged row has null metrics and says so in `status`; an infinite figure is
+        the text `"inf"` or `"-inf"`.
+        """
+        left_out = {"traces", "residuals", "partition"}
+        fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
+        values = {name: strict(getattr(self, name)) for name in fields}
+        values["traces"] = [
+            {"output": t.output.name, "record": t.record, "rank": t.rank}
+            | {"rmse": strict(t.rmse)}
+            for t in self.traces
+        ]
+        values["residuals"] = [
+            {k: v for k, v in strict(r).items() if k not in ("measured", "simulated")}
+            for r in self.residuals
+        ]
+        values["partition"] = strict(_without_cloud(self.partition))
+        return values
+
+    def to_html(self, path: str | os.PathLike[str]) -> None:
+        """Write one self-contained offline HTML file, atomically."""
+        # The one import of this floor that points up: a report that shows itself is
+        # worth it, and inside the function neither matplotlib nor jinja2 is loaded
+        # before somebody asks for a page.
+        from jaxnarx.shell.html import write_report
+
+        write_report(self, path)
+
+
+def report(
+    network: Any,
+    data: Dataset | Mapping[str, Dataset],
+    *,
+    horizons: Sequence[int] = (1, 10),
+    simulated: Any = None,
+    selection: Mapping[str, Any] | None = None,
+    history: Sequence[Mapping[str, Any]] | None = None,
+    partition: Mapping[str, Any] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> Report:
+    """Score `network` on `data`: k-step prediction for each horizon, and free run.
+
+    `data` is one dataset, or several by the name of their part: `"train"`,
+    `"validate"`, `"test"`. A record that is in two parts is noted loudly. `simulated`
+    takes the free run where it is at hand already: what `simulate` returned, or a dict
+    of that by part. The other options are stored; `Report` tells their form. Without
+    `partition` the network's own is shown; `describe_partition(network, start=before)`
+    shows it beside that of the network before refinement.
+
+    Every figure is in physical units over the samples that are valid and have enough
+    history. Divergence is reported as a status, never as a number.
+    """
+    parts = dict(data) if isinstance(data, Mapping) else {"data": data}
+    _check(parts, horizons)
+    outputs = tuple(network.output_channels)
+    known = simulated if isinstance(simulated, Mapping) else {}
+    if simulated is not None and not isinstance(simulated, Mapping):
+        known = dict.fromkeys(list(parts)[:1], simulated)
+    runs = {
+        part: _runs(network, part_data, outputs, horizons, known.get(part))
+        for part, part_data in parts.items()
+    }
+    rows = tuple(row for part in parts for row in _rows(part, outputs, runs[part]))
+    main = "test" if "test" in parts else list(parts)[-1]
+    traces, errors = _pictures(outputs, runs[main], parts[main].sample_time)
+    modelled = [channel.name for channel in outputs]
+    notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
+    if partition is None:
+        partition = describe_partition(network)
+    return Report(
+        outputs=outputs,
+        main=main,
+        rows=rows,
+        notes=tuple(notes),
+        traces=traces,
+        residuals=errors,
+        equations=_equations(network),
+        selection=selection,
+        history=history,
+        partition=partition or None,
+        provenance=_provenance(parts) | dict(provenance or {}),
+    )
+
+
+def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:
+    empty = [name for name, data in parts.items() if len(data) == 0]
+    if not parts or empty:
+        raise SpecError(
+            f"nothing to report on: {empty[0] if empty else 'data'!r} has no records",
+            field="data",
+        )
+    if any(k != int(k) or k < 1 for k in horizons):
+        raise SpecError(
+            f"horizons are whole numbers of steps >= 1, got {tuple(horizons)}",
+            field="horizons",
+        )
+
+
+def _runs(
+    network: Any,
+    data: Dataset,
+    outputs: tuple[Channel, ...],
+    horizons: Sequence[int],
+    simulated: Any,
+) -> dict[str, list[list[Samples]]]:
+    """Samples by output and record, for every mode; the free run comes last."""
+    from jaxnarx.simulation import predict, simulate
+
+    runs = {
+        mode_name(int(k)): predict(network, data, k=int(k))
+        for k in dict.fromkeys(horizons)
+    }
+    runs[FREE_RUN] = simulate(network, data) if simulated is None else simulated
+    return {
+        mode: collect(data, outputs, getattr(run, "value", run))
+        for mode, run in runs.items()
+    }
+
+
+def _rows(
+    part: str, outputs: tuple[Channel, ...], runs: dict[str, list[list[Samples]]]
+) -> list[Row]:
+    """By output, then record, then mode, so that modes stand beside one another."""
+    rows = []
+    for o, channel in enumerate(outputs):
+        by_mode = [score(part, mode, channel, run[o]) for mode, run in runs.items()]
+        rows += [row for record in zip(*by_mode, strict=True) for row in record]
+    return rows
+
+
+def _pictures(
+    outputs: tuple[Channel, ...],
+    runs: dict[str, list[list[Samples]]],
+    sample_time: float,
+) -> tuple[tuple[Trace, ...], tuple[Residuals, ...]]:
+    free, one = runs[FREE_RUN], runs.get(mode_name(1))
+    traces = [
+        choose(channel, free[o], one[o] if one else None, sample_time)
+        for o, channel in enumerate(outputs)
+    ]
+    errors = [residuals(channel, free[o]) for o, channel in enumerate(outputs)]
+    return tuple(t for group in traces for t in group), tuple(errors)
+
+
+def _equations(network: Any) -> tuple[dict[str, Any], ...]:
+    """The text form of each local model with its LaTeX beside it."""
+    plain, latex = network.equations(style="text"), network.equations(style="latex")
+    return tuple(
+        {**one, "latex": two["latex"]} for one, two in zip(plain, latex, strict=True)
+    )
+
+
+def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
+    versions = {"python": platform.python_version()}
+    for package in ("jaxnarx", "jax", "numpy"):
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:  # run from a source folder
+            versions[package] = "not installed"
+    described = {
+        f"{part} data": f"{len(data)} records, {data.samples} samples at "
+        f"{data.sample_time:g} s, sha256 {data_hash(data)}"
+        for part, data in parts.items()
+    }
+    return {"versions": versions} | described
+
+
+def _without_cloud(partition: Mapping[str, Any] | None) -> Any:
+    if partition is None:
+        return None
+    return {
+        key: _without_cloud(item) if isinstance(item, Mapping) else item
+        for key, item in partition.items()
+        if key != "cloud"
+    }

@@ -1,0 +1,171 @@
+"""Scores of one run of a network, record by record and pooled."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.data import Channel, Dataset
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.evaluation import metrics
+
+POOLED = "pooled"
+FREE_RUN = "free run"
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """The scores of one output in one mode of use, for one record or `"pooled"`.
+
+    `mode` is `"one step"`, `"10 steps"`, ... or `"free run"`. `rmse` has the output's
+    unit, `fit` is in percent. `samples` are those that count; `limited` and
+    `extrapolated` tell at how many of them the feedback bound acted and the trained
+    range was left. A diverged row has no metrics (`None`): its figures would only tell
+    where the bound is. Pooled rows say how many records diverged in `status`, and
+    `others` holds the pooled metrics of the records that did not.
+    """
+
+    part: str
+    output: str
+    unit: str
+    mode: str
+    record: str
+    rmse: float | None
+    nrmse: float | None
+    r2: float | None
+    fit: float | None
+    nmse: float | None
+    samples: int
+    limited: int
+    extrapolated: int
+    status: str
+    others: dict[str, float] | None = None
+
+    @property
+    def diverged(self) -> bool:
+        return self.status.startswith("diverged")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Samples:
+    """What one output of one record did: measurement beside the model's answer."""
+
+    record: str
+    measured: Float[np.ndarray, "time 1"]
+    predicted: Float[np.ndarray, "time 1"]
+    scored: Bool[np.ndarray, "time 1"]
+    limited: Bool[np.ndarray, "time 1"]
+    extrapolated: Bool[np.ndarray, " time"]
+    diverged: bool
+
+
+def mode_name(k: int) -> str:
+    """`one step`, or `10 steps`."""
+    return "one step" if k == 1 else f"{k} steps"
+
+
+def collect(
+    data: Dataset, outputs: tuple[Channel, ...], run: Any
+) -> list[list[Samples]]:
+    """Samples by output, then record. `run` is what `predict` or `simulate` gave."""
+    columns = [_column(data, channel.name) for channel in outputs]
+    if len(run.outputs) != len(data):
+        raise SpecError(
+            f"the run has {len(run.outputs)} records and the data {len(data)}; "
+            "give the run of this very data",
+            field="simulated",
+        )
+    return [
+        [_samples(data, run, r, o, column) for r in range(len(data))]
+        for o, column in enumerate(columns)
+    ]
+
+
+def score(
+    part: str, mode: str, channel: Channel, samples: list[Samples]
+) -> tuple[Row, ...]:
+    """The pooled row first, then one row per record."""
+
+    def row(chosen: list[Samples], record: str, status: str, others=None) -> Row:
+        diverged = status.startswith("diverged")
+        return Row(
+            part=part,
+            output=channel.name,
+            unit=channel.unit,
+            mode=mode,
+            record=record,
+            **(dict.fromkeys(metrics.PERFECT) if diverged else _metrics(chosen)),
+            samples=sum(int(s.scored.sum()) for s in chosen),
+            limited=sum(int((s.limited & s.scored).sum()) for s in chosen),
+            extrapolated=sum(
+                int((s.extrapolated & s.scored[:, 0]).sum()) for s in chosen
+            ),
+            status=status,
+            others=others,
+        )
+
+    calm = [s for s in samples if not s.diverged]
+    lost = len(samples) - len(calm)
+    if lost:
+        others = _metrics(calm) if calm else None
+        status = f"diverged ({lost} of {len(samples)})"
+        rows = [row(samples, POOLED, status, others)]
+    else:
+        rows = [row(samples, POOLED, _status(samples))]
+    return tuple(rows + [row([s], s.record, _status([s])) for s in samples])
+
+
+def _column(data: Dataset, name: str) -> int:
+    names = data.channels.output_names
+    if name not in names:
+        raise SpecError(
+            f"the model's output {name!r} is not among the data's outputs. "
+            + suggest(name, names),
+            field="data",
+        )
+    return names.index(name)
+
+
+def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
+    record = data.records[r]
+    predicted = np.asarray(run.outputs[r])[:, o, None]
+    if len(predicted) != len(record):
+        raise SpecError(
+            f"the run of record {record.name!r} has {len(predicted)} rows and its "
+            f"data {len(record)}; give the run of this very data",
+            field="simulated",
+        )
+    scored = np.asarray(run.scored[r])[:, o, None]
+    lost = bool(run.diverged[r][o]) or not np.all(np.isfinite(predicted[scored]))
+    return Samples(
+        record=record.name,
+        measured=record.y[:, column, None],
+        predicted=predicted,
+        scored=scored,
+        limited=np.asarray(run.limited[r])[:, o, None],
+        extrapolated=np.asarray(run.extrapolated[r]),
+        diverged=lost,
+    )
+
+
+def _pooled(samples: list[Samples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return (
+        np.concatenate([s.measured for s in samples]),
+        np.concatenate([s.predicted for s in samples]),
+        np.concatenate([s.scored for s in samples]),
+    )
+
+
+def _metrics(samples: list[Samples]) -> dict[str, float]:
+    values = metrics.scores(*_pooled(samples))
+    return {name: float(values[name][0]) for name in metrics.PERFECT}
+
+
+def _status(samples: list[Samples]) -> str:
+    measured, _, scored = _pooled(samples)
+    if any(s.diverged for s in samples):
+        return "diverged"
+    if not scored.any():
+        return "no samples"
+    return "constant output" if metrics.is_constant(measured, scored)[0] else "ok"

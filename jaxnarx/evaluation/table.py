@@ -1,0 +1,88 @@
+"""A report's scores as aligned text: modes below one another, pooled figures first."""
+
+import math
+from collections.abc import Iterable
+
+from jaxnarx.evaluation.rows import Row
+
+HEADER = (
+    "record",
+    "mode",
+    "RMSE",
+    "NRMSE",
+    "R2",
+    "fit %",
+    "NMSE",
+    "samples",
+    "limited",
+)
+MISSING = ("", "", "", "")
+
+
+def number(value: float | None, style: str = ".4g") -> str:
+    """A figure for people: four significant digits, `inf` as such, `None` as a dash."""
+    if value is None:
+        return "-"
+    return format(value, style) if math.isfinite(value) else str(float(value))
+
+
+def text_table(rows: Iterable[Row]) -> str:
+    """One block per part and output. A diverged row says so instead of figures."""
+    blocks: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        blocks.setdefault((row.part, row.output), []).append(row)
+    return "\n\n".join(_block(group) for group in blocks.values())
+
+
+def _block(rows: list[Row]) -> str:
+    first = rows[0]
+    label = f"{first.output} [{first.unit}]" if first.unit else first.output
+    by_record: dict[str, list[Row]] = {}
+    for row in rows:
+        by_record.setdefault(row.record, []).append(row)
+    lines: list[tuple[str, ...]] = [HEADER]
+    for record, group in by_record.items():
+        for i, row in enumerate(group):
+            lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
+    return f"{label}, {first.part} data\n" + _aligned(lines)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    counts = (str(row.samples), str(row.limited) if row.limited else "")
+    if row.diverged:
+        return (row.status, *MISSING, *counts)
+    figures = (row.rmse, row.nrmse, row.r2)
+    return (
+        *map(number, figures),
+        number(row.fit, ".1f"),
+        number(row.nmse),
+        *counts,
+    )
+
+
+def _aligned(lines: list[tuple[str, ...]]) -> str:
+    """Text left, figures right; a status may run over the empty cells beside it."""
+    spilling = [cells[3:7] == MISSING for cells in lines]
+    widths = [
+        max(
+            len(cells[i])
+            for cells, spills in zip(lines, spilling, strict=True)
+            if not (spills and i == 2)
+        )
+        for i in range(len(HEADER))
+    ]
+    free = sum(widths[2:7]) + 2 * 4
+    out = []
+    for cells, spills in zip(lines, spilling, strict=True):
+        left = [cells[0].ljust(widths[0]), cells[1].ljust(widths[1])]
+        middle = [c.rjust(w) for c, w in zip(cells[2:7], widths[2:7], strict=True)]
+        right = [c.rjust(w) for c, w in zip(cells[7:], widths[7:], strict=True)]
+        middle = [cells[2].rjust(free)] if spills else middle
+        out.append("  ".join(left + middle + right).rstrip())
+    rule = "-" * max(map(len, out))
+    return "\n".join([rule, out[0], rule, *out[1:], rule])
+
+
+def _short(name: str, width: int = 24) -> str:
+    printable = "".join(c if c.isprintable() else " " for c in name)
+    return printable if len(printable) <= width else printable[: width - 1] + "…"

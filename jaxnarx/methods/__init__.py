@@ -1,0 +1,7 @@
+"""Settings of the verbs: frozen and jax-free, so that the command line can use them."""
+
+from jaxnarx.methods.partition import Global, Lolimot
+from jaxnarx.methods.refinement import SimulationError
+from jaxnarx.methods.selection import ForwardOLS
+
+__all__ = ["ForwardOLS", "Global", "Lolimot", "SimulationError"]

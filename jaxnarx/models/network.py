@@ -1,0 +1,170 @@
+"""The model: local polynomials of lagged variables, blended by validity functions.
+
+    y_o(t) = sum_m phi_m(z_t) sum_k theta[m, k] p_(m,k)(v_t)
+
+One class serves every model of this package: a NARX model is a network with one local
+model, and a model of several outputs has a partition and terms for each.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.data import Channel, Channels
+from jaxnarx.models.validity import AbstractValidity, Gaussians
+from jaxnarx.regressors import (
+    Variables,
+    equation,
+    evaluate,
+    term_name,
+    variable_name,
+)
+
+
+class LocalModels(eqx.Module):
+    """Polynomials linear in their coefficients; every local model has its own terms.
+
+    `factor` lists the distinct terms, `index` says which of them slot s of model m uses,
+    `used` is False for padding. Coefficients belong to gain-scaled signals.
+    """
+
+    factor: Int[Array, "terms degree"]
+    index: Int[Array, "models slots"]
+    used: Bool[Array, "models slots"]
+    coefficient: Float[Array, "models slots"]
+
+    def dense(self) -> Float[Array, "models terms"]:
+        """Coefficients over the table of distinct terms."""
+        models, _ = self.index.shape
+        value = jnp.where(self.used, self.coefficient, 0.0)
+        table = jnp.zeros((models, self.factor.shape[0]), value.dtype)
+        return table.at[jnp.arange(models)[:, None], self.index].add(value)
+
+
+class OutputModel(eqx.Module):
+    """The part of a network that computes one output: its partition and local models.
+
+    Scheduling variables are min-max scaled, z = (x - offset)/span, in physical units of
+    x; `active` is False for unused model slots.
+    """
+
+    scheduling: Variables = eqx.field(static=True)
+    offset: Float[Array, " dims"]
+    span: Float[Array, " dims"]
+    validity: AbstractValidity
+    active: Bool[Array, " models"]
+    local: LocalModels
+
+    def __call__(
+        self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
+    ) -> Float[Array, "*rows"]:
+        """Scaled output at one sample or at many (trailing axes)."""
+        terms = evaluate(self.local.factor, v)
+        local = jnp.tensordot(self.local.dense(), terms, axes=1)
+        return jnp.sum(self.validity(z, self.active) * local, axis=0)
+
+
+class Network(eqx.Module):
+    """A multi-model network with everything needed to run it on physical signals.
+
+    `variables` are the lagged variables of all outputs' terms; `modelled` the positions
+    of the modelled outputs among `channels.outputs`. `gain` brings signals to unit size.
+    `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are the
+    training ranges in physical units. A free run starts from `history` measured samples.
+    """
+
+    channels: Channels = eqx.field(static=True)
+    modelled: tuple[int, ...] = eqx.field(static=True)
+    variables: Variables = eqx.field(static=True)
+    models: tuple[OutputModel, ...]
+    gain: Float[Array, " signals"]
+    lower: Float[Array, " outputs"]
+    upper: Float[Array, " outputs"]
+    low: Float[Array, " signals"]
+    high: Float[Array, " signals"]
+    sample_time: Float[Array, ""]
+
+    def __check_init__(self):
+        if len(self.models) != len(self.modelled):
+            raise ValueError(
+                f"{len(self.modelled)} modelled outputs but {len(self.models)} models"
+            )
+
+    @property
+    def history(self) -> int:
+        """Samples needed before the first prediction."""
+        scheduling = (m.scheduling.longest for m in self.models)
+        return max(self.variables.longest, *scheduling)
+
+    @property
+    def signals(self) -> tuple[int, ...]:
+        """Signal index of each modelled output."""
+        return tuple(len(self.channels.inputs) + o for o in self.modelled)
+
+    @property
+    def output_channels(self) -> tuple[Channel, ...]:
+        """Channels of the modelled outputs."""
+        return tuple(self.channels.outputs[o] for o in self.modelled)
+
+    @property
+    def output_names(self) -> list[str]:
+        """Names of the modelled outputs."""
+        return [c.name for c in self.output_channels]
+
+    @property
+    def variable_names(self) -> list[str]:
+        """`speed[t-2]` for every lagged variable."""
+        return [variable_name(self.channels, s, d) for s, d in self.variables]
+
+    def equations(self, *, style: str = "text") -> list[dict]:
+        """Every local model's equation in physical units, host only.
+
+        One dictionary per output and region: `output`, `model` (count from 1), `region`
+        (centre and width of its validity in physical units, by scheduling variable),
+        `terms` (text and coefficient) and the whole as `text` or `latex`.
+        """
+        return [
+            self._equation(o, m, style)
+            for o, model in enumerate(self.models)
+            for m in np.flatnonzero(np.asarray(model.active)).tolist()
+        ]
+
+    def _equation(self, o: int, m: int, style: str) -> dict:
+        model, local = self.models[o], self.models[o].local
+        slots = np.flatnonzero(np.asarray(local.used)[m])
+        factor = np.asarray(local.factor)[np.asarray(local.index)[m, slots]]
+        signal = [s for s, _ in self.variables]
+        scale = np.concatenate([[1.0], np.asarray(self.gain)[signal]])
+        value = np.asarray(local.coefficient)[m, slots] / np.prod(scale[factor], axis=1)
+        value = value * float(self.gain[self.signals[o]])
+        output, names = self.output_names[o], self.variable_names
+        return {
+            "output": output,
+            "model": int(m) + 1,
+            "region": self._region(model, int(m)),
+            "terms": [
+                (term_name(names, row), float(c))
+                for row, c in zip(factor.tolist(), value, strict=True)
+            ],
+            style: equation(output, names, factor.tolist(), value, style=style),
+        }
+
+    def _region(self, model: OutputModel, m: int) -> dict[str, dict[str, float]]:
+        if not isinstance(model.validity, Gaussians):
+            return {}
+        span, offset = np.asarray(model.span), np.asarray(model.offset)
+        centre = np.asarray(model.validity.centre)[m] * span + offset
+        width = np.exp(np.asarray(model.validity.log_width)[m]) * span
+        return {
+            variable_name(self.channels, s, d): {"centre": float(c), "width": float(w)}
+            for (s, d), c, w in zip(model.scheduling, centre, width, strict=True)
+        }
+
+
+def scheduling_values(
+    model: OutputModel, x: Float[Array, "dims *rows"]
+) -> Float[Array, "dims *rows"]:
+    """Min-max scaled scheduling variables from physical ones."""
+    tail = (1,) * (x.ndim - 1)
+    return (x - model.offset.reshape(-1, *tail)) / model.span.reshape(-1, *tail)

@@ -1,0 +1,149 @@
+"""Which parameters are trained, as one vector without bounds.
+
+Coefficients enter as they are; a parameter with limits a < p < b as p = a + (b - a)
+sigma(u), so that every step of a solver stays inside. The derivative of that map turns
+gradients by physical parameters into gradients by u.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnarx.errors import SpecError
+from jaxnarx.models import Network
+
+
+def default_trainable(network: Network) -> Network:
+    """Everything that has an effect: coefficients, and partitions of several models."""
+    false = jax.tree.map(lambda _: False, network)
+    for o, model in enumerate(network.models):
+        false = eqx.tree_at(lambda n: n.models[o].local.coefficient, false, True)
+        if int(np.sum(model.active)) > 1:
+            true = jax.tree.map(lambda _: True, model.validity)
+            false = eqx.tree_at(lambda n: n.models[o].validity, false, true)
+    return false
+
+
+def freeze(network: Network, *, coefficients: bool, partition: bool) -> Network:
+    """The default tree with whole kinds of parameter switched off."""
+    tree = default_trainable(network)
+    for o in range(len(network.models)):
+        if not coefficients:
+            tree = eqx.tree_at(lambda n: n.models[o].local.coefficient, tree, False)
+        if not partition:
+            off = jax.tree.map(lambda _: False, tree.models[o].validity)
+            tree = eqx.tree_at(lambda n: n.models[o].validity, tree, off)
+    return tree
+
+
+def _pieces(tree: Network) -> list[list]:
+    """Leaves that may be trained, for each output: the coefficients, then the validity's."""
+    return [
+        [m.local.coefficient, *jax.tree.leaves(m.validity)] for m in tree.models
+    ]
+
+
+def _where(network: Network) -> list:
+    return [leaf for output in _pieces(network) for leaf in output]
+
+
+class Layout(eqx.Module):
+    """Places a vector of trained parameters in a network, and back.
+
+    `low` and `high` are the limits of every entry, infinite where there are none.
+    """
+
+    base: Network
+    low: Float[Array, " params"]
+    high: Float[Array, " params"]
+    chosen: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
+
+    def gather(self, network: Network) -> Float[Array, " params"]:
+        """The trained parameters of `network` as a vector in solver coordinates."""
+        p = self._flat(network)
+        bounded = jnp.isfinite(self.low)
+        low = jnp.where(bounded, self.low, 0.0)
+        span = jnp.where(bounded, self.high - self.low, 1.0)
+        # At a limit the slope vanishes and the parameter could never leave it.
+        share = jnp.clip((p - low) / span, 1e-3, 1 - 1e-3)
+        share = jnp.where(bounded, share, 0.5)
+        return jnp.where(bounded, jnp.log(share / (1 - share)), p)
+
+    def physical(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
+        """Parameters from solver coordinates."""
+        bounded = jnp.isfinite(self.low)
+        low = jnp.where(bounded, self.low, 0.0)
+        span = jnp.where(bounded, self.high - self.low, 1.0)
+        return jnp.where(bounded, low + span * jax.nn.sigmoid(u), u)
+
+    def slope(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
+        """Derivative of `physical`, entry by entry."""
+        return jax.jvp(self.physical, (u,), (jnp.ones_like(u),))[1]
+
+    def place(self, u: Float[Array, " params"]) -> Network:
+        """The network with these parameters."""
+        p = self.physical(u)
+        new, start = [], 0
+        for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
+            for leaf, trained in zip(output, keep, strict=True):
+                if trained:
+                    new.append(p[start : start + leaf.size].reshape(leaf.shape))
+                    start += leaf.size
+                else:
+                    new.append(leaf)
+        return eqx.tree_at(_where, self.base, new)
+
+    def _flat(self, network: Network) -> Float[Array, " params"]:
+        return _concatenate(_pieces(network), self.chosen)
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Start and stop of each output's parameters in the vector."""
+        sizes = [
+            sum(leaf.size for leaf, k in zip(output, keep, strict=True) if k)
+            for output, keep in zip(_pieces(self.base), self.chosen, strict=True)
+        ]
+        ends = np.cumsum([0, *sizes]).tolist()
+        return list(zip(ends[:-1], ends[1:], strict=True))
+
+
+def _concatenate(pieces, chosen) -> Float[Array, " params"]:
+    leaves = [
+        leaf.reshape(-1)
+        for output, keep in zip(pieces, chosen, strict=True)
+        for leaf, k in zip(output, keep, strict=True)
+        if k
+    ]
+    if not leaves:
+        raise SpecError("nothing is trainable", field="trainable")
+    return jnp.concatenate(leaves)
+
+
+def make_layout(
+    network: Network, trainable: Network | None, width_band: tuple[float, float]
+) -> Layout:
+    """Layout of the leaves that are True in `trainable` (default: all with an effect).
+
+    Only coefficients and validity functions can be trained; a True elsewhere raises
+    `SpecError`.
+    """
+    tree = default_trainable(network) if trainable is None else trainable
+    chosen = tuple(tuple(bool(k) for k in output) for output in _pieces(tree))
+    elsewhere = eqx.tree_at(_where, tree, [False] * len(_where(tree)))
+    if any(bool(k) for k in jax.tree.leaves(elsewhere)):
+        raise SpecError(
+            "only coefficients and validity functions can be trained",
+            field="trainable",
+        )
+    limits = [m.validity.limits(width_band) for m in network.models]
+
+    def bounds(side: int) -> Float[Array, " params"]:
+        sign = jnp.inf if side else -jnp.inf
+        pieces = [
+            [jnp.full_like(m.local.coefficient, sign), *jax.tree.leaves(limit[side])]
+            for m, limit in zip(network.models, limits, strict=True)
+        ]
+        return _concatenate(pieces, chosen)
+
+    return Layout(network, bounds(0), bounds(1), chosen)

@@ -1,0 +1,169 @@
+"""Loss of a run and its normal equations, accumulated in one pass over time.
+
+Residuals are r = sqrt(weight) (run - measured), scaled signals. Sensitivities of the run
+by all parameters follow the forward filter of `arrays.recurrence`; they are made block
+by block and summed into J'J and J'r at once, so that memory holds one block of the
+Jacobian, never the whole.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxnarx.arrays.recurrence import (
+    history_of,
+    linear_recurrence,
+    own_history,
+    run_history,
+    sensitivities,
+)
+from jaxnarx.models import (
+    Network,
+    OutputModel,
+    collapse,
+    collapsed_step,
+    collapses,
+    depth,
+    general_step,
+    scheduling_values,
+    with_history,
+)
+from jaxnarx.refinement.layout import Layout
+from jaxnarx.regressors import evaluate
+from jaxnarx.simulation import Drive, run
+
+SAMPLES = 4096
+"""Samples per block over all records: the block's Jacobian then stays near the cache."""
+
+
+def squares(
+    y: Float[Array, "records time outputs"],
+    measured: Float[Array, "records time outputs"],
+    weight: Float[Array, "records time outputs"],
+) -> Float[Array, ""]:
+    return jnp.sum(weight * (y - measured) ** 2)
+
+
+@eqx.filter_jit
+def loss(
+    layout: Layout,
+    u: Float[Array, " params"],
+    drive: Drive,
+    anchor: Bool[Array, "records time"],
+    weight: Float[Array, "records time outputs"],
+) -> Float[Array, ""]:
+    """Weighted sum of squared errors of the run restarted at anchors."""
+    y = run(layout.place(u), drive, anchor)
+    return squares(y, drive.measured, weight)
+
+
+def output_gradient(
+    model: OutputModel, v: Float[Array, "vars rows"], x: Float[Array, "dims rows"]
+) -> list[Float[Array, "*shape rows"]]:
+    """Derivative of the output by coefficients and by each leaf of the validity.
+
+    At fixed lagged variables; samples are the trailing axis.
+    """
+    z = scheduling_values(model, x)
+    terms = evaluate(model.local.factor, v)
+    local = jnp.tensordot(model.local.dense(), terms, axes=1)
+    phi = model.validity(z, model.active)
+    coefficient = jnp.where(
+        model.local.used[..., None], phi[:, None] * terms[model.local.index], 0.0
+    )
+    blend = jax.grad(lambda f, z, local: jnp.sum(f(z, model.active) * local))
+    by_validity = jax.vmap(blend, in_axes=(None, 1, 1), out_axes=-1)(
+        model.validity, z, local
+    )
+    return [coefficient, *jax.tree.leaves(by_validity)]
+
+
+def _direct(
+    network: Network, layout: Layout, v, x, limited
+) -> Float[Array, "rows outputs params"]:
+    """Direct tangents D_t of all outputs by all parameters, zero where limited."""
+    rows = v.shape[1]
+    total = layout.low.shape[0]
+    out = []
+    for o, (model, keep) in enumerate(zip(network.models, layout.chosen, strict=True)):
+        start, stop = layout.spans()[o]
+        pieces = [
+            leaf.reshape(-1, rows)
+            for leaf, k in zip(output_gradient(model, v, x[o]), keep, strict=True)
+            if k
+        ]
+        own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
+        own = jnp.where(limited[:, o, None], 0.0, own)
+        out.append(jnp.pad(own, ((0, 0), (start, total - stop))))
+    return jnp.stack(out, axis=1)
+
+
+def _record_block(network: Network, layout: Layout, block, past):
+    """Sensitivities of one record over one block of time; returns the end and all."""
+    v, x, history, own = block
+    if collapses(network):
+        step, params = collapsed_step(network), None
+        drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
+    else:
+        step, params = general_step(network), eqx.filter(network, eqx.is_array)
+        drive = (v.T, tuple(x_o.T for x_o in x))
+    a, limited = sensitivities(
+        step, params, drive, history, network.lower, network.upper
+    )
+    a = jnp.where(own[:, None, None], a, 0.0)
+    v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+    d = _direct(network, layout, v, x, limited)
+    return linear_recurrence(a, d, past)
+
+
+@eqx.filter_jit
+def normal_equations(
+    layout: Layout,
+    u: Float[Array, " params"],
+    drive: Drive,
+    anchor: Bool[Array, "records time"],
+    weight: Float[Array, "records time outputs"],
+) -> tuple[Float[Array, ""], Float[Array, " params"], Float[Array, "params params"]]:
+    """Loss, J'r and J'J of the run restarted at anchors, by the coordinates `u`."""
+    network = layout.place(u)
+    y = run(network, drive, anchor)
+    records, time, outputs = y.shape
+    lags, params = depth(network), u.shape[0]
+    size = max(16, SAMPLES // records)
+    blocks = -(-time // size)
+    residual = y - drive.measured
+
+    def history(y, measured, anchor):
+        return run_history(y, history_of(measured, lags), anchor)
+
+    past = jax.vmap(history)(y, drive.measured, anchor)
+    own = jax.vmap(lambda a: own_history(a, lags))(anchor)
+    slope = layout.slope(u)
+
+    def cut(a, axis, start):
+        extra = [(0, 0)] * a.ndim
+        extra[axis] = (0, blocks * size - time)
+        return jax.lax.dynamic_slice_in_dim(jnp.pad(a, extra), start, size, axis)
+
+    def body(carry, start):
+        state, gradient, gram = carry
+        block = (
+            cut(drive.v, 2, start),
+            tuple(cut(x, 2, start) for x in drive.x),
+            cut(past, 1, start),
+            cut(own, 1, start),
+        )
+        one = lambda b, s: _record_block(network, layout, b, s)  # noqa: E731
+        state, s = jax.vmap(one)(block, state)
+        root = jnp.sqrt(cut(weight, 1, start))
+        # Unscored stretches may be unstable: what overflows there must not count.
+        jacobian = jnp.where(root[..., None] > 0, s * root[..., None], 0.0)
+        jacobian = jacobian.reshape(-1, params) * slope[None]
+        r = (cut(residual, 1, start) * root).reshape(-1)
+        return (state, gradient + r @ jacobian, gram + jacobian.T @ jacobian), None
+
+    zero = jnp.zeros((records, lags, outputs, params), y.dtype)
+    start = (zero, jnp.zeros(params, y.dtype), jnp.zeros((params, params), y.dtype))
+    (_, gradient, gram), _ = jax.lax.scan(body, start, jnp.arange(blocks) * size)
+    return squares(y, drive.measured, weight), gradient, gram

@@ -1,0 +1,155 @@
+"""Pools of polynomial terms as tables of integers; the one evaluation of a regressor."""
+
+import functools
+import itertools
+import math
+import operator
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxnarx.data import Channels
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.regressors.text import term_name, variable_name
+from jaxnarx.regressors.variables import Variables
+
+LARGEST = 5_000_000
+"""Terms a pool may hold; beyond that its index table alone takes over 100 MB."""
+
+Lags = Sequence[int] | Mapping[str, Sequence[int]]
+
+
+def evaluate(
+    factor: Int[Array, "terms degree"] | Int[np.ndarray, "terms degree"],
+    v: Float[Array, "vars *rows"],
+) -> Float[Array, "terms *rows"]:
+    """Values of polynomial terms, `v = [1, x_1 ... x_V]` at one sample or at many.
+
+    The one evaluation of a regressor: design rows, simulation steps and derivatives are
+    made from it. Samples, where there are several, are the trailing axes, so that a term
+    is a product of contiguous rows; a `vmap` over samples would gather them one by one.
+    """
+    return functools.reduce(
+        operator.mul, (v[factor[:, k]] for k in range(factor.shape[1]))
+    )
+
+
+class Pool(eqx.Module):
+    """Candidate terms: rows of indices into `[1, x_1 ... x_V]`, 0 means "times one".
+
+    `outputs` are the positions of the modelled outputs among `channels.outputs`.
+    """
+
+    variables: Variables = eqx.field(static=True)
+    factor: Int[np.ndarray, "terms degree"]
+    channels: Channels = eqx.field(static=True)
+    outputs: tuple[int, ...] = eqx.field(static=True)
+
+    def __len__(self) -> int:
+        return self.factor.shape[0]
+
+    @property
+    def degree(self) -> int:
+        """Largest number of factors of a term."""
+        return self.factor.shape[1]
+
+    @property
+    def variable_names(self) -> list[str]:
+        """`speed[t-2]` for every lagged variable."""
+        return [variable_name(self.channels, s, d) for s, d in self.variables]
+
+    def name(self, term: int) -> str:
+        """Text of one term, `"u1[t-2]*NOx[t-1]"`."""
+        return term_name(self.variable_names, self.factor[term].tolist())
+
+    @property
+    def names(self) -> list[str]:
+        """Texts of all terms. Long for large pools; prefer `name`."""
+        variables = self.variable_names
+        return [term_name(variables, row) for row in self.factor.tolist()]
+
+
+def _lags(lags: Lags, names: Sequence[str], *, lowest: int, kind: str) -> list[list[int]]:
+    field = f"{kind}_lags"
+    if isinstance(lags, Mapping):
+        for name in lags:
+            if name not in names:
+                raise SpecError(
+                    f"{field} names {name!r}, which is not a modelled {kind}. "
+                    f"{suggest(name, names)}",
+                    field=field,
+                )
+        chosen = [list(lags.get(name, ())) for name in names]
+    else:
+        chosen = [list(lags)] * len(names)
+    for name, row in zip(names, chosen, strict=True):
+        for lag in row:
+            if isinstance(lag, bool) or int(lag) != lag or lag < lowest:
+                raise SpecError(
+                    f"{field} of {name!r} must be whole numbers of at least {lowest}, "
+                    f"got {lag!r}",
+                    field=field,
+                )
+        if len(set(row)) != len(row):
+            raise SpecError(f"{field} of {name!r} repeat: {row}", field=field)
+    return chosen
+
+
+def polynomial_pool(
+    channels: Channels,
+    *,
+    outputs: Sequence[str] | None = None,
+    input_lags: Lags,
+    output_lags: Lags,
+    degree: int,
+) -> Pool:
+    """All products of up to `degree` lagged variables, the constant among them.
+
+    `outputs` names the modelled outputs (default: all); their lags are fed back in a
+    free run. Lags are in samples, a tuple for all channels or a dict by channel name
+    (channels it leaves out get none); inputs from 0, outputs from 1. With V variables
+    the pool has C(V + degree, degree) terms. Wrong names or lags raise `SpecError`.
+    """
+    if isinstance(outputs, str):
+        outputs = [outputs]
+    chosen = list(outputs) if outputs is not None else channels.output_names
+    for name in chosen:
+        if name not in channels.output_names:
+            raise SpecError(
+                f"unknown output {name!r}. {suggest(name, channels.output_names)}",
+                field="outputs",
+            )
+    if not 1 <= degree <= 4:
+        raise SpecError(f"degree must be 1 to 4, got {degree}", field="degree")
+    rows = []
+    inputs = channels.input_names
+    for name, lags in zip(
+        inputs, _lags(input_lags, inputs, lowest=0, kind="input"), strict=True
+    ):
+        rows += [(channels.signal(name), lag) for lag in lags]
+    for name, lags in zip(
+        chosen, _lags(output_lags, chosen, lowest=1, kind="output"), strict=True
+    ):
+        rows += [(channels.signal(name), lag) for lag in lags]
+    if not rows:
+        raise SpecError("no lagged variables: give input_lags or output_lags",
+                        field="input_lags")
+    size = math.comb(len(rows) + degree, degree)
+    if size > LARGEST:
+        raise SpecError(
+            f"{len(rows)} lagged variables at degree {degree} make {size:,} terms, more "
+            f"than {LARGEST:,}; use fewer lags or a lower degree",
+            field="degree",
+        )
+    factor = np.fromiter(
+        itertools.chain.from_iterable(
+            itertools.combinations_with_replacement(range(len(rows) + 1), degree)
+        ),
+        dtype=np.int32,
+        count=size * degree,
+    ).reshape(size, degree)
+    positions = tuple(channels.output_names.index(name) for name in chosen)
+    return Pool(Variables(tuple(rows)), factor, channels, positions)

@@ -1,0 +1,90 @@
+"""Regression rows: every usable sample of every record behind one another."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxnarx.arrays.windows import lagged, usable
+from jaxnarx.data.batch import Batch, stack
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.scaling import gains
+from jaxnarx.errors import DataError
+from jaxnarx.regressors.variables import Variables
+
+
+class Rows(eqx.Module):
+    """Scaled lagged variables and targets of one-step prediction.
+
+    `v` carries a leading row of ones; `weight` is zero where a target or a lag is
+    missing; `at` is the sample's place in `batch.flat`.
+    """
+
+    v: Float[Array, "vars rows"]
+    y: Float[Array, "outputs rows"]
+    weight: Float[Array, "outputs rows"]
+    at: Int[np.ndarray, " rows"]
+    batch: Batch
+    gain: Float[np.ndarray, " signals"]
+
+
+def regression_rows(
+    data: Dataset,
+    variables: Variables,
+    outputs: tuple[int, ...],
+    *,
+    history: int,
+    need: int = 1,
+    weights: list[Float[np.ndarray, " time"]] | None = None,
+    gain: Float[np.ndarray, " signals"] | None = None,
+) -> Rows:
+    """Rows of all records after `history` samples; windows never cross a border.
+
+    `need` is the number of usable rows the caller cannot do without: fewer raise
+    `DataError`. `weights` holds one non-negative weight per sample and record.
+    """
+    batch = stack(data)
+    good = usable(batch.valid, variables.rows, history)
+    enough(data, good, history=history, need=need)
+    at = np.flatnonzero(good.reshape(-1))
+    gain = gains(data) if gain is None else gain
+    inputs = len(data.channels.inputs)
+    targets = np.array([inputs + o for o in outputs])
+    weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T
+    weight = weight.astype(gain.dtype)
+    if weights is not None:
+        weight = weight * _flat_weights(weights, data, good.shape[1])[at][None]
+    scaled = batch.flat / gain[None]
+    x = lagged(scaled, jnp.asarray(at), variables.rows)
+    v = jnp.concatenate([jnp.ones((1, len(at)), x.dtype), x])
+    y = scaled[at][:, targets].T
+    return Rows(v, y, jnp.asarray(weight), at, batch, gain)
+
+
+def _flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " samples"]:
+    if [len(w) for w in weights] != [len(r) for r in data]:
+        raise DataError(
+            "weights must be one array per record with one number per sample; records "
+            f"have {[len(r) for r in data]} samples, weights {[len(w) for w in weights]}"
+        )
+    flat = np.zeros((len(data), longest), data.records[0].u.dtype)
+    for n, w in enumerate(weights):
+        flat[n, : len(w)] = w
+    if not np.all(np.isfinite(flat)) or np.any(flat < 0):
+        raise DataError("weights must be finite and not negative")
+    return flat.reshape(-1)
+
+
+def enough(
+    data: Dataset, good: np.ndarray, *, history: int, need: int
+) -> None:
+    """Raise `DataError` unless at least `need` samples are usable."""
+    have = int(good.sum())
+    if have >= need:
+        return
+    shortest = min(data, key=len)
+    raise DataError(
+        f"need at least {need} usable rows after lag {history}, the records give {have} "
+        f"(shortest: {shortest.name!r} with {len(shortest)} rows); use smaller lags, "
+        "fewer terms or longer records"
+    )

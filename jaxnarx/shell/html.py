@@ -1,0 +1,236 @@
+"""A report as one offline HTML file: inline figures, no scripts, no remote addresses.
+
+Everything that comes from data is escaped by jinja2 or by the SVG writer; the only text
+marked safe here is built from escaped pieces.
+"""
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+from jaxnarx.evaluation import Report, Row
+from jaxnarx.shell import figures
+from jaxnarx.shell.style import inline_svg
+from jaxnarx.shell.verdict import verdict
+
+MAX_RECORDS = 400
+"""Records listed per part; a page should stay readable, the JSON holds them all."""
+
+POINT_BUDGET = 100_000
+"""Points of all lines over time together: about 1.6 MB of SVG."""
+
+
+def write_report(report: Report, path: str | os.PathLike[str]) -> None:
+    """Write the page to `path`, whole or not at all. The folder must exist."""
+    path = Path(path)
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(render(report), encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def render(report: Report) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"figure": figure_text, "term": term_html}
+    folder = resources.files("jaxnarx.shell") / "templates"
+    source = (folder / "report.html.jinja").read_text(encoding="utf-8")
+    return environment.from_string(source).render(
+        report=report,
+        verdict=verdict(report),
+        scores=_scores(report),
+        models=_models(report),
+        pictures=_pictures(report),
+        provenance=_flat(report.provenance),
+        max_records=MAX_RECORDS,
+    )
+
+
+def figure_text(value: float | None, digits: int = 4) -> Markup:
+    """A number for people: true minus, powers of ten raised, infinity as its sign."""
+    if value is None:
+        return Markup("–")
+    if not math.isfinite(value):
+        return Markup("∞" if value > 0 else "−∞") if value == value else Markup("–")
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    text = mantissa.replace("-", "−")
+    if exponent:
+        text += f"&thinsp;·&thinsp;10<sup>{str(int(exponent)).replace('-', '−')}</sup>"
+    return Markup(text)
+
+
+def term_html(name: str) -> Markup:
+    """`speed[t-1]^2*load[t]` set with lags as subscripts and powers raised."""
+    text = str(escape(name))
+    text = re.sub(
+        r"\[t(?:\s*-\s*(\d+))?\]",
+        lambda m: f"<sub>t{'−' + m[1] if m[1] else ''}</sub>",
+        text,
+    )
+    text = re.sub(r"(?<=</sub>)\^(\d+)", r"<sup>\1</sup>", text)
+    return Markup(text.replace("</sub>*", "</sub> · ").replace("</sup>*", "</sup> · "))
+
+
+def _scores(report: Report) -> dict[str, Any]:
+    """Rows by part, output and record, modes side by side; pooled rows apart."""
+    table: dict[tuple[str, str, str], list[Row]] = {}
+    for row in report.rows:
+        table.setdefault((row.part, row.output, row.record), []).append(row)
+    lines = list(table.values())
+    order = [channel.name for channel in report.outputs]
+    pooled = [g for g in lines if g[0].record == "pooled"]
+    pooled.sort(key=lambda group: order.index(group[0].output))
+    single = [g for g in lines if g[0].record != "pooled"]
+    by_part = {p: [g for g in single if g[0].part == p] for p in report.parts}
+    return {"pooled": pooled, "records": by_part}
+
+
+def _models(report: Report) -> list[dict[str, Any]]:
+    """By output: its local models, and coefficients by term and model."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for equation in report.equations:
+        groups.setdefault(str(equation["output"]), []).append(equation)
+    out = []
+    for output, equations in groups.items():
+        columns = [{str(n): float(c) for n, c in e["terms"]} for e in equations]
+        names = dict.fromkeys(name for column in columns for name in column)
+        out.append(
+            {
+                "output": output,
+                "regions": [_words(e.get("region", "")) for e in equations],
+                "numbers": [e.get("model", i + 1) for i, e in enumerate(equations)],
+                "terms": [(n, [c.get(n) for c in columns]) for n in names],
+                "latex": [str(e.get("latex", "")) for e in equations],
+            }
+        )
+    return out
+
+
+def _words(value: object) -> str:
+    """A region as a sentence fragment, whatever form the network gives it."""
+    if value is None:
+        return ""
+    if isinstance(value, Mapping) and set(value) == {"centre", "width"}:
+        return f"about {_words(value['centre'])} ± {_words(value['width'])}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple | np.ndarray):
+        return "(" + ", ".join(_words(item) for item in value) + ")"
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
+    """(title, safe SVG text) of every figure by section; a trace holds its title."""
+    lines = 4 * max(len(report.traces), 1)
+    points = min(max(POINT_BUDGET // lines, 200), figures.POINTS)
+    drawn: dict[str, list[tuple[str, Figure]]] = {
+        "traces": [("", _trace(t, points)) for t in report.traces],
+        "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
+        "selection": [
+            (title, _selection(item))
+            for title, item in _by_output(report.selection, "names")
+        ],
+        "history": [],
+        "partition": [
+            (title, _partition(item))
+            for title, item in _by_output(report.partition, "scheduling")
+            if len(item["scheduling"])
+        ],
+    }
+    if report.history:
+        drawn["history"] = [("", figures.refinement(list(report.history)))]
+    return {
+        section: [
+            (title, _safe(figure, f"{section}{i}-", f"{section} {title}".strip()))
+            for i, (title, figure) in enumerate(items)
+        ]
+        for section, items in drawn.items()
+    }
+
+
+def _safe(figure: Figure, prefix: str, title: str) -> Markup:
+    return Markup(inline_svg(figure, prefix, title))  # escaped by the XML writer
+
+
+def _caption(trace: Any) -> str:
+    how = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
+    unit = f" {trace.output.unit}" if trace.rmse is not None else ""
+    return f"{trace.output.name}, {trace.rank} record {trace.record}: {how}{unit}"
+
+
+def _trace(trace: Any, points: int) -> Figure:
+    return figures.measured_and_simulated(
+        trace.time,
+        trace.measured,
+        trace.simulated,
+        label=trace.output.label,
+        title=_caption(trace),
+        one_step=trace.one_step,
+        limited=trace.limited,
+        scored=trace.scored,
+        points=points,
+    )
+
+
+def _agreement(item: Any) -> Figure:
+    return figures.agreement(
+        item.measured,
+        item.simulated,
+        item.counts,
+        item.edges,
+        label=item.output.label,
+        unit=item.output.unit,
+    )
+
+
+def _selection(item: Mapping[str, Any]) -> Figure:
+    return figures.selection_path(
+        [str(n) for n in item["names"]],
+        item["err"],
+        item.get("cumulative"),
+        criteria=item.get("criteria"),
+    )
+
+
+def _partition(item: Mapping[str, Any]) -> Figure:
+    return figures.partition(
+        [str(n) for n in item["scheduling"]],
+        item["ranges"],
+        item.get("before") or (),
+        item.get("after") or (),
+        cloud=item.get("cloud"),
+    )
+
+
+def _by_output(
+    value: Mapping[str, Any] | None, key: str
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """(output, entry) pairs; a flat entry, known by `key`, stands for all outputs."""
+    if not value:
+        return []
+    return [("", value)] if key in value else list(value.items())
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows = []
+    for key, item in value.items():
+        if isinstance(item, Mapping):
+            rows += _flat(item, f"{prefix}{key}: ")
+        else:
+            rows.append((f"{prefix}{key}", _words(item)))
+    return rows

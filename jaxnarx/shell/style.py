@@ -1,0 +1,142 @@
+"""The look of every figure, and figures as SVG text that can stand in a page.
+
+Figures are drawn with matplotlib's objects, never with pyplot, so nothing global is
+kept and no display is needed.
+"""
+
+import io
+import os
+import re
+import warnings
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+INK = "#24292f"
+GRID = "#d5dae0"
+GREY = "#7a828c"
+BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+PURPLE, SKY = "#cc79a7", "#56b4e9"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+"""Okabe and Ito's palette: told apart with any common colour blindness."""
+
+_SETTINGS: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "normal",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.1,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "jaxnarx",
+    "savefig.facecolor": "none",
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw inside this: our settings, the caller's back afterwards, no font chatter.
+
+    A channel name in a script the drawing font lacks is no fault: the SVG carries text.
+    """
+    with matplotlib.rc_context(_SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
+        yield
+
+
+def canvas(
+    width: float = 9.0, height: float = 2.8, *, rows: int = 1, columns: int = 1, **grid
+) -> tuple[Figure, list[Axes]]:
+    """A figure of that size in inches and its axes, row by row."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **grid)
+    return figure, list(axes.flat)
+
+
+def plain(text: object, width: int = 48) -> str:
+    """`text` as it is: no mathematics in it, one line, no control characters."""
+    line = "".join(c if c.isprintable() else " " for c in str(text))
+    line = line if len(line) <= width else line[: width - 1] + "…"
+    return line.replace("$", r"\$")
+
+
+def svg(figure: Figure) -> str:
+    """The figure as SVG text: the same figure gives the same text, without dates."""
+    stream = io.StringIO()
+    with styled():
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(stream, format="svg", dpi=200, metadata=nothing)
+    return stream.getvalue()
+
+
+def inline_svg(figure: Figure, prefix: str, title: str) -> str:
+    """The figure as an `<svg>` element to stand in an HTML page.
+
+    Namespaces and metadata are gone, so that the page names no address; identifiers
+    carry `prefix`, so that figures do not meet; ink takes the text colour of the page,
+    grid and blue its `--grid` and `--blue`, so that it reads on light and dark; `title`
+    is for readers that cannot see it. Coordinates keep two decimals.
+    """
+    root = ElementTree.fromstring(svg(figure))
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag.endswith("}metadata"):
+                parent.remove(child)
+    for element in root.iter():
+        element.tag = element.tag.split("}")[-1]
+        kept = {k.split("}")[-1]: v for k, v in element.attrib.items()}
+        element.attrib.clear()
+        element.attrib.update({k: _value(k, v, prefix) for k, v in kept.items()})
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    root.attrib |= {"role": "img", "aria-label": title}
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write PNG (160 dpi, white) or SVG, told by the suffix; whole or not at all."""
+    path = Path(path)
+    temporary = path.with_name(path.name + ".tmp")
+    if path.suffix.lower() == ".svg":
+        temporary.write_text(svg(figure), encoding="utf-8")
+    elif path.suffix.lower() == ".png":
+        with styled():
+            figure.savefig(temporary, format="png", dpi=160, facecolor="white")
+    else:
+        raise ValueError(f"figures are saved as .svg or .png, got {path.name!r}")
+    os.replace(temporary, path)
+
+
+def _value(name: str, value: str, prefix: str) -> str:
+    if name == "id":
+        return prefix + value
+    if name == "href":
+        return f"#{prefix}{value[1:]}" if value.startswith("#") else value
+    if name in ("d", "points"):
+        return re.sub(r"(\.\d\d)\d+", r"\1", value).replace("\n", " ")
+    value = re.sub(r"url\(#([^)]*)\)", rf"url(#{prefix}\1)", value)
+    if name == "style":
+        value = value.replace(INK, "currentColor").replace(GRID, "var(--grid)")
+        value = value.replace(BLUE, "var(--blue)")
+    return value

@@ -1,0 +1,333 @@
+"""Run a network: k steps ahead from measured history, or freely on its own outputs."""
+
+import dataclasses
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.arrays.recurrence import free_run, history_of
+from jaxnarx.arrays.windows import lagged, usable
+from jaxnarx.data import Dataset, match_channels
+from jaxnarx.data.batch import Batch, stack
+from jaxnarx.errors import DataError, SpecError
+from jaxnarx.models import (
+    Network,
+    collapse,
+    collapsed_step,
+    collapses,
+    depth,
+    general_step,
+    respond,
+    with_history,
+)
+from jaxnarx.solution import NAMES, RESULTS, Solution
+
+SHARE = 0.05
+"""A record whose limited samples exceed this share has diverged ..."""
+IN_A_ROW = 50
+"""... and so has one with this many limited samples in a row."""
+
+
+class Drive(eqx.Module):
+    """What a run needs of the measurements, computed once per dataset.
+
+    `v`: a leading one and the scaled lagged variables; `x`: scheduling variables of
+    every output in physical units; `measured`: scaled outputs.
+    """
+
+    v: Float[Array, "records vars time"]
+    x: tuple[Float[Array, "records _ time"], ...]
+    measured: Float[Array, "records time outputs"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Masks:
+    """Where a dataset can be used, host arrays.
+
+    `start` is the first sample of each record with a complete measured history (the
+    record's length where there is none); `anchors` all samples with one; `scored` where
+    the output is measured and the inputs of its window are valid.
+    """
+
+    start: Int[np.ndarray, " records"]
+    anchors: Bool[np.ndarray, "records time"]
+    scored: Bool[np.ndarray, "records time outputs"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Outputs of a run, one array per record, in physical units.
+
+    Samples before the first prediction repeat the measurement. `scored` marks predicted
+    samples whose measurement is valid, `limited` those held by the feedback bound,
+    `extrapolated` those with an input outside its training range; `diverged` tells per
+    output whether the record counts as diverged.
+    """
+
+    outputs: tuple[Float[np.ndarray, "time outputs"], ...]
+    scored: tuple[Bool[np.ndarray, "time outputs"], ...]
+    limited: tuple[Bool[np.ndarray, "time outputs"], ...]
+    extrapolated: tuple[Bool[np.ndarray, " time"], ...]
+    diverged: tuple[Bool[np.ndarray, " outputs"], ...]
+    names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    def __getitem__(self, record: int) -> Float[np.ndarray, "time outputs"]:
+        return self.outputs[record]
+
+
+def tables(network: Network) -> tuple[tuple[int, int], ...]:
+    """All (signal, lag) a network looks at, terms and scheduling together."""
+    rows = [*network.variables, *(r for m in network.models for r in m.scheduling)]
+    return tuple(dict.fromkeys(rows))
+
+
+@eqx.filter_jit
+def make_drive(network: Network, batch: Batch) -> Drive:
+    """Lagged and scheduling variables of every record."""
+    at = jnp.arange(batch.signals.shape[1])
+
+    def one(signals):
+        scaled = signals / network.gain[None]
+        ones = jnp.ones((1, at.shape[0]), signals.dtype)
+        v = jnp.concatenate([ones, lagged(scaled, at, network.variables.rows)])
+        x = tuple(lagged(signals, at, m.scheduling.rows) for m in network.models)
+        return v, x, scaled[:, np.array(network.signals)]
+
+    return Drive(*jax.lax.map(one, batch.signals))
+
+
+def make_masks(network: Network, batch: Batch) -> Masks:
+    """Starts, possible anchors and scored samples, see `Masks`."""
+    rows = tables(network)
+    inputs = tuple(r for r in rows if r[0] not in network.signals)
+    anchors = usable(batch.valid, rows, network.history)
+    good = usable(batch.valid, inputs, network.history)
+    time = anchors.shape[1]
+    start = np.where(anchors.any(axis=1), anchors.argmax(axis=1), time)
+    after = np.arange(time)[None] >= start[:, None]
+    scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
+    return Masks(start, anchors, scored)
+
+
+def run_record(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    measured: Float[Array, "time outputs"],
+    anchor: Bool[Array, " time"],
+) -> Float[Array, "time outputs"]:
+    """Scaled outputs of one record, restarted from the measurement at anchors.
+
+    The one simulation semantics: a free run has one anchor. Pure and differentiable.
+    """
+    if collapses(network):
+        step, params = collapsed_step(network), None
+        drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
+    else:
+        step, params = general_step(network), eqx.filter(network, eqx.is_array)
+        drive = (v.T, tuple(x_o.T for x_o in x))
+    return free_run(
+        step, params, drive, measured, anchor, network.lower, network.upper,
+        depth=depth(network),
+    )
+
+
+@eqx.filter_jit
+def run(
+    network: Network, drive: Drive, anchor: Bool[Array, "records time"]
+) -> Float[Array, "records time outputs"]:
+    """Scaled outputs of all records."""
+    one = partial(run_record, network)
+    return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
+
+
+@eqx.filter_jit
+def run_steps(
+    network: Network, drive: Drive, k: Int[Array, ""]
+) -> Float[Array, "records time outputs"]:
+    """Scaled k-step-ahead prediction of every sample; `k` may be traced.
+
+    All starting points advance together: the history of sample t holds measurements up
+    to t - k and predictions after that.
+    """
+
+    def one(v, x, measured):
+        past = jnp.moveaxis(history_of(measured, depth(network)), 0, -1)
+        past = jnp.roll(past, k - 1, axis=-1)
+
+        def advance(j, carry):
+            past, _ = carry
+            shift = k - 1 - j
+            inputs = jax.tree.map(lambda a: jnp.roll(a, shift, axis=-1), (v, x))
+            y = respond(network, *with_history(network, *inputs, past))
+            y = jnp.clip(y, network.lower[:, None], network.upper[:, None])
+            return jnp.concatenate([y[:, None], past[:, :-1]], axis=1), y
+
+        return jax.lax.fori_loop(0, k, advance, (past, past[:, 0]))[1].T
+
+    return jax.lax.map(lambda a: one(*a), (drive.v, drive.x, drive.measured))
+
+
+def first_anchor(masks: Masks) -> Bool[np.ndarray, "records time"]:
+    """Anchors of a free run: the first usable sample of each record.
+
+    Past the last scored sample every one is an anchor: padding then cannot run away.
+    """
+    at = np.arange(masks.anchors.shape[1])[None]
+    scored = masks.scored.any(axis=2)
+    last = scored.shape[1] - 1 - scored[:, ::-1].argmax(axis=1)
+    return (at == masks.start[:, None]) | (at > last[:, None])
+
+
+def _prepare(network: Network, data: Dataset):
+    matched, _ = match_channels(data, network.channels)
+    _same_sample_time(network, matched)
+    batch = stack(matched)
+    masks = make_masks(network, batch)
+    if np.all(masks.start == masks.anchors.shape[1]):
+        shortest = min(data, key=len)
+        raise DataError(
+            f"no record can be run: the model needs {network.history} valid measured "
+            f"samples to start from (record {shortest.name!r} has {len(shortest)} rows)"
+        )
+    return matched, batch, masks, make_drive(network, batch)
+
+
+def _same_sample_time(network: Network, data: Dataset) -> None:
+    expected = float(network.sample_time)
+    if abs(data.sample_time - expected) > 1e-6 * expected:
+        raise SpecError(
+            f"the model was identified at a sample time of {expected:g} s, the data have "
+            f"{data.sample_time:g} s; resample the data",
+            field="sample_time",
+        )
+
+
+def longest_run(flags: Bool[np.ndarray, " time"]) -> int:
+    """Length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def has_diverged(limited: Bool[np.ndarray, " time"]) -> bool:
+    """More than 5 % of the samples, or 50 in a row, held by the feedback bound."""
+    return bool(limited.size) and (
+        limited.mean() > SHARE or longest_run(limited) >= IN_A_ROW
+    )
+
+
+def _extrapolated(network: Network, batch: Batch) -> Bool[np.ndarray, "records time"]:
+    signals = np.asarray(batch.signals)
+    slack = 1e-9 * (np.asarray(network.high) - np.asarray(network.low))
+    outside = (signals < np.asarray(network.low) - slack) | (
+        signals > np.asarray(network.high) + slack
+    )
+    mask = np.zeros(signals.shape[:2], bool)
+    for s, d in tables(network):
+        if s not in network.signals:
+            mask[:, d:] |= outside[:, : mask.shape[1] - d, s]
+    return mask
+
+
+def _trajectories(network, data, batch, scaled, scored, start) -> Trajectories:
+    scaled = np.asarray(scaled)
+    gain = np.asarray(network.gain)[np.array(network.signals)]
+    lower, upper = np.asarray(network.lower), np.asarray(network.upper)
+    limited = (scaled <= lower) | (scaled >= upper)
+    extrapolated = _extrapolated(network, batch)
+    outputs, marks, held, outside, diverged = [], [], [], [], []
+    for n, record in enumerate(data):
+        length = len(record)
+        first = min(int(start[n]), length)
+        y = scaled[n, :length] * gain
+        y[:first] = record.y[:first, np.array(network.modelled)]
+        hold = limited[n, :length].copy()
+        hold[:first] = False
+        outputs.append(y)
+        marks.append(scored[n, :length])
+        held.append(hold)
+        outside.append(extrapolated[n, :length])
+        diverged.append(np.array([has_diverged(hold[first:, o]) for o in range(len(gain))]))
+    return Trajectories(
+        *(tuple(a) for a in (outputs, marks, held, outside, diverged)),
+        tuple(data.names),
+        tuple(network.output_names),
+    )
+
+
+def _solution(network: Network, data: Dataset, value: Trajectories, start) -> Solution:
+    too_short = np.array([s >= len(r) for s, r in zip(start, data, strict=True)])
+    bad = np.array([d.any() for d in value.diverged])
+    codes = np.where(too_short, NAMES.index("too_short"), 0)
+    codes = np.where(bad, NAMES.index("diverged"), codes)
+    stats: dict = {
+        "record_status": codes,
+        "limited": np.array([h.sum(axis=0) for h in value.limited]),
+        "extrapolated": np.array([e.mean() for e in value.extrapolated]),
+    }
+    status, detail = RESULTS.ok, ""
+    if bad.any():
+        n = int(np.argmax(bad))
+        o = int(np.argmax(value.diverged[n]))
+        step = int(np.argmax(value.limited[n][:, o]))
+        record, time = data.records[n], step * data.sample_time
+        stats |= {
+            "record": n,
+            "row": step + record.start_row,
+            "time": time,
+            "first_bad_step": step,
+            "channel": network.output_names[o],
+        }
+        status = RESULTS.diverged
+        detail = (
+            f"{network.output_names[o]} leaves its bounds in record {record.name!r} first "
+            f"at sample {step} (t = {time:g} s); {int(bad.sum())} of {len(bad)} records"
+        )
+    elif too_short.any():
+        n = int(np.argmax(too_short))
+        status = RESULTS.too_short
+        detail = (
+            f"record {data.records[n].name!r} has no {network.history} valid samples in "
+            "a row to start from"
+        )
+    return Solution(value, status, stats, detail)
+
+
+def simulate(network: Network, data: Dataset) -> Solution[Trajectories]:
+    """Free run of every record on the network's own outputs (physical units).
+
+    Starts from the first `network.history` valid samples of a record. Channels are
+    matched by name; extra ones are ignored. Outputs are held within the model's feedback
+    bound; status `diverged` when that bound acts on more than 5 % or on 50 successive
+    samples of a record, `too_short` when a record has no valid start. Never NaN.
+    """
+    matched, batch, masks, drive = _prepare(network, data)
+    scaled = run(network, drive, jnp.asarray(first_anchor(masks)))
+    value = _trajectories(network, matched, batch, scaled, masks.scored, masks.start)
+    return _solution(network, matched, value, masks.start)
+
+
+def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectories]:
+    """k-step-ahead prediction of every sample from measured history k samples before.
+
+    Samples whose start has no complete valid history are not scored. Same bounds,
+    channels and statuses as `simulate`.
+    """
+    if k < 1:
+        raise SpecError(f"k must be at least 1, got {k}", field="k")
+    matched, batch, masks, drive = _prepare(network, data)
+    scaled = run_steps(network, drive, jnp.asarray(k))
+    ready = np.zeros_like(masks.anchors)
+    ready[:, k - 1 :] = masks.anchors[:, : masks.anchors.shape[1] - k + 1]
+    scored = masks.scored & ready[:, :, None]
+    start = masks.start + k - 1
+    value = _trajectories(network, matched, batch, scaled, scored, start)
+    return _solution(network, matched, value, masks.start)

@@ -1,0 +1,112 @@
+"""What every verb returns, and the one table of statuses."""
+
+from typing import Any, Generic, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.errors import JaxnarxError
+
+T = TypeVar("T")
+
+
+class RESULTS(eqx.Enumeration):
+    """Statuses of a `Solution`. The first four count as fine, see `is_okay`."""
+
+    ok = "Converged or complete."
+    budget_spent = "Steps or time used up; the best so far is returned."
+    no_improvement = "Stopped because validation or the criterion no longer improved."
+    pool_exhausted = "No further candidate qualifies."
+    stalled = "No step decreased the loss, and damping is at its limit."
+    start_diverged = "The free run of the starting model leaves its bounds."
+    diverged = "The free run leaves its bounds."
+    unidentifiable = "The data do not determine these parameters."
+    nonfinite_data = "The data hold values that are not finite."
+    too_short = "There are too few samples."
+    crashed = "The computation failed."
+    not_run = "The computation was not started."
+
+
+NAMES: tuple[str, ...] = (
+    "ok",
+    "budget_spent",
+    "no_improvement",
+    "pool_exhausted",
+    "stalled",
+    "start_diverged",
+    "diverged",
+    "unidentifiable",
+    "nonfinite_data",
+    "too_short",
+    "crashed",
+    "not_run",
+)
+OKAY = 4
+"""Number of leading statuses that are informative ends rather than failures."""
+
+
+def code(status: RESULTS) -> Any:
+    """The integer code of a status, an array under a transform."""
+    return status._value
+
+
+class Solution(eqx.Module, Generic[T]):
+    """Result of a verb: the value, how it ended, and figures about the way there.
+
+    `stats` is a dictionary of arrays and plain numbers, without solver internals.
+    `detail` is one sentence for people; it is made on the host and empty in batches.
+    """
+
+    value: T
+    status: RESULTS
+    stats: dict[str, Any]
+    detail: str = eqx.field(static=True, default="")
+
+    @property
+    def is_okay(self) -> Any:
+        """True where the status is an informative end rather than a failure."""
+        okay = jnp.asarray(code(self.status)) < OKAY
+        return bool(okay) if okay.ndim == 0 else okay
+
+    @property
+    def status_name(self) -> str:
+        """The status as text, `"budget_spent"`; for a single result."""
+        return NAMES[int(code(self.status))]
+
+    @property
+    def channel(self) -> str | None:
+        """Channel the status speaks of, where it speaks of one."""
+        return self.stats.get("channel")
+
+    @property
+    def row(self) -> int | None:
+        """Zero-based data row the status speaks of."""
+        return self.stats.get("row")
+
+    @property
+    def time(self) -> float | None:
+        """Time of `row` in its record [s]."""
+        return self.stats.get("time")
+
+    @property
+    def first_bad_step(self) -> int | None:
+        """First sample at which the feedback bound acted."""
+        return self.stats.get("first_bad_step")
+
+    @property
+    def cond(self) -> Any:
+        """Condition number of the scaled regressors, where one was computed."""
+        return self.stats.get("cond")
+
+    @property
+    def rank(self) -> Any:
+        """Numerical rank of the regressors, where one was computed."""
+        return self.stats.get("rank")
+
+    def raise_for_status(self) -> "Solution[T]":
+        """Return the solution, or raise `JaxnarxError` where the status is a failure."""
+        if not np.all(self.is_okay):
+            text = self.detail or str(RESULTS[self.status])
+            raise JaxnarxError(f"{self.status_name}: {text}")
+        return self

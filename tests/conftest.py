@@ -1,0 +1,28 @@
+"""Settings of every test: float64, strict promotion, run-time shape checks."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+install_import_hook("jaxnarx", "beartype.beartype")
+
+
+@pytest.fixture
+def key():
+    return jax.random.key(20120501)
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """Folder of the measured data; tests that need it skip where it is absent."""
+    root = Path(os.environ.get("JAXNARX_DATA", "../shared/data"))
+    if not root.is_dir():
+        pytest.skip(f"measured data not found in {root} (set JAXNARX_DATA)")
+    return root

@@ -1,0 +1,233 @@
+"""The report: what it shows, what it refuses to show, and what it warns about."""
+
+import dataclasses
+import json
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from jaxnarx.data import Channel, Channels, Dataset, Record
+from jaxnarx.errors import SpecError
+from jaxnarx.evaluation import Report, metrics, report
+
+CHANNELS = Channels(
+    (Channel("speed", "rpm"),), (Channel("NOx", "ppm"), Channel("torque", "Nm"))
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectories:
+    outputs: tuple
+    scored: tuple
+    limited: tuple
+    extrapolated: tuple
+    diverged: tuple
+    names: list
+    output_names: list
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """Stands in for a network: its error is known, and `lost` records diverge."""
+
+    error: float = 0.1
+    lost: tuple = ()
+    output_channels: tuple = CHANNELS.outputs
+    output_names = ("NOx", "torque")
+    channels: Channels = CHANNELS
+    models: tuple = (None, None)
+
+    def equations(self, style="text"):
+        term = ("speed[t-1]", 2.0)
+        return [
+            {"output": n, "model": 0, "region": {}, "terms": [term]}
+            | {style: "2 speed[t-1]"}
+            for n in self.output_names
+        ]
+
+    def run(self, data, k):
+        scored = [r.valid[:, -2:].copy() for r in data]
+        for mask in scored:
+            mask[:3] = False
+        shape = [r.y.shape for r in data]
+        diverged = [np.full(2, k is None and r.name in self.lost) for r in data]
+        size = self.error * (3 if k is None else 1)
+        wave = [size * np.cos(np.arange(len(r)))[:, None] for r in data]
+        run = Trajectories(
+            tuple(r.y + w for r, w in zip(data, wave, strict=True)),
+            tuple(scored),
+            tuple(map(np.broadcast_to, diverged, shape)),
+            tuple(np.zeros(len(r), bool) for r in data),
+            tuple(diverged),
+            data.names,
+            list(self.output_names),
+        )
+        return types.SimpleNamespace(value=run, status="ok", stats={})
+
+
+@pytest.fixture(autouse=True)
+def verbs(monkeypatch):
+    fake = types.ModuleType("jaxnarx.simulation")
+    fake.__dict__["predict"] = lambda network, data, k=1: network.run(data, k)
+    fake.__dict__["simulate"] = lambda network, data: network.run(data, None)
+    monkeypatch.setitem(sys.modules, "jaxnarx.simulation", fake)
+
+
+def make(seed, records=3, channels=CHANNELS, constant=False):
+    rng = np.random.default_rng(seed)
+    out = []
+    for i in range(records):
+        n = 60 + 20 * i
+        y = rng.normal(size=(n, 2)) * [30.0, 5.0] + [200.0, 50.0]
+        if constant:
+            y[:, 1] = 7.0
+        u = rng.normal(size=(n, len(channels.inputs)))
+        valid = np.ones((n, u.shape[1] + 2), bool)
+        out.append(Record(u, y, valid, f"r{seed}{i}"))
+    return Dataset(tuple(out), channels, 0.1)
+
+
+@pytest.fixture
+def full() -> Report:
+    parts = {"train": make(1), "validate": make(2), "test": make(3)}
+    return report(Network(lost=("r31",)), parts)
+
+
+def test_pooled_rows_are_the_metrics_of_the_concatenation():
+    data = make(4)
+    network = Network()
+    got = report(network, data)
+    run = network.run(data, None).value
+    joined = (np.concatenate(x) for x in ([r.y for r in data], run.outputs, run.scored))
+    want = metrics.scores(*joined)
+    for o, name in enumerate(("NOx", "torque")):
+        row = got.pooled(name)
+        for metric in metrics.PERFECT:
+            assert getattr(row, metric) == pytest.approx(want[metric][o], rel=1e-12)
+        assert row.samples == want["samples"][o] and row.status == "ok"
+    assert got.modes == ("one step", "10 steps", "free run") and got.main == "data"
+    assert len(got.rows) == 2 * 4 * 3
+
+
+def test_divergence_is_a_status_never_a_number(full):
+    row = full.pooled("NOx")
+    assert row.status == "diverged (1 of 3)" and row.nrmse is None
+    assert row.others is not None and row.others["nrmse"] > 0
+    assert row.limited == 77
+    assert full.pooled("NOx", mode="one step").status == "ok"
+    assert "diverged (1 of 3)" in full.table and "nan" not in full.table.lower()
+    note = next(n for n in full.notes if "diverged" in n)
+    assert "r31" in note and "The others alone: RMSE" in note
+    assert full.traces[0].rank == "worst" and full.traces[0].record == "r31"
+    assert full.traces[0].rmse is None
+
+
+def test_all_records_diverged_leaves_no_figure():
+    got = report(Network(lost=("r40", "r41", "r42")), make(4))
+    assert got.pooled("NOx").others is None
+    assert got.residuals[0].counts.size == 0
+    json.dumps(got.to_dict(), allow_nan=False)
+
+
+def test_nonfinite_predictions_count_as_diverged():
+    got = report(Network(error=np.inf), make(4))
+    assert got.pooled("NOx").status == "diverged (3 of 3)"
+
+
+def test_dict_is_strict_json(full):
+    extras = {
+        "selection": {"names": ["a"], "err": np.array([0.5]), "cumulative": [np.nan]},
+        "history": [{"iteration": np.int64(0), "loss": np.inf, "validation": None}],
+        "partition": {"scheduling": ["z"], "ranges": [(0, 1)], "cloud": np.ones(9)},
+    }
+    values = dataclasses.replace(full, **extras).to_dict()
+    text = json.dumps(values, allow_nan=False)
+    back = json.loads(text)
+    assert back["history"][0]["loss"] == "inf"
+    assert back["selection"]["cumulative"] == [None]
+    assert "cloud" not in back["partition"]
+    row = back["rows"][0]
+    assert {"part", "record", "output", "mode", "rmse", "status"} <= set(row)
+    assert len(back["provenance"]["test data"].split("sha256 ")[1]) == 64
+
+
+def test_table_is_aligned_and_fits_a_terminal(full):
+    for block in full.table.split("note:")[0].split("\n\n"):
+        lines = block.strip().splitlines()[1:]
+        assert max(map(len, lines)) <= 100
+        ends = {len(x) for x in lines if x.split()[-1].isdigit() and "diver" not in x}
+        assert len(ends) == 1
+    assert str(full) == full.table
+
+
+def test_validation_data_that_was_learned_from_is_noted_loudly():
+    train = make(1)
+    parts = {"train": train, "validate": make(2), "test": train[1:2]}
+    notes = report(Network(), parts).notes
+    assert notes[0].startswith("VALIDATION DATA EQUALS ESTIMATION DATA")
+    assert "r11" in notes[0]
+    same = {"train": train, "test": make(2), "validate": make(2)}
+    assert report(Network(), same).notes[0].startswith("REPEATED DATA")
+
+
+def test_clean_data_gives_no_notes():
+    parts = {"train": make(1), "validate": make(2), "test": make(3)}
+    assert report(Network(), parts).notes == ()
+
+
+def test_constant_output_is_infinite_and_noted():
+    got = report(Network(), make(5, constant=True))
+    row = got.pooled("torque")
+    assert row.nrmse == np.inf and row.fit == -np.inf
+    assert row.status == "constant output"
+    assert any("torque is constant" in n for n in got.notes)
+    assert row.rmse is not None and row.rmse < 1
+
+
+def test_other_units_and_extra_channels_are_noted():
+    other = Channels(
+        (Channel("speed", "1/s"), Channel("gear")),
+        (Channel("NOx", "mg"), Channel("torque", "Nm")),
+    )
+    parts = {"train": make(1), "test": make(2, channels=other)}
+    notes = report(Network(), parts).notes
+    text = "\n".join(notes)
+    assert "NOx is in ppm, the test data's in mg" in text
+    assert "Extra channels in test, ignored: gear" in text
+    assert "speed is in rpm, the test data's in 1/s" in text
+    assert len(notes) == 3
+
+
+def test_ranks_and_residuals_describe_the_free_run():
+    got = report(Network(), make(6, records=5))
+    assert [t.rank for t in got.traces[:3]] == ["worst", "median", "best"]
+    rmses = [t.rmse for t in got.traces[:3] if t.rmse is not None]
+    assert rmses == sorted(rmses, reverse=True)
+    first = got.residuals[0]
+    assert first.counts.sum() == got.pooled("NOx").samples
+    assert [t.rank for t in report(Network(), make(6, records=1)).traces] == [
+        "only",
+        "only",
+    ]
+
+
+def test_a_known_free_run_is_not_simulated_again(monkeypatch):
+    data = make(4)
+    run = Network(error=0.5).run(data, None)
+    monkeypatch.setattr(sys.modules["jaxnarx.simulation"], "simulate", None)
+    got = report(Network(), data, simulated=run)
+    again = report(Network(), {"test": data}, simulated={"test": run.value})
+    assert got.pooled("NOx").rmse == again.pooled("NOx").rmse
+    with pytest.raises(SpecError, match="this very data"):
+        report(Network(), data[:1], simulated=run)
+
+
+def test_wrong_requests_say_what_to_do():
+    with pytest.raises(SpecError, match="no records"):
+        report(Network(), {"test": make(1)[:0]})
+    with pytest.raises(SpecError, match="whole numbers"):
+        report(Network(), make(1), horizons=(0,))
+    with pytest.raises(SpecError, match="Did you mean 'NOx'"):
+        report(Network(output_channels=(Channel("NOX"),)), make(1))
