@@ -6,8 +6,9 @@ Imported without jax, so that files can be read and checked without waiting for 
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.check import check
 from jaxnarx.data.dataset import Dataset, Record
-from jaxnarx.data.files import Split, fingerprint, read, read_split
+from jaxnarx.data.files import Split, fingerprint, read, read_files, read_split
 from jaxnarx.data.findings import Finding, Findings
+from jaxnarx.data.hold_out import hold_out
 from jaxnarx.data.lags import LagSuggestion, suggest_lags
 from jaxnarx.data.match import match_channels
 
@@ -22,8 +23,10 @@ __all__ = [
     "Split",
     "check",
     "fingerprint",
+    "hold_out",
     "match_channels",
     "read",
+    "read_files",
     "read_split",
     "suggest_lags",
 ]

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.columns import Table, table_source
 from jaxnarx.data.construct import alike
+from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
@@ -66,6 +67,54 @@ def read_split(
         if part in parts
     }
     return Split(*(chosen.get(part) for part in PARTS), all=data)
+
+
+def read_files(
+    paths: Sequence[str | os.PathLike[str]],
+    channels: Channels,
+    *,
+    sample_time: float,
+    missing: str = "refuse",
+    max_bytes: float = MAX_BYTES,
+) -> Dataset:
+    """Records from CSV or Parquet files whose columns are named like `channels`.
+
+    For a model's own channels: no description is needed. Every file must hold all of
+    them; other columns are ignored.
+    """
+    description = Description(
+        channels=channels,
+        columns={name: name for name in channels.names},
+        patterns={},
+        sample_time=sample_time,
+        time=None,
+        missing=missing,
+        root=".",
+        layout=CsvLayout(),
+    )
+    files = [Path(p) for p in paths]
+    for file in files:
+        if not file.is_file():
+            raise DataFileError(f"{file}: there is no such file.", path=file)
+    tables = _tables(files, description, max_bytes)
+    own = _with_file_units(description, tables)
+    folder = Path(os.path.commonpath([f.resolve().parent for f in files]))
+    names = _record_names([f.resolve() for f in files], folder)
+    sources = alike(
+        [
+            table_source(
+                table,
+                own,
+                description.columns,
+                name=name,
+                time=None,
+                sample_time=sample_time,
+                split=missing == "split",
+            )[0]
+            for name, table in zip(names, tables, strict=True)
+        ]
+    )
+    return assemble(sources, own, sample_time=sample_time, missing=missing)
 
 
 def _read(path, root, max_bytes) -> tuple[Dataset, list[str]]:

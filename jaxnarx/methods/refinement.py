@@ -13,18 +13,18 @@ class SimulationError:
     until the whole record is one.
     """
 
-    horizons: tuple[int, ...] = (10, 100)
+    horizons: tuple[int, ...] = (10, 30, 100, 300, 1000)
     """Window lengths in samples before the full record."""
-    max_steps: int = 30
+    max_steps: int = 40
     """Accepted steps on the full record."""
-    window_steps: int = 8
+    window_steps: int = 20
     """Accepted steps at each window length."""
-    tolerance: float = 1e-5
+    tolerance: float = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
-    patience: int = 8
+    patience: int = 15
     """Stop after this many accepted full-record steps without a better validation."""
-    ridge: float = 1e-6
+    ridge: float = 1e-5
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
     width_band: tuple[float, float] = (0.5, 2.0)

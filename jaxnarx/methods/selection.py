@@ -22,9 +22,10 @@ class ForwardOLS:
     squared norm."""
     tau_absolute: float = 0.0
     """The thesis's threshold on the squared norm itself (depends on the data's scale)."""
-    constant: Literal["candidate", "first", "after"] = "candidate"
-    """The constant term: a candidate like others; chosen before all others, so that ERR
-    speaks of the centred output; or added after the choice, as in the thesis."""
+    constant: Literal["first", "candidate", "after"] = "first"
+    """The constant term: chosen before all others, so that the choice is one for the
+    centred output; a candidate like others; or added after the choice, as in the thesis.
+    """
 
     def __post_init__(self):
         if self.max_terms < 1:
@@ -35,9 +36,9 @@ class ForwardOLS:
             raise SpecError(f"rho must lie in [0, 1), got {self.rho}", field="rho")
         if not 0.0 <= self.tau < 1.0:
             raise SpecError(f"tau must lie in [0, 1), got {self.tau}", field="tau")
-        if self.constant not in ("candidate", "first", "after"):
+        if self.constant not in ("first", "candidate", "after"):
             raise SpecError(
-                f"constant must be 'candidate', 'first' or 'after', "
+                f"constant must be 'first', 'candidate' or 'after', "
                 f"got {self.constant!r}",
                 field="constant",
             )

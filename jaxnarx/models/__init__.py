@@ -11,6 +11,7 @@ from jaxnarx.models.feedback import (
     with_history,
 )
 from jaxnarx.models.network import LocalModels, Network, OutputModel, scheduling_values
+from jaxnarx.models.storage import load, load_about, save
 from jaxnarx.models.validity import AbstractValidity, Gaussians
 
 __all__ = [
@@ -25,7 +26,10 @@ __all__ = [
     "depth",
     "fed_back",
     "general_step",
+    "load",
+    "load_about",
     "respond",
+    "save",
     "scheduling_values",
     "with_history",
 ]

@@ -122,7 +122,7 @@ class _Search:
         self.best = np.asarray(layout.gather(layout.base))
         self.start_score, self.start_diverged = self._judge(self.best)
         self.score, self.diverged = self.start_score, self.start_diverged
-        self.since = 0
+        self.since = self.passed = 0
         self.total = method.window_steps * len(method.horizons) + method.max_steps
 
     def _judge(self, u: np.ndarray) -> tuple[float, bool]:
@@ -181,6 +181,7 @@ class _Search:
         row = {
             "step": len(self.history) + 1,
             "of": self.total,
+            "done": self.passed + n + 1,
             "stage": "full record" if horizon is None else f"{horizon} samples",
             "horizon": horizon,
             "stage_step": n + 1,
@@ -200,6 +201,7 @@ class _Search:
         horizons = [h for h in self.method.horizons if h < longest]
         for horizon in horizons:
             u, _ = self._stage(u, horizon, self.method.window_steps)
+            self.passed += self.method.window_steps
         u, status = self._stage(u, None, self.method.max_steps)
         return self._solution(status)
 

@@ -1,0 +1,1 @@
+"""Command line, figures, HTML report. Heavy imports live inside functions."""

@@ -1,0 +1,148 @@
+"""Contractions of a pool that is never formed, against the formed pool."""
+
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import full_pool, term_matrix
+
+from jaxnarx.arrays.contraction import BLOCK, TILE, contract, plan, positions
+
+compiled = jax.jit(contract, static_argnames="degree")
+
+
+def problem(variables: int, time: int, vectors: int = 1, seed: int = 0):
+    """`v` with its leading ones, (variables + 1, time), and vectors (vectors, time)."""
+    rng = np.random.default_rng([seed, variables, time])
+    x = rng.normal(size=(variables, time))
+    return np.concatenate([np.ones((1, time)), x]), rng.normal(size=(vectors, time))
+
+
+def formed(v, q, factor):
+    """The same products from the formed pool, and the sums of magnitudes behind them."""
+    p = term_matrix(v[1:].T, factor)
+    return q @ p, np.abs(q) @ np.abs(p)
+
+
+def assert_products(found, v, q, factor, *, eps=2.2e-16):
+    """Equal to rounding: N additions and 5 products on either side.
+
+    Each side is off by at most (N + 5) eps / 2 times the sum of magnitudes.
+    """
+    expected, magnitude = formed(v, q, factor)
+    assert found.shape == expected.shape
+    assert np.all(np.abs(found - expected) <= (v.shape[1] + 5) * eps * magnitude)
+
+
+# Variables (without the one) that make the right-hand side end before, at and after a
+# tile's border; at degree 4 the right side holds pairs, 32 to a tile: 28, 36 and 66.
+SIZES = [
+    *((1, n) for n in (1, TILE - 1, TILE, 2 * TILE)),
+    *((2, n) for n in (1, TILE - 1, TILE, TILE + 3)),
+    *((3, n) for n in (1, TILE - 2, TILE - 1, TILE)),
+    *((4, n) for n in (1, 6, 7, 10)),
+]
+
+
+@pytest.mark.parametrize(("degree", "variables"), SIZES)
+def test_equals_the_formed_pool(degree, variables):
+    v, q = problem(variables, 40)
+    factor = full_pool(variables, degree)
+    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    assert_products(
+        np.asarray(found)[:, positions(factor, variables + 1)], v, q, factor
+    )
+
+
+@pytest.mark.parametrize("time", [1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK, 1100])
+@pytest.mark.parametrize("degree", [3, 4])
+def test_every_remainder_of_a_block_counts_once(time, degree):
+    v, q = problem(3, time)
+    factor = full_pool(3, degree)
+    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    assert_products(np.asarray(found)[:, positions(factor, 4)], v, q, factor)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_several_vectors_are_each_alone(degree):
+    v, q = problem(5, BLOCK + 8, vectors=3)
+    together = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    factor = full_pool(5, degree)
+    assert_products(np.asarray(together)[:, positions(factor, 6)], v, q, factor)
+    for n in range(3):
+        alone = compiled(jnp.asarray(v), jnp.asarray(q[n : n + 1]), degree=degree)
+        # Another batch size may be summed in another order.
+        np.testing.assert_allclose(together[n], alone[0], rtol=0, atol=1e-11)
+
+
+def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
+    v, q = problem(4, 30)
+    q[:, 11] = 0.0
+    v[1:, 11] = 1e150
+    keep = np.arange(30) != 11
+    factor = full_pool(4, 2)
+    found = contract(jnp.asarray(v), jnp.asarray(q), 2)
+    assert_products(
+        np.asarray(found)[:, positions(factor, 5)], v[:, keep], q[:, keep], factor
+    )
+
+
+def test_vmap_over_data_is_a_loop():
+    v, q = (np.stack(a) for a in zip(*(problem(4, 60, seed=s) for s in (1, 2, 3))))
+    batched = jax.vmap(lambda v, q: contract(v, q, 3))(jnp.asarray(v), jnp.asarray(q))
+    factor = full_pool(4, 3)
+    for n in range(3):
+        found = np.asarray(batched[n])[:, positions(factor, 5)]
+        assert_products(found, v[n], q[n], factor)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_float32_stays_float32(degree):
+    v, q = (a.astype(np.float32) for a in problem(3, BLOCK + 5))
+    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    assert found.dtype == jnp.float32
+    factor = full_pool(3, degree)
+    exact = (a.astype(float) for a in (v, q))
+    at = positions(factor, 4)
+    assert_products(np.asarray(found, float)[:, at], *exact, factor, eps=1.2e-7)
+
+
+# positions ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("degree", "variables"), SIZES)
+def test_positions_of_a_full_pool_are_distinct_and_in_range(degree, variables):
+    at = positions(full_pool(variables, degree), variables + 1)
+    assert len(np.unique(at)) == len(at) == math.comb(variables + degree, degree)
+    assert at.min() >= 0
+    assert at.max() < plan(variables + 1, degree).offsets[-1]
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_rows_may_be_unsorted_repeated_and_few(degree):
+    variables = 8
+    factor = full_pool(variables, degree)
+    whole = dict(
+        zip(
+            map(tuple, factor.tolist()), positions(factor, variables + 1), strict=True
+        )
+    )
+    rng = np.random.default_rng(degree)
+    some = rng.choice(len(factor), size=20)
+    shuffled = rng.permuted(factor[some], axis=1)
+    expected = [whole[tuple(sorted(row))] for row in shuffled.tolist()]
+    np.testing.assert_array_equal(positions(shuffled, variables + 1), expected)
+
+
+def test_every_order_of_the_factors_is_the_same_term():
+    orders = np.array(list(itertools.permutations((0, 2, 5, 2))))
+    assert len(set(positions(orders, 6).tolist())) == 1
+
+
+@pytest.mark.parametrize("degree", [0, 5])
+def test_other_degrees_are_refused(degree):
+    with pytest.raises(ValueError, match=f"1 to 4, got {degree}"):
+        plan(3, degree)
