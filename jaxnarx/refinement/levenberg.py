@@ -16,6 +16,7 @@ from jaxnarx.solution import RESULTS
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
 SHRINK, GROW = 5.0, 4.0
+REACH = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +25,10 @@ class Problem:
 
     loss: Callable[[np.ndarray], float]
     normal_equations: Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
+    wall: np.ndarray
+    """Largest magnitude of every entry; infinite where it is free. Entries with a wall
+    also move by no more than REACH in one step: on the flat ends of their bounded map a
+    step by curvature would throw them from one limit to the other."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +96,9 @@ def step(
     while damping <= DAMPING_LIMIT:
         delta = _direction(dataclasses.replace(s, damping=damping), pull, origin)
         if delta is not None:
-            u = s.u + delta
+            reach = np.where(np.isfinite(problem.wall), REACH, np.inf)
+            u = s.u + np.clip(delta, -reach, reach)
+            u = np.clip(u, -problem.wall, problem.wall)
             loss = problem.loss(u)
             tried += 1
             if np.isfinite(loss) and loss + penalty(u) < s.loss + penalty(s.u):

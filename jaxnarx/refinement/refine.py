@@ -156,6 +156,7 @@ class _Search:
         return levenberg.Problem(
             lambda u: float(loss(self.layout, jnp.asarray(u), *args)),
             lambda u: normal_equations(self.layout, jnp.asarray(u), *args),
+            np.asarray(self.layout.wall),
         )
 
     def _stage(self, u: np.ndarray, horizon: int | None, steps: int):

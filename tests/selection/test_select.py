@@ -4,8 +4,11 @@ The problems share one shape (298 usable rows, 84 candidates), so that most test
 same compiled search.
 """
 
+import dataclasses
+import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 
 import common
 import numpy as np
@@ -23,6 +26,8 @@ SCALE = np.array([1500.0, 0.02, 30.0, 4.0])
 """Physical sizes of a, b, y, w: selection may not depend on them."""
 LENGTH = 300
 TERMS = 8
+PLAIN = ForwardOLS(max_terms=TERMS, constant="candidate")
+"""What the dense search does: the constant is a candidate like others."""
 
 
 def excitation(kind: str, length: int, seed: int) -> np.ndarray:
@@ -100,9 +105,12 @@ def pool(outputs: tuple[str, ...] = ("y",), degree: int = 3) -> Pool:
     )
 
 
-def choose(rows, method: ForwardOLS | None = None, source: Pool | None = None, **more):
-    data = common.from_rows(rows)
-    return select(source or pool(), data, method or ForwardOLS(max_terms=TERMS), **more)
+def plain(**settings) -> ForwardOLS:
+    return dataclasses.replace(PLAIN, **settings)
+
+
+def choose(rows, method: ForwardOLS = PLAIN, source: Pool | None = None, **more):
+    return select(source or pool(), common.from_rows(rows), method, **more)
 
 
 def rms(rows) -> np.ndarray:
@@ -230,7 +238,7 @@ def test_rho_stops_at_the_first_size_that_explains_enough(count):
     left = 1.0 - np.cumsum(whole.err[0])
     rho = 0.5 * (left[count - 1] + left[count])
     # Between two sizes: the larger one is the first below.
-    stopped = choose(rows, ForwardOLS(max_terms=TERMS, rho=float(rho)))
+    stopped = choose(rows, plain(rho=float(rho)))
     assert stopped.status_name == "ok"
     assert stopped.stats["count"] == [count + 1]
     assert stopped.value.names == whole.names[: count + 1]
@@ -241,7 +249,7 @@ def test_tau_passes_over_what_is_mostly_explained():
     rows = rows_of("slow")
     p, y, _ = formed(rows, pool())
     tau = 0.3
-    solution = choose(rows, ForwardOLS(max_terms=TERMS, tau=tau))
+    solution = choose(rows, plain(tau=tau))
     expected = oracles.forward_ols_dense(p, y, TERMS, tau=tau)
     assert assert_equals(solution, expected) >= 4
     assert solution.value.names != choose(rows).value.names
@@ -258,10 +266,10 @@ def remaining(p, terms, *, relative: bool = True) -> np.ndarray:
 def test_the_thesis_threshold_is_on_the_squared_norm_itself():
     rows = rows_of("slow")
     p, _, _ = formed(rows, pool())
-    plain = remaining(p, choose(rows).value.terms(), relative=False)
-    threshold = float(np.median(plain))
-    assert plain.min() < threshold
-    solution = choose(rows, ForwardOLS(max_terms=TERMS, tau_absolute=threshold))
+    without = remaining(p, choose(rows).value.terms(), relative=False)
+    threshold = float(np.median(without))
+    assert without.min() < threshold
+    solution = choose(rows, plain(tau_absolute=threshold))
     terms = solution.value.terms()
     assert len(terms) > 2
     assert np.all(remaining(p, terms, relative=False) > threshold)
@@ -269,7 +277,7 @@ def test_the_thesis_threshold_is_on_the_squared_norm_itself():
 
 def test_no_candidate_left_is_a_status_of_its_own():
     rows = rows_of("white")
-    solution = choose(rows, ForwardOLS(max_terms=TERMS, tau_absolute=1e12))
+    solution = choose(rows, plain(tau_absolute=1e12))
     assert solution.status_name == "pool_exhausted"
     assert solution.is_okay
     assert solution.value.names == []
@@ -285,13 +293,13 @@ def test_a_pool_smaller_than_asked_for_is_exhausted():
 
 def test_a_small_pool_needs_rows_for_its_own_terms_only():
     rows = [rows_of("white")[0][:12]]
-    assert choose(rows, ForwardOLS(max_terms=20), pool(degree=1)).value.names
+    assert choose(rows, plain(max_terms=20), pool(degree=1)).value.names
 
 
 def test_collinear_terms_are_said():
     # a hardly moves around its mean: beside it the constant, added last, tells nothing.
     rows = [rows_of("white")[0].copy()]
-    rows[0][:, A] = 1e3 + 1e-7 * rows[0][:, A]
+    rows[0][:, A] = 1e3 + 1e-9 * rows[0][:, A]
     source = polynomial_pool(
         common.CHANNELS,
         outputs=["y"],
@@ -346,16 +354,27 @@ def test_constant_after_is_the_thesis_ending():
     np.testing.assert_allclose(solution.stats["sse"][0, -1], sse, rtol=1e-9)
 
 
-def test_constant_first_with_a_threshold_above_it_still_ends():
-    # Its squared norm is the number of rows; cubes of the other signals are larger.
-    rows = rows_of("white")
+def test_a_constant_under_the_threshold_does_not_stall_the_search():
+    # Weights of 0.001 make its squared norm 0.3, below the thesis's threshold of one;
+    # cubes are larger. In a process of its own, because a stall would last for ever.
     code = (
-        "import sys; sys.path[:0] = ['tests', 'tests/selection']; import conftest\n"
-        "import test_select as t\n"
-        "method = t.ForwardOLS(max_terms=3, constant='first', tau_absolute=500.0)\n"
-        "print(t.choose(t.rows_of('white'), method).value.names)"
+        "import sys; sys.path[:0] = sys.argv[1:]\n"
+        "import conftest, test_select as t\n"
+        "method = t.ForwardOLS(max_terms=3, constant='first', tau_absolute=1.0)\n"
+        "weights = [t.np.full(300, 1e-3)]\n"
+        "found = t.choose(t.rows_of('white'), method, weights=weights)\n"
+        "print(*found.value.names)"
     )
-    assert rows and code and sys
+    here = Path(__file__).parent
+    found = subprocess.run(
+        [sys.executable, "-c", code, str(here.parent), str(here)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=here,
+    )
+    assert found.returncode == 0, found.stderr
+    assert len(found.stdout.split()) == 3 and "1" not in found.stdout.split()
 
 
 # invariances ----------------------------------------------------------------------
@@ -420,14 +439,14 @@ def test_one_program_serves_every_dataset_of_one_shape(monkeypatch):
         return original(*args, **options)
 
     monkeypatch.setattr(module, "contract", counted)
-    method = ForwardOLS(max_terms=2)
+    method = plain(max_terms=2)
     # A shape no other test has.
     choose([record("white", 41, seed=1)], method, pool(degree=1))
     assert calls
     calls.clear()
     choose([record("slow", 41, seed=2)], method, pool(degree=1))
     choose([record("white", 22, seed=3), record("slow", 21, seed=4)], method, pool(degree=1))
-    other = ForwardOLS(max_terms=2, rho=0.1, tau=0.01, tau_absolute=0.1)
+    other = plain(max_terms=2, rho=0.1, tau=0.01, tau_absolute=0.1)
     choose([record("white", 41, seed=5)], other, pool(degree=1))
     assert not calls
 
@@ -450,14 +469,13 @@ def test_float32_data_are_searched_in_float32():
 @pytest.mark.parametrize("kind", ["white", "offset"])
 def test_a_known_structure_is_recovered(kind):
     rows = [record(kind, seed=11, noise=1e-4)]
-    found = choose(rows, ForwardOLS(max_terms=TERMS, rho=1e-6)).value
-    assert set(TRUE) <= set(found.names)
-    final = choose(rows).value
-    values = dict(zip(final.names, final.coefficient[0], strict=True))
+    found = choose(rows, ForwardOLS(max_terms=TERMS)).value
+    assert set(found.names[:6]) == {"1", *TRUE}
+    values = dict(zip(found.names, found.coefficient[0], strict=True))
     gain = rms(rows) / SCALE
+    signal = [s for s, _ in pool().variables]
     for name, value in TRUE.items():
         row = pool().factor[pool().names.index(name)]
-        signal = [s for s, _ in pool().variables]
         scale = np.prod([gain[signal[v - 1]] for v in row if v]) / gain[Y]
         # Noise of 1e-4 on 300 samples, coefficients of order one.
         assert values[name] / scale == pytest.approx(value, abs=2e-4), name
@@ -530,13 +548,24 @@ def test_fault_8_too_few_rows_says_how_many_are_needed():
         choose(rows)
 
 
-@pytest.mark.parametrize("length", [1, 2, 3])
+def test_fault_8_a_row_without_its_output_does_not_count():
+    rows = [rows_of("white")[0][:100].copy()]
+    rows[0][13:, Y] = np.nan
+    rows[0][:10, Y] = np.nan
+    source = polynomial_pool(
+        common.CHANNELS, outputs=["y"], input_lags=(1,), output_lags=(), degree=1
+    )
+    with pytest.raises(DataError, match="at least 4 usable rows.*the records give 3"):
+        choose(rows, source=source)
+
+
+@pytest.mark.parametrize("length", [2, 3])
 def test_fault_8_records_shorter_than_the_lags(length):
     far = polynomial_pool(
         common.CHANNELS, outputs=["y"], input_lags=(1, 4), output_lags=(1,), degree=1
     )
     with pytest.raises(DataError, match="after lag 4, the records give 0"):
-        choose([record("white", 50, seed=1)[:length]], source=far)
+        choose([record("white", 50, seed=1)[20 : 20 + length]], source=far)
 
 
 def test_weights_that_do_not_fit_are_refused():
@@ -559,7 +588,7 @@ def test_channels_are_found_by_name():
         outputs=["w"],
         sample_time=0.1,
     )
-    assert_same(choose([rows]), select(pool(), renamed, ForwardOLS(max_terms=TERMS)))
+    assert_same(choose([rows]), select(pool(), renamed, PLAIN))
     strange = Channels((Channel("a"), Channel("bb")), common.CHANNELS.outputs)
     other = Dataset.from_arrays(
         rows[:, :2], rows[:, 2:], inputs=strange.inputs, outputs=strange.outputs,
