@@ -49,7 +49,9 @@ class SpecError(JaxnarxError):
 
 
 class ModelFileError(JaxnarxError):
-    """A model file is truncated, foreign or newer than this program; `path` names it."""
+    """A model file is truncated, foreign or newer than this program; `path` names
+    it.
+    """
 
     def __init__(self, message: str, *, path: object = None):
         super().__init__(message)

@@ -49,11 +49,13 @@ class Masks:
     """Where a dataset can be used, host arrays.
 
     `start` is the first sample of each record with a complete measured history (the
-    record's length where there is none); `anchors` all samples with one; `scored` where
-    the output is measured and the inputs of its window are valid.
+    longest record's length where there is none), `end` the one behind the last sample
+    with any valid signal; `anchors` all samples with such a history; `scored` where the
+    output is measured and the inputs of its window are valid.
     """
 
     start: Int[np.ndarray, " records"]
+    end: Int[np.ndarray, " records"]
     anchors: Bool[np.ndarray, "records time"]
     scored: Bool[np.ndarray, "records time outputs"]
 
@@ -114,7 +116,8 @@ def make_masks(network: Network, batch: Batch) -> Masks:
     start = np.where(anchors.any(axis=1), anchors.argmax(axis=1), time)
     after = np.arange(time)[None] >= start[:, None]
     scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
-    return Masks(start, anchors, scored)
+    end = time - batch.valid.any(axis=2)[:, ::-1].argmax(axis=1)
+    return Masks(start, end, anchors, scored)
 
 
 def run_record(
@@ -135,7 +138,13 @@ def run_record(
         step, params = general_step(network), eqx.filter(network, eqx.is_array)
         drive = (v.T, tuple(x_o.T for x_o in x))
     return free_run(
-        step, params, drive, measured, anchor, network.lower, network.upper,
+        step,
+        params,
+        drive,
+        measured,
+        anchor,
+        network.lower,
+        network.upper,
         depth=depth(network),
     )
 
@@ -167,7 +176,7 @@ def run_steps(
             past, _ = carry
             shift = k - 1 - j
             inputs = jax.tree.map(lambda a: jnp.roll(a, shift, axis=-1), (v, x))
-            y = respond(network, *with_history(network, *inputs, past))
+            y = respond(network, *with_history(network, inputs[0], inputs[1], past))
             y = jnp.clip(y, network.lower[:, None], network.upper[:, None])
             return jnp.concatenate([y[:, None], past[:, :-1]], axis=1), y
 
@@ -179,12 +188,10 @@ def run_steps(
 def first_anchor(masks: Masks) -> Bool[np.ndarray, "records time"]:
     """Anchors of a free run: the first usable sample of each record.
 
-    Past the last scored sample every one is an anchor: padding then cannot run away.
+    Past its last valid sample every one is an anchor: padding then cannot run away.
     """
     at = np.arange(masks.anchors.shape[1])[None]
-    scored = masks.scored.any(axis=2)
-    last = scored.shape[1] - 1 - scored[:, ::-1].argmax(axis=1)
-    return (at == masks.start[:, None]) | (at > last[:, None])
+    return (at == masks.start[:, None]) | (at >= masks.end[:, None])
 
 
 def _prepare(network: Network, data: Dataset):
@@ -195,8 +202,8 @@ def _prepare(network: Network, data: Dataset):
     if np.all(masks.start == masks.anchors.shape[1]):
         shortest = min(data, key=len)
         raise DataError(
-            f"no record can be run: the model needs {network.history} valid measured "
-            f"samples to start from (record {shortest.name!r} has {len(shortest)} rows)"
+            f"no record can be run: the model needs {network.history} valid "
+            f"measured samples to start from (record {shortest.name!r} has {len(shortest)} rows)"
         )
     return matched, batch, masks, make_drive(network, batch)
 
@@ -205,8 +212,8 @@ def _same_sample_time(network: Network, data: Dataset) -> None:
     expected = float(network.sample_time)
     if abs(data.sample_time - expected) > 1e-6 * expected:
         raise SpecError(
-            f"the model was identified at a sample time of {expected:g} s, the data have "
-            f"{data.sample_time:g} s; resample the data",
+            f"the model was identified at a sample time of {expected:g} s, the data "
+            f"have {data.sample_time:g} s; resample the data",
             field="sample_time",
         )
 
@@ -243,7 +250,7 @@ def _trajectories(network, data, batch, scaled, scored, start) -> Trajectories:
     lower, upper = np.asarray(network.lower), np.asarray(network.upper)
     limited = (scaled <= lower) | (scaled >= upper)
     extrapolated = _extrapolated(network, batch)
-    outputs, marks, held, outside, diverged = [], [], [], [], []
+    columns: tuple[list, ...] = ([], [], [], [], [])
     for n, record in enumerate(data):
         length = len(record)
         first = min(int(start[n]), length)
@@ -251,15 +258,18 @@ def _trajectories(network, data, batch, scaled, scored, start) -> Trajectories:
         y[:first] = record.y[:first, np.array(network.modelled)]
         hold = limited[n, :length].copy()
         hold[:first] = False
-        outputs.append(y)
-        marks.append(scored[n, :length])
-        held.append(hold)
-        outside.append(extrapolated[n, :length])
-        diverged.append(np.array([has_diverged(hold[first:, o]) for o in range(len(gain))]))
+        bad = np.array([has_diverged(hold[first:, o]) for o in range(len(gain))])
+        parts = (y, scored[n, :length], hold, extrapolated[n, :length], bad)
+        for column, part in zip(columns, parts, strict=True):
+            column.append(part)
     return Trajectories(
-        *(tuple(a) for a in (outputs, marks, held, outside, diverged)),
-        tuple(data.names),
-        tuple(network.output_names),
+        outputs=tuple(columns[0]),
+        scored=tuple(columns[1]),
+        limited=tuple(columns[2]),
+        extrapolated=tuple(columns[3]),
+        diverged=tuple(columns[4]),
+        names=tuple(data.names),
+        output_names=tuple(network.output_names),
     )
 
 
@@ -288,15 +298,16 @@ def _solution(network: Network, data: Dataset, value: Trajectories, start) -> So
         }
         status = RESULTS.diverged
         detail = (
-            f"{network.output_names[o]} leaves its bounds in record {record.name!r} first "
-            f"at sample {step} (t = {time:g} s); {int(bad.sum())} of {len(bad)} records"
+            f"{network.output_names[o]} leaves its bounds in record {record.name!r} "
+            f"first at sample {step} (t = {time:g} s); {int(bad.sum())} of "
+            f"{len(bad)} records"
         )
     elif too_short.any():
         n = int(np.argmax(too_short))
         status = RESULTS.too_short
         detail = (
-            f"record {data.records[n].name!r} has no {network.history} valid samples in "
-            "a row to start from"
+            f"record {data.records[n].name!r} has no {network.history} valid samples "
+            "in a row to start from"
         )
     return Solution(value, status, stats, detail)
 
@@ -305,9 +316,10 @@ def simulate(network: Network, data: Dataset) -> Solution[Trajectories]:
     """Free run of every record on the network's own outputs (physical units).
 
     Starts from the first `network.history` valid samples of a record. Channels are
-    matched by name; extra ones are ignored. Outputs are held within the model's feedback
-    bound; status `diverged` when that bound acts on more than 5 % or on 50 successive
-    samples of a record, `too_short` when a record has no valid start. Never NaN.
+    matched by name; extra ones are ignored. Outputs are held within the model's
+    feedback bound; status `diverged` when that bound acts on more than 5 % or on 50
+    successive samples of a record, `too_short` when a record has no valid start. Never
+    NaN.
     """
     matched, batch, masks, drive = _prepare(network, data)
     scaled = run(network, drive, jnp.asarray(first_anchor(masks)))

@@ -105,7 +105,9 @@ class Solution(eqx.Module, Generic[T]):
         return self.stats.get("rank")
 
     def raise_for_status(self) -> "Solution[T]":
-        """Return the solution, or raise `JaxnarxError` where the status is a failure."""
+        """Return the solution, or raise `JaxnarxError` where the status is a
+        failure.
+        """
         if not np.all(self.is_okay):
             text = self.detail or str(RESULTS[self.status])
             raise JaxnarxError(f"{self.status_name}: {text}")

@@ -4,9 +4,10 @@ Networks of every kind the kernels distinguish are built over the same channels 
 variables, and `to_oracle` turns any network into the plain one of `oracles.py`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import oracles
@@ -242,3 +243,21 @@ def from_rows(
         outputs=CHANNELS.outputs,
         **settings,
     )
+
+
+_compiled: list[float] = []
+
+
+def _count(event: str, duration: float, **_) -> None:
+    if event == "/jax/core/compile/backend_compile_duration":
+        _compiled.append(duration)
+
+
+jax.monitoring.register_event_duration_secs_listener(_count)
+
+
+def compilations(f: Callable[[], object]) -> int:
+    """How many programs XLA compiles while `f` runs."""
+    before = len(_compiled)
+    f()
+    return len(_compiled) - before

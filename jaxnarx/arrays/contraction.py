@@ -1,8 +1,8 @@
 """Inner products of every polynomial term with a vector, the pool never formed.
 
 With `v = [1, x_1 ... x_V]` a term of degree 3 is a row (i, j, k), i <= j <= k, that
-means `v_i v_j v_k`. For a vector q the products `c_(ijk) = sum_n v_i v_j v_k q_n` of all
-terms are entries of one matrix product per block of samples,
+means `v_i v_j v_k`. For a vector q the products `c_(ijk) = sum_n v_i v_j v_k q_n` of
+all terms are entries of one matrix product per block of samples,
 
     T[(i,j), k] = sum_n (v_i v_j)_n (v_k q)_n ,
 
@@ -10,8 +10,8 @@ read back through the index table. Degree 1 and 2 use single variables on the le
 degree 4 pairs on both sides.
 
 Sorted rows need only `k >= j`. With the left rows sorted by j, the right variables are
-cut into tiles, and a tile meets only the left rows that can precede it; this saves about
-60 % of the plain product's work at degree 3.
+cut into tiles, and a tile meets only the left rows that can precede it; this saves
+about 60 % of the plain product's work at degree 3.
 """
 
 import dataclasses
@@ -89,7 +89,9 @@ def positions(
         rows = np.concatenate([np.zeros_like(rows), rows], axis=1)
     half = tables.left.shape[1]
     left, right = rows[:, :half], rows[:, half:]
-    left_at = left[:, -1] * (left[:, -1] + 1) // 2 + left[:, 0] if half == 2 else left[:, 0]
+    left_at = (
+        left[:, -1] * (left[:, -1] + 1) // 2 + left[:, 0] if half == 2 else left[:, 0]
+    )
     if right.shape[1] == 2:
         order = {tuple(r): n for n, r in enumerate(tables.right.tolist())}
         right_at = np.array([order[tuple(r)] for r in right.tolist()], dtype=int)
@@ -112,8 +114,9 @@ def contract(
     """All products of up to `degree` variables, summed against each vector of `q`.
 
     `v` carries the leading row of ones. The result is flat; `positions` says where a
-    term stands in it. `2 L R N` floating-point operations per vector with L left rows and
-    R right variables, less what the tiles save; memory of one block beside the result.
+    term stands in it. `2 L R N` floating-point operations per vector with L left rows
+    and R right variables, less what the tiles save; memory of one block beside the
+    result.
     """
     tables = plan(v.shape[0], degree)
     length = v.shape[1]

@@ -15,8 +15,8 @@ def least_squares(
     Columns are scaled to unit norm, factorised by Householder QR, and the triangular
     factor by SVD: directions below `N eps` of the largest singular value are left out
     (minimum norm). Returns the coefficients, the numerical rank and the condition
-    number of the scaled columns (`inf` when rank-deficient). All-zero columns get a zero
-    coefficient.
+    number of the scaled columns (`inf` when rank-deficient). All-zero columns get a
+    zero coefficient.
     """
     root = jnp.sqrt(weight)
     a = (columns * root[None]).T
@@ -31,7 +31,9 @@ def least_squares(
     inverse = jnp.where(s > cut, 1.0 / jnp.where(s > cut, s, 1.0), 0.0)
     theta = vt.T @ (inverse * (u.T @ r[:k, k]))
     rank = jnp.sum(s > cut)
-    condition = jnp.where(s[-1] > cut, s[0] / jnp.where(s[-1] > cut, s[-1], 1.0), jnp.inf)
+    condition = jnp.where(
+        s[-1] > cut, s[0] / jnp.where(s[-1] > cut, s[-1], 1.0), jnp.inf
+    )
     return theta / scale, rank, condition
 
 
@@ -45,7 +47,9 @@ def cholesky_solve(
     zero rows (padding) give zero.
     """
     diagonal = jnp.diagonal(gram)
-    scale = jnp.where(diagonal > 0, jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    scale = jnp.where(
+        diagonal > 0, jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0
+    )
     scaled = gram / (scale[:, None] * scale[None])
     ridge = jnp.where(diagonal > 0, 1e-12, 1.0)
     factor = jax.scipy.linalg.cho_factor(scaled + jnp.diag(ridge), lower=True)

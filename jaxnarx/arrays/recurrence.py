@@ -1,9 +1,9 @@
 """Output-feedback recursion, and its derivative as a linear filter.
 
-A free run computes `y_t = clip(step(params, drive_t, history_t))` where the history holds
-the run's own last outputs. Its derivative needs no autodiff through the loop: with
-A_t = d y_t / d history_t and the direct tangent D_t at *fixed* history, both of them
-vectorised over time, tangents obey the linear recursion
+A free run computes `y_t = clip(step(params, drive_t, history_t))` where the history
+holds the run's own last outputs. Its derivative needs no autodiff through the loop:
+with A_t = d y_t / d history_t and the direct tangent D_t at *fixed* history, both of
+them vectorised over time, tangents obey the linear recursion
 
     S_t = A_t S_history + D_t ,
 
@@ -73,7 +73,9 @@ def linear_recurrence(
     def step(past, inputs):
         a_t, d_t = inputs
         # Written out: a dot in the loop body costs more than this fused product.
-        weight = jnp.expand_dims(jnp.swapaxes(a_t, 1, 2), tuple(range(3, past.ndim + 1)))
+        weight = jnp.expand_dims(
+            jnp.swapaxes(a_t, 1, 2), tuple(range(3, past.ndim + 1))
+        )
         now = d_t + jnp.sum(weight * past[None], axis=(1, 2))
         return jnp.concatenate([now[None], past[:-1]]), now
 
@@ -133,9 +135,7 @@ def _run_jvp(primals, tangents, *, step, depth):
     # Histories taken from the measurement pass their own tangent on directly.
     t_history = jnp.where(own[:, None], 0.0, history_of(t_measured, depth))
     rows = jax.vmap(step, in_axes=(None, 0, 0))
-    _, direct = jax.jvp(
-        rows, (params, drive, history), (t_params, t_drive, t_history)
-    )
+    _, direct = jax.jvp(rows, (params, drive, history), (t_params, t_drive, t_history))
     direct = jnp.where(limited, 0.0, direct)
     a = jnp.where(own[:, None, None], a, 0.0)
     start = jnp.zeros((depth, y.shape[1]), y.dtype)
@@ -161,6 +161,4 @@ def free_run(
     [lower, upper] are set to the border, with zero derivative. Differentiable in both
     modes in `params`, `drive` and `measured`.
     """
-    return _run(
-        (params, drive, measured, anchor, lower, upper), step=step, depth=depth
-    )
+    return _run((params, drive, measured, anchor, lower, upper), step=step, depth=depth)

@@ -62,7 +62,9 @@ class Channels:
         return [c.name for c in self.outputs]
 
     def signal(self, name: str) -> int:
-        """Index of channel `name` in the signal table; unknown names raise SpecError."""
+        """Index of channel `name` in the signal table; unknown names raise
+        SpecError.
+        """
         if name not in self.names:
             raise SpecError(
                 f"unknown channel {name!r}. {suggest(name, self.names)}", field=name

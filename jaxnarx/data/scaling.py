@@ -9,8 +9,9 @@ from jaxnarx.data.dataset import Dataset
 def gains(data: Dataset) -> Float[np.ndarray, " signals"]:
     """Root mean square of each signal over its valid samples, in its physical unit.
 
-    Dividing by it keeps polynomial terms near one without changing which terms are true,
-    as centring before the products would. A signal that is zero throughout gets gain 1.
+    Dividing by it keeps polynomial terms near one without changing which terms are
+    true, as centring before the products would. A signal that is zero throughout gets
+    gain 1.
     """
     columns = np.concatenate([np.concatenate([r.u, r.y], axis=1) for r in data])
     valid = np.concatenate([r.valid for r in data])

@@ -1,6 +1,7 @@
 """Settings of partition growth."""
 
 import dataclasses
+from collections.abc import Sequence
 
 from jaxnarx.errors import SpecError
 
@@ -17,18 +18,19 @@ class Lolimot:
     Nelles and Isermann 1996; thesis section 6.2.
     """
 
-    scheduling: tuple[str, ...] = ()
+    scheduling: Sequence[str] = ()
     """Scheduling variables, such as "speed[t]" or "load[t-1]"."""
     max_models: int = 8
     """Largest number of local models."""
-    k_sigma: float = 1 / 3
+    k_sigma: float | int = 1 / 3
     """Width of a Gaussian as a share of its box's extension."""
     patience: int = 2
     """Stop after this many successive stages without a better criterion."""
 
     def __post_init__(self):
-        if isinstance(self.scheduling, list):
-            object.__setattr__(self, "scheduling", tuple(self.scheduling))
+        if isinstance(self.scheduling, str):
+            object.__setattr__(self, "scheduling", (self.scheduling,))
+        object.__setattr__(self, "scheduling", tuple(self.scheduling))
         if not self.scheduling:
             raise SpecError(
                 "Lolimot needs scheduling variables, such as "

@@ -1,6 +1,7 @@
 """Settings of refinement."""
 
 import dataclasses
+from collections.abc import Sequence
 
 from jaxnarx.errors import SpecError
 
@@ -9,25 +10,25 @@ from jaxnarx.errors import SpecError
 class SimulationError:
     """Least squares of the free-run error by Levenberg-Marquardt.
 
-    The run is first restarted from the measurement every few samples; these windows grow
-    until the whole record is one.
+    The run is first restarted from the measurement every few samples; these windows
+    grow until the whole record is one.
     """
 
-    horizons: tuple[int, ...] = (10, 30, 100, 300, 1000)
+    horizons: Sequence[int] = (10, 30, 100, 300, 1000)
     """Window lengths in samples before the full record."""
     max_steps: int = 40
     """Accepted steps on the full record."""
     window_steps: int = 20
     """Accepted steps at each window length."""
-    tolerance: float = 1e-4
+    tolerance: float | int = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
     patience: int = 15
     """Stop after this many accepted full-record steps without a better validation."""
-    ridge: float = 1e-5
+    ridge: float | int = 1e-5
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
-    width_band: tuple[float, float] = (0.5, 2.0)
+    width_band: tuple[float | int, float | int] = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
 
     def __post_init__(self):

@@ -15,16 +15,19 @@ class ForwardOLS:
 
     max_terms: int = 20
     """Largest number of terms."""
-    rho: float = 0.0
+    rho: float | int = 0.0
     """Stop when 1 - sum(ERR) falls below this."""
-    tau: float = 1e-10
+    tau: float | int = 1e-10
     """Pass over a candidate whose orthogonal part falls below this share of its own
     squared norm."""
-    tau_absolute: float = 0.0
-    """The thesis's threshold on the squared norm itself (depends on the data's scale)."""
+    tau_absolute: float | int = 0.0
+    """The thesis's threshold on the squared norm itself (depends on the data's
+    scale).
+    """
     constant: Literal["first", "candidate", "after"] = "first"
     """The constant term: chosen before all others, so that the choice is one for the
-    centred output; a candidate like others; or added after the choice, as in the thesis.
+    centred output; a candidate like others; or added after the choice, as in the
+    thesis.
     """
 
     def __post_init__(self):

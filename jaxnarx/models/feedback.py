@@ -1,8 +1,8 @@
 """Which variables are fed back, and the collapse of a network onto their monomials.
 
 Every term splits into an input part, known before the run, and a monomial h_a of lagged
-outputs, of which there are few. Where no scheduling variable is an output, all work over
-models and terms is done before the time loop,
+outputs, of which there are few. Where no scheduling variable is an output, all work
+over models and terms is done before the time loop,
 
     G_t[a] = sum_(m,k : h of k is a) phi_m(z_t) theta[m, k] e_k(t) ,
 
@@ -24,7 +24,9 @@ WIDEST = 128
 evaluates the terms is no slower and needs less memory."""
 
 
-def fed_back(variables: Variables, signals: tuple[int, ...]) -> list[tuple[int, int, int]]:
+def fed_back(
+    variables: Variables, signals: tuple[int, ...]
+) -> list[tuple[int, int, int]]:
     """(row, output, lag - 1) of the variables that are modelled outputs."""
     return [
         (row, signals.index(s), lag - 1)
@@ -142,7 +144,8 @@ def general_step(network: Network):
 
     def step(params, drive, history):
         whole = eqx.combine(params, static)
-        v, x = with_history(whole, *drive, history)
+        v, x = drive
+        v, x = with_history(whole, v, x, history)
         return respond(whole, v, x)
 
     return step

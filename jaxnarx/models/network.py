@@ -25,8 +25,8 @@ from jaxnarx.regressors import (
 class LocalModels(eqx.Module):
     """Polynomials linear in their coefficients; every local model has its own terms.
 
-    `factor` lists the distinct terms, `index` says which of them slot s of model m uses,
-    `used` is False for padding. Coefficients belong to gain-scaled signals.
+    `factor` lists the distinct terms, `index` says which of them slot s of model m
+    uses, `used` is False for padding. Coefficients belong to gain-scaled signals.
     """
 
     factor: Int[Array, "terms degree"]
@@ -69,9 +69,10 @@ class Network(eqx.Module):
     """A multi-model network with everything needed to run it on physical signals.
 
     `variables` are the lagged variables of all outputs' terms; `modelled` the positions
-    of the modelled outputs among `channels.outputs`. `gain` brings signals to unit size.
-    `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are the
-    training ranges in physical units. A free run starts from `history` measured samples.
+    of the modelled outputs among `channels.outputs`. `gain` brings signals to unit
+    size. `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are
+    the training ranges in physical units. A free run starts from `history` measured
+    samples.
     """
 
     channels: Channels = eqx.field(static=True)

@@ -118,7 +118,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             f"{path}: not a model file, or cut short ({error})", path=path
         ) from error
     if text is None:
-        raise ModelFileError(f"{path}: a safetensors file, but no jaxnarx model", path=path)
+        raise ModelFileError(
+            f"{path}: a safetensors file, but no jaxnarx model", path=path
+        )
     try:
         header = json.loads(text)
         version = header["format"]

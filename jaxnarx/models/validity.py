@@ -21,7 +21,7 @@ class AbstractValidity(eqx.Module):
 
     @abc.abstractmethod
     def limits(
-        self, width_band: tuple[float, float]
+        self, width_band: tuple[float | int, float | int]
     ) -> tuple["AbstractValidity", "AbstractValidity"]:
         """Lower and upper limits of every parameter for refinement, as such trees."""
 
@@ -50,7 +50,7 @@ class Gaussians(AbstractValidity):
         )
 
     def limits(
-        self, width_band: tuple[float, float]
+        self, width_band: tuple[float | int, float | int]
     ) -> tuple["Gaussians", "Gaussians"]:
         """Centres stay in the scheduling range, widths within a band of the present."""
         low, high = jnp.log(jnp.asarray(width_band, self.log_width.dtype))

@@ -32,17 +32,17 @@ def grow(
 ) -> Solution[Network]:
     """Fit a network with the terms of `source` to one-step prediction of `data`.
 
-    `Global()` is one local model by orthogonal least squares; `Lolimot(...)` divides the
-    space of its scheduling variables until the corrected Akaike criterion deteriorates
-    `patience` times in a row and returns the best stage (`stats["aicc"]`, `"sse"`,
-    `"effective"` per output and stage). A pool stands for all its terms. Too few rows
-    raise `DataError`; collinear terms give `unidentifiable`.
+    `Global()` is one local model by orthogonal least squares; `Lolimot(...)` divides
+    the space of its scheduling variables until the corrected Akaike criterion
+    deteriorates `patience` times in a row and returns the best stage (`stats["aicc"]`,
+    `"sse"`, `"effective"` per output and stage). A pool stands for all its terms. Too
+    few rows raise `DataError`; collinear terms give `unidentifiable`.
     """
     pool, factors = chosen_terms(source)
     data, _ = match_channels(data, pool.channels)
     scheduling = Variables(())
     if isinstance(method, Lolimot):
-        scheduling = scheduling_table(pool, method.scheduling)
+        scheduling = scheduling_table(pool, tuple(method.scheduling))
     rows = regression_rows(
         data,
         pool.variables,
@@ -91,7 +91,8 @@ def _scheduling_range(pool, rows: Rows, scheduling: Variables):
         if not b > a:
             name = variable_name(pool.channels, s, d)
             raise DataError(
-                f"scheduling variable {name} is constant ({a:g}); choose one that moves",
+                f"scheduling variable {name} is constant ({a:g}); choose one that "
+                "moves",
                 channel=pool.channels.names[s],
             )
     return x, low, high - low
@@ -114,7 +115,9 @@ def _grow_lolimot(
             max_models=method.max_models,
         )
         best, figure = _best_stage(stages, rows.weight[o], method)
-        models.append(_stage_model(stages, best, factor, scheduling, offset, span, method))
+        models.append(
+            _stage_model(stages, best, factor, scheduling, offset, span, method)
+        )
         figures.append(figure)
         statuses.append(figure["stopped"])
     network = assemble(pool, data, rows, models)

@@ -13,8 +13,9 @@ models", CDC 1996; thesis section 6.2. The published curves need every detail ab
 weights that enter the squared error once, not twice.
 """
 
-from typing import NamedTuple
+import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -23,7 +24,7 @@ from jaxnarx.arrays.least_squares import cholesky_solve
 from jaxnarx.models import Gaussians
 
 
-class Growth(NamedTuple):
+class Growth(eqx.Module):
     """State of the growth at fixed capacity; slots past `count` are empty."""
 
     low: Float[Array, "models dims"]
@@ -35,7 +36,7 @@ class Growth(NamedTuple):
     going: Bool[Array, ""]
 
 
-class Stage(NamedTuple):
+class Stage(eqx.Module):
     """One stage of the growth as it is kept: the network so far and its figures."""
 
     low: Float[Array, "models dims"]
@@ -87,8 +88,8 @@ def lolimot(
 ) -> Stage:
     """Grow to `max_models`; returns every stage, stacked (stages = max_models).
 
-    `p` holds the regressors of every local model, `z` the scheduling variables scaled to
-    [0, 1]. Once no split is allowed the remaining stages repeat the last.
+    `p` holds the regressors of every local model, `z` the scheduling variables scaled
+    to [0, 1]. Once no split is allowed the remaining stages repeat the last.
     """
     terms, dims = p.shape[0], z.shape[0]
     slots = jnp.arange(max_models)
@@ -97,7 +98,7 @@ def lolimot(
         return gaussians(low, high, k_sigma)(z, slots < count)
 
     def error(phi, theta):
-        return (y - jnp.sum(phi * (theta @ p), axis=0)) * (weight > 0)
+        return jnp.where(weight > 0, y - jnp.sum(phi * (theta @ p), axis=0), 0.0)
 
     def trial(s: Growth, worst, d):
         middle = (s.low[worst, d] + s.high[worst, d]) / 2
@@ -108,7 +109,7 @@ def lolimot(
         children = jax.lax.map(lambda m: _fit(p, y, phi[m] * weight), pair)
         theta = s.theta.at[pair].set(children)
         sse = jnp.sum(weight * error(phi, theta) ** 2)
-        mass = jnp.sum(phi[pair] * (weight > 0)[None], axis=1)
+        mass = jnp.sum(jnp.where(weight[None] > 0, phi[pair], 0.0), axis=1)
         sse = jnp.where(jnp.all(mass >= terms), sse, jnp.inf)
         return low, high, theta, sse
 
@@ -122,19 +123,17 @@ def lolimot(
         best = jnp.argmin(trials[3])
         low, high, theta, sse = jax.tree.map(lambda a: a[best], trials)
         allowed = jnp.any(free) & jnp.isfinite(sse)
-        split = s._replace(
-            low=low, high=high, theta=theta, sse=sse, count=s.count + 1
+        split = dataclasses.replace(
+            s, low=low, high=high, theta=theta, sse=sse, count=s.count + 1
         )
-        locked = s._replace(
-            locked=s.locked.at[worst].set(True), going=jnp.any(free)
+        locked = dataclasses.replace(
+            s, locked=s.locked.at[worst].set(True), going=jnp.any(free)
         )
         return jax.tree.map(lambda a, b: jnp.where(allowed, a, b), split, locked)
 
     def stage(s: Growth, _):
         target = s.count + 1
-        s = jax.lax.while_loop(
-            lambda s: s.going & (s.count < target), attempt, s
-        )
+        s = jax.lax.while_loop(lambda s: s.going & (s.count < target), attempt, s)
         return s, keep(s)
 
     def keep(s: Growth) -> Stage:
@@ -154,6 +153,4 @@ def lolimot(
         going=jnp.asarray(True),
     )
     _, later = jax.lax.scan(stage, start, None, length=max_models - 1)
-    return jax.tree.map(
-        lambda a, b: jnp.concatenate([a[None], b]), keep(start), later
-    )
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), keep(start), later)

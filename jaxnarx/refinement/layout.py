@@ -15,34 +15,39 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 
 
-def default_trainable(network: Network) -> Network:
-    """Everything that has an effect: coefficients, and partitions of several models."""
-    false = jax.tree.map(lambda _: False, network)
-    for o, model in enumerate(network.models):
-        false = eqx.tree_at(lambda n: n.models[o].local.coefficient, false, True)
-        if int(np.sum(model.active)) > 1:
-            true = jax.tree.map(lambda _: True, model.validity)
-            false = eqx.tree_at(lambda n: n.models[o].validity, false, true)
-    return false
+def freeze(
+    network: Network, *, coefficients: bool = True, partition: bool = True
+) -> Network:
+    """Which parameters a refinement trains, whole kinds of them, as a tree of booleans.
 
-
-def freeze(network: Network, *, coefficients: bool, partition: bool) -> Network:
-    """The default tree with whole kinds of parameter switched off."""
-    tree = default_trainable(network)
-    for o in range(len(network.models)):
-        if not coefficients:
-            tree = eqx.tree_at(lambda n: n.models[o].local.coefficient, tree, False)
-        if not partition:
-            off = jax.tree.map(lambda _: False, tree.models[o].validity)
-            tree = eqx.tree_at(lambda n: n.models[o].validity, tree, off)
-    return tree
+    True leaves are the coefficients and, for outputs with several local models, the
+    parameters of the validity function; either kind is switched off by its flag.
+    """
+    tree = jax.tree.map(lambda _: False, network)
+    models = tuple(
+        eqx.tree_at(
+            lambda m: (m.local.coefficient, m.validity),
+            off,
+            (
+                coefficients,
+                jax.tree.map(
+                    lambda _, several=bool(np.sum(model.active) > 1): (
+                        partition and several
+                    ),
+                    model.validity,
+                ),
+            ),
+        )
+        for off, model in zip(tree.models, network.models, strict=True)
+    )
+    return eqx.tree_at(lambda n: n.models, tree, models)
 
 
 def _pieces(tree: Network) -> list[list]:
-    """Leaves that may be trained, for each output: the coefficients, then the validity's."""
-    return [
-        [m.local.coefficient, *jax.tree.leaves(m.validity)] for m in tree.models
-    ]
+    """Leaves that may be trained, for each output: the coefficients, then the
+    validity's.
+    """
+    return [[m.local.coefficient, *jax.tree.leaves(m.validity)] for m in tree.models]
 
 
 def _where(network: Network) -> list:
@@ -131,14 +136,16 @@ def _concatenate(pieces, chosen) -> Float[Array, " params"]:
 
 
 def make_layout(
-    network: Network, trainable: Network | None, width_band: tuple[float, float]
+    network: Network,
+    trainable: Network | None,
+    width_band: tuple[float | int, float | int],
 ) -> Layout:
     """Layout of the leaves that are True in `trainable` (default: all with an effect).
 
     Only coefficients and validity functions can be trained; a True elsewhere raises
     `SpecError`.
     """
-    tree = default_trainable(network) if trainable is None else trainable
+    tree = freeze(network) if trainable is None else trainable
     chosen = tuple(tuple(bool(k) for k in output) for output in _pieces(tree))
     elsewhere = eqx.tree_at(_where, tree, [False] * len(_where(tree)))
     if any(bool(k) for k in jax.tree.leaves(elsewhere)):

@@ -47,12 +47,7 @@ class State:
 
 def init(problem: Problem, u: np.ndarray, *, damping: float = DAMPING_START) -> State:
     """Linearise at the start."""
-    return State(u, *_linearised(problem, u), damping)
-
-
-def _linearised(problem: Problem, u: np.ndarray):
-    loss, gradient, gram = problem.normal_equations(u)
-    return float(loss), np.asarray(gradient), np.asarray(gram)
+    return State(u, *problem.normal_equations(u), damping)
 
 
 def _direction(s: State, pull: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
@@ -104,7 +99,7 @@ def step(
             if np.isfinite(loss) and loss + penalty(u) < s.loss + penalty(s.u):
                 gain = 1.0 - loss / s.loss if s.loss > 0 else 0.0
                 damping = max(damping / SHRINK, 1e-12)
-                new = State(u, *_linearised(problem, u), damping, tried, gain)
+                new = State(u, *problem.normal_equations(u), damping, tried, gain)
                 return new, RESULTS.ok
         damping *= GROW
     return dataclasses.replace(s, damping=damping, tried=tried), RESULTS.stalled

@@ -1,9 +1,9 @@
 """Loss of a run and its normal equations, accumulated in one pass over time.
 
-Residuals are r = sqrt(weight) (run - measured), scaled signals. Sensitivities of the run
-by all parameters follow the forward filter of `arrays.recurrence`; they are made block
-by block and summed into J'J and J'r at once, so that memory holds one block of the
-Jacobian, never the whole.
+Residuals are r = sqrt(weight) (run - measured), scaled signals. Sensitivities of the
+run by all parameters follow the forward filter of `arrays.recurrence`; they are made
+block by block and summed into J'J and J'r at once, so that memory holds one block of
+the Jacobian, never the whole.
 """
 
 import equinox as eqx
@@ -34,7 +34,9 @@ from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Drive, run
 
 SAMPLES = 4096
-"""Samples per block over all records: the block's Jacobian then stays near the cache."""
+"""Samples per block over all records: the block's Jacobian then stays near the
+cache.
+"""
 
 
 def squares(

@@ -52,7 +52,8 @@ class Task:
 def make_task(
     network: Network, data: Dataset, spread: Float[np.ndarray, " outputs"] | None = None
 ) -> tuple[Task, Float[np.ndarray, " outputs"]]:
-    """Prepare `data`; residuals are divided by `spread`, the outputs' standard deviation.
+    """Prepare `data`; residuals are divided by `spread`, the outputs' standard
+    deviation.
 
     The spread is that of the data themselves unless it is given (scaled units).
     """
@@ -85,19 +86,20 @@ def refine(
 ) -> Solution[Network]:
     """Refine coefficients, centres and widths together on simulation error.
 
-    The loss is the mean squared free-run error over the variance of each output. Windows
-    started from the measurement grow through `method.horizons` to whole records. After
-    every accepted step the free run of `validation` (default: of `data`) is scored, and
-    the best network by that score is returned: it is never worse there than the start.
+    The loss is the mean squared free-run error over the variance of each output.
+    Windows started from the measurement grow through `method.horizons` to whole
+    records. After every accepted step the free run of `validation` (default: of `data`)
+    is scored, and the best network by that score is returned: it is never worse there
+    than the start.
 
     `trainable` is a tree of booleans with the network's structure. `progress` is called
     on the host with a dictionary after every accepted step. `stats["history"]` lists
     these: stage, horizon, step, loss, validation, damping, seconds.
 
     Statuses: `ok` (relative decrease below tolerance), `budget_spent` (the usual end:
-    free-run fits have nearly flat directions), `no_improvement` (validation stopped it),
-    `stalled`, `unidentifiable`, and `start_diverged` when neither the start nor any
-    later network runs within its bounds.
+    free-run fits have nearly flat directions), `no_improvement` (validation stopped
+    it), `stalled`, `unidentifiable`, and `start_diverged` when neither the start nor
+    any later network runs within its bounds.
     """
     method = SimulationError() if method is None else method
     data, _ = match_channels(data, network.channels)
@@ -109,6 +111,11 @@ def refine(
     layout = make_layout(network, trainable, method.width_band)
     search = _Search(layout, task, guard, method, progress)
     return search.solve()
+
+
+def _on_host(equations) -> tuple[float, np.ndarray, np.ndarray]:
+    value, gradient, gram = equations
+    return float(value), np.asarray(gradient), np.asarray(gram)
 
 
 class _Search:
@@ -131,7 +138,9 @@ class _Search:
         y = run(network, self.guard.drive, self.guard.anchors(None))
         error = jnp.sum(self.guard.weight * (y - self.guard.drive.measured) ** 2)
         value = np.asarray(y)
-        held = (value <= np.asarray(network.lower)) | (value >= np.asarray(network.upper))
+        held = (value <= np.asarray(network.lower)) | (
+            value >= np.asarray(network.upper)
+        )
         held &= self.guard.masks.scored
         bad = any(
             has_diverged(held[n, self.guard.masks.scored[n, :, o], o])
@@ -155,12 +164,14 @@ class _Search:
         args = (self.task.drive, anchors, self.task.weight)
         return levenberg.Problem(
             lambda u: float(loss(self.layout, jnp.asarray(u), *args)),
-            lambda u: normal_equations(self.layout, jnp.asarray(u), *args),
+            lambda u: _on_host(normal_equations(self.layout, jnp.asarray(u), *args)),
             np.asarray(self.layout.wall),
         )
 
     def _stage(self, u: np.ndarray, horizon: int | None, steps: int):
-        """Up to `steps` accepted steps at one horizon; returns the end and its status."""
+        """Up to `steps` accepted steps at one horizon; returns the end and its
+        status.
+        """
         problem = self._problem(horizon)
         state = levenberg.init(problem, u)
         pull = self.method.ridge * np.diagonal(state.gram)

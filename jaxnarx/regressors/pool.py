@@ -1,4 +1,6 @@
-"""Pools of polynomial terms as tables of integers; the one evaluation of a regressor."""
+"""Pools of polynomial terms as tables of integers; the one evaluation of a
+regressor.
+"""
 
 import functools
 import itertools
@@ -7,7 +9,6 @@ import operator
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -29,8 +30,9 @@ def evaluate(
     """Values of polynomial terms, `v = [1, x_1 ... x_V]` at one sample or at many.
 
     The one evaluation of a regressor: design rows, simulation steps and derivatives are
-    made from it. Samples, where there are several, are the trailing axes, so that a term
-    is a product of contiguous rows; a `vmap` over samples would gather them one by one.
+    made from it. Samples, where there are several, are the trailing axes, so that a
+    term is a product of contiguous rows; a `vmap` over samples would gather them one by
+    one.
     """
     return functools.reduce(
         operator.mul, (v[factor[:, k]] for k in range(factor.shape[1]))
@@ -72,7 +74,9 @@ class Pool(eqx.Module):
         return [term_name(variables, row) for row in self.factor.tolist()]
 
 
-def _lags(lags: Lags, names: Sequence[str], *, lowest: int, kind: str) -> list[list[int]]:
+def _lags(
+    lags: Lags, names: Sequence[str], *, lowest: int, kind: str
+) -> list[list[int]]:
     field = f"{kind}_lags"
     if isinstance(lags, Mapping):
         for name in lags:
@@ -135,13 +139,14 @@ def polynomial_pool(
     ):
         rows += [(channels.signal(name), lag) for lag in lags]
     if not rows:
-        raise SpecError("no lagged variables: give input_lags or output_lags",
-                        field="input_lags")
+        raise SpecError(
+            "no lagged variables: give input_lags or output_lags", field="input_lags"
+        )
     size = math.comb(len(rows) + degree, degree)
     if size > LARGEST:
         raise SpecError(
-            f"{len(rows)} lagged variables at degree {degree} make {size:,} terms, more "
-            f"than {LARGEST:,}; use fewer lags or a lower degree",
+            f"{len(rows)} lagged variables at degree {degree} make {size:,} terms, "
+            f"more than {LARGEST:,}; use fewer lags or a lower degree",
             field="degree",
         )
     factor = np.fromiter(

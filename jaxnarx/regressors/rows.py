@@ -61,11 +61,14 @@ def regression_rows(
     return Rows(v, y, jnp.asarray(weight), at, batch, gain)
 
 
-def _flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " samples"]:
+def _flat_weights(
+    weights, data: Dataset, longest: int
+) -> Float[np.ndarray, " samples"]:
     if [len(w) for w in weights] != [len(r) for r in data]:
         raise DataError(
-            "weights must be one array per record with one number per sample; records "
-            f"have {[len(r) for r in data]} samples, weights {[len(w) for w in weights]}"
+            "weights must be one array per record with one number per sample; "
+            f"records have {[len(r) for r in data]} samples, weights "
+            f"{[len(w) for w in weights]}"
         )
     flat = np.zeros((len(data), longest), data.records[0].u.dtype)
     for n, w in enumerate(weights):
@@ -75,16 +78,14 @@ def _flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " s
     return flat.reshape(-1)
 
 
-def enough(
-    data: Dataset, good: np.ndarray, *, history: int, need: int
-) -> None:
+def enough(data: Dataset, good: np.ndarray, *, history: int, need: int) -> None:
     """Raise `DataError` unless at least `need` samples are usable."""
     have = int(good.sum())
     if have >= need:
         return
     shortest = min(data, key=len)
     raise DataError(
-        f"need at least {need} usable rows after lag {history}, the records give {have} "
-        f"(shortest: {shortest.name!r} with {len(shortest)} rows); use smaller lags, "
+        f"need at least {need} usable rows after lag {history}, the records give "
+        f"{have} (shortest: {shortest.name!r} with {len(shortest)} rows); use smaller lags, "
         "fewer terms or longer records"
     )

@@ -17,11 +17,15 @@ _LAG = re.compile(r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$")
 
 def variable_name(channels: Channels, signal: int, lag: int) -> str:
     """`speed[t-3]`, or `speed[t]` at lag 0."""
-    return f"{channels.names[signal]}[t-{lag}]" if lag else f"{channels.names[signal]}[t]"
+    return (
+        f"{channels.names[signal]}[t-{lag}]" if lag else f"{channels.names[signal]}[t]"
+    )
 
 
 def parse_variable(channels: Channels, text: str) -> tuple[int, int]:
-    """(signal, lag) of `"speed[t-3]"`; unknown names and other forms raise SpecError."""
+    """(signal, lag) of `"speed[t-3]"`; unknown names and other forms raise
+    SpecError.
+    """
     match = _LAG.match(text.strip())
     if match is None:
         raise SpecError(

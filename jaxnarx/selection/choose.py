@@ -1,5 +1,6 @@
 """The verb `select`: checks, the search, and what it found as a value."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -71,9 +72,7 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
     """True where a = c b to rounding."""
-    return bool(a.size) and bool(
-        np.all(np.abs(a - (a @ b) / (b @ b) * b) <= 1e-9)
-    )
+    return bool(a.size) and np.allclose(a, (a @ b) / (b @ b) * b, rtol=0, atol=1e-9)
 
 
 def _candidates(pool: Pool, passed_over: dict[str, str]) -> Bool[np.ndarray, " terms"]:
@@ -126,7 +125,8 @@ def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
         columns = evaluate(jnp.asarray(pool.factor[index[o, :n]]), rows.v)
         theta[o, :n], _, c = least_squares(columns, rows.y[o], rows.weight[o])
         cond.append(float(c))
-    return path._replace(
+    return dataclasses.replace(
+        path,
         index=jnp.asarray(index),
         err=jnp.asarray(err),
         count=path.count + 1,
@@ -175,7 +175,11 @@ def _finish(pool: Pool, rows: Rows, path: Path, passed_over) -> Solution[Selecti
     index, err = np.asarray(path.index), np.asarray(path.err)
     used = np.arange(index.shape[1])[None] < np.asarray(path.count)[:, None]
     value = Selection(
-        pool, index, used, np.where(used, err, 0.0), np.asarray(path.coefficient),
+        pool,
+        index,
+        used,
+        np.where(used, err, 0.0),
+        np.asarray(path.coefficient),
         rows.gain,
     )
     power = np.asarray(path.power)[:, None]

@@ -12,8 +12,9 @@ Chen, Billings, Luo, "Orthogonal least squares methods and their application to
 non-linear system identification", Int. J. Control 50 (1989); thesis (5.25), (5.26).
 """
 
-from typing import NamedTuple
+import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
@@ -22,20 +23,20 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays.contraction import contract
 
 
-class State(NamedTuple):
-    """What the search knows; leading axis outputs, slots are filled in order."""
+class State(eqx.Module):
+    """What the search knows; slots are filled in order. One output inside `choose`."""
 
-    b: Float[Array, "outputs terms"]
-    d: Float[Array, "outputs terms"]
-    alive: Bool[Array, "outputs terms"]
-    direction: Float[Array, "outputs slots rows"]
-    index: Int[Array, "outputs slots"]
-    err: Float[Array, "outputs slots"]
-    count: Int[Array, " outputs"]
-    going: Bool[Array, " outputs"]
+    b: Float[Array, "*outputs terms"]
+    d: Float[Array, "*outputs terms"]
+    alive: Bool[Array, "*outputs terms"]
+    direction: Float[Array, "*outputs slots rows"]
+    index: Int[Array, "*outputs slots"]
+    err: Float[Array, "*outputs slots"]
+    count: Int[Array, "*outputs"]
+    going: Bool[Array, "*outputs"]
 
 
-class Path(NamedTuple):
+class Path(eqx.Module):
     """Chosen terms in order: ERR as shares of `power`, the weighted `<y, y>`.
 
     `exhausted` where no candidate was left; `projection` holds `<q_k, y>` and `factor`
@@ -56,7 +57,9 @@ def _column(v, factor, term):
 
 
 def _orthogonalise(column, direction):
-    """Off the chosen directions, twice: once leaves cancellation of order eps * cond."""
+    """Off the chosen directions, twice: once leaves cancellation of order eps *
+    cond.
+    """
     for _ in range(2):
         column = column - direction.T @ (direction @ column)
     return column
@@ -109,24 +112,23 @@ def forward_ols(
         gain = q @ target[o]
         slot = jnp.where(accept, s.count, max_terms)
         err = gain**2 / jnp.where(power[o] > 0, power[o], 1.0)
-        after = s._replace(
+        after = dataclasses.replace(
+            s,
             alive=s.alive.at[best].set(s.alive[best] & ~s.going),
             direction=s.direction.at[slot].set(q, mode="drop"),
             index=s.index.at[slot].set(best.astype(s.index.dtype), mode="drop"),
             err=s.err.at[slot].set(err, mode="drop"),
-            count=s.count + accept,
+            count=s.count + accept.astype(s.count.dtype),
         )
         left = 1.0 - jnp.sum(after.err)
         going = s.going & found & (after.count < max_terms) & (left > rho)
-        return after._replace(going=going), q, gain
+        return dataclasses.replace(after, going=going), q, gain
 
     def body(s: State):
         s, q, gain = jax.vmap(choose)(jnp.arange(outputs), s)
         # Nothing accepted (a candidate was only removed): the pool need not be read.
-        c = jax.lax.cond(
-            jnp.any(q != 0), products, lambda q: jnp.zeros_like(norm), q
-        )
-        return s._replace(b=s.b - c * gain[:, None], d=s.d - c**2)
+        c = jax.lax.cond(jnp.any(q != 0), products, lambda q: jnp.zeros_like(norm), q)
+        return dataclasses.replace(s, b=s.b - c * gain[:, None], d=s.d - c**2)
 
     start = State(
         b=products(target),

@@ -42,6 +42,7 @@ class Selection(eqx.Module):
         channels = self.pool.channels
         outputs = [channels.output_names[o] for o in self.pool.outputs]
         if output not in outputs:
-            raise SpecError(f"no modelled output {output!r}; have {outputs}",
-                            field="output")
+            raise SpecError(
+                f"no modelled output {output!r}; have {outputs}", field="output"
+            )
         return [self.pool.name(term) for term in self.terms(outputs.index(output))]
