@@ -112,11 +112,12 @@ def make_masks(network: Network, batch: Batch) -> Masks:
     inputs = tuple(r for r in rows if r[0] not in network.signals)
     anchors = usable(batch.valid, rows, network.history)
     good = usable(batch.valid, inputs, network.history)
-    time = anchors.shape[1]
-    start = np.where(anchors.any(axis=1), anchors.argmax(axis=1), time)
+    time: int = anchors.shape[1]
+    start = np.where(np.any(anchors, axis=1), np.argmax(anchors, axis=1), time)
     after = np.arange(time)[None] >= start[:, None]
     scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
-    end = time - batch.valid.any(axis=2)[:, ::-1].argmax(axis=1)
+    present = np.any(batch.valid, axis=2)
+    end = time - np.argmax(present[:, ::-1], axis=1)
     return Masks(start, end, anchors, scored)
 
 
@@ -203,7 +204,8 @@ def _prepare(network: Network, data: Dataset):
         shortest = min(data, key=len)
         raise DataError(
             f"no record can be run: the model needs {network.history} valid "
-            f"measured samples to start from (record {shortest.name!r} has {len(shortest)} rows)"
+            f"measured samples to start from (record {shortest.name!r} has "
+            f"{len(shortest)} rows)"
         )
     return matched, batch, masks, make_drive(network, batch)
 
@@ -237,10 +239,11 @@ def _extrapolated(network: Network, batch: Batch) -> Bool[np.ndarray, "records t
     outside = (signals < np.asarray(network.low) - slack) | (
         signals > np.asarray(network.high) + slack
     )
-    mask = np.zeros(signals.shape[:2], bool)
+    records, time, _ = signals.shape
+    mask = np.zeros((records, time), bool)
     for s, d in tables(network):
         if s not in network.signals:
-            mask[:, d:] |= outside[:, : mask.shape[1] - d, s]
+            mask[:, d:] |= outside[:, : time - d, s]
     return mask
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network
+from jaxnarx.models import Network, OutputModel
 
 
 def freeze(
@@ -25,22 +25,19 @@ def freeze(
     """
     tree = jax.tree.map(lambda _: False, network)
     models = tuple(
-        eqx.tree_at(
-            lambda m: (m.local.coefficient, m.validity),
-            off,
-            (
-                coefficients,
-                jax.tree.map(
-                    lambda _, several=bool(np.sum(model.active) > 1): (
-                        partition and several
-                    ),
-                    model.validity,
-                ),
-            ),
-        )
-        for off, model in zip(tree.models, network.models, strict=True)
+        _trained(model, coefficients, partition and bool(np.sum(model.active) > 1))
+        for model in network.models
     )
     return eqx.tree_at(lambda n: n.models, tree, models)
+
+
+def _trained(model: OutputModel, coefficients: bool, partition: bool) -> OutputModel:
+    """One output's tree of booleans."""
+    off = jax.tree.map(lambda _: False, model)
+    validity = jax.tree.map(lambda _: partition, model.validity)
+    return eqx.tree_at(
+        lambda m: (m.local.coefficient, m.validity), off, (coefficients, validity)
+    )
 
 
 def _pieces(tree: Network) -> list[list]:

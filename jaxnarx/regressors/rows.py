@@ -86,6 +86,6 @@ def enough(data: Dataset, good: np.ndarray, *, history: int, need: int) -> None:
     shortest = min(data, key=len)
     raise DataError(
         f"need at least {need} usable rows after lag {history}, the records give "
-        f"{have} (shortest: {shortest.name!r} with {len(shortest)} rows); use smaller lags, "
-        "fewer terms or longer records"
+        f"{have} (shortest: {shortest.name!r} with {len(shortest)} rows); use smaller "
+        "lags, fewer terms or longer records"
     )

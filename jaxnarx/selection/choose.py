@@ -72,13 +72,16 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
     """True where a = c b to rounding."""
-    return bool(a.size) and np.allclose(a, (a @ b) / (b @ b) * b, rtol=0, atol=1e-9)
+    if not a.size:
+        return False
+    ratio = float(np.vdot(a, b)) / float(np.vdot(b, b))
+    return bool(np.max(np.abs(a - ratio * b)) <= 1e-9)
 
 
 def _candidates(pool: Pool, passed_over: dict[str, str]) -> Bool[np.ndarray, " terms"]:
     names = pool.channels.names
     bad = [v + 1 for v, (s, _) in enumerate(pool.variables) if names[s] in passed_over]
-    return ~np.isin(pool.factor, bad).any(axis=1)
+    return np.logical_not(np.any(np.isin(pool.factor, bad), axis=1))
 
 
 def _constant_term(pool: Pool) -> int | None:
