@@ -70,10 +70,10 @@ class Trajectories:
     output whether the record counts as diverged.
     """
 
-    outputs: tuple[Float[np.ndarray, "time outputs"], ...]
-    scored: tuple[Bool[np.ndarray, "time outputs"], ...]
-    limited: tuple[Bool[np.ndarray, "time outputs"], ...]
-    extrapolated: tuple[Bool[np.ndarray, " time"], ...]
+    outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
+    scored: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    limited: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    extrapolated: tuple[Bool[np.ndarray, " _"], ...]
     diverged: tuple[Bool[np.ndarray, " outputs"], ...]
     names: tuple[str, ...]
     output_names: tuple[str, ...]
@@ -228,9 +228,9 @@ def longest_run(flags: Bool[np.ndarray, " time"]) -> int:
 
 def has_diverged(limited: Bool[np.ndarray, " time"]) -> bool:
     """More than 5 % of the samples, or 50 in a row, held by the feedback bound."""
-    return bool(limited.size) and (
-        limited.mean() > SHARE or longest_run(limited) >= IN_A_ROW
-    )
+    if not limited.size:
+        return False
+    return bool(limited.mean() > SHARE) or longest_run(limited) >= IN_A_ROW
 
 
 def _extrapolated(network: Network, batch: Batch) -> Bool[np.ndarray, "records time"]:
@@ -341,7 +341,7 @@ def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectorie
     matched, batch, masks, drive = _prepare(network, data)
     scaled = run_steps(network, drive, jnp.asarray(k))
     ready = np.zeros_like(masks.anchors)
-    ready[:, k - 1 :] = masks.anchors[:, : masks.anchors.shape[1] - k + 1]
+    ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
     scored = masks.scored & ready[:, :, None]
     start = masks.start + k - 1
     value = _trajectories(network, matched, batch, scaled, scored, start)

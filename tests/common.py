@@ -7,10 +7,10 @@ variables, and `to_oracle` turns any network into the plain one of `oracles.py`.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import oracles
+from jax import monitoring
 from jaxtyping import Float
 
 from jaxnarx.data import Channel, Channels, Dataset
@@ -89,7 +89,7 @@ def network(
     spare_models: int = 0,
     spare_slots: int = 0,
 ) -> Network:
-    """A network over `CHANNELS`; simulated outputs are held within +-`bound` (scaled)."""
+    """A network over `CHANNELS`, its outputs held within +-`bound` (scaled)."""
     outputs = len(modelled)
     return Network(
         CHANNELS,
@@ -157,9 +157,7 @@ def named(kind: str, **options) -> Network:
     parts, modelled = KINDS[kind]
     # Without w among the outputs its lag is no feedback; leave it out of the table.
     variables = VARIABLES if len(modelled) > 1 else VARIABLES[:4]
-    return network(
-        [PARTS[p] for p in parts], modelled, variables=variables, **options
-    )
+    return network([PARTS[p] for p in parts], modelled, variables=variables, **options)
 
 
 def to_oracle(net: Network) -> oracles.Network:
@@ -209,20 +207,12 @@ LENGTHS = (60, 45, 3, 52)
 
 
 def dataset(
-    lengths: Sequence[int] = LENGTHS, *, seed: int = 0, channels: Channels = CHANNELS,
-    **options,
+    lengths: Sequence[int] = LENGTHS,
+    *,
+    seed: int = 0,
 ) -> Dataset:
     """Records of `signals`, sampled at 0.1 s."""
-    rows = [signals(n, seed) for n in lengths]
-    split = len(channels.inputs)
-    settings = {"sample_time": 0.1} | options
-    return Dataset.from_arrays(
-        [r[:, :split] for r in rows],
-        [r[:, split:] for r in rows],
-        inputs=channels.inputs,
-        outputs=channels.outputs,
-        **settings,
-    )
+    return from_rows([signals(n, seed) for n in lengths])
 
 
 def rows_of(data: Dataset, record: int) -> Float[np.ndarray, "time signals"]:
@@ -231,29 +221,28 @@ def rows_of(data: Dataset, record: int) -> Float[np.ndarray, "time signals"]:
     return np.concatenate([r.u, r.y], axis=1)
 
 
-def from_rows(
-    rows: Sequence[Float[np.ndarray, "time signals"]], **options
-) -> Dataset:
-    """Records over `CHANNELS` from arrays with all signals, NaN for missing ones."""
-    settings = {"sample_time": 0.1, "missing": "mask"} | options
+def from_rows(rows: Sequence[np.ndarray], *, missing: str = "mask") -> Dataset:
+    """Records over `CHANNELS` from (time, signals) arrays, NaN for missing samples."""
     return Dataset.from_arrays(
         [r[:, :2] for r in rows],
         [r[:, 2:] for r in rows],
         inputs=CHANNELS.inputs,
         outputs=CHANNELS.outputs,
-        **settings,
+        sample_time=0.1,
+        missing=missing,
     )
 
 
 _compiled: list[float] = []
 
 
-def _count(event: str, duration: float, **_) -> None:
+def _count(event: str, duration_secs: float, **kwargs: str | int) -> None:
+    del kwargs
     if event == "/jax/core/compile/backend_compile_duration":
-        _compiled.append(duration)
+        _compiled.append(duration_secs)
 
 
-jax.monitoring.register_event_duration_secs_listener(_count)
+monitoring.register_event_duration_secs_listener(_count)
 
 
 def compilations(f: Callable[[], object]) -> int:

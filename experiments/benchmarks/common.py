@@ -144,8 +144,8 @@ def best_of(
         function()
         times.append(time.perf_counter() - begin)
     return {
-        "best": round(min(times), 4),
-        "median": round(statistics.median(times), 4),
+        "best": float(f"{min(times):.4g}"),
+        "median": float(f"{statistics.median(times):.4g}"),
         "repeats": repeats,
     }
 
@@ -252,11 +252,7 @@ _CACHES = ("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE", "MPLCONFIGDIR")
 
 def _environment(extra: Mapping[str, str] | None) -> dict[str, str]:
     """That of this process, without settings that would skip a compilation."""
-    kept = {
-        key: value
-        for key, value in os.environ.items()
-        if not key.startswith(_CACHES)
-    }
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(_CACHES)}
     return kept | dict(extra or {})
 
 

@@ -1,7 +1,7 @@
 """The command line as a user runs it: wall time, peak memory, and figures of the fit.
 
-Every command runs in a fresh process, first with an empty cache folder ("cold": programs
-are compiled and matplotlib lists the fonts), then again with that folder ("warm"). The
+Every command runs in a fresh process, first with an empty cache folder ("cold":
+programs are compiled and matplotlib lists the fonts), then again ("warm"). The
 gengine1 commands need its records (JAXNARX_DATA) and are skipped without.
 
     python experiments/benchmarks/identify.py
@@ -43,11 +43,15 @@ STARTS = {
     "jaxnarx --help": (HELP_SECONDS, ("--help",)),
     "jaxnarx identify --help": (HELP_SECONDS, ("identify", "--help")),
 }
-SMOKE_DEMO = ("--events", "200", "--models", "2")
+SMOKE_DEMO = ("--events", "400", "--models", "2")
 PARTS = ("start", "demo", "gengine1")
 
 
-def main() -> None:
+class Failure(Exception):
+    """A command did not end well; the message holds the end of what it said."""
+
+
+def main() -> int:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description="Benchmarks of the command line.")
     parser.add_argument("--smoke", action="store_true", help="a short demo, no data")
@@ -58,6 +62,7 @@ def main() -> None:
     parts = chosen.only or (PARTS[:2] if chosen.smoke else PARTS)
     folder = results_folder(chosen.results, smoke=chosen.smoke)
     repeats = 1 if chosen.smoke else 5
+    failed = []
     with tempfile.TemporaryDirectory() as temporary:
         space = Path(temporary)
         for part in parts:
@@ -69,6 +74,8 @@ def main() -> None:
                 figures = gengine1(space)
             print(record(part, figures, folder=folder, note=chosen.note))
             _show(figures)
+            failed += [run for run in figures.values() if _has_failed(run)]
+    return 1 if failed else 0
 
 
 def jaxnarx(*arguments: str, cache: Path | None = None) -> Child:
@@ -80,7 +87,7 @@ def jaxnarx(*arguments: str, cache: Path | None = None) -> Child:
     environment = {} if cache is None else {"XDG_CACHE_HOME": str(cache)}
     done = child([*command, *arguments], environment=environment)
     if done.code != 0:
-        raise SystemExit(f"jaxnarx {' '.join(arguments)} failed:\n{done.stderr}")
+        raise Failure(f"jaxnarx {' '.join(arguments)}: {done.stderr.strip()[-500:]}")
     return done
 
 
@@ -104,9 +111,10 @@ def start_times(repeats: int) -> dict[str, Any]:
 
 def demo(space: Path, options: tuple[str, ...]) -> dict[str, Any]:
     """`jaxnarx demo` with empty and with filled caches."""
-    figures = _twice(space / "demo", "speed", "demo", *options)
-    limit = target(figures["warm"]["wall_s"], DEMO_SECONDS)
-    return {"jaxnarx demo": figures | {"targets": {"warm_s": limit}}}
+    run = _twice(space / "demo", "speed", "demo", *options)
+    if not _has_failed(run):
+        run["targets"] = {"warm_s": target(run["warm"]["wall_s"], DEMO_SECONDS)}
+    return {"jaxnarx demo": run}
 
 
 def gengine1(space: Path) -> dict[str, Any]:
@@ -117,7 +125,9 @@ def gengine1(space: Path) -> dict[str, Any]:
     figures = {}
     for name, (output, options) in JOBS.items():
         run = _twice(space / name, output, "identify", DESCRIPTION, *options)
-        if name in RMSE:
+        if _has_failed(run):
+            pass
+        elif name in RMSE:
             rmse = run["free_run"]["refined"]["pooled"]["rmse"]
             run["targets"] = {"free_run_rmse": target(rmse, RMSE[name])}
         else:
@@ -130,7 +140,19 @@ def gengine1(space: Path) -> dict[str, Any]:
     return figures
 
 
+def _has_failed(run: Any) -> bool:
+    return isinstance(run, dict) and "failed" in run
+
+
 def _twice(space: Path, output: str, *arguments: str) -> dict[str, Any]:
+    """What `_measure` finds, or what a failed command said."""
+    try:
+        return _measure(space, output, *arguments)
+    except Failure as failure:
+        return {"failed": str(failure)}
+
+
+def _measure(space: Path, output: str, *arguments: str) -> dict[str, Any]:
     """A command cold and warm, its figures, and those of its one-step model.
 
     The demo cannot leave out its refinement; it has no one-step model to show.
@@ -201,6 +223,9 @@ def _show(figures: dict[str, Any]) -> None:
     for name, run in figures.items():
         if not isinstance(run, dict):
             continue
+        if "failed" in run:
+            print(f"  {name}: {run['failed']}")
+            continue
         if "median_s" in run:
             print(f"  {name:24s}{run['median_s']:8.3f} s")
             continue
@@ -221,4 +246,4 @@ def _number(row: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

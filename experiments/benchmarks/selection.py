@@ -1,8 +1,8 @@
 """Time, memory and matrix product rate of term selection, and peers on the same data.
 
 100,000 samples, 41 lagged variables, degree 3: 13,244 terms, 15 of them chosen. A dense
-pool would take 10.6 GB. With `--peers` the same choice by SysIdentPy (FROLS) and fastcan
-at 10,000 samples, in the same run and on the same numbers.
+pool would take 10.6 GB. With `--peers` the same choice by SysIdentPy (FROLS) and
+fastcan at 10,000 samples, in the same run and on the same numbers.
 
     python experiments/benchmarks/selection.py
     python experiments/benchmarks/selection.py --peers path/to/venv/bin/python
@@ -18,6 +18,7 @@ import math
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -66,14 +67,14 @@ SMOKE = Sizes(1_500, 2, 1_000, (2,), 1, 256)
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Benchmark of term selection.")
     parser.add_argument("--smoke", action="store_true", help="small, in seconds")
     parser.add_argument(
         "--peers",
         nargs="?",
         const=sys.executable,
         metavar="PYTHON",
-        help="compare with peers, as far as this interpreter (default: the own) has them",
+        help="compare with the peers this interpreter has (default: the own one)",
     )
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     parser.add_argument("--note", default="", help="a remark kept with the figures")
@@ -195,15 +196,17 @@ def make_data(path: str, samples: int) -> dict[str, Any]:
     return {"seconds": round(time.perf_counter() - begin, 3)}
 
 
-def _dataset(path: str):
+def _arrays(path: str):
     import numpy as np
 
+    with np.load(path) as saved:
+        return saved["u"], saved["y"]
+
+
+def _dataset(u, y):
     from jaxnarx import Dataset
 
-    with np.load(path) as saved:
-        return Dataset.from_arrays(
-            saved["u"], saved["y"], inputs=INPUTS, outputs=("y",), sample_time=1.0
-        )
+    return Dataset.from_arrays(u, y, inputs=INPUTS, outputs=("y",), sample_time=1.0)
 
 
 def _pool(data, degree: int):
@@ -221,7 +224,7 @@ def run_select(
     matrix: int | None = None,
     constant: str = "first",
 ) -> dict[str, Any]:
-    """The public `select` on the data at `path`, in this process."""
+    """From the arrays at `path` through the public `select`, in this process."""
     import jax
 
     import jaxnarx
@@ -231,10 +234,11 @@ def run_select(
     method = ForwardOLS(max_terms=TERMS, constant=constant)  # pyright: ignore
     assert jaxnarx.Dataset and jaxnarx.polynomial_pool, "everything is imported now"
     imports, _ = resident()
-    data = _dataset(path)
+    u, y = _arrays(path)
     read, _ = resident()
 
     def call():
+        data = _dataset(u, y)
         return select(_pool(data, degree), data, method)
 
     begin = time.perf_counter()
@@ -251,7 +255,7 @@ def run_select(
         "memory": _memory(imports, peak, after_data=read),
     }
     if matrix is not None:
-        result["rate"] = _rate(data.samples, degree, compiled["best"], matrix)
+        result["rate"] = _rate(len(y), degree, compiled["best"], matrix)
     return result
 
 
@@ -267,7 +271,7 @@ def run_kernel(path: str, degree: int, repeats: int, matrix: int) -> dict[str, A
 
     jax.config.update("jax_enable_x64", True)
     imports, _ = resident()
-    data = _dataset(path)
+    data = _dataset(*_arrays(path))
     pool = _pool(data, degree)
     longest = pool.variables.longest
     rows = regression_rows(data, pool.variables, pool.outputs, history=longest)
@@ -309,18 +313,20 @@ def run_kernel(path: str, degree: int, repeats: int, matrix: int) -> dict[str, A
 
 
 def _names(pool, terms) -> list[str]:
-    """Terms as sorted products, comparable between tools."""
+    """Terms in a form that is comparable between tools."""
     names = pool.variable_names
-    return ["*".join(sorted(names[f - 1] for f in pool.factor[t] if f)) or "1"
-            for t in terms]
+    return [_term(names[f - 1] for f in pool.factor[t] if f) for t in terms]
+
+
+def _term(variables: Iterable[str]) -> str:
+    return "*".join(sorted(variables)) or "1"
 
 
 def _memory(imports: int, peak: int, **stages: int) -> dict[str, float]:
-    steps = {f"{key}_mb": round((now - imports) / 1e6, 1) for key, now in stages.items()}
-    return {
-        "imports_mb": round(imports / 1e6, 1),
-        **steps,
-        "above_imports_mb": round((peak - imports) / 1e6, 1),
+    """Megabytes after the imports, and above them at every stage and at the peak."""
+    above = {**stages, "above_imports": peak}
+    return {"imports_mb": round(imports / 1e6, 1)} | {
+        f"{key}_mb": round((now - imports) / 1e6, 1) for key, now in above.items()
     }
 
 
@@ -357,7 +363,9 @@ def compare(
     versions = _installed(python)
     figures: dict[str, Any] = {"samples": sizes.peer_samples, "terms": TERMS}
     figures["scope"] = (
-        "from arrays to ordered terms, imports excluded; ratios are peer over jaxnarx"
+        "from arrays to ordered terms, imports excluded; ratios are the peer's one "
+        "call over the first call of jaxnarx, which compiles, and over the median of "
+        "those after it"
     )
     if not versions:
         return figures | {"skipped": "no peer is installed"}, {}
@@ -409,7 +417,7 @@ def _peer(name, sizes, data, degree, python, versions, own) -> dict[str, Any]:
     return result | {
         "constant": constant,
         "ratio_to_first_call": round(result["wall_s"] / mine["first_call_s"], 2),
-        "ratio_to_compiled": round(result["wall_s"] / mine["compiled_s"]["best"], 2),
+        "ratio_to_compiled": round(result["wall_s"] / mine["compiled_s"]["median"], 2),
         "same_ordered_terms": result["chosen"] == mine["chosen"],
         "equal_up_to": equal.index(False) if False in equal else len(equal),
     }
@@ -428,10 +436,6 @@ def installed() -> dict[str, str]:
     return found
 
 
-def _term(variables) -> str:
-    return "*".join(sorted(variables)) or "1"
-
-
 def _peer_result(wall: float, imports: int, chosen: list[str]) -> dict[str, Any]:
     _, peak = resident()
     memory = _memory(imports, peak)
@@ -439,14 +443,11 @@ def _peer_result(wall: float, imports: int, chosen: list[str]) -> dict[str, Any]
 
 
 def run_frols(path: str, degree: int) -> dict[str, Any]:
-    """SysIdentPy's forward selection by ERR; its constant is a candidate like others."""
-    import numpy as np
-
+    """SysIdentPy's forward selection by ERR; the constant is one candidate of many."""
     structure = importlib.import_module("sysidentpy.model_structure_selection")
     basis = importlib.import_module("sysidentpy.basis_function")
     estimation = importlib.import_module("sysidentpy.parameter_estimation")
-    with np.load(path) as saved:
-        u, y = saved["u"], saved["y"]
+    u, y = _arrays(path)
     imports, _ = resident()
     begin = time.perf_counter()
     model = structure.FROLS(
@@ -474,8 +475,7 @@ def run_fastcan(path: str, degree: int, lazy: bool = False) -> dict[str, Any]:
 
     fastcan = importlib.import_module("fastcan")
     narx = importlib.import_module("fastcan.narx")
-    with np.load(path) as saved:
-        signals = np.concatenate([saved["u"], saved["y"]], axis=1)
+    signals = np.concatenate(_arrays(path), axis=1)
     imports, _ = resident()
     begin = time.perf_counter()
     lags = [(i, d) for i in range(len(INPUTS)) for d in INPUT_LAGS]
@@ -518,7 +518,7 @@ WORKERS = {
 
 
 def _show_own(figures: dict[str, Any]) -> None:
-    print(f"{figures['candidates']} terms, {figures['samples']} samples, {TERMS} chosen")
+    print(f"{TERMS} of {figures['candidates']} terms, {figures['samples']} samples")
     print(f"{'':8s}{'first [s]':>10s}{'then [s]':>10s}{'MB':>8s}{'share':>8s}")
     for name in ("select", "kernel"):
         run = figures[name]

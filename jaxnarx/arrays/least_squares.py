@@ -31,9 +31,8 @@ def least_squares(
     inverse = jnp.where(s > cut, 1.0 / jnp.where(s > cut, s, 1.0), 0.0)
     theta = vt.T @ (inverse * (u.T @ r[:k, k]))
     rank = jnp.sum(s > cut)
-    condition = jnp.where(
-        s[-1] > cut, s[0] / jnp.where(s[-1] > cut, s[-1], 1.0), jnp.inf
-    )
+    full = rank == k
+    condition = jnp.where(full, s[0] / jnp.where(full, s[-1], 1.0), jnp.inf)
     return theta / scale, rank, condition
 
 

@@ -76,7 +76,9 @@ def linear_recurrence(
         weight = jnp.expand_dims(
             jnp.swapaxes(a_t, 1, 2), tuple(range(3, past.ndim + 1))
         )
-        now = d_t + jnp.sum(weight * past[None], axis=(1, 2))
+        # A zero weight cuts the past off (an anchor, a limit) even where it overflowed.
+        reached = jnp.where(weight != 0, past[None], 0.0)
+        now = d_t + jnp.sum(weight * reached, axis=(1, 2))
         return jnp.concatenate([now[None], past[:-1]]), now
 
     return jax.lax.scan(step, start, (a, d))
@@ -108,14 +110,16 @@ def sensitivities(step: Step, params, drive, history, lower, upper):
     return jax.vmap(one)(drive, history)
 
 
-def _zeros(tangent, primal):
-    """Tangents with symbolic zeros (None) filled in."""
-    return jax.tree.map(
-        lambda t, p: jnp.zeros_like(p) if t is None else t,
-        tangent,
-        primal,
-        is_leaf=lambda x: x is None,
-    )
+def _filled(primal, tangent):
+    """Tangents of the floating-point leaves of `primal`, symbolic zeros filled in."""
+
+    def one(p, t):
+        if p is None:
+            return None
+        return jnp.zeros_like(p) if t is None else t
+
+    moving = eqx.filter(primal, eqx.is_inexact_array)
+    return jax.tree.map(one, moving, tangent, is_leaf=lambda x: x is None)
 
 
 @eqx.filter_custom_jvp
@@ -127,15 +131,22 @@ def _run(args, *, step, depth):
 def _run_jvp(primals, tangents, *, step, depth):
     (args,) = primals
     params, drive, measured, anchor, lower, upper = args
-    t_params, t_drive, t_measured = _zeros(tangents[0][:3], args[:3])
+    t_inputs, t_measured = _filled(
+        ((params, drive), measured), (tangents[0][:2], tangents[0][2])
+    )
     y = _loop(step, depth, *args)
     history = run_history(y, history_of(measured, depth), anchor)
     a, limited = sensitivities(step, params, drive, history, lower, upper)
     own = own_history(anchor, depth)
     # Histories taken from the measurement pass their own tangent on directly.
     t_history = jnp.where(own[:, None], 0.0, history_of(t_measured, depth))
-    rows = jax.vmap(step, in_axes=(None, 0, 0))
-    _, direct = jax.jvp(rows, (params, drive, history), (t_params, t_drive, t_history))
+    moving, fixed = eqx.partition((params, drive), eqx.is_inexact_array)
+
+    def rows(moving, history):
+        params, drive = eqx.combine(moving, fixed)
+        return jax.vmap(step, in_axes=(None, 0, 0))(params, drive, history)
+
+    _, direct = jax.jvp(rows, (moving, history), (t_inputs, t_history))
     direct = jnp.where(limited, 0.0, direct)
     a = jnp.where(own[:, None, None], a, 0.0)
     start = jnp.zeros((depth, y.shape[1]), y.dtype)

@@ -34,5 +34,5 @@ def usable(
     good = np.zeros((records, time), bool)
     good[:, history:] = True
     for s, d in set(rows):
-        good[:, d:] &= valid[:, : time - d, s] if d else valid[:, :, s]
+        good[:, d:] &= valid[:, : max(time - d, 0), s]
     return good

@@ -8,7 +8,7 @@ resembles it and stays in training.
 import numpy as np
 
 from jaxnarx.data.dataset import Dataset, Record
-from jaxnarx.errors import DataError
+from jaxnarx.errors import DataError, SpecError
 
 
 def _features(data: Dataset) -> np.ndarray:
@@ -23,14 +23,17 @@ def _features(data: Dataset) -> np.ndarray:
     return np.array(rows)
 
 
-def hold_out(data: Dataset, *, share: float = 0.2) -> tuple[Dataset, Dataset]:
+def hold_out(data: Dataset, *, share: float | int = 0.2) -> tuple[Dataset, Dataset]:
     """Split into training and validation; about `share` of the samples validate.
 
     With four records or more whole ones are held out: those most alike to a record that
-    stays. With fewer, the last part of every record is cut off.
+    stays. With fewer, or where no record is small enough for that, the last part of
+    every record is cut off. The order of records is kept.
     """
     if not 0 < share < 1:
-        raise DataError(f"the share held out must lie between 0 and 1, got {share}")
+        raise SpecError(
+            f"the share held out must lie between 0 and 1, got {share}", field="share"
+        )
     if len(data) < 4:
         return _cut(data, share)
     points = _features(data)
@@ -58,7 +61,7 @@ def hold_out(data: Dataset, *, share: float = 0.2) -> tuple[Dataset, Dataset]:
     return data[train], data[sorted(held)]
 
 
-def _cut(data: Dataset, share: float) -> tuple[Dataset, Dataset]:
+def _cut(data: Dataset, share: float | int) -> tuple[Dataset, Dataset]:
     def part(record: Record, rows: slice, name: str) -> Record:
         start = record.start_row + (rows.start or 0)
         return Record(record.u[rows], record.y[rows], record.valid[rows], name, start)
@@ -66,6 +69,11 @@ def _cut(data: Dataset, share: float) -> tuple[Dataset, Dataset]:
     first, last = [], []
     for record in data:
         edge = int(round(len(record) * (1 - share)))
+        if not 0 < edge < len(record):
+            raise DataError(
+                f"{record.name} has {len(record)} rows, of which a share of {share:g} "
+                "cannot be held out. Name validation records, or take another share."
+            )
         first.append(part(record, slice(0, edge), record.name))
         last.append(part(record, slice(edge, None), f"{record.name} (end)"))
     return (

@@ -5,6 +5,7 @@ channels with units and the static tables; the tensors are the network's arrays.
 of a newer format, a foreign or a damaged one is a `ModelFileError`.
 """
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -18,12 +19,14 @@ import numpy as np
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import check_precision
-from jaxnarx.errors import JaxnarxError, ModelFileError
+from jaxnarx.errors import ModelFileError
 from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import AbstractValidity, Gaussians
 from jaxnarx.regressors import Variables
 
 FORMAT = 1
+DEGREE = 8
+"""Largest degree read; the recursion's tables grow without bound with it."""
 VALIDITIES: dict[str, type[AbstractValidity]] = {"Gaussians": Gaussians}
 
 
@@ -49,8 +52,9 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
 
 def _tensors(network: Network) -> dict[str, np.ndarray]:
     paths = jax.tree_util.tree_flatten_with_path(eqx.filter(network, eqx.is_array))[0]
+    # not np.ascontiguousarray, which makes an axis for a number
     return {
-        jax.tree_util.keystr(path): np.ascontiguousarray(leaf) for path, leaf in paths
+        jax.tree_util.keystr(path): np.array(leaf, order="C") for path, leaf in paths
     }
 
 
@@ -78,21 +82,28 @@ def save(
     header = json.dumps(_header(network, about), allow_nan=False)
     path = Path(path)
     temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(to_bytes(tensors, metadata={"jaxnarx": header}))
-    os.replace(temporary, path)
+    try:
+        temporary.write_bytes(to_bytes(tensors, metadata={"jaxnarx": header}))
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
 
 
 def load(path: str | os.PathLike[str]) -> Network:
-    """Read a network written by `save`. Any defect of the file is a `ModelFileError`."""
+    """Read what `save` wrote. Any defect of the file is a `ModelFileError`."""
     header, tensors = _read(Path(path))
+    for value in tensors.values():
+        check_precision(value.dtype)
     try:
         network = _build(header, tensors)
-    except JaxnarxError:
-        raise
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+        missing = f"{error} is missing" if isinstance(error, KeyError) else error
         raise ModelFileError(
-            f"{path}: not a complete model file (format {header.get('format')}, written "
-            f"by jaxnarx {header.get('jaxnarx')}): {error}",
+            f"{path}: damaged or not complete (format {header['format']}, written by "
+            f"jaxnarx {header.get('jaxnarx')}): {missing}. Identify anew, or restore "
+            "the file from a copy.",
             path=path,
         ) from error
     return network
@@ -106,6 +117,12 @@ def load_about(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     from safetensors import SafetensorError, safe_open
 
+    if path.is_dir():
+        raise ModelFileError(
+            f"{path}: a folder; name the model file in it, "
+            f"{path / 'model.safetensors'}",
+            path=path,
+        )
     if not path.is_file():
         raise ModelFileError(f"{path}: there is no such model file", path=path)
     try:
@@ -113,9 +130,20 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             metadata = file.metadata() or {}
             text = metadata.get("jaxnarx")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+    except OSError as error:
         raise ModelFileError(
-            f"{path}: not a model file, or cut short ({error})", path=path
+            f"{path}: cannot be opened ({error.strerror or error})", path=path
+        ) from error
+    except (
+        SafetensorError,
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+    ) as error:
+        # the last three: number types that NumPy does not have
+        raise ModelFileError(
+            f"{path}: not a model file of jaxnarx, or cut short ({error})", path=path
         ) from error
     if text is None:
         raise ModelFileError(
@@ -124,9 +152,13 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         header = json.loads(text)
         version = header["format"]
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ModelFileError(f"{path}: its header cannot be read", path=path) from error
-    if not isinstance(version, int) or version > FORMAT:
+    if type(version) is not int or version < 1:
+        raise ModelFileError(
+            f"{path}: its header cannot be read (format {version!r})", path=path
+        )
+    if version > FORMAT:
         raise ModelFileError(
             f"{path}: format {version!r}, written by jaxnarx {header.get('jaxnarx')}; "
             f"this program reads formats up to {FORMAT}. Update jaxnarx.",
@@ -135,7 +167,13 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return header, tensors
 
 
-def _variables(rows: list, signals: int) -> Variables:
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"a channel's name or unit is {value!r}")
+    return value
+
+
+def _variables(rows: Any, signals: int) -> Variables:
     table = tuple((int(s), int(d)) for s, d in rows)
     if any(not 0 <= s < signals or d < 0 for s, d in table):
         raise ValueError("a lagged variable points outside the channels")
@@ -144,14 +182,13 @@ def _variables(rows: list, signals: int) -> Variables:
 
 def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     channels = Channels(
-        tuple(Channel(n, u) for n, u in header["inputs"]),
-        tuple(Channel(n, u) for n, u in header["outputs"]),
+        tuple(Channel(_text(n), _text(u)) for n, u in header["inputs"]),
+        tuple(Channel(_text(n), _text(u)) for n, u in header["outputs"]),
     )
     signals = len(channels.all)
 
     def get(name: str) -> jax.Array:
         value = tensors[name]
-        check_precision(value.dtype)
         if value.dtype.kind == "f" and not np.all(np.isfinite(value)):
             raise ValueError(f"{name} holds values that are not finite")
         return jnp.asarray(value)
@@ -191,26 +228,64 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     return network
 
 
+def _require(holds: Any, otherwise: str) -> None:
+    if not holds:
+        raise ValueError(otherwise)
+
+
 def _check(network: Network) -> None:
-    """Sizes and indices that belong together; a wrong one is a ValueError."""
-    signals = (len(network.channels.all),)
-    outputs = (len(network.modelled),)
+    """Sizes, kinds and indices that belong together; a wrong one is a ValueError."""
+    signals, outputs = (len(network.channels.all),), (len(network.modelled),)
     for name in ("gain", "low", "high"):
-        if getattr(network, name).shape != signals:
-            raise ValueError(f"{name} has not one entry per channel")
-    if network.lower.shape != outputs or network.upper.shape != outputs:
-        raise ValueError("the feedback bounds have not one entry per output")
-    if not all(0 <= o < len(network.channels.outputs) for o in network.modelled):
-        raise ValueError("a modelled output is not among the channels")
+        shape = getattr(network, name).shape
+        _require(shape == signals, f"{name} has not one entry per channel")
+    for name in ("lower", "upper"):
+        shape = getattr(network, name).shape
+        _require(shape == outputs, f"{name} has not one entry per output")
+    _require(network.sample_time.shape == (), "the sample time is not one number")
+    _require(network.sample_time > 0, "the sample time is not positive")
+    _require(np.all(np.asarray(network.gain) > 0), "a gain is not positive")
+    _require(network.modelled, "no output is modelled")
+    _require(
+        len(set(network.modelled)) == len(network.modelled)
+        and all(0 <= o < len(network.channels.outputs) for o in network.modelled),
+        "a modelled output is not among the channels, or is twice",
+    )
+    own = [len(network.channels.inputs) + o for o in network.modelled]
+    tables = [network.variables, *(m.scheduling for m in network.models)]
+    _require(
+        all(d > 0 for table in tables for s, d in table if s in own),
+        "a modelled output is used before it is computed",
+    )
     for model in network.models:
-        local, count = model.local, model.active.shape[0]
-        if not local.index.shape == local.used.shape == local.coefficient.shape:
-            raise ValueError("coefficients, indices and masks differ in shape")
-        if local.index.shape[0] != count:
-            raise ValueError("local models and validities differ in number")
-        tables = np.asarray(local.factor), np.asarray(local.index)
-        for table, limit in zip(
-            tables, (len(network.variables) + 1, len(tables[0])), strict=True
-        ):
-            if table.size and not (table.min() >= 0 and table.max() < limit):
-                raise ValueError("a term points outside its table")
+        _check_model(model, len(network.variables) + 1)
+
+
+def _check_model(model: OutputModel, limit: int) -> None:
+    """One output's model; terms are rows of indices below `limit`."""
+    local, dims = model.local, (len(model.scheduling),)
+    models = model.active.shape
+    _require(len(models) == 1, "the mask of local models is no list")
+    _require(
+        model.offset.shape == dims == model.span.shape, "scaling of the scheduling"
+    )
+    _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
+    for leaf in jax.tree.leaves(model.validity):
+        _require(leaf.shape == models + dims, "validities do not fit their number")
+    for mask in (model.active, local.used):
+        _require(mask.dtype == bool, "a mask is not boolean")
+    _require(np.any(np.asarray(model.active)), "no local model is active")
+    _require(
+        local.index.shape == local.used.shape == local.coefficient.shape,
+        "coefficients, indices and masks differ in shape",
+    )
+    _require(local.index.shape[:1] == models, "local models and validities differ")
+    _require(local.index.ndim == local.factor.ndim == 2, "a table of terms has no rows")
+    _require(1 <= local.factor.shape[1] <= DEGREE, "the degree of the terms")
+    for table, top in ((local.factor, limit), (local.index, len(local.factor))):
+        entries = np.asarray(table)
+        _require(entries.dtype.kind in "iu", "a table of terms holds no whole numbers")
+        _require(
+            not entries.size or (entries.min() >= 0 and entries.max() < top),
+            "a term points outside its table",
+        )

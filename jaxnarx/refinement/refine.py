@@ -28,6 +28,9 @@ from jaxnarx.simulation import (
 )
 from jaxnarx.solution import NAMES, RESULTS, Solution, code
 
+ROUNDING = 1e-24
+"""Loss (mean squared NRMSE) that is nothing but rounding errors of float64."""
+
 Progress = Callable[[dict[str, Any]], None]
 
 
@@ -179,6 +182,11 @@ class _Search:
         for n in range(steps):
             state, status = levenberg.step(problem, state, pull, u)
             if status != RESULTS.ok:
+                # After accepted steps, or at a loss of rounding errors alone, no
+                # further decrease means converged; only a start that cannot move stalls.
+                arrived = bool(self.history) or state.loss < ROUNDING
+                if status == RESULTS.stalled and arrived:
+                    status = RESULTS.ok
                 return state.u, status
             score, diverged = self._consider(state.u)
             self._tell(horizon, n, state, score, diverged)

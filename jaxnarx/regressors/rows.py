@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.windows import lagged, usable
 from jaxnarx.data.batch import Batch, stack
@@ -44,12 +44,13 @@ def regression_rows(
     `DataError`. `weights` holds one non-negative weight per sample and record.
     """
     batch = stack(data)
-    good = usable(batch.valid, variables.rows, history)
-    enough(data, good, history=history, need=need)
-    at = np.flatnonzero(good.reshape(-1))
-    gain = gains(data) if gain is None else gain
     inputs = len(data.channels.inputs)
     targets = np.array([inputs + o for o in outputs])
+    good = usable(batch.valid, variables.rows, history)
+    counted = good[:, :, None] & batch.valid[:, :, targets]
+    enough(data, counted, history=history, need=need)
+    at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
+    gain = gains(data) if gain is None else gain
     weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T
     weight = weight.astype(gain.dtype)
     if weights is not None:
@@ -78,9 +79,15 @@ def _flat_weights(
     return flat.reshape(-1)
 
 
-def enough(data: Dataset, good: np.ndarray, *, history: int, need: int) -> None:
-    """Raise `DataError` unless at least `need` samples are usable."""
-    have = int(good.sum())
+def enough(
+    data: Dataset,
+    counted: Bool[np.ndarray, "records time outputs"],
+    *,
+    history: int,
+    need: int,
+) -> None:
+    """Raise `DataError` unless every output has at least `need` usable samples."""
+    have = int(counted.sum(axis=(0, 1)).min())
     if have >= need:
         return
     shortest = min(data, key=len)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 
-_LAG = re.compile(r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$")
+_LAG = re.compile(r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$", re.DOTALL)
 
 
 def variable_name(channels: Channels, signal: int, lag: int) -> str:
@@ -26,13 +26,14 @@ def parse_variable(channels: Channels, text: str) -> tuple[int, int]:
     """(signal, lag) of `"speed[t-3]"`; unknown names and other forms raise
     SpecError.
     """
-    match = _LAG.match(text.strip())
+    match = _LAG.match(text.rstrip())
     if match is None:
         raise SpecError(
             f"{text!r} is not a lagged variable; write 'name[t]' or 'name[t-3]'",
             field="scheduling",
         )
-    signal = channels.signal(match["name"])
+    name = match["name"]
+    signal = channels.signal(name if name in channels.names else name.strip())
     lag = int(match["lag"] or 0)
     if lag == 0 and signal >= len(channels.inputs):
         raise SpecError(

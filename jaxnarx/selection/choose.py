@@ -128,6 +128,9 @@ def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
         columns = evaluate(jnp.asarray(pool.factor[index[o, :n]]), rows.v)
         theta[o, :n], _, c = least_squares(columns, rows.y[o], rows.weight[o])
         cond.append(float(c))
+        residual = rows.y[o] - theta[o, :n] @ columns
+        left = float(jnp.sum(rows.weight[o] * residual**2)) / float(path.power[o])
+        err[o, n - 1] = max(1.0 - err[o].sum() - left, 0.0)
     return dataclasses.replace(
         path,
         index=jnp.asarray(index),
@@ -159,7 +162,7 @@ def select(
     method = ForwardOLS() if method is None else method
     data, _ = match_channels(data, pool.channels)
     passed_over = unusable_signals(data, pool)
-    need = method.max_terms + 1
+    need = min(method.max_terms, len(pool)) + 1
     rows = regression_rows(
         data,
         pool.variables,
@@ -171,10 +174,12 @@ def select(
     path = _run(pool, rows, _candidates(pool, passed_over), method)
     if method.constant == "after":
         path = _with_constant(pool, rows, path)
-    return _finish(pool, rows, path, passed_over)
+    return _finish(pool, rows, path, passed_over, method)
 
 
-def _finish(pool: Pool, rows: Rows, path: Path, passed_over) -> Solution[Selection]:
+def _finish(
+    pool: Pool, rows: Rows, path: Path, passed_over, method
+) -> Solution[Selection]:
     index, err = np.asarray(path.index), np.asarray(path.err)
     used = np.arange(index.shape[1])[None] < np.asarray(path.count)[:, None]
     value = Selection(
@@ -208,8 +213,10 @@ def _finish(pool: Pool, rows: Rows, path: Path, passed_over) -> Solution[Selecti
             + ", ".join(pool.name(t) for t in value.terms(o)[-3:])
         )
         return Solution(value, RESULTS.unidentifiable, stats, detail)
-    if np.any(np.asarray(path.exhausted)):
-        o = int(np.argmax(np.asarray(path.exhausted)))
+    explained = 1.0 - value.err.sum(axis=1) <= method.rho
+    exhausted = np.logical_not(explained) & (np.asarray(path.count) < method.max_terms)
+    if np.any(exhausted):
+        o = int(np.argmax(exhausted))
         detail = f"{int(path.count[o])} terms of {names[o]} qualify"
         return Solution(value, RESULTS.pool_exhausted, stats, detail)
     return Solution(value, RESULTS.ok, stats)

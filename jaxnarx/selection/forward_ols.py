@@ -39,15 +39,14 @@ class State(eqx.Module):
 class Path(eqx.Module):
     """Chosen terms in order: ERR as shares of `power`, the weighted `<y, y>`.
 
-    `exhausted` where no candidate was left; `projection` holds `<q_k, y>` and `factor`
-    the upper triangular `<q_k, p_l>`, whose solve gives the coefficients.
+    `coefficient` is the least-squares value with all of them, `cond` the condition
+    number of their scaled columns.
     """
 
     index: Int[Array, "outputs slots"]
     err: Float[Array, "outputs slots"]
     count: Int[Array, " outputs"]
     power: Float[Array, " outputs"]
-    exhausted: Bool[Array, " outputs"]
     coefficient: Float[Array, "outputs slots"]
     cond: Float[Array, " outputs"]
 
@@ -100,9 +99,10 @@ def forward_ols(
         score = jnp.where(usable, s.b**2 / jnp.where(usable, s.d, 1.0), -jnp.inf)
         best = jnp.argmax(score)
         if forced.shape[0]:
-            is_forced = s.count < forced.shape[0]
-            at = jnp.minimum(s.count, forced.shape[0] - 1)
-            best = jnp.where(is_forced, forced[at], best)
+            first = forced[jnp.minimum(s.count, forced.shape[0] - 1)]
+            # A forced term that fails its threshold is dead, and the search goes on.
+            is_forced = (s.count < forced.shape[0]) & s.alive[first]
+            best = jnp.where(is_forced, first.astype(best.dtype), best)
         found = jnp.any(usable)
         column = _orthogonalise(_column(v, factor, best) * root[o], s.direction)
         exact = column @ column
@@ -137,19 +137,21 @@ def forward_ols(
         direction=jnp.zeros((outputs, max_terms, rows), y.dtype),
         index=jnp.zeros((outputs, max_terms), factor.dtype),
         err=jnp.zeros((outputs, max_terms), y.dtype),
-        count=jnp.zeros(outputs, jnp.int32),
+        count=jnp.zeros(outputs, int),
         going=power > 0,
     )
     end = jax.lax.while_loop(lambda s: jnp.any(s.going), body, start)
-    return _finish(end, v, target, root, factor, power, max_terms, rho)
+    return _finish(end, v, target, root, factor, power, max_terms)
 
 
-def _finish(s: State, v, target, root, factor, power, max_terms, rho) -> Path:
+def _finish(s: State, v, target, root, factor, power, max_terms) -> Path:
     def coefficients(o):
         used = jnp.arange(max_terms) < s.count[o]
         columns = jnp.prod(v[factor[s.index[o]]], axis=1) * root[o][None]
         r = s.direction[o] @ columns.T
-        r = jnp.where(used[:, None] & used[None], jnp.triu(r), jnp.eye(max_terms))
+        r = jnp.where(
+            used[:, None] & used[None], jnp.triu(r), jnp.eye(max_terms, dtype=r.dtype)
+        )
         theta = jax.scipy.linalg.solve_triangular(
             r, jnp.where(used, s.direction[o] @ target[o], 0.0)
         )
@@ -158,6 +160,4 @@ def _finish(s: State, v, target, root, factor, power, max_terms, rho) -> Path:
         return theta, singular[0] / singular[-1]
 
     theta, cond = jax.vmap(coefficients)(jnp.arange(target.shape[0]))
-    left = 1.0 - jnp.sum(s.err, axis=1)
-    exhausted = (s.count < max_terms) & (left > rho)
-    return Path(s.index, s.err, s.count, power, exhausted, theta, cond)
+    return Path(s.index, s.err, s.count, power, theta, cond)

@@ -5,11 +5,24 @@ The work is done by `jaxnarx.shell.work`, imported when a command runs.
 """
 
 import dataclasses
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
-Positional = tyro.conf.Positional
+
+def _optional(metavar: str) -> Any:
+    """An option whose help tells in words what happens without it."""
+    return arg(metavar=metavar, help_behavior_hint="")
+
+
+_Description = Annotated[str, arg(metavar="DESCRIPTION")]
+_Model = Annotated[str, arg(metavar="MODEL")]
+_Folder = Annotated[str | None, _optional("FOLDER")]
+_Names = Annotated[tuple[str, ...], _optional("NAME [NAME ...]")]
+_Lags = Annotated[tuple[int, ...], arg(metavar="LAG [LAG ...]")]
+_Flag = Annotated[bool, arg(help_behavior_hint="")]
+_Ints = Annotated[tuple[int, ...], arg(metavar="INT [INT ...]")]
+_Percent = Annotated[float | None, _optional("PERCENT")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +37,7 @@ class Demo:
         jaxnarx demo --out runs/first
     """
 
-    out: str | None = None
+    out: _Folder = None
     """Folder for model and report; default: a new one under runs/."""
     models: int = 4
     """Largest number of local models."""
@@ -32,7 +45,7 @@ class Demo:
     """Length of each of the three records, in events of 180 degrees."""
     seed: int = 1
     """Seed of the excitation signals and the measurement noise."""
-    force: bool = False
+    force: _Flag = False
     """Write into a folder that already holds a model."""
 
 
@@ -40,23 +53,22 @@ class Demo:
 class Identify:
     """Identify a model from measured records and write model and report.
 
-    The description (TOML) names files, channels, units and which records train, validate
-    and test. Without validation records some are held out of training. Terms are chosen
-    by forward OLS-ERR, regions by LOLIMOT, and all parameters are refined together on the
-    free-run error.
+    The description (TOML) names files, channels, units and which records train,
+    validate and test; `jaxnarx check --help` shows one. Without validation records some
+    are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT,
+    and all parameters are refined together on the free-run error.
 
     Example:
-        jaxnarx identify engine.toml --output NOx --models 6 --degree 1 --terms 12
-          --schedule "speed[t]" "load[t]"
+        jaxnarx identify engine.toml --output NOx --models 6 --schedule "speed[t]"
     """
 
-    description: Positional[str]
+    description: Positional[_Description]
     """TOML description of the records."""
-    output: tuple[str, ...] = ()
+    output: _Names = ()
     """Outputs to model; default: all of the description."""
-    input_lags: tuple[int, ...] = (0, 1, 2, 4, 8, 16)
+    input_lags: _Lags = (0, 1, 2, 4, 8, 16)
     """Input lags in samples; `jaxnarx check` suggests some."""
-    output_lags: tuple[int, ...] = (1, 2)
+    output_lags: _Lags = (1, 2)
     """Output lags in samples, fed back in a free run."""
     degree: int = 2
     """Largest number of factors of a term."""
@@ -66,11 +78,11 @@ class Identify:
     """Constant term: chosen first, a candidate, or added after the choice (thesis)."""
     models: int = 1
     """Largest number of local models."""
-    schedule: tuple[str, ...] = ()
-    """Scheduling variables of the regions, such as "speed[t]"; needed for --models > 1."""
-    k_sigma: float = 1 / 3
+    schedule: _Names = ()
+    """Variables that divide the operating space, as "speed[t]"; for --models > 1."""
+    k_sigma: Annotated[float, arg(help_behavior_hint="(default: 1/3)")] = 1 / 3
     """Width of a region's Gaussian as a share of its box."""
-    horizons: tuple[int, ...] = (10, 30, 100, 300, 1000)
+    horizons: _Ints = (10, 30, 100, 300, 1000)
     """Window lengths of the refinement before the full record, in samples."""
     steps: int = 40
     """Refinement steps on full records; 0 keeps the one-step model."""
@@ -80,13 +92,13 @@ class Identify:
     """Pull of the parameters towards the one-step model."""
     hold_out: float = 0.2
     """Share of the training samples that validates, where no record is named for it."""
-    root: str | None = None
+    root: _Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    out: str | None = None
+    out: _Folder = None
     """Folder for model and report; default: a new one under runs/."""
-    force: bool = False
+    force: _Flag = False
     """Write into a folder that already holds a model."""
-    require_fit: float | None = None
+    require_fit: _Percent = None
     """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
 
 
@@ -94,25 +106,25 @@ class Identify:
 class Simulate:
     """Run a model freely on new files and write its outputs as CSV.
 
-    FILES are CSV or Parquet with columns named like the model's channels, or one TOML
-    description. Measured outputs are needed for the first samples, and are compared
-    with where they are present.
+    FILE is CSV or Parquet with columns named like the model's channels, in any order,
+    at the model's sample time; or one TOML description. Measured outputs are needed in
+    the first rows only, which the run starts from; later cells may be empty.
 
     Example:
         jaxnarx simulate runs/demo/model.safetensors new_run.csv --out simulated
     """
 
-    model: Positional[str]
+    model: Positional[_Model]
     """Model file."""
-    files: Positional[tuple[str, ...]]
+    files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
     """Data files, or one TOML description."""
-    steps: int | None = None
+    steps: Annotated[int | None, _optional("INT")] = None
     """Predict this many steps ahead instead of running freely."""
-    root: str | None = None
-    """Folder of the data of a description."""
-    out: str = "simulated"
+    root: _Folder = None
+    """Folder of the data of a description; default as for `jaxnarx report`."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
     """Folder for the CSV files."""
-    force: bool = False
+    force: _Flag = False
     """Overwrite files of an earlier run."""
 
 
@@ -124,17 +136,17 @@ class Report:
         jaxnarx report runs/demo/model.safetensors engine.toml --out runs/check
     """
 
-    model: Positional[str]
+    model: Positional[_Model]
     """Model file."""
-    description: Positional[str]
+    description: Positional[_Description]
     """TOML description of the records."""
-    root: str | None = None
+    root: _Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    out: str | None = None
+    out: _Folder = None
     """Folder for report.html and report.json; default: only print."""
-    force: bool = False
+    force: _Flag = False
     """Overwrite an earlier report."""
-    require_fit: float | None = None
+    require_fit: _Percent = None
     """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
 
 
@@ -147,20 +159,28 @@ class Check:
 
     Example:
         jaxnarx check engine.toml
+
+    The smallest description, engine.toml:
+        [data]
+        sample_time = 0.1
+        [channels.inputs]
+        speed = "rpm"
+        [channels.outputs]
+        NOx = "ppm"
+        [records]
+        train = ["day1_*.csv"]
+        test = ["day2_*.csv"]
     """
 
-    description: Positional[str]
+    description: Positional[_Description]
     """TOML description of the records."""
-    root: str | None = None
+    root: _Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    json: bool = False
+    json: _Flag = False
     """Print the findings as JSON."""
 
 
-Command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Identify, tyro.conf.subcommand("identify")]
-    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Check, tyro.conf.subcommand("check")]
-)
+Command = Demo | Identify | Simulate | Report | Check
+COMMANDS: dict[str, type] = {
+    c.__name__.lower(): c for c in (Demo, Identify, Simulate, Report, Check)
+}

@@ -1,23 +1,26 @@
 """The whole path for the command line: choose terms, grow, refine, report, save."""
 
 import dataclasses
+import math
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Dataset
+from jaxnarx.data import Channels, Dataset, match_channels
+from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.evaluation import Report, report
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.methods import ForwardOLS, Global, Lolimot, SimulationError
 from jaxnarx.models import Network, save
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
-from jaxnarx.regressors import polynomial_pool
+from jaxnarx.regressors import parse_variable, polynomial_pool
 from jaxnarx.selection import Selection, select
-from jaxnarx.shell.output import write_report
-from jaxnarx.shell.progress import refinement_progress, say
+from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.output import write_report, written_together
+from jaxnarx.shell.progress import count, refinement_progress, say
 from jaxnarx.solution import Solution
 
 
@@ -34,13 +37,67 @@ class Plan:
     refine: SimulationError
     command: str
 
+    def on(self, channels: Channels) -> "Plan":
+        """The plan for data with these channels: no output named means all of them."""
+        known = channels.output_names
+        for name in self.outputs:
+            if name not in known:
+                raise SpecError(
+                    f"--output: there is no output {name!r}. {suggest(name, known)}"
+                )
+        outputs = tuple(dict.fromkeys(self.outputs)) or tuple(known)
+        return dataclasses.replace(self, outputs=outputs)
 
-def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
+
+def make_plan(command: Identify, typed: str) -> Plan:
+    """What the flags say, checked as far as that can be done without data."""
+    if command.models < 1:
+        raise SpecError(f"--models must be at least 1, got {command.models}")
+    if command.models > 1 and not command.schedule:
+        raise SpecError(
+            "--models above 1 needs --schedule, the variables that divide the "
+            "operating space, such as --schedule 'speed[t]'"
+        )
+    if command.schedule and command.models == 1:
+        raise SpecError("--schedule needs --models above 1")
+    if not 0 <= command.ridge < math.inf:
+        raise SpecError(f"--ridge must not be negative, got {command.ridge}")
+    if not 0 < command.hold_out < 1:
+        raise SpecError(f"--hold-out must lie between 0 and 1, got {command.hold_out}")
+    growth = Global()
+    if command.models > 1:
+        growth = Lolimot(
+            scheduling=command.schedule,
+            max_models=command.models,
+            k_sigma=command.k_sigma,
+        )
+    return Plan(
+        outputs=command.output,
+        input_lags=command.input_lags,
+        output_lags=command.output_lags,
+        degree=command.degree,
+        select=ForwardOLS(max_terms=command.terms, constant=command.constant),
+        grow=growth,
+        refine=SimulationError(
+            horizons=command.horizons,
+            max_steps=command.steps,
+            window_steps=command.window_steps if command.steps else 0,
+            ridge=command.ridge,
+        ),
+        command=typed,
+    )
+
+
+def identify(
+    plan: Plan, parts: dict[str, Dataset], folder: Path
+) -> tuple[Report, bool]:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
-    Writes `model.safetensors`, `report.json` and `report.html` into `folder`.
+    Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
+    none. Returns the report, and whether the model's free run stays within its bounds.
     """
     begin = time.perf_counter()
+    parts = {name: _needed(data, plan) for name, data in parts.items()}
     train, validate = parts["train"], parts["validate"]
     pool = polynomial_pool(
         train.channels,
@@ -49,15 +106,15 @@ def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
         output_lags=plan.output_lags,
         degree=plan.degree,
     )
-    say(f"Choosing {plan.select.max_terms} of {len(pool)} terms")
+    require_rows(parts, pool.variables.longest)
+    say(f"Choosing {min(plan.select.max_terms, len(pool))} of {len(pool)} terms")
     chosen = select(pool, train, plan.select)
     _tell(chosen)
     grown = grow(chosen.value, train, plan.grow)
     _tell(grown)
     for name, model in zip(plan.outputs, grown.value.models, strict=True):
-        count = int(model.active.sum())
-        say(f"{name}: {count} local model{'s' if count > 1 else ''} of "
-            f"{model.local.index.shape[1]} terms")
+        terms = count(model.local.index.shape[1], "term")
+        say(f"{name}: {count(int(model.active.sum()), 'local model')} of {terms}")
     say("Refining on the free run")
     with refinement_progress() as progress:
         fit = refine(
@@ -65,12 +122,45 @@ def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
         )
     say(f"  {fit.status_name}: {fit.detail}")
     result = _report(plan, parts, chosen, grown.value, fit)
-    save(fit.value, folder / "model.safetensors", about={"command": plan.command})
-    write_report(result, folder)
+    with written_together(folder) as place:
+        save(fit.value, place / "model.safetensors", about={"command": plan.command})
+        write_report(result, place)
     say("\n" + _summary(result, grown.value, parts))
-    say(f"\n{time.perf_counter() - begin:.1f} s; wrote model.safetensors, report.json "
-        f"and report.html to {folder}")
-    return result
+    say(
+        f"\n{time.perf_counter() - begin:.1f} s; wrote model.safetensors, report.json "
+        f"and report.html to {folder}"
+    )
+    pooled = [result.pooled(name) for name in plan.outputs]
+    return result, fit.status_name != "start_diverged" and all(
+        not row.diverged for row in pooled
+    )
+
+
+def _needed(data: Dataset, plan: Plan) -> Dataset:
+    """Without outputs that the model neither computes nor is scheduled on.
+
+    New data would otherwise have to bring them along.
+    """
+    known = data.channels
+    scheduling = plan.grow.scheduling if isinstance(plan.grow, Lolimot) else ()
+    used = {known.names[parse_variable(known, text)[0]] for text in scheduling}
+    kept = tuple(c for c in known.outputs if c.name in used.union(plan.outputs))
+    return match_channels(data, Channels(known.inputs, kept))[0]
+
+
+def require_rows(parts: dict[str, Dataset], history: int) -> None:
+    """DataError unless each part has a record that reaches past the lags.
+
+    The report predicts ten steps ahead from a complete history.
+    """
+    for name, data in parts.items():
+        record = max(data, key=len)
+        if len(record) <= history + 10:
+            raise DataError(
+                f"{name}: the longest record, {record.name}, has "
+                f"{count(len(record), 'row')}; lags up to {history} and ten steps need "
+                f"more than {history + 10}. Use smaller lags or longer records."
+            )
 
 
 def _tell(solution: Solution) -> None:
@@ -134,4 +224,3 @@ def _summary(result: Report, start: Network, parts: dict[str, Dataset]) -> str:
 
 def _number(row) -> str:
     return row.status if row.rmse is None else f"{row.rmse:.5g}"
-

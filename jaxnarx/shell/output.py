@@ -1,10 +1,16 @@
 """Files that commands write: whole or not at all, never outside the given folder."""
 
 import csv
+import errno
 import io
+import itertools
 import json
+import math
 import os
 import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,45 +26,96 @@ if TYPE_CHECKING:
 
 def slug(name: str) -> str:
     """A name as a file name: letters, digits, dot, dash and underscore only."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "unnamed"
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:100] or "unnamed"
 
 
+@contextmanager
 def run_folder(
-    out: str | None, name: str, *, force: bool, mark: str = "model.safetensors"
-) -> Path:
+    out: str | None, name: str, *, force: bool, marks: Sequence[str]
+) -> Iterator[Path]:
     """The folder of a run, made if absent; by default a new one under `runs/`.
 
-    A given folder that already holds `mark` is refused without `force`.
+    A given folder that already holds one of the files `marks` is refused without
+    `force`, and one that cannot be written before any work is done. Folders made here
+    are removed again when the run fails and they are empty.
     """
-    if out is None:
-        base = Path("runs") / slug(name)
-        folder, number = base, 1
-        while (folder / mark).exists():
-            number += 1
-            folder = base.with_name(f"{base.name}-{number}")
-    else:
-        folder = Path(out)
-        if (folder / mark).exists() and not force:
+    made: list[Path] = []
+    try:
+        try:
+            folder = _new(Path("runs") / slug(name), made) if out is None else Path(out)
+            _make(folder, made)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError as error:
+            raise DataFileError(
+                f"{error.filename if out is None else out}: cannot be written "
+                f"({error.strerror}). Choose another --out.",
+                path=out,
+            ) from error
+        taken = [mark for mark in marks if os.path.lexists(folder / mark)]
+        if taken and not force:
             raise SpecError(
-                f"{folder} already holds {mark}; choose another --out, or overwrite it "
-                "with --force",
+                f"{folder} already holds {taken[0]}; choose another --out, or "
+                "overwrite it with --force",
                 field="out",
             )
+        yield folder
+    except BaseException:
+        for path in reversed(made):
+            with _ignored():
+                path.rmdir()
+        raise
+
+
+def _make(folder: Path, made: list[Path]) -> None:
+    """Make `folder` and its parents; `made` is told which."""
+    absent = [p for p in (folder, *folder.parents) if not p.exists()]
+    for path in reversed(absent):
+        path.mkdir(exist_ok=True)
+        made.append(path)
+    if not folder.is_dir():
+        raise NotADirectoryError(
+            errno.ENOTDIR, "it is a file, not a folder", str(folder)
+        )
+
+
+def _new(base: Path, made: list[Path]) -> Path:
+    """Make the first of base, base-2, ... that is free: no two runs share one."""
+    _make(base.parent, made)
+    number = 1
+    while True:
+        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            made.append(folder)
+            return folder
+
+
+@contextmanager
+def _ignored() -> Iterator[None]:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataFileError(
-            f"{folder}: cannot be made ({error.strerror}); choose another --out",
-            path=folder,
-        ) from error
-    return folder
+        yield
+    except OSError:
+        pass
+
+
+@contextmanager
+def written_together(folder: Path) -> Iterator[Path]:
+    """A place to write files to; they move into `folder` when all are complete.
+
+    Whatever happens before that, `folder` is left as it was.
+    """
+    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as name:
+        yield Path(name)
+        for path in sorted(Path(name).iterdir()):
+            os.replace(path, folder / path.name)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write whole or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    """Write UTF-8, with escapes for what it does not have (odd bytes of file names)."""
+    path.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
 def write_report(report: "Report", folder: Path) -> None:
@@ -71,45 +128,47 @@ def write_report(report: "Report", folder: Path) -> None:
 
 def cell(text: str) -> str:
     """Text that a spreadsheet will not take for a formula."""
-    return "'" + text if text[:1] in "=+-@\t\r" else text
+    return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
 
 
-def write_trajectories(
-    value: "Trajectories", data: Dataset, out: str, *, force: bool
-) -> list[Path]:
-    """One CSV per record: time, simulated and measured outputs, limited, extrapolated."""
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    stems = [slug(name) for name in value.names]
-    paths = [
-        folder / f"{stem}{f'-{stems[:n].count(stem) + 1}' if stem in stems[:n] else ''}.csv"
-        for n, stem in enumerate(stems)
-    ]
-    taken = [p for p in paths if p.exists()]
-    if taken and not force:
-        raise SpecError(
-            f"{taken[0]} exists; choose another --out, or overwrite with --force",
-            field="out",
+def file_names(names: Sequence[str]) -> list[str]:
+    """A CSV file name for every record; no two alike, even where case is ignored."""
+    files: list[str] = []
+    for name in names:
+        taken = {f.lower() for f in files}
+        tries = (
+            f"{slug(name)}{'' if n == 1 else f'-{n}'}.csv" for n in itertools.count(1)
         )
-    for n, path in enumerate(paths):
-        write_text(path, _csv(value, data, n))
-    return paths
+        files.append(next(f for f in tries if f.lower() not in taken))
+    return files
 
 
-def _csv(value: "Trajectories", data: Dataset, n: int) -> str:
+def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> str:
+    """Record `n` as CSV: time, computed and measured outputs, limited, extrapolated.
+
+    `kind` heads the computed outputs, `"simulated"`; missing measurements are empty.
+    """
     record, names = data.records[n], list(value.output_names)
-    known = data.channels.output_names
+    known, inputs = data.channels.output_names, len(data.channels.inputs)
     header = ["time [s]"]
-    columns = [np.arange(len(record)) * data.sample_time]
+    columns = [(np.arange(len(record)) * data.sample_time).tolist()]
     for o, name in enumerate(names):
-        header += [f"{name} simulated", f"{name} measured", f"{name} limited"]
-        measured = record.y[:, known.index(name)]
-        columns += [value.outputs[n][:, o], measured, value.limited[n][:, o].astype(int)]
+        header += [f"{name} {kind}", f"{name} measured", f"{name} limited"]
+        at = known.index(name)
+        measured = np.where(record.valid[:, inputs + at], record.y[:, at], np.nan)
+        limited = value.limited[n][:, o].astype(int)
+        columns += [c.tolist() for c in (value.outputs[n][:, o], measured, limited)]
     header.append("extrapolated")
-    columns.append(value.extrapolated[n].astype(int))
+    columns.append(value.extrapolated[n].astype(int).tolist())
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([cell(h) for h in header])
-    for row in zip(*(c.tolist() for c in columns), strict=True):
-        writer.writerow([f"{x:.10g}" if isinstance(x, float) else x for x in row])
+    for row in zip(*columns, strict=True):
+        writer.writerow([_number(x) for x in row])
     return text.getvalue()
+
+
+def _number(x: float | int) -> str:
+    if isinstance(x, int):
+        return str(x)
+    return "" if math.isnan(x) else f"{x:.10g}"

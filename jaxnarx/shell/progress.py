@@ -1,5 +1,6 @@
 """Progress of long work: a bar on a terminal, a line per stage otherwise."""
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,8 +10,20 @@ from jaxnarx.refinement.refine import Progress
 
 
 def say(text: str = "") -> None:
-    """One line to the user, at once."""
-    print(text, flush=True)
+    """One line to the user, at once.
+
+    Where nobody reads any longer (`jaxnarx ... | head`), the work goes on in silence,
+    so that its files and its exit code do not depend on who watches.
+    """
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def count(number: int, noun: str) -> str:
+    """`"1 record"`, `"2 records"`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 @contextmanager
@@ -20,7 +33,9 @@ def refinement_progress() -> Iterator[Progress]:
         with _bar() as callback:
             yield callback
     else:
-        yield _Lines()
+        lines = _Lines()
+        yield lines
+        lines.tell()
 
 
 @contextmanager
@@ -56,21 +71,22 @@ def _bar() -> Iterator[Progress]:
 
 
 class _Lines:
-    """Quiet form: the last step of every stage, once the next one has begun."""
+    """Quiet form: the last step of every stage, once the stage is over."""
 
     def __init__(self):
         self.last: dict[str, Any] | None = None
 
     def __call__(self, row: dict[str, Any]) -> None:
         if self.last is not None and self.last["stage"] != row["stage"]:
-            self._print()
+            self.tell()
         self.last = row
 
-    def _print(self) -> None:
+    def tell(self) -> None:
         row = self.last
         if row is not None:
+            steps = count(row["stage_step"], "step")
             say(
-                f"  {row['stage']:>12}: {row['stage_step']:2d} steps, training NRMSE "
+                f"  {row['stage']:>12}: {steps:>8}, training NRMSE "
                 f"{row['loss'] ** 0.5:.4f}, validation {row['validation'] ** 0.5:.4f}"
                 + (" (diverged)" if row["diverged"] else "")
             )

@@ -22,7 +22,7 @@ def problem(variables: int, time: int, vectors: int = 1, seed: int = 0):
 
 
 def formed(v, q, factor):
-    """The same products from the formed pool, and the sums of magnitudes behind them."""
+    """The same products from the formed pool, and the sums of magnitudes in them."""
     p = term_matrix(v[1:].T, factor)
     return q @ p, np.abs(q) @ np.abs(p)
 
@@ -91,7 +91,8 @@ def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
 
 
 def test_vmap_over_data_is_a_loop():
-    v, q = (np.stack(a) for a in zip(*(problem(4, 60, seed=s) for s in (1, 2, 3))))
+    problems = [problem(4, 60, seed=s) for s in (1, 2, 3)]
+    v, q = (np.stack(a) for a in zip(*problems, strict=True))
     batched = jax.vmap(lambda v, q: contract(v, q, 3))(jnp.asarray(v), jnp.asarray(q))
     factor = full_pool(4, 3)
     for n in range(3):
@@ -105,9 +106,8 @@ def test_float32_stays_float32(degree):
     found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
     assert found.dtype == jnp.float32
     factor = full_pool(3, degree)
-    exact = (a.astype(float) for a in (v, q))
-    at = positions(factor, 4)
-    assert_products(np.asarray(found, float)[:, at], *exact, factor, eps=1.2e-7)
+    sums = np.asarray(found, float)[:, positions(factor, 4)]
+    assert_products(sums, v.astype(float), q.astype(float), factor, eps=1.2e-7)
 
 
 # positions ------------------------------------------------------------------------
@@ -126,9 +126,7 @@ def test_rows_may_be_unsorted_repeated_and_few(degree):
     variables = 8
     factor = full_pool(variables, degree)
     whole = dict(
-        zip(
-            map(tuple, factor.tolist()), positions(factor, variables + 1), strict=True
-        )
+        zip(map(tuple, factor.tolist()), positions(factor, variables + 1), strict=True)
     )
     rng = np.random.default_rng(degree)
     some = rng.choice(len(factor), size=20)

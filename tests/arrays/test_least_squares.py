@@ -1,4 +1,4 @@
-"""Least squares against `numpy.linalg.lstsq`, and what happens where it is not unique."""
+"""Least squares against `numpy.linalg.lstsq`, and where it is not unique."""
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ from jaxnarx.arrays.least_squares import cholesky_solve, least_squares
 
 TIME, TERMS = 40, 5
 solve = jax.jit(least_squares)
+solve_normal = jax.jit(cholesky_solve)
 
 
 def problem(time: int = TIME, terms: int = TERMS, seed: int = 0):
@@ -87,9 +88,7 @@ def test_an_ill_conditioned_fit_still_has_the_smallest_residual():
     assert rank == TERMS
     assert 1e7 < condition < 1e10
     expected = reference(columns, y, weight)
-    ours, theirs = (
-        np.sum(weight * (y - t @ columns) ** 2) for t in (theta, expected)
-    )
+    ours, theirs = (np.sum(weight * (y - t @ columns) ** 2) for t in (theta, expected))
     # Coefficients near 1e7 make the sums themselves uncertain by 1e7 eps; a dropped
     # direction would cost about one part in 40.
     np.testing.assert_allclose(ours, theirs, rtol=1e-8)
@@ -135,8 +134,11 @@ def test_fewer_samples_than_terms_is_rank_deficient():
 
 
 def test_vmap_is_a_loop():
-    stacked = [np.stack(a) for a in zip(*(problem(seed=s) for s in (10, 11)))]
-    theta, rank, _ = jax.vmap(least_squares)(*(jnp.asarray(a) for a in stacked))
+    problems = [problem(seed=s) for s in (10, 11)]
+    stacked = [np.stack(a) for a in zip(*problems, strict=True)]
+    theta, rank, _ = jax.jit(jax.vmap(least_squares))(
+        *(jnp.asarray(a) for a in stacked)
+    )
     for n in range(2):
         alone = solved(*(a[n] for a in stacked))
         np.testing.assert_allclose(theta[n], alone[0], rtol=1e-12)
@@ -145,7 +147,7 @@ def test_vmap_is_a_loop():
 
 def test_float32_stays_float32():
     columns, y, weight = (jnp.asarray(a, jnp.float32) for a in problem(seed=12))
-    theta, _, condition = least_squares(columns, y, weight)
+    theta, _, condition = solve(columns, y, weight)
     assert theta.dtype == condition.dtype == jnp.float32
     exact = reference(*problem(seed=12))
     # Condition below 3, so a few float32 roundings.
@@ -162,7 +164,7 @@ def gram(seed=0, terms=4):
 
 def test_cholesky_solve_equals_solve():
     a, b = gram()
-    found = cholesky_solve(jnp.asarray(a), jnp.asarray(b))
+    found = solve_normal(jnp.asarray(a), jnp.asarray(b))
     # The relative ridge is 1e-12.
     np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=1e-10)
 
@@ -170,7 +172,7 @@ def test_cholesky_solve_equals_solve():
 def test_cholesky_solve_follows_the_scale_of_the_columns():
     a, b = gram(seed=1)
     scale = 10.0 ** np.array([-100, 0, 7, 100])
-    found = cholesky_solve(
+    found = solve_normal(
         jnp.asarray(a * scale[:, None] * scale), jnp.asarray(b * scale)
     )
     np.testing.assert_allclose(found * scale, np.linalg.solve(a, b), rtol=1e-10)
@@ -180,10 +182,10 @@ def test_padding_rows_give_zero_and_leave_the_others_alone():
     a, b = gram(seed=2)
     padded_a, padded_b = np.zeros((6, 6)), np.zeros(6)
     padded_a[:4, :4], padded_b[:4] = a, b
-    found = cholesky_solve(jnp.asarray(padded_a), jnp.asarray(padded_b))
+    found = solve_normal(jnp.asarray(padded_a), jnp.asarray(padded_b))
     np.testing.assert_array_equal(found[4:], 0.0)
     np.testing.assert_allclose(
-        found[:4], cholesky_solve(jnp.asarray(a), jnp.asarray(b)), rtol=1e-13
+        found[:4], solve_normal(jnp.asarray(a), jnp.asarray(b)), rtol=1e-13
     )
 
 
@@ -191,7 +193,7 @@ def test_padding_rows_give_zero_and_leave_the_others_alone():
 def test_singular_equations_stay_finite_and_are_solved(padded):
     p, y, _ = problem(terms=4, seed=3)
     p[3] = 0.0 if padded else p[1]
-    theta = np.asarray(cholesky_solve(jnp.asarray(p @ p.T), jnp.asarray(p @ y)))
+    theta = np.asarray(solve_normal(jnp.asarray(p @ p.T), jnp.asarray(p @ y)))
     assert np.all(np.isfinite(theta))
     best = reference(p, y, np.ones(TIME))
     # A ridge of 1e-12 on a singular direction: its rounding is magnified to 1e-4.

@@ -1,4 +1,4 @@
-"""Output-feedback runs against a plain loop, and their derivative against everything."""
+"""Output-feedback runs against a plain loop, their derivative against everything."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -129,7 +129,8 @@ def test_nothing_before_the_first_anchor_matters():
         y = compiled(*(jnp.asarray(a) for a in (params, *q[1:], *WIDE)))
         return jnp.sum(y[late:] ** 2)
 
-    plain, other = (jax.value_and_grad(loss)(jnp.asarray(p.params), q) for q in (p, spoilt))
+    graded = jax.jit(jax.value_and_grad(loss))
+    plain, other = (graded(jnp.asarray(p.params), q) for q in (p, spoilt))
     np.testing.assert_array_equal(plain[0], other[0])
     np.testing.assert_array_equal(plain[1], other[1])
 
@@ -186,8 +187,9 @@ def test_float32_stays_float32():
 
 def scored(args, rest):
     """The run from the first anchor on, zero before; `rest`: anchor, bounds."""
+    params, drive, measured = args
     anchor, lower, upper = rest
-    y = free_run(step, *args, anchor, lower, upper, depth=DEPTH)
+    y = free_run(step, params, drive, measured, anchor, lower, upper, depth=DEPTH)
     return jnp.where(jnp.cumsum(anchor)[:, None] > 0, y, 0.0)
 
 

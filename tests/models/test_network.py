@@ -157,12 +157,9 @@ def test_a_network_equals_its_oracle(kind):
     )
 
 
-@pytest.mark.parametrize("kind", ["inputs", "own"])
-def test_padding_has_no_effect(kind):
-    plain = common.network([PARTS[kind]], variables=common.VARIABLES[:4])
-    padded = common.network(
-        [PARTS[kind]], variables=common.VARIABLES[:4], spare_models=2, spare_slots=3
-    )
+def test_padding_has_no_effect():
+    plain = common.named("by inputs")
+    padded = common.named("by inputs", spare_models=2, spare_slots=3)
     np.testing.assert_allclose(
         one_step(padded), one_step(plain), rtol=0, atol=10 * ROUNDING
     )
@@ -278,9 +275,7 @@ def parts_of(kind):
 def test_an_equation_reads_as_its_terms():
     (entry,) = common.named("one model").equations()
     # y/10 = 0.1 + 0.5 a/2 + 0.6 y/10 - 0.2 (b/0.5)(y/10), times 10.
-    assert entry["text"] == (
-        "y[t] = 1 + 2.5 a[t] + 0.6 y[t-1] - 0.4 b[t-1]*y[t-1]"
-    )
+    assert entry["text"] == ("y[t] = 1 + 2.5 a[t] + 0.6 y[t-1] - 0.4 b[t-1]*y[t-1]")
     assert entry["region"] == {}
     (latex,) = common.named("one model").equations(style="latex")
     assert latex["latex"].startswith(r"\mathrm{y}(t) = 1 + 2.5\,\mathrm{a}(t)")
@@ -307,7 +302,9 @@ def test_what_is_fed_back():
     net = common.named("coupled")
     assert fed_back(net.variables, net.signals) == [(2, 0, 0), (3, 0, 1), (4, 1, 0)]
     assert depth(net) == 2
-    assert depth(common.network([common.Part([[((1,), 1.0)]])], variables=((0, 3),))) == 1
+    assert (
+        depth(common.network([common.Part([[((1,), 1.0)]])], variables=((0, 3),))) == 1
+    )
 
 
 @cache

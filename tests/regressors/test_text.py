@@ -49,9 +49,7 @@ names = st.text(min_size=1, max_size=12).filter(lambda s: bool(s.strip()))
     st.integers(0, 999_999),
 )
 def test_every_variable_survives_its_text(chosen, signal, lag):
-    channels = Channels(
-        tuple(Channel(n) for n in chosen[:-1]), (Channel(chosen[-1]),)
-    )
+    channels = Channels(tuple(Channel(n) for n in chosen[:-1]), (Channel(chosen[-1]),))
     signal %= len(chosen)
     lag = max(lag, 1) if signal == len(chosen) - 1 else lag
     text = variable_name(channels, signal, lag)

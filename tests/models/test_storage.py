@@ -1,0 +1,368 @@
+"""Model files: exact round trips, and every kind of damage as a ModelFileError."""
+
+import dataclasses
+import json
+import os
+import pickle
+
+import common
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+from common import KINDS, PARTS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load_file, save_file
+
+from jaxnarx.errors import ModelFileError
+from jaxnarx.models import load, save
+from jaxnarx.models.storage import FORMAT, load_about
+
+
+@pytest.fixture(autouse=True)
+def as_installed():
+    """Without the tests' own type checks, which users do not have."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+def build(kind: str, **spare):
+    names, modelled = KINDS[kind]
+    return common.network([PARTS[n] for n in names], modelled, **spare)
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A model of two outputs with several local models each."""
+    path = tmp_path / "model.safetensors"
+    save(build("coupled, by own output", spare_models=1, spare_slots=2), path)
+    return path
+
+
+def contents(path):
+    """Tensors and header of a model file."""
+    from safetensors import safe_open
+
+    with safe_open(path, framework="numpy") as file:
+        header = json.loads(file.metadata()["jaxnarx"])
+    return load_file(path), header
+
+
+def write(path, tensors, header):
+    text = header if isinstance(header, str) else json.dumps(header)
+    save_file(tensors, path, metadata={"jaxnarx": text})
+
+
+def refused(path, *words):
+    """Loading fails with one sentence that names the file and holds `words`."""
+    with pytest.raises(ModelFileError) as caught:
+        load(path)
+    text = str(caught.value)
+    assert text.startswith(str(path)) and "\n" not in text
+    for word in words:
+        assert word in text
+    assert caught.value.path == path
+
+
+# round trip -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spare", [{}, {"spare_models": 2, "spare_slots": 3}])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_network_comes_back_bit_by_bit(tmp_path, kind, spare):
+    network = build(kind, **spare)
+    save(network, tmp_path / "m")
+    again = load(tmp_path / "m")
+    assert jax.tree.structure(again) == jax.tree.structure(network)
+    pairs = zip(jax.tree.leaves(network), jax.tree.leaves(again), strict=True)
+    for a, b in pairs:
+        assert a.dtype == b.dtype and a.shape == b.shape
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_numbers_at_the_ends_of_their_range_survive(tmp_path):
+    network = build("one model")
+    odd = jnp.asarray([[5e-324, -0.0, 1.7976931348623157e308, 1 / 3]])
+    network = eqx.tree_at(lambda n: n.models[0].local.coefficient, network, odd)
+    save(network, tmp_path / "m")
+    again = load(tmp_path / "m").models[0].local.coefficient
+    assert np.asarray(again).tobytes() == np.asarray(odd).tobytes()
+
+
+def test_a_single_precision_network_stays_one(tmp_path):
+    network = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x,
+        build("one model"),
+    )
+    save(network, tmp_path / "m")
+    assert load(tmp_path / "m").gain.dtype == jnp.float32
+
+
+def test_the_sample_time_stays_a_number(path):
+    assert float(load(path).sample_time) == 0.1
+
+
+def test_what_is_said_about_a_model_comes_back(tmp_path):
+    about = {"command": "jaxnarx identify 'a b.toml'", "names": ["µ", "<b>"]}
+    save(build("one model"), tmp_path / "m", about=about)
+    assert load_about(tmp_path / "m") == about
+    save(build("one model"), tmp_path / "m")
+    assert load_about(tmp_path / "m") == {}
+
+
+def test_odd_channel_names_survive(tmp_path):
+    from jaxnarx.data import Channel, Channels
+
+    network = build("one model")
+    channels = Channels(
+        (Channel('"; {}\\', "\u2028"), Channel("=1+1")), network.channels.outputs
+    )
+    network = dataclasses.replace(network, channels=channels)
+    save(network, tmp_path / "m")
+    assert load(tmp_path / "m").channels == channels
+
+
+# writing --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_not_written(tmp_path, bad):
+    network = build("by inputs")
+    network = eqx.tree_at(
+        lambda n: n.models[0].local.coefficient,
+        network,
+        replace_fn=lambda c: c.at[0, 0].set(bad),
+    )
+    with pytest.raises(ModelFileError, match="not finite"):
+        save(network, tmp_path / "m")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch):
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="No space"):
+        save(build("one model"), path)
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_the_folder_must_exist(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        save(build("one model"), tmp_path / "nowhere" / "m")
+
+
+# files that are no model files ----------------------------------------------------
+
+
+def test_a_file_cut_anywhere_is_refused(tmp_path):
+    whole = tmp_path / "whole"
+    save(build("by inputs"), whole)
+    data = whole.read_bytes()
+    cut = tmp_path / "cut"
+
+    @settings(max_examples=80, deadline=None, database=None, derandomize=True)
+    @given(st.integers(0, len(data) - 1))
+    def check(size):
+        cut.write_bytes(data[:size])
+        refused(cut)
+
+    check()
+
+
+def test_a_file_with_any_byte_changed_loads_or_is_refused(tmp_path):
+    whole = tmp_path / "whole"
+    save(build("by inputs"), whole)
+    data = whole.read_bytes()
+    other = tmp_path / "other"
+
+    @settings(max_examples=150, deadline=None, database=None, derandomize=True)
+    @given(st.integers(0, len(data) - 1), st.integers(1, 255))
+    def check(at, change):
+        other.write_bytes(data[:at] + bytes([data[at] ^ change]) + data[at + 1 :])
+        try:
+            network = load(other)
+        except ModelFileError:
+            return
+        assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(network))
+
+    check()
+
+
+JUNK = {
+    "empty": b"",
+    "zeros": bytes(4096),
+    "noise": np.random.default_rng(0).bytes(4096),
+    "text": b"speed,load,NOx\n1,2,3\n" * 50,
+    "huge header": (2**62).to_bytes(8, "little") + b"{}",
+    "deep json": (4000).to_bytes(8, "little") + b"[" * 4000,
+    "pickle": pickle.dumps({"network": [1.0, 2.0]}),
+}
+
+
+@pytest.mark.parametrize("kind", JUNK)
+def test_junk_is_refused(tmp_path, kind):
+    file = tmp_path / "model.safetensors"
+    file.write_bytes(JUNK[kind])
+    refused(file, "not a model file")
+
+
+def test_a_pickle_is_never_executed(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (os.mkdir, (str(tmp_path / "executed"),))
+
+    file = tmp_path / "model.safetensors"
+    file.write_bytes(pickle.dumps(Trap()))
+    refused(file, "not a model file")
+    np.save(tmp_path / "a.npy", np.array([Trap()], object), allow_pickle=True)
+    refused(tmp_path / "a.npy", "not a model file")
+    assert not (tmp_path / "executed").exists()
+
+
+def test_no_file_and_a_folder_are_told_apart(tmp_path):
+    refused(tmp_path / "none.safetensors", "no such model file")
+    refused(tmp_path, "a folder", "model.safetensors")
+
+
+def test_a_foreign_safetensors_file_is_refused(tmp_path):
+    file = tmp_path / "weights.safetensors"
+    save_file({"layer.0": np.zeros(3)}, file)
+    refused(file, "no jaxnarx model")
+
+
+# damaged contents -----------------------------------------------------------------
+
+
+def test_a_newer_format_names_the_version_that_wrote_it(path):
+    tensors, header = contents(path)
+    write(path, tensors, header | {"format": FORMAT + 1, "jaxnarx": "9.8.7"})
+    refused(path, f"format {FORMAT + 1}", "9.8.7", "Update jaxnarx")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "{}",
+        "null",
+        '"format"',
+        "[" * 100_000,
+        '{"format": "1"}',
+        '{"format": true}',
+        '{"format": 0}',
+        '{"format": ' + "9" * 5000 + "}",
+        '{"format": 1}',
+    ],
+)
+def test_a_damaged_header_is_refused(path, text):
+    write(path, contents(path)[0], text)
+    refused(path)
+
+
+HEADERS = {
+    "no inputs": lambda h: h.pop("inputs"),
+    "inputs no list": lambda h: h.update(inputs=5),
+    "name no text": lambda h: h.update(inputs=[[1, 2], [3, 4]]),
+    "two channels alike": lambda h: h.update(inputs=[["a", ""], ["a", ""]]),
+    "one channel less": lambda h: h["inputs"].pop(),
+    "unknown output": lambda h: h.update(modelled=[0, 7]),
+    "negative output": lambda h: h.update(modelled=[0, -1]),
+    "output twice": lambda h: h.update(modelled=[0, 0]),
+    "one output": lambda h: h.update(modelled=[0]),
+    "endless": lambda h: h.update(modelled=[0, float("inf")]),
+    "unknown signal": lambda h: h["variables"].append([9, 1]),
+    "negative lag": lambda h: h["variables"].__setitem__(0, [0, -1]),
+    "output at lag 0": lambda h: h["variables"].__setitem__(2, [2, 0]),
+    "scheduled on itself": lambda h: h["models"][0].update(scheduling=[[0, 1], [2, 0]]),
+    "row of three": lambda h: h["variables"].__setitem__(0, [0, 1, 2]),
+    "variables no list": lambda h: h.update(variables="abc"),
+    "fewer variables": lambda h: h.update(variables=h["variables"][:2]),
+    "other validity": lambda h: h["models"][0].update(validity="os.system"),
+    "model no table": lambda h: h.update(models=["a", "b"]),
+    "one model less": lambda h: h["models"].pop(),
+    "no models": lambda h: h.pop("models"),
+    "scheduling gone": lambda h: h["models"][0].update(scheduling=[]),
+}
+
+
+@pytest.mark.parametrize("damage", HEADERS)
+def test_a_tampered_header_is_refused(path, damage):
+    tensors, header = contents(path)
+    HEADERS[damage](header)
+    write(path, tensors, header)
+    refused(path, "damaged")
+
+
+LOCAL = ".models[0].local"
+
+
+def _set(name, at, value):
+    def change(tensors):
+        tensors[name] = tensors[name].copy()
+        tensors[name][at] = value
+
+    return change
+
+
+def _map(name, function):
+    return lambda tensors: tensors.update({name: function(tensors[name])})
+
+
+TENSORS = {
+    "coefficient NaN": _set(f"{LOCAL}.coefficient", (0, 0), np.nan),
+    "coefficient inf": _set(f"{LOCAL}.coefficient", (0, 0), np.inf),
+    "gain NaN": _set(".gain", 0, np.nan),
+    "gain zero": _set(".gain", 0, 0.0),
+    "term too far": _set(f"{LOCAL}.factor", (0, 0), 1000),
+    "term negative": _set(f"{LOCAL}.factor", (0, 0), -1),
+    "slot too far": _set(f"{LOCAL}.index", (0, 0), 1000),
+    "slot negative": _set(f"{LOCAL}.index", (0, 0), -1),
+    "slots as reals": _map(f"{LOCAL}.index", lambda x: x.astype(float)),
+    "mask as reals": _map(f"{LOCAL}.used", lambda x: x.astype(float)),
+    "no model active": _map(".models[0].active", np.zeros_like),
+    "one model less": _map(".models[0].active", lambda x: x[1:]),
+    "slots cut": _map(f"{LOCAL}.coefficient", lambda x: x[:, 1:]),
+    "terms flat": _map(f"{LOCAL}.factor", lambda x: x.reshape(-1)),
+    "degree 100": _map(f"{LOCAL}.factor", lambda x: np.tile(x, (1, 50))),
+    "centres cut": _map(".models[0].validity.centre", lambda x: x[:, 1:]),
+    "offset cut": _map(".models[0].offset", lambda x: x[1:]),
+    "span zero": _map(".models[0].span", np.zeros_like),
+    "gain short": _map(".gain", lambda x: x[1:]),
+    "ranges short": _map(".low", lambda x: x[1:]),
+    "bounds short": _map(".upper", lambda x: x[1:]),
+    "sample time a list": _map(".sample_time", lambda x: x[None]),
+    "sample time zero": _map(".sample_time", np.zeros_like),
+    "gain gone": lambda t: t.pop(".gain"),
+    "coefficients gone": lambda t: t.pop(f"{LOCAL}.coefficient"),
+}
+
+
+@pytest.mark.parametrize("damage", TENSORS)
+def test_tampered_tensors_are_refused(path, damage):
+    tensors, header = contents(path)
+    TENSORS[damage](tensors)
+    write(path, tensors, header)
+    refused(path, "damaged")
+
+
+def test_a_type_that_numpy_does_not_have_is_refused(tmp_path):
+    head = json.dumps(
+        {
+            "__metadata__": {"jaxnarx": "{}"},
+            "a": {"dtype": "F8_E4M3", "shape": [4], "data_offsets": [0, 4]},
+        }
+    ).encode()
+    file = tmp_path / "model.safetensors"
+    file.write_bytes(len(head).to_bytes(8, "little") + head + bytes(4))
+    refused(file)

@@ -1,0 +1,221 @@
+"""The house of DESIGN section 3: which module may import which, and what loads jax."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxnarx
+
+PACKAGE = Path(jaxnarx.__file__).parent
+MODULES = {
+    ".".join(("jaxnarx", *path.relative_to(PACKAGE).with_suffix("").parts)): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+
+# Rooms from the ground up. A module may import its own room and every room on a line
+# above it here; rooms on one line do not know each other. `evaluation.metrics` is a
+# room of its own, because refinement needs it.
+HOUSE = [
+    ["errors"],
+    ["methods"],
+    ["solution"],
+    ["arrays"],
+    # Floor 2. The order within is not prescribed; this is the one that has no cycle.
+    ["data"],
+    ["regressors"],
+    ["models"],
+    # Floor 3, in the order of the design.
+    ["simulation"],
+    ["evaluation.metrics"],
+    ["refinement"],
+    ["selection"],
+    ["partition"],
+    ["linear", "inverse", "design", "evaluation"],
+    ["sweep"],
+    # Floor 4.
+    ["shell"],
+]
+RANK = {room: rank for rank, rooms in enumerate(HOUSE) for room in rooms}
+FLOOR_2 = RANK["models"]
+
+# The virtual engines use floors 1 and 2 only; what uses them is the shell.
+ENGINES = "engines"
+
+# Documented: a report writes itself as HTML, which the shell does, imported when asked.
+EXCEPTIONS = {("jaxnarx.evaluation.report", "jaxnarx.shell.html")}
+
+
+def room(module: str) -> str | None:
+    """Room of a module, None for the package itself."""
+    parts = module.split(".")[1:]
+    if parts[:2] == ["evaluation", "metrics"]:
+        return "evaluation.metrics"
+    return parts[0] if parts and parts[0] != "__init__" else None
+
+
+def imports(path: Path) -> list[tuple[str, bool]]:
+    """(module, inside a function) of every import of this package, at any depth."""
+    tree = ast.parse(path.read_text())
+    inside = {
+        id(node)
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        for node in ast.walk(function)
+    }
+    found = []
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative imports hide where they point"
+            base = node.module or ""
+            # `from jaxnarx.shell import figures` may name a module.
+            names = [
+                name if (name := f"{base}.{a.name}") in MODULES else base
+                for a in node.names
+            ]
+            names = [n if n != "jaxnarx" else "jaxnarx.__init__" for n in names]
+        found += [(n, id(node) in inside) for n in names if n.startswith("jaxnarx")]
+    return found
+
+
+def allowed(importer: str, imported: str) -> bool:
+    here, there = room(importer), room(imported)
+    assert here is not None and there is not None
+    if here == there:
+        return True
+    if here == ENGINES:
+        return RANK[there] <= FLOOR_2
+    if there == ENGINES:
+        return here == "shell"
+    return RANK[there] < RANK[here]
+
+
+def edges() -> list[tuple[str, str, bool]]:
+    """Every import of one module by another, the package's own list excepted."""
+    return [
+        (module, target, lazy)
+        for module, path in MODULES.items()
+        if room(module) is not None
+        for target, lazy in imports(path)
+    ]
+
+
+def test_every_module_has_a_room():
+    homeless = {
+        module for module in MODULES if room(module) not in {None, ENGINES, *RANK}
+    }
+    assert not homeless, (
+        f"{sorted(homeless)}: say in DESIGN section 3 which floor they belong to, then "
+        "here"
+    )
+
+
+def test_imports_point_to_the_same_folder_or_down():
+    assert len(edges()) > 100, "the imports were not found"
+    wrong = [
+        f"{a} -> {b}{' (in a function)' if lazy else ''}"
+        for a, b, lazy in edges()
+        if not allowed(a, b) and not ((a, b) in EXCEPTIONS and lazy)
+    ]
+    assert not wrong
+
+
+def test_the_exceptions_are_still_needed():
+    lazy = {(a, b) for a, b, inside in edges() if inside}
+    assert lazy >= EXCEPTIONS
+
+
+def test_nothing_below_imports_the_package_itself():
+    # Its list loads on first use: a module that asks for it makes a circle.
+    users = {a for a, b, _ in edges() if b in ("jaxnarx", "jaxnarx.__init__")}
+    assert all(room(module) == "shell" for module in users), users
+
+
+def test_the_rule_catches_what_it_should():
+    assert not allowed("jaxnarx.arrays.windows", "jaxnarx.data")
+    assert not allowed("jaxnarx.simulation", "jaxnarx.refinement.refine")
+    assert not allowed("jaxnarx.refinement.refine", "jaxnarx.evaluation.report")
+    assert not allowed("jaxnarx.selection.choose", "jaxnarx.partition")
+    assert not allowed("jaxnarx.evaluation.report", "jaxnarx.shell.html")
+    assert not allowed("jaxnarx.engines.pfi", "jaxnarx.simulation")
+    assert not allowed("jaxnarx.data.files", "jaxnarx.engines")
+    assert allowed("jaxnarx.refinement.refine", "jaxnarx.evaluation.metrics")
+    assert allowed("jaxnarx.evaluation.traces", "jaxnarx.evaluation.metrics")
+    assert allowed("jaxnarx.partition.grow", "jaxnarx.selection")
+    assert allowed("jaxnarx.engines.engine", "jaxnarx.data")
+
+
+def loaded(statement: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after `statement`."""
+    code = f"{statement}\nimport sys\nprint(*{{m.split('.')[0] for m in sys.modules}})"
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=Path(__file__).parent,
+    )
+    assert found.returncode == 0, found.stderr
+    return set(found.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import jaxnarx, jaxnarx.methods, jaxnarx.errors, jaxnarx.data",
+        "from jaxnarx import Dataset, ForwardOLS, Lolimot, SpecError, check, read",
+    ],
+)
+def test_settings_errors_and_data_do_without_jax(statement):
+    modules = loaded(statement)
+    assert "jaxnarx" in modules
+    assert not modules & {"jax", "jaxlib", "equinox", "matplotlib", "pandas"}
+
+
+def test_verbs_do_load_jax():
+    # Else the test above shows nothing.
+    assert "jax" in loaded("from jaxnarx import select")
+
+
+# docstrings -----------------------------------------------------------------------
+
+
+def public(tree: ast.Module) -> list[ast.FunctionDef | ast.ClassDef]:
+    """Functions and classes of a module that have a public name."""
+    return [
+        node
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and not node.name.startswith("_")
+    ]
+
+
+def test_every_public_function_and_class_has_a_docstring():
+    count, missing = 0, []
+    for module, path in MODULES.items():
+        tree = ast.parse(path.read_text())
+        if ast.get_docstring(tree) is None and tree.body:
+            missing.append(module)
+        for node in public(tree):
+            count += 1
+            if ast.get_docstring(node) is None:
+                missing.append(f"{module}.{node.name} (line {node.lineno})")
+    assert count > 150, "the definitions were not found"
+    assert not missing
+
+
+@pytest.mark.parametrize("name", jaxnarx.__all__)
+def test_every_public_name_is_there_and_described(name):
+    value = getattr(jaxnarx, name)
+    assert value.__doc__ and value.__doc__.strip()
+    if not isinstance(value, type):
+        return
+    for attribute, member in vars(value).items():
+        is_public = not attribute.startswith("_") or attribute == "__call__"
+        if is_public and (callable(member) or isinstance(member, property)):
+            assert getattr(value, attribute).__doc__, f"{name}.{attribute}"

@@ -1,0 +1,102 @@
+"""The benchmarks run with `--smoke`, and what they record is whole and portable."""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "experiments" / "benchmarks"
+
+
+def run(script: str, *arguments: str, results: Path) -> dict[str, dict[str, Any]]:
+    """Run a benchmark; the recorded files by name, checked for what all share."""
+    command = [sys.executable, str(FOLDER / script), "--smoke", *arguments]
+    done = subprocess.run(
+        [*command, "--results", str(results)],
+        cwd=results.parent,
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stderr
+    files = {path.stem: path for path in results.iterdir()}
+    assert {path.suffix for path in files.values()} == {".json"}
+    return {name: check(path, results) for name, path in files.items()}
+
+
+def check(path: Path, results: Path) -> dict[str, Any]:
+    text = path.read_text(encoding="utf-8")
+    for private in (str(results), str(ROOT), str(Path.home()), platform.node()):
+        assert len(private) < 4 or private not in text
+    content = json.loads(text)
+    assert content["benchmark"] == path.stem
+    assert content["command"].startswith("python experiments/benchmarks/")
+    assert set(content["versions"]) >= {"python", "jax", "jaxlib", "numpy", "jaxnarx"}
+    assert content["machine"]["cores"] == os.cpu_count()
+    assert set(content["code"]) == {"commit", "dirty"}
+    return content["figures"]
+
+
+def assert_target(row: dict[str, Any]) -> None:
+    assert row["met"] == (row["value"] <= row["limit"])
+
+
+def test_selection_with_peers_that_may_be_missing(tmp_path):
+    found = run("selection.py", "--peers", results=tmp_path / "results")
+    assert set(found) == {"selection", "selection_peers"}
+    figures = found["selection"]
+    assert figures["candidates"] == 903 and figures["terms"] == 15
+    select, kernel = figures["select"], figures["kernel"]
+    assert select["chosen"] == kernel["chosen"] and len(select["chosen"]) == 15
+    # The process that made the data: its larger terms must be among the chosen.
+    assert {"1", "u1[t-1]", "u2[t-2]", "y[t-1]", "u3[t-5]"} <= set(select["chosen"])
+    for one in (select, kernel):
+        assert 0 < one["compiled_s"]["best"] < one["first_call_s"]
+        assert one["memory"]["above_imports_mb"] > 0
+        assert all(share > 0 for share in one["rate"]["share"].values())
+    for row in figures["targets"].values():
+        assert_target(row)
+    peers = found["selection_peers"]
+    if "skipped" in peers:
+        assert peers["skipped"] == "no peer is installed"
+        return
+    compared = [v for v in peers["degree 2"].values() if "same_ordered_terms" in v]
+    assert compared and all(row["same_ordered_terms"] for row in compared)
+
+
+@pytest.mark.slow
+def test_command_line(tmp_path):
+    found = run("identify.py", results=tmp_path / "results")
+    assert set(found) == {"start", "demo"}
+    for name, row in found["start"].items():
+        if name not in ("runs", "python"):
+            assert_target(row["target_s"])
+    demo = found["demo"]["jaxnarx demo"]
+    assert demo["cold"]["exit_code"] == demo["warm"]["exit_code"] == 0
+    assert 100 < demo["cold"]["peak_mb"] < 4000
+    assert demo["warm_repeats_cold"]
+    assert "full record" in demo["refinement_steps"]
+    row = demo["free_run"]["refined"]["pooled"]
+    assert row["status"] == "ok" and row["fit"] > 50
+    assert_target(demo["targets"]["warm_s"])
+
+
+def test_results_hold_no_folders(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; sys.argv[0] = 'x.py'\n"
+        "from common import record\n"
+        f"home = {str(tmp_path)!r}\n"
+        "texts = [f'see {home}/a/b.json', '83 GFLOP/s', 'a / b', '~/data/c.csv']\n"
+        "print(record('one', {'texts': texts}, folder=Path(home) / 'out'))\n"
+    )
+    command = [sys.executable, "-c", code]
+    subprocess.run(command, cwd=FOLDER, check=True, capture_output=True, timeout=60)
+    (path,) = (tmp_path / "out").iterdir()
+    figures = json.loads(path.read_text(encoding="utf-8"))["figures"]
+    assert figures["texts"] == ["see b.json", "83 GFLOP/s", "a / b", "c.csv"]
