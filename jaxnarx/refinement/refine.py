@@ -183,7 +183,7 @@ class _Search:
             state, status = levenberg.step(problem, state, pull, u)
             if status != RESULTS.ok:
                 # After accepted steps, or at a loss of rounding errors alone, no
-                # further decrease means converged; only a start that cannot move stalls.
+                # further decrease means converged; only a stuck start has stalled.
                 arrived = bool(self.history) or state.loss < ROUNDING
                 if status == RESULTS.stalled and arrived:
                     status = RESULTS.ok

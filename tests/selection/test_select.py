@@ -292,7 +292,7 @@ def test_a_pool_smaller_than_asked_for_is_exhausted():
 
 
 def test_a_small_pool_needs_rows_for_its_own_terms_only():
-    # Seven terms, ten rows, twenty terms allowed; the shape is shared with a test below.
+    # Seven terms, ten rows, twenty terms allowed; a test below shares the shape.
     rows = [rows_of("white")[0][:12]]
     assert choose(rows, plain(max_terms=20), pool(degree=1)).value.names
 
