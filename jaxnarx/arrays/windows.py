@@ -16,9 +16,11 @@ def lagged(
     window would cross a border. Indices before the first sample are clipped to it and
     must be masked by the caller.
     """
-    signal = np.array([s for s, _ in rows], dtype=np.int64)
-    lag = np.array([d for _, d in rows], dtype=np.int64)
-    return signals.T[signal[:, None], jnp.maximum(at[None] - lag[:, None], 0)]
+    if not rows:
+        return jnp.zeros((0, at.shape[0]), signals.dtype)
+    columns = signals.T
+    # Row by row: one gather by two index tables would take seven times the memory.
+    return jnp.stack([columns[s][jnp.maximum(at - d, 0)] for s, d in rows])
 
 
 def usable(

@@ -47,18 +47,22 @@ class Channels:
 
     @property
     def all(self) -> tuple[Channel, ...]:
+        """The signal table: inputs, then outputs."""
         return self.inputs + self.outputs
 
     @property
     def names(self) -> list[str]:
+        """Names of the signal table."""
         return [c.name for c in self.all]
 
     @property
     def input_names(self) -> list[str]:
+        """Names of the inputs."""
         return [c.name for c in self.inputs]
 
     @property
     def output_names(self) -> list[str]:
+        """Names of the outputs."""
         return [c.name for c in self.outputs]
 
     def signal(self, name: str) -> int:

@@ -65,6 +65,7 @@ class Report:
 
     @property
     def parts(self) -> tuple[str, ...]:
+        """Names of the datasets scored, in the order given."""
         return tuple(dict.fromkeys(row.part for row in self.rows))
 
     def pooled(self, output: str, *, part: str | None = None, mode: str = FREE_RUN):

@@ -44,6 +44,7 @@ def squares(
     measured: Float[Array, "records time outputs"],
     weight: Float[Array, "records time outputs"],
 ) -> Float[Array, ""]:
+    """Weighted sum of squared errors."""
     return jnp.sum(weight * (y - measured) ** 2)
 
 

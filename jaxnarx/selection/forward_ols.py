@@ -126,8 +126,10 @@ def forward_ols(
 
     def body(s: State):
         s, q, gain = jax.vmap(choose)(jnp.arange(outputs), s)
-        # Nothing accepted (a candidate was only removed): the pool need not be read.
-        c = jax.lax.cond(jnp.any(q != 0), products, lambda q: jnp.zeros_like(norm), q)
+        # Nothing accepted (a candidate was only removed), or nothing left to choose:
+        # the pool need not be read.
+        read = jnp.any(q != 0) & jnp.any(s.going)
+        c = jax.lax.cond(read, products, lambda q: jnp.zeros_like(norm), q)
         return dataclasses.replace(s, b=s.b - c * gain[:, None], d=s.d - c**2)
 
     start = State(

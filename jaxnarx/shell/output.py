@@ -135,10 +135,8 @@ def file_names(names: Sequence[str]) -> list[str]:
     """A CSV file name for every record; no two alike, even where case is ignored."""
     files: list[str] = []
     for name in names:
-        taken = {f.lower() for f in files}
-        tries = (
-            f"{slug(name)}{'' if n == 1 else f'-{n}'}.csv" for n in itertools.count(1)
-        )
+        stem, taken = slug(name.removesuffix(".csv")), {f.lower() for f in files}
+        tries = (f"{stem}{'' if n == 1 else f'-{n}'}.csv" for n in itertools.count(1))
         files.append(next(f for f in tries if f.lower() not in taken))
     return files
 
