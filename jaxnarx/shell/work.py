@@ -1,6 +1,5 @@
 """What the commands do."""
 
-import dataclasses
 import math
 import shlex
 import sys
@@ -253,7 +252,7 @@ def _simulate(command: commands.Simulate) -> int:
     with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
         with _about(command.files[0]):
             if steps is None:
-                solution = simulate(network, _freely(data, network.history))
+                solution = simulate(network, data)
             else:
                 solution = predict(network, data, steps)
         kind = "simulated" if steps is None else "predicted"
@@ -314,27 +313,6 @@ def _require_measured(data: "Dataset", command: commands.Simulate) -> None:
                 channel=name,
                 row=row,
             )
-
-
-def _freely(data: "Dataset", history: int) -> "Dataset":
-    """Outputs that are missing once a free run has started count as held.
-
-    The run does not look at them, but would take the first long gap for the end of the
-    record.
-    """
-    from jaxnarx.data import Dataset
-
-    inputs = len(data.channels.inputs)
-    records = []
-    for record in data:
-        known = record.valid[:, inputs:].all(axis=1)
-        last = np.cumsum(known)
-        full = last[history - 1 :] - np.pad(last, (1, 0))[: len(last) - history + 1]
-        valid = record.valid.copy()
-        if history and (full == history).any():
-            valid[int(np.argmax(full == history)) + history :, inputs:] = True
-        records.append(dataclasses.replace(record, valid=valid))
-    return Dataset(tuple(records), data.channels, data.sample_time)
 
 
 def _report(command: commands.Report, typed: str) -> int:

@@ -275,9 +275,7 @@ def test_training_data_judge_where_no_validation_is_given():
     method = SimulationError(horizons=(8,), max_steps=3, window_steps=2)
     solution = refine(start, data(), method)
     assert solution.stats["loss"] < solution.stats["loss_start"]
-    before, after = (
-        free_run_error(n, data(), data()) for n in (start, solution.value)
-    )
+    before, after = (free_run_error(n, data(), data()) for n in (start, solution.value))
     np.testing.assert_allclose(solution.stats["loss_start"], before, rtol=1e-9)
     np.testing.assert_allclose(solution.stats["loss"], after, rtol=1e-9)
 

@@ -1,0 +1,64 @@
+"""What is imposed on the turbocharged engine, and all that is known of it."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, ScalarLike
+
+
+class Drive(NamedTuple):
+    """What is imposed on the engine; an entry that is `None` takes care of itself.
+
+    `throttle` angle [deg, 4 is shut]. `speed` [rpm], held by the dynamometer. `fuel`
+    [mg/stroke], else what the present air flow needs for lambda one times `richness`.
+    `spark` advance [deg BTDC], else the knock-limited schedule plus `offset` [deg].
+    """
+
+    throttle: ScalarLike
+    speed: ScalarLike
+    fuel: ScalarLike | None = None
+    spark: ScalarLike | None = None
+    richness: ScalarLike = 1.0
+    offset: ScalarLike = 0.0
+
+
+class Quantities(NamedTuple):
+    """Everything the model knows at one instant; derivatives are per second."""
+
+    fuel: Float[Array, "*time"]  # mg/stroke
+    spark: Float[Array, "*time"]  # deg BTDC
+    best_spark: Float[Array, "*time"]  # deg BTDC, of greatest torque
+    torque: Float[Array, "*time"]  # Nm, brake, before delay and sensor
+    indicated: Float[Array, "*time"]  # Nm, of the fuel
+    drag: Float[Array, "*time"]  # Nm, friction and gas exchange
+    ratio: Float[Array, "*time"]  # lambda, dimensionless
+    afr: Float[Array, "*time"]  # air to fuel by mass
+    pressure: Float[Array, "*time"]  # kPa, intake manifold
+    boost: Float[Array, "*time"]  # kPa, before the throttle
+    back_pressure: Float[Array, "*time"]  # kPa, exhaust manifold
+    turbo: Float[Array, "*time"]  # krpm
+    temperature: Float[Array, "*time"]  # K, exhaust manifold
+    wastegate: Float[Array, "*time"]  # opening, 0 to 1
+    compressor_flow: Float[Array, "*time"]  # g/s
+    throttle_flow: Float[Array, "*time"]  # g/s
+    air: Float[Array, "*time"]  # g/s, into the cylinders
+    fuel_flow: Float[Array, "*time"]  # g/s
+    turbine_flow: Float[Array, "*time"]  # g/s, with that of the wastegate
+    tail_flow: Float[Array, "*time"]  # g/s, out of the exhaust pipe
+    compressor_power: Float[Array, "*time"]  # W
+    turbine_power: Float[Array, "*time"]  # W
+    surge_margin: Float[Array, "*time"]  # dimensionless; surge at 1e-6 and below
+    derivative: Float[Array, "*time states"]
+
+
+def imposed(inputs: Float[Array, " inputs"]) -> Drive:
+    """The columns of a record: fuel, spark, throttle, speed."""
+    fuel, spark, throttle, speed = inputs
+    return Drive(throttle, speed, fuel=fuel, spark=spark)
+
+
+def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+    """`value` as an array of the dtype of `otherwise`, which it replaces if given."""
+    if value is None:
+        return otherwise
+    return jnp.asarray(value, otherwise.dtype)

@@ -1,0 +1,481 @@
+"""The `gtdi` bed against the figures of its specification, sections 3.8 to 3.11.
+
+Steady values: 1 % or half a unit of the last printed digit, turbo speed of the first
+row 3 %; times 3 % or 10 ms.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnarx.engines.gtdi.bed import START, Gtdi
+from jaxnarx.engines.gtdi.delay import delayed
+from jaxnarx.engines.gtdi.flow import Gas, orifice, tail_flow
+from jaxnarx.engines.gtdi.records import (
+    breaches,
+    gtdi_demands,
+    gtdi_records,
+    operate,
+    scheduled,
+)
+from jaxnarx.engines.gtdi.state import Drive
+from jaxnarx.errors import DataError
+
+# Compilation of the turbocharged engine takes minutes.
+pytestmark = pytest.mark.slow
+
+# Entries are text, so that the last printed digit is known.
+STEADY_COLUMNS = (
+    *("FUL", "SA", "THR", "rpm", "torque", "afr", "pressure", "boost"),
+    *("back_pressure", "turbo", "temperature", "air", "wastegate"),
+)
+STEADY = """
+     9.3  20   7  1000   24.5  14.65   37.83  101.45  101.96    6.3   605    4.54  0
+    16.0  26  12  1500   61.4  14.57   58.34  103.12  105.13   21.2   879   11.65  0
+    16.5  26  14  2000   63.3  14.64   59.36  106.14  108.49   33.9   950   16.10  0
+    46.3  18  22  2000  223.1  14.60  142.71  169.49  151.41  115.2  1112   45.07  0
+    59.1  12  30  2000  291.7  14.61  174.51  188.97  169.03  128.9  1142   57.55  0.053
+    64.7   6  45  2500  313.8  14.59  185.15  196.65  188.33  136.7  1186   78.66  0.207
+    23.2  26  18  3000   95.8  14.61   78.50  138.76  131.28   88.6  1074   33.90  0
+    68.9   4  60  3500  321.2  14.61  191.65  206.78  228.51  151.6  1250  117.42  0.410
+    68.2   6  80  5000  296.2  14.60  187.89  211.31  298.49  172.6  1317  166.00  0.500
+"""
+STEP = 1e-3  # s, of the continuous responses
+EVENTS = 3600
+
+
+def table(text: str, columns: tuple[str, ...]) -> dict[str, list[str]]:
+    rows = [line.split() for line in text.strip().splitlines()]
+    return dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def half_digit(entry: str) -> float:
+    digits = entry.partition(".")[2]
+    return 0.5 * 10.0 ** -len(digits) if float(entry) else 1e-9  # 0 is shut
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return Gtdi()
+
+
+@pytest.fixture(scope="module")
+def settle():
+    """Steady states of many drives and the slopes there, in one compiled program."""
+
+    def one(engine, drive):
+        state = engine.steady_state(drive)
+        now, slopes = engine.quantities(state, drive), engine.quantities
+        return state, now, jax.jacfwd(slopes, argnums=(0, 1))(state, drive)
+
+    return jax.jit(jax.vmap(one, in_axes=(None, 0)))
+
+
+@pytest.fixture(scope="module")
+def steady(engine, settle):
+    entries = table(STEADY, STEADY_COLUMNS)
+    fuel, spark, throttle, speed = (
+        jnp.asarray([float(entry) for entry in entries[name]])
+        for name in STEADY_COLUMNS[:4]
+    )
+    drive = filled(Drive(throttle, speed, fuel=fuel, spark=spark))
+    return entries, drive, *settle(engine, drive)
+
+
+def filled(drive: Drive) -> Drive:
+    """The drive with every entry an array like its throttle."""
+    return jax.tree.map(
+        lambda value: jnp.broadcast_to(
+            jnp.asarray(value, float), jnp.shape(drive.throttle)
+        ),
+        drive,
+    )
+
+
+@pytest.mark.parametrize("name", STEADY_COLUMNS[4:])
+def test_steady_table(steady, name):
+    entries, values = steady[0][name], np.asarray(getattr(steady[3], name))
+    for row, (value, entry) in enumerate(zip(values, entries, strict=True)):
+        share = 0.03 if (name, row) == ("turbo", 0) else 0.01
+        allowed = max(share * abs(float(entry)), half_digit(entry))
+        assert abs(value - float(entry)) <= allowed, (row, value, entry)
+
+
+def test_nothing_changes_at_a_steady_state(steady):
+    _, _, state, now, _ = steady
+    scale = np.maximum(np.abs(state), 1e-6)  # a shut wastegate is zero
+    assert np.all(np.abs(now.derivative) < 1e-6 * scale)
+
+
+def test_mass_and_power_are_balanced(steady, engine):
+    _, _, state, q, _ = steady
+    pairs = [
+        (q.compressor_flow, q.throttle_flow),
+        (q.throttle_flow, q.air),
+        (q.air + q.fuel_flow, q.turbine_flow),
+        (q.turbine_flow, q.tail_flow),
+        (q.turbine_power, q.compressor_power + engine.bearing * state[:, 6] ** 2),
+    ]
+    for out, into in pairs:
+        np.testing.assert_allclose(out, into, rtol=1e-6)
+
+
+def test_eigenvalues(steady):
+    """Sizes as printed in section 3.8; the last digit, or 10 % of the slowest."""
+    jacobian = np.asarray(steady[4].derivative[0])
+    values = np.linalg.eigvals(jacobian)
+    largest, slowest = np.abs(values).max(axis=1), values.real.max(axis=1)
+    np.testing.assert_allclose(largest[[0, 5, 7, 8]], [561, 706, 1249, 2240], atol=1)
+    assert np.all((largest[1:5] > 109) & (largest[1:5] < 331))
+    opened = np.asarray(steady[3].wastegate) > 0
+    assert -0.865 < slowest[~opened].min() < slowest[~opened].max() < -0.455
+    assert -3.55 < slowest[opened].min() < slowest[opened].max() < -2.35
+
+
+def test_slopes_are_finite_at_every_tabulated_point(steady):
+    for leaf in jax.tree.leaves(steady[4]):
+        assert bool(jnp.isfinite(leaf).all())
+
+
+def test_torque_is_greatest_at_the_best_spark(engine, steady):
+    _, drive, state, now, _ = steady
+    sweep = now.best_spark[:, None] + jnp.asarray([-10.0, -1.0, 0.0, 1.0, 10.0])[None]
+
+    def torque(state, drive, spark):
+        return engine.quantities(state, drive._replace(spark=spark)).torque
+
+    over = jax.vmap(torque, in_axes=(None, None, 0))
+    values = jax.jit(jax.vmap(over))(state, drive, sweep)
+    np.testing.assert_array_equal(np.argmax(values, axis=1), 2)
+
+
+class Response(NamedTuple):
+    """A step response: levels of quantities, times of fractions, what comes at once."""
+
+    before: Drive
+    after: Drive
+    levels: dict[str, tuple[float, float]]
+    times: dict[str, dict[float, float]]
+    first: dict[str, float]
+    peak: dict[str, float]
+
+
+HELD = Drive(14.0, 2000.0, fuel=16.5, spark=26.0)
+RESPONSES = {
+    "fuel": Response(
+        HELD,
+        HELD._replace(fuel=1.1 * 16.5),
+        levels={"torque": (63.3, 63.5)},
+        times={},
+        first={"afr": 13.30},
+        peak={},
+    ),
+    "spark": Response(
+        HELD,
+        HELD._replace(spark=16.0),
+        levels={"torque": (63.3, 61.35)},
+        times={},
+        first={"torque": 61.35},
+        peak={},
+    ),
+    "throttle": Response(
+        HELD,
+        HELD._replace(throttle=18.0),
+        levels={
+            "pressure": (59.4, 84.9),
+            "afr": (14.64, 22.42),
+            "torque": (63.3, 48.6),
+        },
+        times={"pressure": {0.63: 0.090, 0.95: 1.68}},
+        first={},
+        peak={"torque": 64.7},
+    ),
+    "tip-in at 2000": Response(
+        Drive(12.6, 2000.0),
+        Drive(55.6, 2000.0),
+        levels={
+            "pressure": (49.2, 184.4),
+            "boost": (103.8, 190.9),
+            "torque": (45.4, 303),
+        },
+        times={"pressure": {0.63: 1.24, 0.9: 2.09, 0.95: 2.21}, "boost": {0.63: 1.72}},
+        first={},
+        peak={},
+    ),
+    "tip-in at 3000": Response(
+        Drive(12.6, 3000.0),
+        Drive(55.6, 3000.0),
+        levels={"pressure": (33.9, 190.2), "torque": (18.6, 316.1)},
+        times={"pressure": {0.63: 0.50, 0.9: 0.76}},
+        first={},
+        peak={},
+    ),
+}
+
+
+@jax.jit
+def march(engine, state, drive):
+    """8 s from each state under each drive, without delays; Runge-Kutta."""
+
+    def one(state, drive):
+        def move(x, _):
+            rate = lambda x: engine.derivative(x, drive)  # noqa: E731
+            k1 = rate(x)
+            k2 = rate(x + STEP / 2 * k1)
+            k3 = rate(x + STEP / 2 * k2)
+            k4 = rate(x + STEP * k3)
+            return x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x
+
+        end, path = jax.lax.scan(move, state, None, length=8000)
+        return end, jax.vmap(lambda x: engine.quantities(x, drive))(path)
+
+    return jax.vmap(one)(state, drive)
+
+
+@pytest.fixture(scope="module")
+def responses(engine):
+    """Quantities over time from the step on, and at its end."""
+
+    def group(names):
+        before, after = (
+            filled(jax.tree.map(lambda *v: jnp.stack([*map(jnp.asarray, v)]), *drives))
+            for drives in zip(*(RESPONSES[n][:2] for n in names), strict=True)
+        )
+        state = jnp.broadcast_to(jnp.asarray([14.0, 0.0, *START]), (len(names), 7))
+        state, _ = march(engine, state, before)
+        state, _ = march(engine, state, before)
+        state, rest = march(engine, state, before)
+        state, path = march(engine, state, after)
+        state, _ = march(engine, state, after)
+        _, end = march(engine, state, after)
+        last = [jax.tree.map(lambda v: v[:, -1], q) for q in (rest, end)]
+        return {
+            name: [
+                jax.tree.map(lambda v, i=i: v[i], q) for q in (last[0], path, last[1])
+            ]
+            for i, name in enumerate(names)
+        }
+
+    names = list(RESPONSES)
+    return {**group(names[:3]), **group(names[3:])}
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+def test_step_response(responses, name):
+    case, (before, path, after) = RESPONSES[name], responses[name]
+    for quantity, levels in case.levels.items():
+        found = [float(getattr(q, quantity)) for q in (before, after)]
+        np.testing.assert_allclose(found, levels, rtol=0.01, err_msg=quantity)
+    for quantity, times in case.times.items():
+        low, high = (float(getattr(q, quantity)) for q in (before, after))
+        fraction = (np.asarray(getattr(path, quantity)) - low) / (high - low)
+        for level, time in times.items():
+            found = STEP * float(np.argmax(fraction >= level))
+            assert abs(found - time) <= max(0.03 * time, 0.01), (quantity, level, found)
+    for quantity, value in case.first.items():
+        first = float(getattr(path, quantity)[0])
+        np.testing.assert_allclose(first, value, rtol=0.005)
+    for quantity, value in case.peak.items():
+        highest = float(getattr(path, quantity).max())
+        np.testing.assert_allclose(highest, value, rtol=0.005)
+
+
+def test_late_spark_raises_the_boost_a_little(responses):
+    before, _, after = responses["spark"]
+    # The printed rise of 0.10 kPa is that of the levels, each rounded to two digits.
+    assert [round(float(q.boost), 2) for q in (before, after)] == [106.14, 106.24]
+
+
+def at(path: str):
+    def where(engine):
+        for name in path.split("."):
+            engine = getattr(engine, name)
+        return engine
+
+    return where
+
+
+NAMES = ["turbine.gain", "inertia", "throttle_dead_time", "ambient_temperature"]
+
+
+@pytest.fixture(scope="module")
+def slope():
+    """A sum over a run with delays, from rest: with its gradient by both arguments."""
+
+    def loss(pair):
+        engine, inputs = pair
+        y = engine.run(inputs)
+        return jnp.sum(y / jnp.asarray([100.0, 15.0, 100.0])[None] - 0.3)
+
+    return jax.jit(jax.value_and_grad(loss))
+
+
+INPUTS = np.repeat([[16.5, 26.0, 14.0, 2000.0], [20.0, 20.0, 19.0, 2300.0]], 4, axis=0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradients_equal_central_differences(name, slope, engine):
+    inputs, p = jnp.asarray(INPUTS), at(name)(engine)
+    ends = [
+        slope((eqx.tree_at(at(name), engine, p * f), inputs))[0]
+        for f in (1 - 1e-5, 1 + 1e-5)
+    ]
+    expected = float(ends[1] - ends[0]) / (2e-5 * float(p))
+    found = float(at(name)(slope((engine, inputs))[1][0]))
+    assert abs(found - expected) <= 1e-5 * abs(expected)
+
+
+@pytest.mark.parametrize("column", range(4))
+def test_input_gradients_equal_central_differences(column, slope, engine):
+    inputs = jnp.asarray(INPUTS)
+    size = 1e-5 * inputs[5, column]
+    move = jnp.zeros_like(inputs).at[5, column].set(size)
+    ends = [slope((engine, inputs + sign * move))[0] for sign in (-1, 1)]
+    expected = float(ends[1] - ends[0]) / (2 * float(size))
+    found = float(slope((engine, inputs))[1][1][5, column])
+    assert abs(found - expected) <= 1e-5 * max(abs(expected), 1e-4)
+
+
+def test_every_parameter_has_a_finite_gradient(slope, engine):
+    gradients = jax.tree.leaves(slope((engine, jnp.asarray(INPUTS)))[1])
+    assert all(bool(jnp.isfinite(g).all()) for g in gradients)
+
+
+# All runs below share one shape, so that they share one compiled program.
+
+
+@pytest.fixture(scope="module")
+def excited(engine):
+    return scheduled(engine, gtdi_demands(jax.random.key(3), EVENTS))
+
+
+def test_aprbs_run_stays_finite_and_in_the_prototype_range(excited):
+    inputs, q = excited
+    for leaf in (inputs, *q):
+        assert bool(jnp.isfinite(leaf).all())
+    # The prototype's ranges, which another draw exceeds by a little at the ends.
+    spans = {
+        "torque": (15, 315),
+        "afr": (12.3, 17.0),
+        "pressure": (30, 190),
+        "boost": (98, 213),
+        "turbo": (18, 148),
+        "temperature": (800, 1240),
+    }
+    for name, (low, high) in spans.items():
+        values = getattr(q, name)
+        assert low < values.min() < values.max() < high, name
+    assert not bool(breaches(q).any.any())
+
+
+def test_records_repeat_the_scheduled_run(engine, excited, key):
+    inputs, q = excited
+    data = engine.simulate(np.asarray(inputs), key, noise=0)
+    assert data.channels.input_names == ["FUL", "SA", "THR", "speed"]
+    assert data.channels.output_names == ["TRQ", "AFR", "MAP"]
+    np.testing.assert_allclose(data.records[0].y[:, 2], q.pressure, rtol=1e-9)
+
+
+def test_noise_records_and_dead_times(engine, key):
+    inputs = np.repeat([[16.5, 26.0, 14.0, 2000.0]], EVENTS, axis=0)
+    inputs[10:, 0] = 18.15
+    inputs[30:, 2] = 15.0
+    clean = engine.simulate(inputs, key, noise=0).records[0].y
+    noisy = engine.simulate(inputs, key).records[0].y
+    deviation = np.std(noisy - clean, axis=0)
+    expected = [engine.noise[name] for name in ("TRQ", "AFR", "MAP")]
+    # Four standard errors of a standard deviation from 3,600 draws.
+    np.testing.assert_allclose(deviation, expected, rtol=4 / np.sqrt(2 * EVENTS))
+    changed = np.abs(clean / clean[0] - 1) > 1e-9
+    # Fuel of event 10 becomes torque in event 11 and shows at its end; its exhaust
+    # reaches the sensor in event 13.
+    assert list(np.argmax(changed[:, :2], axis=0)) == [12, 14]
+    # 15 ms are an event at 2000 rpm: the command of event 30 acts in event 31.
+    jump = np.abs(np.diff(clean[:, 2])) > 0.05
+    assert np.argmax(jump) == 31
+
+
+def test_a_run_without_steady_state_is_refused(engine, key):
+    inputs = np.repeat([[16.5, 26.0, 14.0, -2000.0]], EVENTS, axis=0)
+    with pytest.raises(DataError, match="'record 1': .* at event 0"):
+        engine.simulate(inputs, key)
+
+
+def test_gtdi_records(engine, key):
+    data = gtdi_records(key, (EVENTS,), names=["only"], engine=engine)
+    again = gtdi_records(key, (EVENTS,), names=["only"], engine=engine)
+    assert data.records[0].name == "only" and data.sample_time == 0.015
+    np.testing.assert_array_equal(data.records[0].y, again.records[0].y)
+
+
+def test_breaches_flag_samples(steady, engine):
+    q = steady[3]
+    hot = np.asarray(breaches(q).heat)
+    np.testing.assert_array_equal(hot, [False] * 7 + [True] * 2)
+    wrong = q._replace(ratio=q.ratio * 1.5, boost=q.boost * 2, turbo=q.turbo * jnp.nan)
+    flags = breaches(wrong)
+    assert bool(flags.mixture.all()) and bool(flags.turbo.all())
+    assert not bool(flags.surge.any()) and not bool(flags.vacuum.any())
+    np.testing.assert_array_equal(flags.boost, q.boost * 2 > 230)
+    assert bool(flags.any.all())
+
+
+def test_operate_shows_what_is_measured(engine):
+    inputs = jnp.asarray(INPUTS)
+    q = operate(engine, inputs)
+    np.testing.assert_allclose(q.fuel, INPUTS[:, 0])
+    np.testing.assert_allclose(q.pressure[:5], 59.3567, rtol=1e-4)
+    # At once more speed, and the wider throttle a dead time later.
+    assert q.pressure[4] > q.pressure[5] and abs(q.pressure[7] - q.pressure[4]) > 0.5
+
+
+def test_a_family_rests(engine, key, settle, steady):
+    drive = jax.tree.map(lambda v: v[3], steady[1])
+    many = jax.tree.map(lambda v: jnp.broadcast_to(v, (9,)), drive)
+    for i in range(3):
+        other = engine.perturbed(jax.random.fold_in(key, i), 0.05)
+        torque = np.asarray(settle(other, many)[1].torque)
+        assert np.isfinite(torque).all() and 0.01 < abs(torque[0] / 223.1 - 1) < 0.3
+
+
+def test_orifice_is_continuous_and_reverses():
+    air, up, hot = Gas(), jnp.asarray(1e5), jnp.asarray(300.0)
+    flow = lambda ratio: orifice(jnp.asarray(ratio) * up, up, hot, air)  # noqa: E731
+    for border in (0.92, 1.2 ** (-1 / 0.4 * 1.4)):
+        np.testing.assert_allclose(flow(border - 1e-9), flow(border + 1e-9), rtol=1e-6)
+    # The choked flow function of air is sqrt(g) (2/(g+1))^((g+1)/(2(g-1))) = 0.6847.
+    np.testing.assert_allclose(
+        flow(0.1), 0.684731 * 1e5 / (287 * 300) ** 0.5, rtol=1e-6
+    )
+    assert flow(1.0) == 0.0 and flow(1.01) < 0.0
+    assert all(bool(jnp.isfinite(jax.grad(flow)(r))) for r in (0.1, 0.92, 1.0, 1.2))
+
+
+def test_tail_flow_reverses():
+    args = [jnp.asarray(v) for v in (1e5, 300.0, 1.75e8, 1500.0)]
+    flow = jax.value_and_grad(lambda p: tail_flow(p, *args))
+    for drop, sign in ((-500.0, -1), (0.0, 0), (500.0, 1), (5e3, 1)):
+        value, slope = flow(jnp.asarray(1e5 + drop))
+        assert np.sign(value) == sign and slope > 0
+
+
+def test_a_dead_time_is_kept_inside_events():
+    levels, past = jnp.asarray([1.0, 2.0, 3.0, 4.0]), jnp.asarray([0.01, 0.01])
+    late = delayed(levels, past, jnp.asarray(0.01), jnp.asarray(0.0125), steps=4)
+    np.testing.assert_allclose(late, [2.0, 3.0, 3.0, 3.0], atol=1e-12)
+    late = delayed(levels, past, jnp.asarray(0.01), jnp.asarray(0.00875), steps=4)
+    np.testing.assert_allclose(late, [3.0, 3.0, 3.0, 3.5], atol=1e-12)
+
+
+def test_arithmetic_follows_the_dtype(engine):
+    single = jax.tree.map(lambda p: p.astype(jnp.float32), engine)
+    x = jnp.asarray([14.0, 0.0, *START], jnp.float32)
+    row = jnp.asarray(INPUTS[0], jnp.float32)
+    bench = single.settled_bench
+    shapes = jax.eval_shape(lambda x, u: single.advance(bench(x, u), u), x, row)
+    dtypes = {leaf.dtype for leaf in jax.tree.leaves(shapes)}
+    assert dtypes == {np.dtype("f4")}
