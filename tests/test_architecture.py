@@ -10,10 +10,15 @@ import pytest
 import jaxnarx
 
 PACKAGE = Path(jaxnarx.__file__).parent
-MODULES = {
-    ".".join(("jaxnarx", *path.relative_to(PACKAGE).with_suffix("").parts)): path
-    for path in sorted(PACKAGE.rglob("*.py"))
-}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the package by name; looked up anew by every test."""
+    return {
+        ".".join(("jaxnarx", *path.relative_to(PACKAGE).with_suffix("").parts)): path
+        for path in sorted(PACKAGE.rglob("*.py"))
+    }
+
 
 # Rooms from the ground up. A module may import its own room and every room on a line
 # above it here; rooms on one line do not know each other. `evaluation.metrics` is a
@@ -56,7 +61,7 @@ def room(module: str) -> str | None:
     return parts[0] if parts and parts[0] != "__init__" else None
 
 
-def imports(path: Path) -> list[tuple[str, bool]]:
+def imports(path: Path, known: dict[str, Path]) -> list[tuple[str, bool]]:
     """(module, inside a function) of every import of this package, at any depth."""
     tree = ast.parse(path.read_text())
     inside = {
@@ -75,7 +80,7 @@ def imports(path: Path) -> list[tuple[str, bool]]:
             base = node.module or ""
             # `from jaxnarx.shell import figures` may name a module.
             names = [
-                name if (name := f"{base}.{a.name}") in MODULES else base
+                name if (name := f"{base}.{a.name}") in known else base
                 for a in node.names
             ]
             names = [n if n != "jaxnarx" else "jaxnarx.__init__" for n in names]
@@ -97,17 +102,18 @@ def allowed(importer: str, imported: str) -> bool:
 
 def edges() -> list[tuple[str, str, bool]]:
     """Every import of one module by another, the package's own list excepted."""
+    known = modules()
     return [
         (module, target, lazy)
-        for module, path in MODULES.items()
+        for module, path in known.items()
         if room(module) is not None
-        for target, lazy in imports(path)
+        for target, lazy in imports(path, known)
     ]
 
 
 def test_every_module_has_a_room():
     homeless = {
-        module for module in MODULES if room(module) not in {None, ENGINES, *RANK}
+        module for module in modules() if room(module) not in {None, ENGINES, *RANK}
     }
     assert not homeless, (
         f"{sorted(homeless)}: say in DESIGN section 3 which floor they belong to, then "
@@ -197,7 +203,7 @@ def public(tree: ast.Module) -> list[ast.FunctionDef | ast.ClassDef]:
 
 def test_every_public_function_and_class_has_a_docstring():
     count, missing = 0, []
-    for module, path in MODULES.items():
+    for module, path in modules().items():
         tree = ast.parse(path.read_text())
         if ast.get_docstring(tree) is None and tree.body:
             missing.append(module)

@@ -90,12 +90,14 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
             continue
         equal = all(np.array_equal(*signals(r)[:, [i, j]].T) for r in data)
         how = "equals" if equal else f"is {gain:.6g} times"
+        use = f"Selection uses {names[i]} and passes {names[j]} over: leave one out."
         plus = "" if equal or abs(offset) < 1e-9 * safe[j] else f" plus {offset:.6g}"
+        if plus:
+            use = "Leave one out."
         yield Finding(
             "warning",
             "duplicate",
-            f"{names[j]} {how} {names[i]}{plus}. Selection uses {names[i]} and passes "
-            f"{names[j]} over: leave one out.",
+            f"{names[j]} {how} {names[i]}{plus}. {use}",
             channel=names[j],
         )
 

@@ -40,6 +40,16 @@ class SimulationError:
             )
         if self.max_steps < 0 or self.window_steps < 0:
             raise SpecError("step budgets must not be negative", field="max_steps")
+        if not (self.ridge >= 0 and self.tolerance >= 0):
+            raise SpecError(
+                f"ridge and tolerance must not be negative, got {self.ridge} and "
+                f"{self.tolerance}",
+                field="ridge",
+            )
+        if self.patience < 1:
+            raise SpecError(
+                f"patience must be at least 1, got {self.patience}", field="patience"
+            )
         if not 0 < self.width_band[0] < 1 < self.width_band[1]:
             raise SpecError(
                 f"width_band must enclose one, got {self.width_band}",

@@ -175,6 +175,8 @@ class _Search:
         """Up to `steps` accepted steps at one horizon; returns the end and its
         status.
         """
+        if not steps:
+            return u, RESULTS.budget_spent
         problem = self._problem(horizon)
         state = levenberg.init(problem, u)
         pull = self.method.ridge * np.diagonal(state.gram)

@@ -71,11 +71,12 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 
 
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
-    """True where a = c b to rounding."""
+    """True where a = c b but for rounding, that of a text file included."""
     if not a.size:
         return False
     ratio = float(np.vdot(a, b)) / float(np.vdot(b, b))
-    return bool(np.max(np.abs(a - ratio * b)) <= 1e-9)
+    rms = float(np.sqrt(np.mean(a**2)))
+    return bool(np.max(np.abs(a - ratio * b)) <= 1e-4 * rms)
 
 
 def _candidates(pool: Pool, passed_over: dict[str, str]) -> Bool[np.ndarray, " terms"]:
