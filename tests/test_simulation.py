@@ -267,9 +267,10 @@ def test_a_run_starts_at_the_first_complete_history():
     net = common.named("coupled")
     rows = common.rows_of(data(), 0)
     rows[4, W] = np.nan
-    rows[1, B] = np.nan
+    rows[1, Y] = np.nan
     late = common.from_rows([rows])
-    # b at sample 1 is seen until 3; w at sample 4 is not seen by sample 4 itself.
+    # y at sample 1 is seen until 3; w at sample 4 is not seen by sample 4 itself.
+    # Samples 2 and 3 have all their inputs and a measured output, but no start.
     solution = simulate(net, late)
     tail = oracles.free_run(rows[2:], common.to_oracle(net))
     np.testing.assert_allclose(solution.value[0][4:], tail.outputs[2:], atol=ROUNDING)

@@ -442,6 +442,17 @@ def test_a_network_already_at_its_best_is_no_failure():
         np.testing.assert_allclose(used(again.value), used(truth), atol=1e-6)
 
 
+def test_a_minimum_of_noisy_data_is_no_failure():
+    truth = common.named("one model", **SPARE)
+    measured = made_by(truth, noise=0.1)
+    method = SimulationError(horizons=(), ridge=0.0, tolerance=0.0, max_steps=100)
+    best = refine(truth, measured, method)
+    assert best.is_okay, best.status_name
+    again = refine(best.value, measured, method)
+    assert again.is_okay, again.status_name
+    np.testing.assert_allclose(used(again.value), used(best.value), rtol=1e-6)
+
+
 def test_no_effect_of_any_parameter_is_unidentifiable():
     # The only term is of a, and a rests at zero.
     rows = [common.rows_of(data(), n) for n in range(4)]

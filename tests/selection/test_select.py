@@ -544,6 +544,13 @@ def test_fault_8_a_row_without_its_output_does_not_count():
         choose(rows, source=source)
 
 
+@pytest.mark.parametrize("rows_left", [0, 5])
+def test_fault_8_a_row_without_weight_does_not_count(rows_left):
+    weights = [(np.arange(LENGTH) - 10 < rows_left) & (np.arange(LENGTH) >= 10)]
+    with pytest.raises(DataError, match=f"at least 9 usable rows.*give {rows_left} "):
+        choose(rows_of("white"), weights=[w.astype(float) for w in weights])
+
+
 @pytest.mark.parametrize("length", [2, 3])
 def test_fault_8_records_shorter_than_the_lags(length):
     far = polynomial_pool(
