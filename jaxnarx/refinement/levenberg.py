@@ -70,6 +70,15 @@ def _direction(s: State, pull: np.ndarray, origin: np.ndarray) -> np.ndarray | N
     return np.where(alive, -scipy.linalg.cho_solve(factor, right) / scale, 0.0)
 
 
+def promise(s: State, pull: np.ndarray, origin: np.ndarray) -> float:
+    """Decrease of the penalised loss that the linearised problem promises."""
+    fresh = dataclasses.replace(s, damping=DAMPING_START)
+    delta = _direction(fresh, pull, origin)
+    if delta is None:
+        return np.inf
+    return -float((s.gradient + pull * (s.u - origin)) @ delta)
+
+
 def step(
     problem: Problem, s: State, pull: np.ndarray, origin: np.ndarray
 ) -> tuple[State, RESULTS]:

@@ -184,10 +184,10 @@ class _Search:
         for n in range(steps):
             state, status = levenberg.step(problem, state, pull, u)
             if status != RESULTS.ok:
-                # After accepted steps, or at a loss of rounding errors alone, no
-                # further decrease means converged; only a stuck start has stalled.
-                arrived = bool(self.history) or state.loss < ROUNDING
-                if status == RESULTS.stalled and arrived:
+                # Where no step promises a decrease, or at a loss of rounding errors
+                # alone, the search has converged; it stalls only short of that.
+                arrived = levenberg.promise(state, pull, u) < 1e-10 * state.loss
+                if status == RESULTS.stalled and (arrived or state.loss < ROUNDING):
                     status = RESULTS.ok
                 return state.u, status
             score, diverged = self._consider(state.u)

@@ -99,7 +99,7 @@ def _lags(
                 )
         if len(set(row)) != len(row):
             raise SpecError(f"{field} of {name!r} repeat: {row}", field=field)
-    return chosen
+    return [[int(lag) for lag in row] for row in chosen]
 
 
 def polynomial_pool(

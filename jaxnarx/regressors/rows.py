@@ -48,6 +48,9 @@ def regression_rows(
     targets = np.array([inputs + o for o in outputs])
     good = usable(batch.valid, variables.rows, history)
     counted = good[:, :, None] & batch.valid[:, :, targets]
+    if weights is not None:
+        positive = _flat_weights(weights, data, good.shape[1]) > 0
+        counted &= positive.reshape(good.shape)[:, :, None]
     enough(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
     gain = gains(data) if gain is None else gain
