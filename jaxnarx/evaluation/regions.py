@@ -3,16 +3,23 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset
+
+POINTS = 2000
+"""Data points kept to show where measurements lie."""
 
 
 def describe_partition(
-    network: Any, *, start: Any | None = None
+    network: Any, *, start: Any | None = None, data: Dataset | None = None
 ) -> dict[str, dict[str, Any]]:
     """By output: scheduling names, their training ranges, centres and widths.
 
-    `start` is the network before refinement, shown as `before`. Outputs with a single
-    local model, or whose validity has no centres and widths, are left out. The form is
-    the one `Report.partition` takes.
+    `start` is the network before refinement, shown as `before`; up to 2000 points of
+    `data`, evenly spaced, become the `cloud` that shows where measurements lie. Outputs
+    with a single local model, or whose validity has no centres and widths, are left
+    out. The form is the one `Report.partition` takes.
     """
     after, before = _regions(network), _regions(start) if start is not None else {}
     out = {}
@@ -28,7 +35,24 @@ def describe_partition(
             "before": [_model(r) for r in before.get(name, []) if r],
             "after": [_model(r) for r in regions],
         }
+        if data is not None:
+            out[name]["cloud"] = _cloud(data, model.scheduling)
     return out
+
+
+def _cloud(data: Dataset, scheduling: Any) -> Float[np.ndarray, "samples dims"]:
+    """Measured scheduling variables, evenly thinned, rows with a missing one left out."""
+    kept = []
+    reach = max(lag for _, lag in scheduling)
+    for r in data:
+        rows = np.concatenate([r.u, r.y], axis=1)
+        at = np.arange(reach, len(r))
+        points = [rows[at - lag, s] for s, lag in scheduling]
+        valid = [r.valid[at - lag, s] for s, lag in scheduling]
+        kept.append(np.stack(points, axis=1)[np.all(valid, axis=0)])
+    cloud = np.concatenate(kept)
+    step = max(1, -(-len(cloud) // POINTS))
+    return cloud[::step].astype(float)
 
 
 def _regions(network: Any) -> dict[str, list[dict[str, Any]]]:

@@ -155,7 +155,7 @@ def report(
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
     if partition is None:
-        partition = describe_partition(network)
+        partition = describe_partition(network, data=parts[main])
     return Report(
         outputs=outputs,
         main=main,

@@ -91,11 +91,11 @@ def measured_and_simulated(
         for axes in (top, low):
             _shade(axes, time, limited)
         top.set_ylabel(plain(label))
-        top.set_title(plain(title, 90))
+        top.set_title(plain(title, 90), pad=20)
         low.set(xlabel="time [s]", ylabel="residual")
         low.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 1)
         figure.align_ylabels([top, low])
-        top.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, borderaxespad=0.1)
+        top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.1)
     return figure
 
 

@@ -169,7 +169,8 @@ def _safe(figure: Figure, prefix: str, title: str) -> Markup:
 
 def _caption(trace: Any) -> str:
     how = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
-    unit = f" {trace.output.unit}" if trace.rmse is not None else ""
+    stated = trace.rmse is not None and trace.output.unit not in ("", "-", "1")
+    unit = f" {trace.output.unit}" if stated else ""
     return f"{trace.output.name}, {trace.rank} record {trace.record}: {how}{unit}"
 
 

@@ -182,7 +182,7 @@ def _report(plan, parts, chosen, start: Network, fit: Solution[Network]) -> Repo
         parts,
         selection=_selection(chosen),
         history=steps,
-        partition=describe_partition(fit.value, start=start),
+        partition=describe_partition(fit.value, start=start, data=parts["train"]),
         provenance={"command": plan.command, "refinement": fit.detail},
     )
 

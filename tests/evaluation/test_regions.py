@@ -61,6 +61,16 @@ def test_partition_is_in_the_units_of_the_scheduling_variables(network):
     np.testing.assert_allclose([m["width"] for m in got["before"]], 400, rtol=1e-12)
 
 
+def test_cloud_is_the_lagged_measurements_that_are_valid(network):
+    one, two = record(1, "a"), record(2, "b")
+    two.valid[7, 0] = False
+    data = Dataset((one, two), CHANNELS, 0.1)
+    cloud = describe_partition(network, data=data)["NOx"]["cloud"]
+    # speed[t-1] at samples 1 to 39 of each record, less the masked one.
+    expected = np.concatenate([one.u[:-1], np.delete(two.u[:-1], 7, axis=0)])
+    np.testing.assert_array_equal(cloud, expected)
+
+
 def test_a_true_model_scores_perfectly_in_every_mode(network, tmp_path):
     data = Dataset((record(1, "a"), record(2, "b")), CHANNELS, 0.1)
     got = report(network, data)
