@@ -1,7 +1,8 @@
 """Settings of the verbs: frozen and jax-free, so that the command line can use them."""
 
+from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.partition import Global, Lolimot
 from jaxnarx.methods.refinement import SimulationError
 from jaxnarx.methods.selection import ForwardOLS
 
-__all__ = ["ForwardOLS", "Global", "Lolimot", "SimulationError"]
+__all__ = ["ForwardOLS", "Global", "Lolimot", "OptimalDesign", "SimulationError"]

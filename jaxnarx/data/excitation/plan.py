@@ -1,0 +1,190 @@
+"""An APRBS over several inputs as a value: what an optimal design adjusts."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.data.excitation.require import span, whole
+from jaxnarx.errors import SpecError
+
+
+class AprbsPlan(eqx.Module):
+    """Levels and hold times of an APRBS, per segment and input, with their limits.
+
+    Input i starts at `level[0, i]`; at the start of segment k it leaves for
+    `level[k, i]`, moving by at most `rate[i]` per sample, and stays there until
+    `hold[k, i]` samples since the start of the segment are over. Each input has its own
+    hold times. The last segment lasts to the end; what starts after `length` samples
+    has no effect.
+
+    `level`, `low` and `high` are in the units of the inputs, `rate` in units per sample
+    (infinite: no limit), `hold` and `length` in samples. Shapes are checked when it is
+    made, values by `check_plan`.
+    """
+
+    level: Float[Array, "segments inputs"]
+    hold: Int[Array, "segments inputs"]
+    rate: Float[Array, " inputs"]
+    low: Float[Array, " inputs"]
+    high: Float[Array, " inputs"]
+    length: int = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __check_init__(self):
+        whole(self.length, "length")
+        segments, inputs = self.level.shape
+        if not segments or not inputs or len(self.names) != inputs:
+            raise SpecError(
+                f"a plan needs segments and inputs and a name for each input, got "
+                f"levels of shape {self.level.shape} and names {self.names}",
+                field="names",
+            )
+
+    @property
+    def start(self) -> Int[Array, "segments inputs"]:
+        """First sample of each segment."""
+        return jnp.cumsum(self.hold, axis=0) - self.hold
+
+    @property
+    def used(self) -> Bool[Array, "segments inputs"]:
+        """Whether a segment begins before the end of the plan."""
+        return self.start < self.length
+
+
+@eqx.filter_jit
+def render(plan: AprbsPlan) -> Float[Array, "time inputs"]:
+    """The plan as a signal, in the units of the inputs.
+
+    With s the start of segment k and x_k the value at its end, the sample t is
+    x_{k-1} + clip(level_k - x_{k-1}, -r, r), r = rate (t - s + 1): piecewise linear in
+    time and in the levels. The slope limit holds for any levels, also those it cannot
+    reach within their hold; the range holds if all levels are in it. Pure: goes through
+    `jit`, `vmap` and `grad` with respect to `level` and `rate`.
+    """
+    return jax.vmap(_render, (1, 1, 0, None), 1)(
+        plan.level, plan.hold, plan.rate, plan.length
+    )
+
+
+@eqx.filter_jit
+def reachable(plan: AprbsPlan) -> AprbsPlan:
+    """The plan with levels moved into range, then to what the rate reaches in the hold.
+
+    Segment by segment from the first, so the result is `feasible`; a feasible plan
+    comes back as it is. Serves a projected gradient. Pure.
+    """
+    level = jnp.clip(plan.level, plan.low[None], plan.high[None])
+    level = jax.vmap(_reached, (1, 1, 0), 1)(level, plan.hold, plan.rate)
+    return eqx.tree_at(lambda p: p.level, plan, level)
+
+
+def feasible(plan: AprbsPlan) -> Bool[Array, ""]:
+    """Whether every used level is in range and reached within its hold. Pure.
+
+    Up to rounding: eight units in the last place of the larger border.
+    """
+    inside, in_time = _kept(plan)
+    return jnp.all(inside & in_time)
+
+
+def check_limits(plan: AprbsPlan) -> None:
+    """SpecError unless borders are ordered and finite, rates and holds positive."""
+    low, high, rate = (np.asarray(x) for x in (plan.low, plan.high, plan.rate))
+    for i, name in enumerate(plan.names):
+        span((float(low[i]), float(high[i])), name)
+        if not rate[i] > 0:
+            raise SpecError(
+                f"the rate limit of {name!r} must be above zero, in units per sample, "
+                f"got {rate[i]}",
+                field="rate",
+            )
+    if np.min(np.asarray(plan.hold)) < 1:
+        raise SpecError("every hold must be at least one sample", field="hold")
+
+
+def check_plan(plan: AprbsPlan) -> None:
+    """SpecError unless the plan can be run as it stands; names input and segment.
+
+    Levels must be finite and in range, and every step must be completed within its
+    hold. Segments after the end are not looked at. Not to be traced.
+    """
+    check_limits(plan)
+    inside, in_time = (np.asarray(x) for x in _kept(plan))
+    for k, i in np.argwhere(~inside):
+        raise SpecError(
+            f"level of input {plan.names[i]!r} in segment {k} is "
+            f"{plan.level[k, i]:g}, outside its range {plan.low[i]:g} to "
+            f"{plan.high[i]:g}",
+            field="level",
+        )
+    for k, i in np.argwhere(~in_time):
+        raise SpecError(_too_fast(plan, int(k), int(i)), field="rate")
+
+
+def _too_fast(plan: AprbsPlan, k: int, i: int) -> str:
+    hold, rate = int(plan.hold[k, i]), float(plan.rate[i])
+    step = abs(float(plan.level[k, i]) - float(plan.level[k - 1, i]))
+    widest = float(plan.high[i]) - float(plan.low[i])
+    return (
+        f"input {plan.names[i]!r}, segment {k}: a step of {step:g} within its hold of "
+        f"{hold} samples needs a rate of {step / hold:g} per sample, the limit is "
+        f"{rate:g}. Hold for at least {np.ceil(step / rate):.0f} samples "
+        f"({np.ceil(widest / rate):.0f} are enough for any step in the range), allow "
+        "a higher rate, narrow the range, or have such steps shortened"
+    )
+
+
+@eqx.filter_jit
+def _kept(
+    plan: AprbsPlan,
+) -> tuple[Bool[Array, "segments inputs"], Bool[Array, "segments inputs"]]:
+    """Levels in range, and steps completed in their hold; what is unused counts as so.
+
+    One compiled program, as eager operations would each be compiled for every shape.
+    """
+    low, high, level = plan.low[None], plan.high[None], plan.level
+    slack = 8 * jnp.finfo(level.dtype).eps * jnp.maximum(jnp.abs(low), jnp.abs(high))
+    inside = (level >= low - slack) & (level <= high + slack)
+    step = jnp.abs(jnp.diff(level, axis=0, prepend=level[:1]))
+    reach = plan.rate[None] * plan.hold.astype(plan.rate.dtype)
+    return inside | ~plan.used, (step <= reach + slack) | ~plan.used
+
+
+def _reached(
+    level: Float[Array, " segments"],
+    hold: Int[Array, " segments"],
+    rate: Float[Array, ""],
+) -> Float[Array, " segments"]:
+    """Value at the end of each segment."""
+
+    def segment(now, target):
+        level, reach = target
+        # where, not now + clip(...): what is reached is reached to the last bit.
+        near = jnp.abs(level - now) <= reach
+        now = jnp.where(near, level, now + jnp.clip(level - now, -reach, reach))
+        return now, now
+
+    reach = rate * hold.astype(level.dtype)
+    return jax.lax.scan(segment, level[0], (level, reach))[1]
+
+
+def _render(
+    level: Float[Array, " segments"],
+    hold: Int[Array, " segments"],
+    rate: Float[Array, ""],
+    length: int,
+) -> Float[Array, " time"]:
+    ends = _reached(level, hold, rate)
+    before = jnp.concatenate([level[:1], ends[:-1]])
+    time = jnp.arange(length, dtype=hold.dtype)
+    start = jnp.cumsum(hold) - hold
+    # Counting the starts is five times faster than searching for them; by `cumsum` it
+    # would take XLA half a minute to fold when the hold times are constants.
+    begins = jnp.zeros(length, hold.dtype).at[start].add(1, mode="drop")
+    k = jax.lax.associative_scan(jnp.add, begins) - 1
+    room = rate * (time - start[k] + 1).astype(level.dtype)
+    gap = level[k] - before[k]
+    near = jnp.abs(gap) <= room
+    return jnp.where(near, level[k], before[k] + jnp.sign(gap) * room)

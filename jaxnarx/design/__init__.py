@@ -1,0 +1,33 @@
+"""Optimal adjustment of an excitation plan through a model.
+
+An experiment is worth what it tells about the parameters. With S_t the derivative of
+the outputs at t by the parameters, in standard deviations of the noise, its information
+matrix is
+
+    M = sum_t S_t' S_t ,
+
+and M^-1 bounds the covariance of any unbiased estimate (Cramer and Rao). `adjust` moves
+the levels of an APRBS plan so that a criterion of M improves, by gradient through the
+model, within the plan's own range and rate limits.
+
+Reference: R. K. Mehra, IEEE Trans. Automatic Control 19, 1974; thesis section 6.2.1.
+"""
+
+from jaxnarx.design.adjust import adjust
+from jaxnarx.design.criteria import Criteria, criteria
+from jaxnarx.design.sensitivity import (
+    AbstractSensitivity,
+    NetworkSensitivity,
+    ResponseSensitivity,
+    network_sensitivity,
+)
+
+__all__ = [
+    "AbstractSensitivity",
+    "Criteria",
+    "NetworkSensitivity",
+    "ResponseSensitivity",
+    "adjust",
+    "criteria",
+    "network_sensitivity",
+]

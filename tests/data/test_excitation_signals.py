@@ -1,0 +1,311 @@
+"""PRBS, random walk, multisine, chirp, ramps and limits against their definitions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxnarx.data.excitation import (
+    chirp,
+    crest_factor,
+    limited,
+    multisine,
+    prbs,
+    ramps,
+    random_walk,
+    steps,
+)
+from jaxnarx.errors import SpecError
+
+
+def refused(function, *args, field, **options):
+    with pytest.raises(SpecError) as caught:
+        function(*args, **options)
+    assert caught.value.field == field, str(caught.value)
+
+
+# pseudo-random binary sequence ----------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [2, 3, 6, 11])
+def test_the_autocorrelation_of_a_period_has_two_values(order):
+    period = 2**order - 1
+    x = np.asarray(prbs(period, amplitude=(-1.0, 1.0), order=order))
+    assert set(x) == {-1.0, 1.0}
+    found = np.fft.ifft(np.abs(np.fft.fft(x)) ** 2).real
+    # Whole numbers, off by the rounding of the transform.
+    np.testing.assert_allclose(found, [period] + [-1] * (period - 1), atol=1e-9)
+
+
+def test_the_clock_repeats_and_the_order_follows_from_the_length():
+    x = np.asarray(prbs(300, amplitude=(2.0, 5.0), clock=5))
+    # 60 clocks need order 6, whose period is 63.
+    np.testing.assert_array_equal(x, np.repeat(x[::5], 5))
+    expected = prbs(60, amplitude=(2.0, 5.0), order=6)
+    np.testing.assert_array_equal(x[::5], expected)
+
+
+def test_a_shift_begins_later_in_the_same_period():
+    period = np.asarray(prbs(31, amplitude=(0.0, 1.0), order=5))
+    for shift in (1, 12, 31 + 12):
+        found = prbs(40, amplitude=(0.0, 1.0), order=5, shift=shift)
+        np.testing.assert_array_equal(found, np.resize(np.roll(period, -shift), 40))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"length": 0}, "length"),
+        ({"order": 1}, "order"),
+        ({"order": 25}, "order"),
+        ({"clock": 0}, "clock"),
+        ({"shift": -1}, "shift"),
+        ({"amplitude": (1.0, -1.0)}, "amplitude"),
+    ],
+)
+def test_impossible_binary_sequences_are_refused(wrong, field):
+    refused(prbs, field=field, **({"length": 9, "amplitude": (0.0, 1.0)} | wrong))
+
+
+# random walk ----------------------------------------------------------------------
+
+
+def between_mirrors(start, moves, low, high):
+    """Each move taken by hand, the direction turned at every mirror."""
+    x, sign, path = start, 1.0, []
+    for move in moves:
+        x += sign * move
+        while not low <= x <= high:
+            x, sign = (2 * low - x if x < low else 2 * high - x), -sign
+        path.append(x)
+    return np.array(path)
+
+
+@pytest.mark.parametrize("step", [0.3, 7.0])
+def test_the_walk_is_reflected_as_light_between_mirrors(key, step):
+    low, high, length = -1.0, 2.0, 2000
+    found = np.asarray(random_walk(key, length, amplitude=(low, high), step=step))
+    moves = np.array(jax.random.uniform(key, (length,), float, -step, step))
+    moves[0] = 0
+    # Rounding of a sum of 2000 numbers of at most 7.
+    np.testing.assert_allclose(
+        found, between_mirrors(0.5, moves, low, high), atol=1e-10
+    )
+    assert low <= found.min() and found.max() <= high
+    assert np.abs(np.diff(found)).max() <= step
+
+
+def test_the_walk_holds_starts_and_stays(key):
+    x = random_walk(key, 10, amplitude=(0.0, 1.0), step=0.1, hold=3, start=0.9)
+    np.testing.assert_array_equal(x[:3], 0.9)
+    np.testing.assert_array_equal(x, np.repeat(x[::3], 3)[:10])
+    still = random_walk(key, 5, amplitude=(4.0, 4.0), step=1.0)
+    np.testing.assert_array_equal(still, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [({"step": 0.0}, "step"), ({"start": 2.0}, "start"), ({"hold": 0}, "hold")],
+)
+def test_impossible_walks_are_refused(key, wrong, field):
+    request = {"amplitude": (0.0, 1.0), "step": 0.1} | wrong
+    refused(random_walk, key, 10, field=field, **request)
+
+
+# multisine ------------------------------------------------------------------------
+
+HARMONICS = (1, 2, 3, 5, 8, 13, 21)
+
+
+def lines(signal) -> np.ndarray:
+    """Complex amplitudes of the cosines of a full period."""
+    return 2 * np.fft.rfft(np.asarray(signal)) / len(signal)
+
+
+@pytest.mark.parametrize("random", [False, True])
+def test_only_the_chosen_harmonics_are_there(key, random):
+    weights = [1.0, 1.0, 2.0, 1.0, 0.5, 1.0, 3.0]
+    request = {"harmonics": HARMONICS, "weights": weights, "amplitude": (-3.0, 5.0)}
+    x = np.asarray(multisine(64, **request, key=key if random else None))
+    size = np.abs(lines(x))[list(HARMONICS)]
+    np.testing.assert_allclose(size / size[0], weights, rtol=1e-12)
+    others = np.setdiff1d(np.arange(1, 33), HARMONICS)
+    assert np.abs(lines(x))[others].max() < 1e-12
+    # Symmetric about the middle, 1, and touching the range on one side.
+    assert abs(x.mean() - 1) < 1e-12 and abs(np.abs(x - 1).max() - 4) < 1e-12
+
+
+def test_phases_are_schroeders():
+    count = 30
+    x = multisine(256, harmonics=range(1, count + 1), amplitude=(-1.0, 1.0))
+    k = np.arange(1, count + 1)
+    expected = np.exp(-1j * np.pi * k * (k - 1) / count)
+    found = lines(x)[1 : count + 1]
+    np.testing.assert_allclose(found / np.abs(found), expected, atol=1e-11)
+    # In phase, the crest factor is sqrt(2 K) = 7.7; Schroeder's reaches about 1.7.
+    assert crest_factor(x) < 1.8
+    shuffled = multisine(256, harmonics=k[::-1].tolist(), amplitude=(-1.0, 1.0))
+    np.testing.assert_array_equal(x, shuffled)
+
+
+def test_a_multisine_repeats_after_its_period():
+    x = multisine(100, harmonics=[1, 4], amplitude=(0.0, 1.0), period=30)
+    np.testing.assert_array_equal(x[30:], x[:70])
+
+
+def test_crest_factors_of_simple_signals():
+    t = jnp.arange(64.0)
+    for signal, expected in [
+        (jnp.cos(2 * jnp.pi * t / 16), np.sqrt(2)),
+        (jnp.where(t % 2 == 0, 1.0, -1.0), 1.0),
+        (jnp.full(64, 2.0), 1.0),
+    ]:
+        np.testing.assert_allclose(crest_factor(signal), expected, rtol=1e-12)
+        np.testing.assert_allclose(crest_factor(3 - 5 * signal), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"harmonics": [1, 32]}, "harmonics"),
+        ({"harmonics": [0]}, "harmonics"),
+        ({"harmonics": [2, 2]}, "harmonics"),
+        ({"harmonics": []}, "harmonics"),
+        ({"weights": [1.0, 2.0]}, "weights"),
+        ({"weights": [-1.0]}, "weights"),
+        ({"period": 0}, "period"),
+        ({"amplitude": (0.0, np.inf)}, "amplitude"),
+    ],
+)
+def test_impossible_multisines_are_refused(wrong, field):
+    request = {"harmonics": [1], "amplitude": (0.0, 1.0)} | wrong
+    refused(multisine, 64, field=field, **request)
+
+
+# chirp ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
+@pytest.mark.parametrize("frequency", [(0.5, 20.0), (20.0, 0.5), (3.0, 3.0)])
+def test_a_chirp_is_scipys(sweep, frequency):
+    request = {"frequency": frequency, "amplitude": (1.0, 5.0), "sample_time": 0.01}
+    found = chirp(1001, sweep=sweep, **request)
+    t = np.arange(1001) * 0.01
+    wave = scipy.signal.chirp(t, frequency[0], 10.0, frequency[1], sweep, phi=-90)
+    # The phase reaches 1000 rad, which rounds to 1e-13.
+    np.testing.assert_allclose(found, 3 + 2 * wave, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"frequency": (1.0, 51.0)}, "frequency"),
+        ({"frequency": (-1.0, 5.0)}, "frequency"),
+        ({"frequency": (np.nan, 5.0)}, "frequency"),
+        ({"frequency": (0.0, 5.0), "sweep": "logarithmic"}, "frequency"),
+        ({"sample_time": 0.0}, "sample_time"),
+    ],
+)
+def test_impossible_chirps_are_refused(wrong, field):
+    request = {"frequency": (1.0, 5.0), "amplitude": (0.0, 1.0), "sample_time": 0.01}
+    refused(chirp, 100, field=field, **(request | wrong))
+
+
+# limits and ramps -----------------------------------------------------------------
+
+RATE = {"rate": 3.0, "sample_time": 0.1}
+
+
+def followed(signal, move, low, high):
+    aims = np.clip(signal, low, high)
+    path = [aims[0]]
+    for aim in aims[1:]:
+        path.append(path[-1] + np.clip(aim - path[-1], -move, move))
+    return np.array(path)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return jax.random.normal(jax.random.key(3), (200,), float)
+
+
+def test_limits_are_kept_sample_by_sample(rough):
+    found = np.asarray(limited(rough, low=-0.8, high=0.6, **RATE))
+    np.testing.assert_allclose(found, followed(rough, 0.3, -0.8, 0.6), atol=1e-14)
+    assert np.abs(np.diff(found)).max() <= 0.3 * (1 + 1e-12)
+    np.testing.assert_array_equal(
+        limited(jnp.asarray(found), low=-0.8, high=0.6, **RATE), found
+    )
+
+
+def test_what_does_not_limit_changes_nothing(rough):
+    np.testing.assert_array_equal(limited(rough), rough)
+    np.testing.assert_array_equal(limited(rough, rate=1e3, sample_time=0.1), rough)
+    np.testing.assert_array_equal(limited(rough, low=0.0), jnp.maximum(rough, 0.0))
+
+
+def test_the_limiter_is_differentiated_as_it_acts(rough):
+    def weighted(x):
+        return jnp.vdot(
+            limited(x, low=-0.8, high=0.6, **RATE), jnp.cos(jnp.arange(200.0))
+        )
+
+    tangent = jnp.sin(jnp.arange(200.0))
+    slope = jax.jvp(weighted, (rough,), (tangent,))[1]
+    h = 1e-6
+    centred = (weighted(rough + h * tangent) - weighted(rough - h * tangent)) / (2 * h)
+    # Piecewise linear: only the rounding of the difference, about eps / h, is left.
+    np.testing.assert_allclose(slope, centred, rtol=1e-7)
+    backward = jnp.vdot(jax.grad(weighted)(rough), tangent)
+    np.testing.assert_allclose(backward, slope, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"rate": 0.0, "sample_time": 0.1}, "rate"),
+        ({"rate": np.inf, "sample_time": 0.1}, "rate"),
+        ({"rate": 1.0}, "sample_time"),
+        ({"rate": 1.0, "sample_time": -0.1}, "sample_time"),
+        ({"low": 1.0, "high": 0.0}, "low"),
+        ({"low": np.nan}, "low"),
+    ],
+)
+def test_impossible_limits_are_refused(rough, wrong, field):
+    refused(limited, rough, field=field, **wrong)
+
+
+def test_ramps_are_limited_steps():
+    levels, hold = [1.0, 2.0, -0.55, -0.55, 0.0], 4
+    found = np.asarray(ramps(levels, hold=hold, **RATE))
+    moving = np.ceil(np.abs(np.diff(levels)) / 0.3 - 1e-9).clip(1) - 1
+    stairs = np.repeat(levels, [hold, *(hold + moving.astype(int))])
+    np.testing.assert_allclose(found, limited(jnp.asarray(stairs), **RATE), atol=1e-14)
+    # An exact multiple of the slope takes no sample more.
+    assert len(ramps([0.0, 0.3], hold=1, **RATE)) == 2
+
+
+def test_every_ramp_may_have_its_own_rate():
+    x = ramps([0.0, 1.0, 0.0], rate=[1.0, 5.0], hold=2, sample_time=0.1)
+    assert len(x) == 2 + 9 + 2 + 1 + 2
+    np.testing.assert_allclose(x[2:11], np.arange(1, 10) * 0.1, rtol=1e-14)
+    np.testing.assert_array_equal(ramps([2.0], rate=1, hold=3, sample_time=1), 2.0)
+    np.testing.assert_array_equal(
+        ramps([0.0, 1.0], rate=1e9, hold=3, sample_time=1.0), steps([0.0, 1.0], hold=3)
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"rate": [1.0]}, "rate"),
+        ({"rate": 0.0}, "rate"),
+        ({"hold": 0}, "hold"),
+        ({"levels": []}, "levels"),
+        ({"sample_time": np.nan}, "sample_time"),
+    ],
+)
+def test_impossible_ramps_are_refused(wrong, field):
+    request = {"levels": [0.0, 1.0, 0.0], "rate": 1.0, "hold": 2, "sample_time": 0.1}
+    refused(ramps, field=field, **(request | wrong))
