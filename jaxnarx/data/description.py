@@ -11,6 +11,7 @@ delimiter = ","              # found out (comma, semicolon, tab) when left out
 encoding = "utf-8"           # or "cp1252", ...
 skip_rows = 0                # lines before the header
 unit_row = false             # a line of units follows the header
+preparation = "preparation.json"   # what `jaxnarx prepare` did to these files
 
 [channels.inputs]            # name = unit, in the order of the dataset's columns
 speed = "rpm"
@@ -32,7 +33,7 @@ in alphabetical order, and each file is one record.
 import dataclasses
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from jaxnarx.data.channels import Channel, Channels
@@ -49,7 +50,8 @@ class Description:
     """A parsed description: which columns of which files make which dataset.
 
     `columns` maps channel names to column names; `patterns` maps parts (`files`, or
-    `train`, `validate`, `test`) to glob patterns.
+    `train`, `validate`, `test`) to glob patterns. `preparation` is a file, relative to
+    the root, that tells how the files were made from raw ones.
     """
 
     channels: Channels
@@ -60,6 +62,7 @@ class Description:
     missing: str
     root: str
     layout: CsvLayout
+    preparation: str | None = None
 
     @property
     def wanted(self) -> list[str]:
@@ -105,6 +108,7 @@ _DATA: dict[str, type] = {
     "encoding": str,
     "skip_rows": int,
     "unit_row": bool,
+    "preparation": str,
 }
 
 _KINDS = {
@@ -132,6 +136,12 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         positive_sample_time(settings["sample_time"])
     require_missing(settings.get("missing", "refuse"))
     channels, columns = _channels(_section(table, "channels"))
+    preparation = settings.get("preparation")
+    if preparation is not None and not _is_inside(preparation):
+        raise SpecError(
+            f"preparation must be a file in the data folder, got {preparation!r}",
+            field="data.preparation",
+        )
     return Description(
         channels=channels,
         columns=columns,
@@ -141,7 +151,15 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         missing=settings.get("missing", "refuse"),
         root=settings.get("root", "."),
         layout=_layout(settings),
+        preparation=preparation,
     )
+
+
+def _is_inside(name: str) -> bool:
+    """Whether a relative file name stays in its folder."""
+    path = PurePosixPath(name)
+    outside = path.is_absolute() or ".." in path.parts or "\\" in name
+    return bool(path.name) and not outside
 
 
 def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import json
 import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -14,6 +15,7 @@ from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import assemble
+from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.tables import read_table
 from jaxnarx.errors import DataFileError, SpecError
 
@@ -23,12 +25,16 @@ MAX_BYTES = 4e9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Split:
-    """The parts of a description; a part that it does not name is None."""
+    """The parts of a description; a part that it does not name is None.
+
+    `preparation` is what was done to the files before, if the description says so.
+    """
 
     train: Dataset | None
     validate: Dataset | None
     test: Dataset | None
     all: Dataset
+    preparation: Preparation | None = None
 
 
 def read(
@@ -45,7 +51,7 @@ def read(
     parent folder where two names collide. More than `max_bytes` when expanded is
     refused before reading.
     """
-    return _read(path, root, max_bytes)[0]
+    return _read(Path(path), load_description(Path(path)), root, max_bytes)[0]
 
 
 def read_split(
@@ -59,14 +65,20 @@ def read_split(
     A description that lists `files` gives only `all`. A record that is in two parts, by
     its path or by its contents, is a SpecError.
     """
-    data, parts = _read(path, root, max_bytes)
+    path = Path(path)
+    description = load_description(path)
+    data, parts = _read(path, description, root, max_bytes)
     _require_disjoint(data, parts, path)
     chosen = {
         part: data[[i for i, p in enumerate(parts) if p == part]]
         for part in PARTS
         if part in parts
     }
-    return Split(*(chosen.get(part) for part in PARTS), all=data)
+    return Split(
+        *(chosen.get(part) for part in PARTS),
+        all=data,
+        preparation=_preparation(path, description, root),
+    )
 
 
 def read_files(
@@ -117,10 +129,29 @@ def read_files(
     return assemble(sources, own, sample_time=sample_time, missing=missing)
 
 
-def _read(path, root, max_bytes) -> tuple[Dataset, list[str]]:
+def _preparation(path: Path, description: Description, root) -> Preparation | None:
+    """The preparation that the description names; a damaged one is a DataFileError."""
+    if description.preparation is None:
+        return None
+    file = _root(path, root, description) / description.preparation
+    try:
+        return Preparation.from_dict(json.loads(file.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise DataFileError(
+            f"{path}: the preparation {file} cannot be opened "
+            f"({error.strerror or error}).",
+            path=file,
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise DataFileError(
+            f"{file}: not what `jaxnarx prepare` writes: {error}", path=file
+        ) from error
+
+
+def _read(
+    path: Path, description: Description, root, max_bytes
+) -> tuple[Dataset, list[str]]:
     """All records, and the part each belongs to."""
-    path = Path(path)
-    description = load_description(path)
     folder = _root(path, root, description)
     found = _find(description, folder, path)
     files = [file for file, _ in found]

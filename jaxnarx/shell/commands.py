@@ -5,6 +5,7 @@ The work is done by `jaxnarx.shell.work`, imported when a command runs.
 """
 
 import dataclasses
+import re
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
@@ -22,6 +23,7 @@ _Names = Annotated[tuple[str, ...], _optional("NAME [NAME ...]")]
 _Lags = Annotated[tuple[int, ...], arg(metavar="LAG [LAG ...]")]
 _Flag = Annotated[bool, arg(help_behavior_hint="")]
 _Ints = Annotated[tuple[int, ...], arg(metavar="INT [INT ...]")]
+_Whole = Annotated[int | None, _optional("INT")]
 _Percent = Annotated[float | None, _optional("PERCENT")]
 
 
@@ -124,6 +126,8 @@ class Simulate:
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
     """Folder for the CSV files."""
+    prepare: _Flag = False
+    """Prepare raw files first as the model's training records were prepared."""
     force: _Flag = False
     """Overwrite files of an earlier run."""
 
@@ -180,7 +184,54 @@ class Check:
     """Print the findings as JSON."""
 
 
-Command = Demo | Identify | Simulate | Report | Check
+@dataclasses.dataclass(frozen=True)
+class Prepare:
+    """Prepare measured records: outliers, drift, filter, sample time, offset, scale.
+
+    Every step is fitted to the training records (to all, where none are named) and
+    applied to all of them. Whichever are asked for, they are done in the order of the
+    options below. FOLDER receives a CSV file per record, whose empty cells are masked
+    samples, prepared.toml, which describes them with the same division into train,
+    validate and test, and preparation.json, with every number of every step; a model
+    identified from prepared.toml keeps it, for `jaxnarx simulate --prepare`.
+
+    Example:
+        jaxnarx prepare engine.toml --out prepared --hampel 7 --low-pass 2 --decimate 2
+    """
+
+    description: Positional[_Description]
+    """TOML description of the records."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "prepared"
+    """Folder for the prepared files."""
+    hampel: _Whole = None
+    """Mask outliers: half width, in samples, of the window they are sought in."""
+    detrend: _Flag = False
+    """Remove each record's linear drift; its level stays."""
+    low_pass: Annotated[float | None, _optional("HZ")] = None
+    """Filter without phase; cut-off, where the amplitude is halved [Hz]."""
+    decimate: _Whole = None
+    """Keep one of this many samples, after an anti-aliasing filter."""
+    resample: Annotated[float | None, _optional("SECONDS")] = None
+    """New sample time [s], anti-aliased where it is longer."""
+    offset: Annotated[Literal["mean", "first"] | None, _optional("{mean,first}")] = None
+    """Subtract from every channel its mean, or its first sample."""
+    scale: Annotated[
+        Literal["min-max", "mean", "standard"] | None,
+        _optional("{min-max,mean,standard}"),
+    ] = None
+    """Scale every channel: to [0, 1], by its mean, or to unit variance."""
+    root: _Folder = None
+    """Folder of the data; default JAXNARX_DATA, else the description's folder."""
+    force: _Flag = False
+    """Overwrite files of an earlier run."""
+
+
+def _kebab(name: str) -> str:
+    """A class name as it is typed: `SimulateEngine` is `simulate-engine`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+
+
+Command = Demo | Identify | Simulate | Report | Check | Prepare
 COMMANDS: dict[str, type] = {
-    c.__name__.lower(): c for c in (Demo, Identify, Simulate, Report, Check)
+    _kebab(c.__name__): c for c in (Demo, Identify, Simulate, Report, Check, Prepare)
 }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, match_channels
+from jaxnarx.data import Channels, Dataset, Preparation, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.evaluation import Report, report
 from jaxnarx.evaluation.regions import describe_partition
@@ -36,6 +36,8 @@ class Plan:
     grow: Global | Lolimot
     refine: SimulationError
     command: str
+    preparation: dict[str, Any] | None = None
+    """What was done to the records before, kept with the model."""
 
     def on(self, channels: Channels) -> "Plan":
         """The plan for data with these channels: no output named means all of them."""
@@ -88,6 +90,14 @@ def make_plan(command: Identify, typed: str) -> Plan:
     )
 
 
+def prepared_by(preparation: Preparation | None, plan: Plan) -> Plan:
+    """The plan for records that were prepared so, which the model will tell."""
+    if preparation is None:
+        return plan
+    say(f"The records are prepared:\n{preparation.describe()}")
+    return dataclasses.replace(plan, preparation=preparation.to_dict())
+
+
 def identify(
     plan: Plan, parts: dict[str, Dataset], folder: Path
 ) -> tuple[Report, bool]:
@@ -123,7 +133,10 @@ def identify(
     say(f"  {fit.status_name}: {fit.detail}")
     result = _report(plan, parts, chosen, grown.value, fit)
     with written_together(folder) as place:
-        save(fit.value, place / "model.safetensors", about={"command": plan.command})
+        about: dict[str, Any] = {"command": plan.command}
+        if plan.preparation is not None:
+            about["preparation"] = plan.preparation
+        save(fit.value, place / "model.safetensors", about=about)
         write_report(result, place)
     say("\n" + _summary(result, grown.value, parts))
     say(

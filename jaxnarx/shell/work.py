@@ -15,7 +15,7 @@ from jaxnarx.shell import commands
 from jaxnarx.shell.progress import count, say
 
 if TYPE_CHECKING:
-    from jaxnarx.data import Dataset, LagSuggestion, Split
+    from jaxnarx.data import Channels, Dataset, LagSuggestion, Split
     from jaxnarx.evaluation import Report as Scores
     from jaxnarx.models import Network
 
@@ -27,6 +27,8 @@ def run(command: commands.Command, *, typed: str) -> int:
     """Run one command; returns the exit code. `typed` is what the user wrote."""
     if isinstance(command, commands.Check):
         return _check(command)
+    if isinstance(command, commands.Prepare):
+        return _prepare(command)
     _configure()
     if isinstance(command, commands.Demo):
         return _demo(command, typed)
@@ -108,6 +110,21 @@ def _check(command: commands.Check) -> int:
     return status
 
 
+def _prepare(command: commands.Prepare) -> int:
+    import os
+
+    from jaxnarx.shell.prepare import make_steps, write_prepared
+
+    steps = make_steps(command)
+    split = _read(command.description, command.root)
+    file = write_prepared(split, steps, command.out, force=command.force)
+    # the variable would send the reader of the new files to the old ones
+    elsewhere = os.environ.get("JAXNARX_DATA")
+    root = ("--root", str(file.parent)) if elsewhere else ()
+    _next("jaxnarx", "check", str(file), *root)
+    return 0
+
+
 def _size(data: "Dataset") -> str:
     return (
         f"{count(len(data), 'record')}, {count(data.samples, 'sample')} at "
@@ -169,13 +186,13 @@ def _demo(command: commands.Demo, typed: str) -> int:
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
-    from jaxnarx.shell.identify import identify, make_plan
+    from jaxnarx.shell.identify import identify, make_plan, prepared_by
     from jaxnarx.shell.output import run_folder
 
     _require_finite("require_fit", command.require_fit)
     plan = make_plan(command, typed)
     split = _read(command.description, command.root)
-    plan = plan.on(split.all.channels)
+    plan = prepared_by(split.preparation, plan.on(split.all.channels))
     name = f"{Path(command.description).stem}-{'-'.join(plan.outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, command.hold_out)
@@ -269,27 +286,51 @@ def _simulate(command: commands.Simulate) -> int:
 
 
 def _new_data(command: commands.Simulate, network: "Network") -> "Dataset":
-    """The records, with the model's channels in its order."""
+    """The records, with the model's channels in its order; prepared if asked to be."""
+    from jaxnarx.shell.prepare import as_trained, raw_channels, stored
+
+    known = stored(command.model)
+    if not command.prepare:
+        if known is not None:
+            say(
+                "The model was identified from prepared records; files must be "
+                "prepared likewise (--prepare does it to raw ones):\n"
+                f"{known.describe()}"
+            )
+        return _records(command, network.channels, float(network.sample_time))
+    if known is None:
+        raise SpecError(
+            f"{command.model} was not identified from prepared records; leave out "
+            "--prepare"
+        )
+    wanted = raw_channels(known, network.channels)
+    raw = _records(command, wanted, known.sample_time)
+    with _about(command.files[0]):
+        return as_trained(known, raw, network.channels)
+
+
+def _records(
+    command: commands.Simulate, channels: "Channels", sample_time: float
+) -> "Dataset":
+    """The records of a description or of files, with these channels in their order."""
     from jaxnarx.data import match_channels, read_files
 
     first = command.files[0]
     if any(f.lower().endswith(".toml") for f in command.files):
         if len(command.files) > 1:
             raise SpecError("give one description, or data files, not both")
-        read = _read(first, command.root).all
+        split = _read(first, command.root)
+        if command.prepare and split.preparation is not None:
+            raise SpecError(f"{first} describes prepared records; leave out --prepare")
         with _about(first):
-            data, extra = match_channels(read, network.channels)
+            data, extra = match_channels(split.all, channels)
         say(_size(data) + (f"; ignored: {', '.join(extra)}" if extra else ""))
         return data
-    data = read_files(
-        command.files,
-        network.channels,
-        sample_time=float(network.sample_time),
-        missing="mask",
-    )
+    data = read_files(command.files, channels, sample_time=sample_time, missing="mask")
     _require_measured(data, command)
+    whose = "raw" if command.prepare else "model's"
     say(
-        f"{_size(data)}, the model's sample time; read "
+        f"{_size(data)}, the {whose} sample time; read "
         f"{', '.join(data.channels.names)}, ignored any other column"
     )
     return data

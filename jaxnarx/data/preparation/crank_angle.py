@@ -1,0 +1,186 @@
+"""From samples at crank angles to samples in time, and back."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data.check_samples import signals
+from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.preparation.grid import on_grid
+from jaxnarx.data.preparation.samples import (
+    bridged,
+    mapped,
+    measured,
+    rebuilt,
+    require_valid,
+)
+from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep, cannot_undo
+from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.errors import DataError, SpecError
+
+_RPM = {"", "rpm", "1/min", "r/min", "rev/min", "min-1", "min^-1", "u/min"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ToTime(AbstractStep, AbstractFitted):
+    """Samples every `degrees` of crank angle, brought to every `sample_time` seconds.
+
+    At the speed N [rpm] of the channel `speed` an event of D degrees lasts D / (6 N)
+    seconds; from one sample to the next the mean of both durations passes. Records that
+    ran faster become shorter. Filter, interpolation and masks as in `grid.on_grid`.
+    Speed must be positive: put this step before offset removal and scaling.
+    """
+
+    speed: str
+    degrees: float | int
+    sample_time: float | int
+
+    def __post_init__(self):
+        _require_degrees(self.degrees)
+        positive_sample_time(self.sample_time)
+
+    def fit(self, data: Dataset) -> "ToTime":
+        """This step, its channel checked."""
+        _speed_signal(data, self.speed)
+        return self
+
+    def apply(self, data: Dataset) -> Dataset:
+        """Every record over time."""
+        j, step = _speed_signal(data, self.speed), float(self.sample_time)
+
+        def one(record: Record) -> Record:
+            t = event_times(_speed(record, data, j), float(self.degrees))
+            return _on(record, data, t, step)
+
+        return mapped(data, one, sample_time=step)
+
+    def undo(self, data: Dataset) -> Dataset:
+        """Refused; `ToCrankAngle` comes near to it."""
+        raise cannot_undo("ToTime", "use ToCrankAngle to come near to it")
+
+    def describe(self) -> str:
+        """Degrees, speed channel and sample time [s]."""
+        return (
+            f"from every {self.degrees:g} degrees of crank angle (by {self.speed}) to "
+            f"every {self.sample_time:g} s"
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ToCrankAngle(AbstractStep):
+    """Samples in time, brought to every `degrees` of crank angle.
+
+    The angle is the integral of 6 N [degrees per s] by the trapezoidal rule, with N
+    [rpm] from the channel `speed`. Fitting fixes the nominal sample time, an event at
+    the mean speed of the training data, which all records then state.
+    """
+
+    speed: str
+    degrees: float | int
+
+    def __post_init__(self):
+        _require_degrees(self.degrees)
+
+    def fit(self, data: Dataset) -> "AtCrankAngle":
+        """The nominal sample time, from valid samples of speed."""
+        j = _speed_signal(data, self.speed)
+        for record in data:
+            _speed(record, data, j)
+        nominal = float(self.degrees / (6 * measured(data, j).mean()))
+        return AtCrankAngle(
+            speed=self.speed,
+            degrees=self.degrees,
+            sample_time=float(f"{nominal:.6g}"),
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AtCrankAngle(AbstractFitted):
+    """`ToCrankAngle` with the nominal `sample_time` [s] of an event."""
+
+    speed: str
+    degrees: float | int
+    sample_time: float | int
+
+    def __post_init__(self):
+        _require_degrees(self.degrees)
+        positive_sample_time(self.sample_time)
+
+    def apply(self, data: Dataset) -> Dataset:
+        """Every record over crank angle."""
+        j, step = _speed_signal(data, self.speed), float(self.degrees)
+
+        def one(record: Record) -> Record:
+            angle = crank_angles(_speed(record, data, j), data.sample_time)
+            return _on(record, data, angle, step)
+
+        return mapped(data, one, sample_time=float(self.sample_time))
+
+    def undo(self, data: Dataset) -> Dataset:
+        """Refused; `ToTime` comes near to it."""
+        raise cannot_undo("ToCrankAngle", "use ToTime to come near to it")
+
+    def describe(self) -> str:
+        """Degrees, speed channel and nominal sample time [s]."""
+        return (
+            f"from time to every {self.degrees:g} degrees of crank angle (by "
+            f"{self.speed}), nominally {self.sample_time:g} s"
+        )
+
+
+def event_times(
+    speed: Float[np.ndarray, " time"], degrees: float
+) -> Float[np.ndarray, " time"]:
+    """Times [s] of samples every `degrees`, from 0, at `speed` [rpm]."""
+    duration = degrees / (6.0 * speed)
+    return np.concatenate([[0.0], np.cumsum(0.5 * (duration[:-1] + duration[1:]))])
+
+
+def crank_angles(
+    speed: Float[np.ndarray, " time"], sample_time: float
+) -> Float[np.ndarray, " time"]:
+    """Crank angles [degrees] of samples every `sample_time` [s], from 0."""
+    turned = 6.0 * sample_time * speed
+    return np.concatenate([[0.0], np.cumsum(0.5 * (turned[:-1] + turned[1:]))])
+
+
+def _on(record: Record, data: Dataset, at, step: float) -> Record:
+    x, valid = on_grid(at, signals(record), record.valid, step=step, name=record.name)
+    return rebuilt(record, x, valid, data.channels)
+
+
+def _speed_signal(data: Dataset, name: str) -> int:
+    j = data.channels.signal(name)
+    unit = data.channels.all[j].unit
+    if unit.strip(" []()").lower() not in _RPM:
+        raise SpecError(
+            f"{name} is in {unit!r}; crank angle needs an engine speed in rpm, before "
+            "any scaling",
+            field="speed",
+        )
+    return j
+
+
+def _speed(record: Record, data: Dataset, j: int) -> Float[np.ndarray, " time"]:
+    """Speed of the record, bridged over masked samples; DataError unless positive."""
+    require_valid(record, data.channels)
+    x, name = signals(record)[:, j : j + 1], data.channels.names[j]
+    bad = np.flatnonzero((x[:, 0] <= 0) & record.valid[:, j])
+    if bad.size:
+        row, value = int(bad[0]) + record.start_row, float(x[bad[0], 0])
+        raise DataError(
+            f"{record.name}: {name} is {value:g} in row {row}, and {bad.size} time(s) "
+            "not above zero; crank angle stands still there. Cut the record where the "
+            "engine turns, or do this step before offset removal and scaling.",
+            channel=name,
+            row=row,
+        )
+    return bridged(x, record.valid[:, j : j + 1])[:, 0]
+
+
+def _require_degrees(degrees: float | int) -> None:
+    if not 0 < degrees < np.inf:
+        raise SpecError(
+            f"degrees must be a positive crank angle, got {degrees}", field="degrees"
+        )

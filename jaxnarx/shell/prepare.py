@@ -1,0 +1,224 @@
+"""Prepared records: written as files, and made again of new ones."""
+
+import csv
+import io
+import json
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxnarx.data import (
+    Channels,
+    Dataset,
+    Decimate,
+    Detrend,
+    Hampel,
+    LowPass,
+    Preparation,
+    RemoveOffset,
+    Resample,
+    Scale,
+    Split,
+    match_channels,
+    prepare,
+)
+from jaxnarx.data.preparation import AbstractStep
+from jaxnarx.errors import ModelFileError, SpecError
+from jaxnarx.shell.commands import Prepare
+from jaxnarx.shell.output import (
+    cell,
+    file_names,
+    run_folder,
+    write_text,
+    written_together,
+)
+from jaxnarx.shell.progress import count, say
+
+DESCRIPTION, PREPARATION = "prepared.toml", "preparation.json"
+
+_FLAGS = {
+    "half_width": "--hampel",
+    "cutoff": "--low-pass",
+    "factor": "--decimate",
+    "sample_time": "--resample",
+}
+"""Settings by the name the library has for them."""
+
+
+def make_steps(command: Prepare) -> list[AbstractStep]:
+    """The steps that the flags ask for, in their fixed order.
+
+    Outliers first, for they spoil every mean and filter; offset and scale last, for
+    they belong to the data that the model sees.
+    """
+    steps: list[AbstractStep] = []
+    try:
+        if command.hampel is not None:
+            steps.append(Hampel(half_width=command.hampel))
+        if command.detrend:
+            steps.append(Detrend())
+        if command.low_pass is not None:
+            steps.append(LowPass(cutoff=command.low_pass))
+        if command.decimate is not None:
+            steps.append(Decimate(factor=command.decimate))
+        if command.resample is not None:
+            steps.append(Resample(sample_time=command.resample))
+        if command.offset is not None:
+            steps.append(RemoveOffset(kind=command.offset))
+        if command.scale is not None:
+            steps.append(Scale(kind=command.scale))
+    except SpecError as error:
+        raise _as_flag(error) from error
+    if not steps:
+        raise SpecError(
+            "prepare has nothing to do; give at least one step, such as --decimate 2 "
+            "(`jaxnarx prepare --help` lists them)"
+        )
+    return steps
+
+
+def _as_flag(error: SpecError) -> SpecError:
+    """The error with the option that was typed in place of the library's setting."""
+    field = error.field or ""
+    flag = _FLAGS.get(field)
+    return SpecError(re.sub(rf"^{field}\b", flag, str(error)) if flag else str(error))
+
+
+def write_prepared(
+    split: Split, steps: Sequence[AbstractStep], out: str, *, force: bool
+) -> Path:
+    """Fit to the training records, prepare all, write them; returns the description.
+
+    Nothing is written unless every record can be prepared.
+    """
+    named = {"train": split.train, "validate": split.validate, "test": split.test}
+    parts = {k: v for k, v in named.items() if v is not None} or {"files": split.all}
+    fitted_to = parts.get("train", split.all)
+    say(
+        f"Fitted to {count(len(fitted_to), 'record')}, "
+        f"{count(fitted_to.samples, 'sample')}"
+        + (" for training" if "train" in parts else ": all that are described")
+    )
+    try:
+        _, preparation = prepare(fitted_to, steps)
+        done, report = preparation.apply_reported(split.all)
+    except SpecError as error:
+        raise _as_flag(error) from error
+    say(str(report))
+    if split.preparation is not None:
+        preparation = preparation.after(split.preparation)
+    names = file_names(done.names)
+    texts = {name: record_csv(done, n) for n, name in enumerate(names)}
+    lengths = [len(data) for data in parts.values()]
+    starts = np.cumsum([0, *lengths]).tolist()
+    of = {p: names[a : a + n] for p, a, n in zip(parts, starts, lengths, strict=False)}
+    texts[DESCRIPTION] = description(done, of)
+    kept = preparation.to_dict()
+    texts[PREPARATION] = json.dumps(kept, allow_nan=False, indent=1)
+    with run_folder(out, "", force=force, marks=list(texts)) as folder:
+        with written_together(folder) as place:
+            for name, text in texts.items():
+                write_text(place / name, text)
+    say(
+        f"\nwrote {count(len(names), 'record')} at {done.sample_time:g} s, "
+        f"{DESCRIPTION} and {PREPARATION} to {folder}"
+    )
+    return folder / DESCRIPTION
+
+
+def record_csv(data: Dataset, n: int) -> str:
+    """Record `n` as CSV: time [s] and every channel; masked samples are empty.
+
+    Numbers are written so that they are read back as they are.
+    """
+    record, names = data.records[n], data.channels.names
+    x = np.concatenate([record.u, record.y], axis=1)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_time_name(names), *map(cell, names)])
+    for k, (row, valid) in enumerate(
+        zip(x.tolist(), record.valid.tolist(), strict=True)
+    ):
+        cells = [repr(v) if good else "" for v, good in zip(row, valid, strict=True)]
+        writer.writerow([f"{k * data.sample_time:.10g}", *cells])
+    return text.getvalue()
+
+
+def _time_name(names: Sequence[str]) -> str:
+    """A header for the time that no channel has."""
+    name = "time [s]"
+    while name in names:
+        name = "record " + name
+    return name
+
+
+def description(data: Dataset, files: dict[str, list[str]]) -> str:
+    """A TOML description of prepared files, by part."""
+    lines = [
+        "# Written by `jaxnarx prepare`. The files are in the folder of this one.",
+        "[data]",
+        f"sample_time = {data.sample_time!r}",
+        'missing = "mask"  # empty cells are masked samples',
+        'delimiter = ","',
+        f"preparation = {_quoted(PREPARATION)}  # how these files came about",
+    ]
+    groups = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
+    for group, channels in groups.items():
+        lines += ["", f"[channels.{group}]"]
+        for c in channels:
+            column, unit = _quoted(cell(c.name)), _quoted(c.unit)
+            lines.append(f"{_quoted(c.name)} = {{column = {column}, unit = {unit}}}")
+    lines += ["", "[records]"]
+    for part, names in files.items():
+        lines.append(f"{part} = [{', '.join(map(_quoted, names))}]")
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A TOML string; unlike JSON's, it may not hold the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def stored(model: str | os.PathLike[str]) -> Preparation | None:
+    """The preparation of a model's training records, None where there was none."""
+    from jaxnarx.models import load_about
+
+    table = load_about(model).get("preparation")
+    if table is None:
+        return None
+    try:
+        return Preparation.from_dict(table)
+    except SpecError as error:
+        raise ModelFileError(
+            f"{model}: its preparation cannot be read: {error}", path=model
+        ) from error
+
+
+def raw_channels(preparation: Preparation, channels: Channels) -> Channels:
+    """What raw files must hold for a model with these channels, in raw units.
+
+    Channels that only a step needs (a speed to count crank angle by) become inputs.
+    """
+    raw = {c.name: c for c in preparation.channels.all}
+    needs = [n for n in preparation.needs if n not in channels.names]
+    try:
+        return Channels(
+            tuple(raw[n] for n in [*channels.input_names, *needs]),
+            tuple(raw[n] for n in channels.output_names),
+        )
+    except KeyError as error:
+        raise ModelFileError(
+            f"the model has a channel {error} that its preparation does not know"
+        ) from error
+
+
+def as_trained(preparation: Preparation, raw: Dataset, channels: Channels) -> Dataset:
+    """Raw records as the model saw its training records, with its channels."""
+    data, report = preparation.apply_reported(raw)
+    data = match_channels(data, channels)[0]
+    labels = ", ".join(c.label for c in data.channels.outputs)
+    say(f"{report}\nOutputs are those of the prepared records: {labels}")
+    return data
