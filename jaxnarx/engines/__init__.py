@@ -1,11 +1,29 @@
 """Virtual test beds: simulated engines that stand in for measured ones."""
 
+from collections.abc import Callable, Mapping
+
+from jaxnarx.engines.bench import Noise as Noise
+from jaxnarx.engines.crossley_cook import CrossleyCook as CrossleyCook
 from jaxnarx.engines.diesel import Diesel as Diesel
 from jaxnarx.engines.engine import AbstractEngine as AbstractEngine
+from jaxnarx.engines.family import family as family
+from jaxnarx.engines.family import family_run as family_run
 from jaxnarx.engines.gtdi import Gtdi as Gtdi
-from jaxnarx.engines.gtdi import gtdi_records as gtdi_records
+from jaxnarx.engines.integration import solve as solve
 from jaxnarx.engines.pfi import Drive as Drive
 from jaxnarx.engines.pfi import Pfi as Pfi
 from jaxnarx.engines.pfi import Quantities as Quantities
+from jaxnarx.engines.pfi_dyno import PfiDyno as PfiDyno
 from jaxnarx.engines.records import pfi_siso_records as pfi_siso_records
+from jaxnarx.engines.records import records as records
 from jaxnarx.engines.vct import Vct as Vct
+
+BEDS: Mapping[str, Callable[[], AbstractEngine]] = {
+    "pfi": Pfi,
+    "pfi-dyno": PfiDyno,
+    "pfi-cc": CrossleyCook,
+    "diesel": Diesel,
+    "gtdi": Gtdi,
+    "vct": Vct,
+}
+"""Every bed by its name on the command line."""

@@ -6,19 +6,23 @@ from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
+from jaxnarx.engines.actuators import delayed_lag
+from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.diesel_parts import (
     brake_torque,
     compressor_side,
-    diesel_permitted,
+    diesel_excitation,
+    diesel_margins,
     egr_flow,
     exhaust_temperature,
     turbine_side,
 )
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.integration import delayed_lag, rk4, root, settled
+from jaxnarx.engines.flow import root
+from jaxnarx.engines.integration import rk4, settled
 
 RPM = math.pi / 30  # rad/s per rpm
 SUBSTEP = 0.01  # s; 20 ms is unstable near idle, where the fastest rate is -154 1/s
@@ -183,8 +187,7 @@ class Diesel(AbstractEngine):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Those of `diesel_excitation`; the model is meant for 1 to 250 mg, 0 to 100 %
-        EGR, 20 to 100 % VGT, 500 to 2000 rpm."""
+        """Those of `excite`."""
         return {
             "fuel": (50.0, 140.0),
             "EGR": (0.0, 60.0),
@@ -193,46 +196,29 @@ class Diesel(AbstractEngine):
         }
 
     @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        return {
+            "fuel": (1.0, 250.0),
+            "EGR": (0.0, 100.0),
+            "VGT": (20.0, 100.0),
+            "speed": (500.0, 2000.0),
+        }
+
+    @property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """None: the engine runs on beyond its limits; `permitted` says where."""
+        """None: the engine runs on beyond its limits; `flags` says where."""
         return {}
 
     @property
-    def noise(self) -> dict[str, float]:
-        """0.2 % of a typical reading [O]; the size does not follow the reading."""
-        typical = {
-            "p_im": 1.6,
-            "p_em": 1.7,
-            "W_c": 0.22,
-            "torque": 700.0,
-            "lambda_O": 2.5,
-            "x_egr": 0.1,
-            "turbo": 6e4,
-            "X_im": 0.22,
-            "T_em": 700.0,
-        }
-        return {name: 0.002 * reading for name, reading in typical.items()}
+    def noise(self) -> dict[str, Noise]:
+        """0.2 % of the reading, of the air flow 0.6 % [O]."""
+        sizes = {name: Noise(relative=0.002) for name in self.channels.output_names}
+        return sizes | {"W_c": Noise(relative=0.006)}
 
     @property
     def sample_time(self) -> float:
         """`interval`, 0.1 s by default; exact, the bed does not sample by events."""
         return self.interval
-
-    def permitted(self, outputs: Float[Array, "time outputs"]) -> Bool[Array, " time"]:
-        """False where a sample breaks a limit: smoke, turbo speed or surge [O].
-
-        `outputs` are those of `run` or of a record with all outputs. See
-        `diesel_permitted`.
-        """
-        first = len(self.channels.inputs)
-        pressure, compressor, oxygen_ratio, turbo = (
-            outputs[:, self.channels.signal(name) - first]
-            for name in ("p_im", "W_c", "lambda_O", "turbo")
-        )
-        return diesel_permitted(
-            *(pressure, compressor, oxygen_ratio, turbo * RPM),
-            ambient=self.ambient_pressure / 1e5,
-        )
 
     def derivative(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
@@ -391,3 +377,16 @@ class Diesel(AbstractEngine):
             ]
         )
         return (jnp.concatenate([gas, actuators[-1]]), line[1:]), outputs
+
+    def margins(self, carry, inputs: Float[Array, " inputs"]):
+        """`smoke`, `turbo` and `surge`; see `diesel_margins`."""
+        state, line = carry
+        now = self.quantities(state, line[-1])
+        return diesel_margins(
+            *(now.pressure, now.compressor, now.oxygen_ratio, now.turbo * RPM),
+            ambient=self.ambient_pressure / 1e5,
+        )
+
+    def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
+        """APRBS on all inputs; see `diesel_excitation`."""
+        return diesel_excitation(key, length, interval=self.interval)

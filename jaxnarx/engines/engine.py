@@ -1,6 +1,7 @@
-"""What every virtual engine offers: event-sampled records, steady states, families."""
+"""What every virtual engine offers: event-sampled records, steady states, limits."""
 
 import abc
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
@@ -8,12 +9,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray, PyTree, ScalarLike
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree, ScalarLike
 
 from jaxnarx.data import Channels, Dataset, Record
-from jaxnarx.errors import DataError, SpecError
+from jaxnarx.engines import bench
 
 Engine = TypeVar("Engine", bound="AbstractEngine")
+
+SEVERAL = 8
+"""From as many records on, they run side by side in one loop."""
 
 
 def parameter(default: float) -> Any:
@@ -27,15 +31,17 @@ def _leaf(value: ScalarLike) -> Float[Array, ""]:
 
 
 class AbstractEngine(eqx.Module):
-    """A virtual engine on its test bench, sampled once per crank-angle event.
+    """A virtual engine on its test bench, sampled once per event.
 
-    An implementation says what one event does (`rest`, `advance`) and what the columns
-    are (`channels`, `ranges`, `noise`, `limits`); records, noise, checks and families
-    are made here, once.
+    An event is a crank angle or, for the diesel, a time. An implementation says what
+    one event does (`rest`, `advance`), what the columns are (`channels`, `ranges`,
+    `domain`, `noise`), what is allowed (`margins`, `limits`) and how the bed is usually
+    excited (`excite`); records, noise, checks, flags and families are made here, once.
     """
 
     varied: ClassVar[Mapping[str, float]]
-    """How far each parameter moves in `perturbed`, relative to `spread`."""
+    """How far each parameter moves in `perturbed`, relative to `spread`; parameters of
+    a part have dotted names."""
 
     @property
     @abc.abstractmethod
@@ -49,19 +55,29 @@ class AbstractEngine(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """Where the model holds, by input; `simulate` refuses what is outside."""
+
+    @property
+    @abc.abstractmethod
     def limits(self) -> dict[str, tuple[float, float]]:
         """Outputs outside these bounds end a run: the engine has stalled, or worse."""
 
     @property
     @abc.abstractmethod
-    def noise(self) -> dict[str, float]:
-        """Standard deviation of the measurement noise of each output, in its unit."""
+    def noise(self) -> dict[str, bench.Noise]:
+        """Measurement noise of each output."""
 
     @property
     @abc.abstractmethod
     def sample_time(self) -> float:
         """Nominal duration of an event [s]; the true one is in inverse proportion to
-        speed."""
+        speed where events are crank angles."""
+
+    @abc.abstractmethod
+    def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
+        """The state that does not change under constant `inputs`; NaN where there is
+        none. First derivatives are exact."""
 
     @abc.abstractmethod
     def rest(self, inputs: Float[Array, " inputs"]) -> PyTree[Float[Array, "..."]]:
@@ -72,6 +88,20 @@ class AbstractEngine(eqx.Module):
         self, carry: PyTree[Float[Array, "..."]], inputs: Float[Array, " inputs"]
     ) -> tuple[PyTree[Float[Array, "..."]], Float[Array, " outputs"]]:
         """One event: the outputs at its start, and what `rest` returned at its end."""
+
+    @abc.abstractmethod
+    def margins(
+        self, carry: PyTree[Float[Array, "..."]], inputs: Float[Array, " inputs"]
+    ) -> dict[str, Float[Array, ""]]:
+        """How far inside each limit the engine is at the start of an event.
+
+        Negative, or NaN, where the limit is broken. Only the sign is comparable between
+        limits.
+        """
+
+    @abc.abstractmethod
+    def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
+        """The usual excitation of this bed, `length` events long."""
 
     def run(self, inputs: Float[Array, "time inputs"]) -> Float[Array, "time outputs"]:
         """Noise-free outputs per event, from rest under the first inputs.
@@ -84,6 +114,28 @@ class AbstractEngine(eqx.Module):
             return self.advance(carry, row)
 
         return jax.lax.scan(event, self.rest(inputs[0]), inputs)[1]
+
+    def steady_outputs(
+        self, inputs: Float[Array, " inputs"]
+    ) -> Float[Array, " outputs"]:
+        """Noise-free outputs that constant `inputs` end at; NaN where they do not.
+
+        Pure and differentiable.
+        """
+        return self.advance(self.rest(inputs), inputs)[1]
+
+    def flags(self, inputs: ArrayLike) -> dict[str, Bool[np.ndarray, " time"]]:
+        """Which limits each event of a run under `inputs` breaks, by name.
+
+        `inputs` is one record as for `simulate`. A run that breaks soft limits, such as
+        smoke, is simulated all the same: its samples can be masked with these flags. A
+        stall, or a value that is not finite, breaks limits from then on.
+        """
+        rows = jnp.asarray(bench.checked(self, inputs), jax.tree.leaves(self)[0].dtype)
+        return {
+            name: ~(np.asarray(margin) >= 0)
+            for name, margin in _margins(self, rows).items()
+        }
 
     def simulate(
         self,
@@ -98,27 +150,30 @@ class AbstractEngine(eqx.Module):
 
         **Arguments:** `inputs` is a (time, inputs) array or a list of them; (time,)
         will do where there is one input. `key` draws the noise, white with the standard
-        deviations `self.noise` times `noise` (0 switches it off). `names` are the
+        deviations of `self.noise` times `noise` (0 switches it off). `names` are the
         records' names, `outputs` the output channels to keep, all when not given.
 
         All records run in one compiled program, padded to the longest. The dataset's
         sample time is the nominal `self.sample_time`: events are equidistant in crank
-        angle, not in time.
+        angle, not in time, except where the bed samples time.
 
-        Raises `DataError`, naming record and event, where an output leaves
-        `self.limits` or is not finite; a returned record is finite.
+        Raises `DataError`, naming record and event, where an input leaves
+        `self.domain`, or where an output leaves `self.limits` or is not finite: a
+        returned record is finite. Soft limits are not enforced, see `flags`.
         """
         several = isinstance(inputs, Sequence)
-        rows = [self._checked(u) for u in (inputs if several else [inputs])]
-        names = _names(len(rows)) if names is None else list(names)
-        _require(rows, names, noise)
-        keep = self._kept(outputs)
-        padded = jnp.asarray(_padded(rows), jax.tree.leaves(self)[0].dtype)
+        rows = [bench.checked(self, u) for u in (inputs if several else [inputs])]
+        names = bench.numbered(len(rows)) if names is None else list(names)
+        bench.require(rows, names, noise)
+        keep = bench.kept(self, outputs)
+        for u, name in zip(rows, names, strict=True):
+            bench.refuse_outside(self, u, name)
+        padded = jnp.asarray(bench.padded(rows), jax.tree.leaves(self)[0].dtype)
         clean, error = map(np.asarray, _run_all(self, padded, key))
         records = []
         for u, y, e, name in zip(rows, clean, error, names, strict=True):
             y, e = y[: len(u)], e[: len(u)]
-            self._refuse_faults(y, name)
+            bench.refuse_faults(self, u, y, name)
             valid = np.ones((len(u), u.shape[1] + len(keep)), bool)
             measured = (y + noise * e)[:, keep]
             records.append(Record(u=u, y=measured, valid=valid, name=name))
@@ -134,63 +189,31 @@ class AbstractEngine(eqx.Module):
         """
         draws = jax.random.normal(key, (len(self.varied),))
         spread = jnp.asarray(spread, draws.dtype)
-        factors = {
-            name: jnp.exp(spread * weight * e)
-            for (name, weight), e in zip(self.varied.items(), draws, strict=True)
-        }
-        old = [getattr(self, name) for name in factors]
-        new = [
-            p * f.astype(p.dtype) for p, f in zip(old, factors.values(), strict=True)
+        factors = [
+            jnp.exp(spread * weight * e)
+            for weight, e in zip(self.varied.values(), draws, strict=True)
         ]
-        return eqx.tree_at(lambda e: [getattr(e, name) for name in factors], self, new)
 
-    def _checked(self, inputs: ArrayLike) -> Float[np.ndarray, "time inputs"]:
-        expected = self.channels.input_names
-        u = np.asarray(inputs, float)
-        u = u[:, None] if u.ndim == 1 and len(expected) == 1 else u
-        if u.ndim != 2 or u.shape[1] != len(expected) or u.shape[0] == 0:
-            raise SpecError(
-                f"inputs must have shape (time, {len(expected)}) with columns "
-                f"{', '.join(expected)}; got {u.shape}",
-                field="inputs",
-            )
-        if not np.isfinite(u).all():
-            event = int(np.argmin(np.isfinite(u).all(axis=1)))
-            raise SpecError(f"inputs are not finite at event {event}", field="inputs")
-        return u
+        def chosen(engine):
+            return [_part(engine, name) for name in self.varied]
 
-    def _kept(self, outputs: Sequence[str] | None) -> list[int]:
-        first = len(self.channels.inputs)
-        chosen = self.channels.output_names if outputs is None else outputs
-        keep = [self.channels.signal(name) - first for name in chosen]
-        if min(keep, default=-1) < 0:
-            raise SpecError(
-                f"outputs must be among {', '.join(self.channels.output_names)}",
-                field="outputs",
-            )
-        return keep
+        old = chosen(self)
+        new = [p * f.astype(p.dtype) for p, f in zip(old, factors, strict=True)]
+        return eqx.tree_at(chosen, self, new)
 
-    def _refuse_faults(self, y: np.ndarray, record: str) -> None:
-        finite = np.isfinite(y)
-        within = finite.copy()
-        for j, name in enumerate(self.channels.output_names):
-            low, high = self.limits.get(name, (-np.inf, np.inf))
-            within[:, j] &= (y[:, j] >= low) & (y[:, j] <= high)
-        if within.all():
-            return
-        event = int(np.argmin(within.all(axis=1)))
-        column = int(np.argmin(within[event]))
-        channel = self.channels.outputs[column]
-        came = f"{y[event, column]:.6g} {channel.unit}".strip()
-        bounds = self.limits.get(channel.name)
-        raise DataError(
-            f"record {record!r}: {channel.name} is {came} at event {event}"
-            + (f", outside {bounds[0]:g} to {bounds[1]:g}" if bounds else "")
-            + "; the engine stalls or has no steady state there: use a smaller input "
-            "range or longer hold times",
-            channel=channel.name,
-            row=event,
-        )
+
+def _part(engine: Any, name: str) -> Any:
+    return functools.reduce(getattr, name.split("."), engine)
+
+
+@eqx.filter_jit
+def _margins(
+    engine: AbstractEngine, inputs: Float[Array, "time inputs"]
+) -> dict[str, Float[Array, " time"]]:
+    def event(carry, row):
+        return engine.advance(carry, row)[0], engine.margins(carry, row)
+
+    return jax.lax.scan(event, engine.rest(inputs[0]), inputs)[1]
 
 
 @eqx.filter_jit
@@ -199,32 +222,16 @@ def _run_all(
     inputs: Float[Array, "records time inputs"],
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, "records time outputs"], Float[Array, "records time outputs"]]:
-    clean = jax.vmap(engine.run)(inputs)
-    deviation = [engine.noise[name] for name in engine.channels.output_names]
-    draw = jax.random.normal(key, clean.shape, clean.dtype)
-    return clean, draw * jnp.asarray(deviation, clean.dtype)[None, None]
+    """Outputs without noise, and the noise.
 
-
-def _padded(rows: list[np.ndarray]) -> np.ndarray:
-    """One array of all records, each held at its last row up to the longest."""
-    length = max(map(len, rows))
-    return np.stack(
-        [np.pad(u, ((0, length - len(u)), (0, 0)), mode="edge") for u in rows]
-    )
-
-
-def _require(rows: list[np.ndarray], names: list[str], noise: float | int) -> None:
-    if not rows or len(names) != len(rows):
-        raise SpecError(
-            f"got {len(rows)} record(s) and {len(names)} name(s); give at least one "
-            "record and one name for each",
-            field="names",
-        )
-    if not 0 <= noise < np.inf:
-        raise SpecError(
-            f"noise must be a finite factor of at least 0, got {noise}", field="noise"
-        )
-
-
-def _names(count: int) -> list[str]:
-    return [f"record {i + 1}" for i in range(count)]
+    Few records run one after the other: side by side they would share a loop whose
+    steps cost several times as much and could skip nothing.
+    """
+    if len(inputs) < SEVERAL:
+        clean = jax.lax.map(lambda u: engine.run(u), inputs)
+    else:
+        clean = jax.vmap(lambda u: engine.run(u))(inputs)
+    sizes = [engine.noise[name] for name in engine.channels.output_names]
+    absolute, relative = (jnp.asarray(s, clean.dtype) for s in zip(*sizes, strict=True))
+    deviation = absolute[None, None] + relative[None, None] * jnp.abs(clean)
+    return clean, jax.random.normal(key, clean.shape, clean.dtype) * deviation

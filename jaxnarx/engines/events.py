@@ -1,42 +1,8 @@
-"""Integration inside one sampling event and transport delays counted in events."""
+"""Sampling events: their duration, delays counted in them, a held speed that lags."""
 
-from collections.abc import Callable
-
-import diffrax
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-
-
-def integrate(
-    derivative: Callable[[Float[Array, " states"]], Float[Array, " states"]],
-    state: Float[Array, " states"],
-    duration: Float[Array, ""],
-    *,
-    steps: int,
-) -> Float[Array, " states"]:
-    """The state after `duration` seconds in `steps` equal steps; inputs are held.
-
-    Explicit, fifth order. Differentiable in forward and reverse mode.
-
-    Reference: Ch. Tsitouras, Computers and Mathematics with Applications 62, 2011.
-    """
-    # The event is mapped to [0, 1], where the step is the same for every event and
-    # rounding cannot ask for one step more.
-    zero = jnp.zeros_like(duration)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: duration * derivative(y)),
-        diffrax.Tsit5(),
-        t0=zero,
-        t1=zero + 1,
-        dt0=zero + 1 / steps,
-        y0=state,
-        saveat=diffrax.SaveAt(t1=True),
-        adjoint=diffrax.DirectAdjoint(),
-        max_steps=steps,
-        throw=False,
-    )
-    assert solution.ys is not None
-    return solution.ys[0]
 
 
 def shift(
@@ -59,3 +25,19 @@ def event_duration(
     of sub-steps always suffices.
     """
     return degrees / (6.0 * jnp.maximum(speed, slowest))
+
+
+def lagging_speed(
+    target: Float[Array, " time"], *, degrees: float, slowest: float, lag: float
+) -> Float[Array, " time"]:
+    """Speed [rpm] behind a first-order lag of `lag` [s] from the staircase `target`.
+
+    One value for each event of `degrees` crank angle, exact for a target held through
+    the event. Starts at the first target.
+    """
+
+    def follow(speed, aim):
+        duration = event_duration(degrees, speed, slowest=slowest)
+        return speed - (aim - speed) * jnp.expm1(-duration / lag), speed
+
+    return jax.lax.scan(follow, target[0], target)[1]

@@ -1,4 +1,4 @@
-"""Flow through a throttling valve, as a share of its choked flow."""
+"""Flow through a throttling valve, as a share of its choked flow, and a safe root."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -26,3 +26,9 @@ def throttle_share(ratio: Float[Array, ""]) -> Float[Array, ""]:
     line = (LINEAR**0.4404 - LINEAR**2.3143) ** 0.5 / 0.7404
     unchoked = jnp.where(ratio > LINEAR, line * (1 - ratio) / (1 - LINEAR), root)
     return jnp.where(ratio < CRITICAL, jnp.ones_like(ratio), unchoked)
+
+
+def root(x: Float[Array, ""]) -> Float[Array, ""]:
+    """Square root of max(0, x), with slope zero where x is not positive."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)

@@ -4,14 +4,23 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
-import optimistix as optx
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from jaxnarx.data import Channel, Channels
+from jaxnarx.data.excitation import aprbs
+from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.events import event_duration, integrate, shift
+from jaxnarx.engines.events import event_duration, shift
 from jaxnarx.engines.flow import throttle_share
+from jaxnarx.engines.integration import held, settled
+from jaxnarx.engines.pfi_parts import (
+    best_spark,
+    film_share,
+    film_time,
+    indicated_efficiency,
+)
 
 RPM = math.pi / 30  # rad/s per rpm
 STALL = 450.0  # rpm
@@ -126,14 +135,19 @@ class Pfi(AbstractEngine):
         return {"duty": (0.38, 0.41)}
 
     @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """Any duty: the valve's law is a sigmoid. Below 0.36 the engine stalls."""
+        return {"duty": (0.0, 1.0)}
+
+    @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Below 450 rpm the engine counts as stalled [O]."""
         return {"speed": (STALL, float("inf"))}
 
     @property
-    def noise(self) -> dict[str, float]:
+    def noise(self) -> dict[str, Noise]:
         """2.5 rpm, and 0.3 kPa as for crank-synchronous averages [O]."""
-        return {"speed": 2.5, "MAP": 0.3}
+        return {"speed": Noise(2.5), "MAP": Noise(0.3)}
 
     @property
     def sample_time(self) -> float:
@@ -221,37 +235,30 @@ class Pfi(AbstractEngine):
             derivative=derivative,
         )
 
-    def steady_state(self, drive: Drive) -> Float[Array, " states"]:
+    def balance(self, drive: Drive) -> Float[Array, " states"]:
         """The state that does not change under `drive`, at free or held speed.
 
-        Newton's method from p_m = 0.35e5 Pa, m_ff = 1.2e-4 kg, W_v = 2e-3 kg/s,
-        omega = 100 rad/s. NaN where it finds no steady state. Differentiable, by the
-        implicit function theorem.
+        Found by `settled` from p_m = 0.35e5 Pa, m_ff = 1.2e-4 kg, W_v = 2e-3 kg/s,
+        omega = 100 rad/s. NaN where it finds no steady state.
         """
         start = jnp.asarray([0.35e5, 1.2e-4, 2e-3, 100.0], self.displacement.dtype)
-        free = 4
-        if drive.speed is not None:  # a held speed is not an unknown
-            free = 3
-            start = start.at[3].set(jnp.asarray(drive.speed, start.dtype) * RPM)
+        drive = jax.tree.map(lambda value: jnp.asarray(value, start.dtype), drive)
+        if drive.speed is None:
+            return settled(_rate, start, (self, drive))
 
-        def state_at(scaled: Float[Array, " unknowns"]) -> Float[Array, " states"]:
-            return jnp.concatenate([scaled * start[:free], start[free:]])
+        def rate(part: Float[Array, " unknowns"], given) -> Float[Array, " unknowns"]:
+            return _rate(jnp.append(part, start[3]), given)[:3]
 
-        def residual(scaled: Float[Array, " unknowns"], _) -> Float[Array, " unknowns"]:
-            return (self.derivative(state_at(scaled), drive) / start)[:free]
+        found = settled(rate, start[:3], (self, drive))
+        return jnp.append(found, drive.speed * RPM)
 
-        # Newton doubles the digits in every step, so this ends at full precision.
-        small = float(jnp.finfo(start.dtype).eps) ** 0.6
-        solver = optx.Newton(rtol=small, atol=small)
-        found = optx.root_find(
-            residual, solver, jnp.ones(free, start.dtype), max_steps=50, throw=False
-        )
-        okay = found.result == optx.RESULTS.successful
-        return state_at(jnp.where(okay, found.value, jnp.nan))
+    def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
+        """The state that does not change under `inputs`, at free speed."""
+        return self.balance(Drive(inputs[0]))
 
     def rest(self, inputs: Float[Array, " inputs"]):
         """Free-running steady state, and the delay lines of duty and torque."""
-        state = self.steady_state(Drive(inputs[0]))
+        state = self.steady_state(inputs)
         indicated = self.quantities(state, Drive(inputs[0])).indicated
         duties = jnp.broadcast_to(inputs[0], (VALVE_EVENTS,))
         return state, duties, jnp.broadcast_to(indicated, (TORQUE_EVENTS,))
@@ -267,10 +274,22 @@ class Pfi(AbstractEngine):
         torques, indicated = shift(torques, now.indicated)
         drive = Drive(duty, indicated=indicated)
         duration = event_duration(EVENT, now.speed, slowest=STALL)
-        state = integrate(
+        state = held(
             lambda x: self.derivative(x, drive), state, duration, steps=SUBSTEPS
         )
         return (state, duties, torques), jnp.stack([now.speed, now.pressure])
+
+    def margins(self, carry, inputs: Float[Array, " inputs"]):
+        """`stall` below 450 rpm; `mixture` outside lambda 0.7 to 1.35, where rapid
+        opening brings it for moments [O]."""
+        state, duties, _ = carry
+        now = self.quantities(state, Drive(duties[0]))
+        return pfi_margins(now)
+
+    def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
+        """APRBS on the valve, 0.38 to 0.41, hold 20 to 120 events [O]."""
+        span = self.ranges["duty"]
+        return aprbs(key, length, hold=(20, 120), amplitude=span)[:, None]
 
     def _valve_target(self, duty: ScalarLike) -> Float[Array, ""]:
         position = (duty - self.valve_centre) / self.valve_width
@@ -286,58 +305,20 @@ class Pfi(AbstractEngine):
         return self.friction_scale * per_speed / RPM
 
 
-def film_share(bar: Float[Array, ""], n: Float[Array, ""]) -> Float[Array, ""]:
-    """Share X of the injected fuel that wets the wall; Aquino 1981 form [P]."""
-    return jnp.clip(0.68 - 0.277 * bar - 0.055 * n, 0.05, 0.95)
-
-
-def film_time(bar: Float[Array, ""], n: Float[Array, ""]) -> Float[Array, ""]:
-    """Evaporation time of the film [s]; Hendricks and Sorenson [P], n <= 2.4 [O].
-
-    tau_f = 1.35 (1.68 - 0.672 n)(p_bar - 0.825)^2 + (0.15 - 0.06 n) + 0.56
-    """
-    n = jnp.minimum(n, 2.4)
-    return 1.35 * (1.68 - 0.672 * n) * (bar - 0.825) ** 2 + (0.15 - 0.06 * n) + 0.56
-
-
-def best_spark(bar: Float[Array, ""], n: Float[Array, ""]) -> Float[Array, ""]:
-    """Spark advance th_mbt for best torque [deg BTDC]; Hendricks and Sorenson [P].
-
-    The second branch is used at all speeds, published only above 4800 rpm [O].
-    """
-    low, high = 47.31 * bar + 2.6214 + 4.7 * n, 79.9 - 56.55 * bar
-    return jnp.minimum(jnp.minimum(low, high), 45.0)
-
-
-def indicated_efficiency(
-    bar: Float[Array, ""],
-    n: Float[Array, ""],
-    ratio: Float[Array, ""],
-    advance: Float[Array, ""],
-) -> Float[Array, ""]:
-    """Indicated efficiency; `ratio` is lambda, `advance` in degrees from th_mbt.
-
-        eta_n  = 0.558 (1 - 0.392 n^-0.36)
-        eta_p  = 0.9301 + 0.2154 p_bar - 0.1657 p_bar^2
-        eta_l  = min(-1.299 + 3.599 l - 1.332 l^2, -0.0205 + 1.741 l - 0.745 l^2) >= 0,
-                 l = clip(lambda, 0.55, 1.6)
-        eta_th = max(0, 1 - 0.00048 advance^2)
-
-    Hendricks and Sorenson 1990 [P]. The two branches of eta_l are published as a switch
-    at lambda = 1, where they differ by 0.0075; the minimum joins them at 1.011 [O]. The
-    sources print eta_th with an offset of 25 degrees; read this way it peaks at th_mbt.
-    """
-    by_speed = 0.558 * (1 - 0.392 * n**-0.36)
-    by_pressure = 0.9301 + 0.2154 * bar - 0.1657 * bar**2
-    mix = jnp.clip(ratio, 0.55, 1.6)
-    rich = -1.299 + 3.599 * mix - 1.332 * mix**2
-    lean = -0.0205 + 1.741 * mix - 0.745 * mix**2
-    by_mixture = jnp.maximum(jnp.minimum(rich, lean), 0.0)
-    by_spark = jnp.maximum(1 - 0.00048 * advance**2, 0.0)
-    return by_speed * by_pressure * by_mixture * by_spark
-
-
 def _given(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Array, ""]:
     if value is None:
         return otherwise
     return jnp.asarray(value, otherwise.dtype)
+
+
+def pfi_margins(now: Quantities) -> dict[str, Float[Array, ""]]:
+    """Speed above the stall [rpm], and lambda inside 0.7 to 1.35 [O]."""
+    return {
+        "stall": now.speed - STALL,
+        "mixture": jnp.minimum(now.ratio - 0.7, 1.35 - now.ratio),
+    }
+
+
+def _rate(state: Float[Array, " states"], given) -> Float[Array, " states"]:
+    engine, drive = given
+    return engine.derivative(state, drive)

@@ -6,13 +6,15 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.excitation import aprbs
+from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.events import event_duration, shift
-from jaxnarx.engines.integration import rk4, root, settled
+from jaxnarx.engines.events import event_duration, lagging_speed, shift
+from jaxnarx.engines.flow import root
+from jaxnarx.engines.integration import held, settled
 
 EVENT = 180.0  # degrees crank angle
 SLOWEST = 500.0  # rpm, for the duration of an event
@@ -167,7 +169,7 @@ class Vct(AbstractEngine):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Those of `vct_excitation`: stoichiometric fuel times 0.92 to 1.08 [O]."""
+        """Those of `excite`: stoichiometric fuel times 0.92 to 1.08 [O]."""
         return {
             "throttle": (9.5, 18.0),
             "cam command": (0.0, 30.0),
@@ -176,38 +178,37 @@ class Vct(AbstractEngine):
         }
 
     @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """As specified; throttle from 7 deg, where the reference figures begin."""
+        return {
+            "throttle": (7.0, 22.0),
+            "cam command": (0.0, 35.0),
+            "AFR command": (12.0, 18.0),
+            "speed": (750.0, 2000.0),
+        }
+
+    @property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """None: `permitted` says where the model is not meant to be used."""
+        """None: `flags` says where the model is not meant to be used."""
         return {}
 
     @property
-    def noise(self) -> dict[str, float]:
-        """Torque 0.4 Nm, A/F 0.03, P 0.3 kPa, cam 0.1 deg; NOx and HC 0.4 % of a
-        typical reading, which does not follow the reading [O]."""
-        nox, hc = 0.004 * 8.0, 0.004 * 6.0
+    def noise(self) -> dict[str, Noise]:
+        """Torque 0.4 Nm, A/F 0.03, P 0.3 kPa, cam 0.1 deg; NOx and HC 0.4 % of the
+        reading [O]."""
         return {
-            **{"torque": 0.4, "AFR": 0.03, "NOx": nox, "HC": hc},
-            **{"P": 0.003, "cam": 0.1},
+            "torque": Noise(0.4),
+            "AFR": Noise(0.03),
+            "NOx": Noise(relative=0.004),
+            "HC": Noise(relative=0.004),
+            "P": Noise(0.003),
+            "cam": Noise(0.1),
         }
 
     @property
     def sample_time(self) -> float:
         """0.02 s: 180 deg at 1500 rpm. The true value is 30/N seconds at N rpm."""
         return 0.02
-
-    def permitted(self, outputs: Float[Array, "time outputs"]) -> Bool[Array, " time"]:
-        """Where P is above 0.25 bar, cam at most 20 deg below 0.30 bar, and the
-        measured A/F inside 11.7 to 17.8 [O].
-
-        `outputs` are those of `run` or of a record with all outputs.
-        """
-        first = len(self.channels.inputs)
-        ratio, pressure, cam = (
-            outputs[:, self.channels.signal(name) - first]
-            for name in ("AFR", "P", "cam")
-        )
-        combustible = (ratio >= 11.7) & (ratio <= 17.8)
-        return combustible & (pressure >= 0.25) & ((pressure >= 0.30) | (cam <= 20.0))
 
     def derivative(
         self, state: Float[Array, " states"], drive: VctDrive
@@ -271,7 +272,7 @@ class Vct(AbstractEngine):
             derivative=derivative,
         )
 
-    def steady_state(self, drive: VctDrive) -> Float[Array, " states"]:
+    def balance(self, drive: VctDrive) -> Float[Array, " states"]:
         """The state that does not change under `drive`; NaN where there is none.
 
         Found by `settled` from P = 0.6 bar. First derivatives are exact.
@@ -286,10 +287,14 @@ class Vct(AbstractEngine):
         drive = jax.tree.map(lambda x: x * one, drive)
         return settled(rate, start, (self, drive))
 
+    def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
+        """The state that does not change under `inputs`; NaN where there is none."""
+        return self.balance(_drive(inputs))
+
     def rest(self, inputs: Float[Array, " inputs"]):
         """Steady state, the line of A/F to the sensor, and the inputs."""
         drive = _drive(inputs)
-        state = self.steady_state(drive)
+        state = self.balance(drive)
         ratio = self.quantities(state, drive).ratio
         return state, jnp.broadcast_to(ratio, (SENSOR_EVENTS,)), inputs
 
@@ -302,13 +307,19 @@ class Vct(AbstractEngine):
         drive = _drive(inputs)._replace(measured=measured)
         duration = event_duration(EVENT, inputs[3], slowest=SLOWEST)
         outputs = [now.torque, state[3], now.nox, now.hc, now.pressure, state[1]]
-        state = rk4(
-            lambda y, _: self.derivative(y, drive),
-            state,
-            duration / SUBSTEPS,
-            jnp.zeros((SUBSTEPS, 3, 0), state.dtype),
+        state = held(
+            lambda y: self.derivative(y, drive), state, duration, steps=SUBSTEPS
         )
         return (state, ratios, inputs), jnp.stack(outputs)
+
+    def margins(self, carry, inputs: Float[Array, " inputs"]):
+        """`mixture`, `vacuum` and `cam`; see `vct_margins`."""
+        pressure, cam, _, measured = carry[0]
+        return vct_margins(pressure, cam, measured)
+
+    def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
+        """APRBS on all inputs; see `vct_excitation`."""
+        return vct_excitation(key, length)
 
     def _throttle(self, p, angle):
         """Air flow [g/s]; g_1 = 1 below P_0/2, then 2/P_0 sqrt(P P_0 - P^2), linear
@@ -369,9 +380,20 @@ def vct_excitation(key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"
     fuel = aprbs(keys[2], length, hold=hold, amplitude=(0.92, 1.08))
     target = aprbs(keys[3], length, hold=(80, 300), amplitude=(900.0, 2000.0))
 
-    def follow(speed, aim):
-        share = -jnp.expm1(-event_duration(EVENT, speed, slowest=SLOWEST) / 0.4)
-        return speed + share * (aim - speed), speed
-
-    speed = jax.lax.scan(follow, target[0], target)[1]
+    speed = lagging_speed(target, degrees=EVENT, slowest=SLOWEST, lag=0.4)
     return jnp.stack([throttle, cam, 14.64 / fuel, speed], axis=-1)
+
+
+def vct_margins(
+    pressure: Float[Array, ""], cam: Float[Array, ""], ratio: Float[Array, ""]
+) -> dict[str, Float[Array, ""]]:
+    """How far the model is inside its validity [O].
+
+    `mixture`: the measured A/F `ratio` inside 11.7 to 17.8. `vacuum`: `pressure` at
+    least 0.25 bar. `cam`: at most 20 deg below 0.30 bar.
+    """
+    return {
+        "mixture": jnp.minimum(ratio - 11.7, 17.8 - ratio),
+        "vacuum": pressure - 0.25,
+        "cam": jnp.maximum(pressure - 0.30, 20.0 - cam),
+    }

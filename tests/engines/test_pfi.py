@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from jaxnarx.engines import Drive, Pfi, pfi_siso_records
-from jaxnarx.engines.events import integrate, shift
+from jaxnarx.engines.events import shift
 from jaxnarx.engines.flow import throttle_share
+from jaxnarx.engines.integration import held
 from jaxnarx.errors import DataError, SpecError
 
 # Entries are text, so that the last printed digit is known.
@@ -68,7 +69,7 @@ def assert_prints(values, entries: list[str]):
 @eqx.filter_jit
 def settle(engine, drives):
     def one(drive):
-        state = engine.steady_state(drive)
+        state = engine.balance(drive)
         return state, engine.quantities(state, drive)
 
     return jax.vmap(one)(drives)
@@ -86,7 +87,7 @@ def free(engine):
 
 
 @pytest.fixture(scope="module")
-def held(engine):
+def at_speed(engine):
     entries = table(HELD, HELD_COLUMNS)
     drive = Drive(
         numbers(entries["duty"]),
@@ -103,18 +104,18 @@ def test_free_speed_table(free, name):
 
 
 @pytest.mark.parametrize("name", HELD_COLUMNS[3:])
-def test_held_speed_table(held, name):
-    entries, _, q = held
+def test_held_speed_table(at_speed, name):
+    entries, _, q = at_speed
     assert_prints(getattr(q, name), entries[name])
 
 
-def test_nothing_changes_at_a_steady_state(free, held):
-    for _, state, q in (free, held):
+def test_nothing_changes_at_a_steady_state(free, at_speed):
+    for _, state, q in (free, at_speed):
         assert np.all(np.abs(q.derivative) < 1e-6 * np.abs(state))
 
 
-def test_mass_is_balanced(free, held):
-    for _, _, q in (free, held):
+def test_mass_is_balanced(free, at_speed):
+    for _, _, q in (free, at_speed):
         np.testing.assert_allclose(q.air_in, q.air, rtol=1e-6)
         np.testing.assert_allclose(q.air, q.ratio * 14.67 * q.fuel, rtol=1e-6)
 
@@ -141,11 +142,11 @@ def test_eigenvalues_at_the_middle_of_the_range(free, free_slopes):
     np.testing.assert_allclose(values, expected, atol=0.0051)
 
 
-def test_slopes_are_finite_at_every_tabulated_point(engine, free_slopes, held):
+def test_slopes_are_finite_at_every_tabulated_point(engine, free_slopes, at_speed):
     columns = ("duty", "pulse", "speed")
-    duty, pulse, speed = (numbers(held[0][name]) for name in columns)
+    duty, pulse, speed = (numbers(at_speed[0][name]) for name in columns)
     drive = Drive(duty, pulse=pulse, speed=speed)
-    for leaf in jax.tree.leaves((free_slopes, slopes(engine, held[1], drive))):
+    for leaf in jax.tree.leaves((free_slopes, slopes(engine, at_speed[1], drive))):
         assert bool(jnp.isfinite(leaf).all())
 
 
@@ -196,9 +197,9 @@ def respond(engine, before, after):
     def advance(state, _):
         now = engine.quantities(state, after)
         move = lambda y: engine.derivative(y, after)  # noqa: E731
-        return integrate(move, state, jnp.asarray(STEP), steps=1), now
+        return held(move, state, jnp.asarray(STEP), steps=1), now
 
-    start = Pfi().steady_state(before)
+    start = Pfi().balance(before)
     return Pfi().quantities(start, before), jax.lax.scan(
         advance, start, None, length=1600
     )[1]
@@ -297,6 +298,15 @@ def test_noise_has_the_stated_size(engine, key):
     assert not np.array_equal(noisy.records[0].y, noisy.records[1].y)
 
 
+def test_many_records_run_side_by_side(engine, key):
+    """From eight records on in one vectorised loop: the same numbers."""
+    rows = [np.repeat([d, 0.39], 20) for d in np.linspace(0.385, 0.405, 9)]
+    together = engine.simulate(rows, key, noise=0)
+    alone = engine.simulate(rows[:3], key, noise=0)
+    for one, other in zip(together.records[:3], alone.records, strict=True):
+        np.testing.assert_allclose(one.y, other.y, rtol=1e-10)
+
+
 def test_padding_and_company_change_nothing(engine, key):
     long = np.repeat([[0.39], [0.40]], EVENTS // 2, axis=0)
     short = np.repeat([[0.40], [0.385]], 300, axis=0)
@@ -325,6 +335,16 @@ def test_stall_names_the_record_and_event(engine, key):
         engine.simulate([fine, starved], key, names=["ok", "low"])
     assert caught.value.channel == "speed"
     assert caught.value.row is not None and caught.value.row > 100
+    assert "where duty is 0.25" in str(caught.value)
+
+
+def test_a_stall_is_flagged(engine):
+    starved = np.repeat([0.395, 0.25], [100, EVENTS - 100])
+    flags = engine.flags(starved)
+    assert not flags["stall"][:100].any() and flags["stall"][-1]
+    first = int(np.argmax(flags["stall"]))
+    assert 100 < first < EVENTS and flags["stall"][first:].all()
+    assert not flags["mixture"][:100].any()
 
 
 WRONG = {
@@ -353,11 +373,13 @@ def test_unknown_output_is_refused(engine, key):
         engine.simulate(np.full((5, 1), 0.4), key, outputs=["sped"])
     with pytest.raises(SpecError, match="among speed, MAP"):
         engine.simulate(np.full((5, 1), 0.4), key, outputs=["duty"])
+    with pytest.raises(SpecError, match="none"):
+        engine.simulate(np.full((5, 1), 0.4), key, outputs=[])
 
 
 def test_a_family_is_a_stacked_tree(engine, key):
     family = jax.vmap(lambda k: engine.perturbed(k, 0.05))(jax.random.split(key, 6))
-    state = jax.jit(jax.vmap(lambda e: e.steady_state(Drive(0.395))))(family)
+    state = jax.jit(jax.vmap(lambda e: e.balance(Drive(0.395))))(family)
     speed = np.asarray(state[:, 3]) * 30 / np.pi
     assert np.isfinite(speed).all() and np.ptp(speed) > 50
     assert np.all((speed > 700) & (speed < 1700))

@@ -1,12 +1,6 @@
-"""The turbocharged direct-injection engine: bed, components, operation and limits."""
+"""The turbocharged direct-injection engine: bed, components and operation."""
 
 from jaxnarx.engines.gtdi.bed import Gtdi
-from jaxnarx.engines.gtdi.records import (
-    Breaches,
-    breaches,
-    gtdi_records,
-    operate,
-    scheduled,
-)
+from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, scheduled
 
-__all__ = ["Breaches", "Gtdi", "breaches", "gtdi_records", "operate", "scheduled"]
+__all__ = ["Gtdi", "gtdi_demands", "operate", "scheduled"]

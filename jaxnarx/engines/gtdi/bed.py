@@ -1,27 +1,37 @@
 """A turbocharged 2.0 L direct-injection petrol engine at imposed speed."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
+from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
 from jaxnarx.engines.events import event_duration, shift
 from jaxnarx.engines.gtdi.cylinder import Cylinders
 from jaxnarx.engines.gtdi.delay import delayed
 from jaxnarx.engines.gtdi.flow import Gas, orifice, petrol_exhaust, tail_flow
-from jaxnarx.engines.gtdi.state import Drive, Quantities, given_or, imposed
-from jaxnarx.engines.gtdi.steady import rest_point
+from jaxnarx.engines.gtdi.operation import gtdi_demands, scheduled
+from jaxnarx.engines.gtdi.state import (
+    EVENT,
+    SLOWEST,
+    Drive,
+    Quantities,
+    given_or,
+    gtdi_margins,
+    imposed,
+)
 from jaxnarx.engines.gtdi.turbo import Compressor, Turbine
+from jaxnarx.engines.integration import rk4, settled
 
 KRPM = 1e-3 * 60 / (2 * 3.141592653589793)  # krpm per rad/s
-SLOWEST = 1000.0  # rpm
-EVENT = 180.0  # degrees crank angle
-SUBSTEPS = 30  # of 1 ms at the slowest speed; explicit, so stability asks for them
+SUBSTEP = 1e-3  # s; explicit, so stability asks for it
+SUBSTEPS = 30  # most in an event, at the slowest speed
+FEWEST = 10  # in an event; at full load the fastest rate grows with speed
 THROTTLE_EVENTS = 3  # 16 ms at 5500 rpm, longer than the dead time
 TORQUE_EVENTS = 1  # 270 deg, rounded down [O]
 MIXTURE_EVENTS = 3  # 540 deg [O]
@@ -38,7 +48,7 @@ class Gtdi(AbstractEngine):
     On the bench (`simulate`) fuel, spark, throttle and speed are inputs; the outputs
     are torque, air-fuel ratio and intake pressure, behind delays and sensors. The
     mixture leaves the flammable range within a few events unless fuel follows the air:
-    see `scheduled` in gtdi_records, and there `operate` and `breaches` for the limits.
+    see `scheduled`, which `excite` uses, and `operate`.
 
     Tags: [P] published, [D] calibrated on measurements and not validated, [O] our own
     choice. A plausible plant of the right kind and size, not a model of a product.
@@ -82,9 +92,9 @@ class Gtdi(AbstractEngine):
     mixture_time: Float[Array, ""] = parameter(0.20)  # lambda sensor, s [D]
 
     varied: ClassVar[Mapping[str, float]] = {
-        "displacement": 0.3,
-        "efficiency": 0.3,
-        "turbine_gain": 0.5,
+        "cylinders.displacement": 0.3,
+        "cylinders.efficiency": 0.3,
+        "turbine.gain": 0.5,
         "cooler_effect": 0.3,
         "throttle_square": 1.0,
         "tail_loss": 1.0,
@@ -95,19 +105,6 @@ class Gtdi(AbstractEngine):
         "throttle_time": 1.0,
         "mixture_time": 1.0,
     }
-
-    # Names for `varied`; no array type, as `tree_at` puts markers in place of arrays.
-    @property
-    def displacement(self) -> Any:
-        return self.cylinders.displacement
-
-    @property
-    def efficiency(self) -> Any:
-        return self.cylinders.efficiency
-
-    @property
-    def turbine_gain(self) -> Any:
-        return self.turbine.gain
 
     @property
     def channels(self) -> Channels:
@@ -136,14 +133,25 @@ class Gtdi(AbstractEngine):
         }
 
     @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """Fuel 8 to 75 mg at lambda one, spark -40 to 20 degrees from a best of 4 to
+        42; both widened as far as the excitation and a change of engine lead [O]."""
+        return {
+            "FUL": (4.0, 90.0),
+            "SA": (-36.0, 62.0),
+            "THR": (4.0, 90.0),
+            "speed": (SLOWEST, 5500.0),
+        }
+
+    @property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """None: a run is not ended, `breaches` flags the samples."""
+        """None: a run is not ended, `flags` flags the samples."""
         return {}
 
     @property
-    def noise(self) -> dict[str, float]:
+    def noise(self) -> dict[str, Noise]:
         """0.4 Nm, 0.03, and 0.3 kPa as for crank-synchronous averages [O]."""
-        return {"TRQ": 0.4, "AFR": 0.03, "MAP": 0.3}
+        return {"TRQ": Noise(0.4), "AFR": Noise(0.03), "MAP": Noise(0.3)}
 
     @property
     def sample_time(self) -> float:
@@ -246,27 +254,28 @@ class Gtdi(AbstractEngine):
             derivative=derivative,
         )
 
-    def steady_state(self, drive: Drive) -> Float[Array, " states"]:
-        """The state that does not change under `drive`.
+    def balance(self, drive: Drive) -> Float[Array, " states"]:
+        """The state that does not change under `drive`; NaN where there is none.
 
-        Pseudo-transient continuation from a fixed start; throttle and wastegate are
-        where the other five states put them. NaN where it finds no steady state.
-        Differentiable, by the implicit function theorem.
+        Found by `settled` from a fixed start; throttle and wastegate are where the
+        other five states put them. First derivatives are exact.
         """
         start = jnp.asarray(START, self.inertia.dtype)
         drive = jax.tree.map(lambda v: jnp.asarray(v, start.dtype), drive)
 
-        def relative(scaled: Float[Array, " unknowns"], given) -> Float[Array, " u"]:
+        def rate(rest: Float[Array, " unknowns"], given) -> Float[Array, " unknowns"]:
             engine, drive = given
-            state = engine._settled(scaled * start, drive)
-            return engine.derivative(state, drive)[2:] / start
+            return engine.derivative(engine._settled(rest, drive), drive)[2:]
 
-        found = rest_point(relative, jnp.ones_like(start), (self, drive))
-        return self._settled(found * start, drive)
+        return self._settled(settled(rate, start, (self, drive)), drive)
+
+    def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
+        """The state that does not change under `inputs`; NaN where there is none."""
+        return self.balance(imposed(inputs))
 
     def rest(self, inputs: Float[Array, " inputs"]):
         """Steady state under constant inputs, with sensors and delay lines settled."""
-        return self.settled_bench(self.steady_state(imposed(inputs)), inputs)
+        return self.settled_bench(self.steady_state(inputs), inputs)
 
     def settled_bench(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
@@ -291,11 +300,11 @@ class Gtdi(AbstractEngine):
     def advance(self, carry, inputs: Float[Array, " inputs"]):
         """One event of 180 degrees at the imposed speed.
 
-        Thirty Runge-Kutta steps of fourth order, 1 ms at 1000 rpm and shorter above.
-        The throttle command arrives 15 ms late [D], inside an event if need be; torque
-        one event and mixture three events [O]. What the sensors see is sampled at the
-        start of the event and held; torque lags it by 0.02 s [O], the lambda sensor by
-        0.20 s [D].
+        Runge-Kutta steps of fourth order, as many as keep them at 1 ms or below, but at
+        least ten. The throttle command arrives 15 ms late [D], inside an event if need
+        be; torque one event and mixture three events [O]. What the sensors see is
+        sampled at the start of the event and held; torque lags it by 0.02 s [O], the
+        lambda sensor by 0.20 s [D].
         """
         state, readings, commands, durations, torques, ratios = carry
         now = self.quantities(state, imposed(inputs))
@@ -308,33 +317,28 @@ class Gtdi(AbstractEngine):
         kept = jnp.exp(-duration / jnp.stack([self.torque_time, self.mixture_time]))
         readings = seen + (readings - seen) * kept
 
+        count = jnp.clip(jnp.ceil(duration / SUBSTEP - 1e-6), FEWEST, SUBSTEPS)
+        step = duration / count
         levels = jnp.append(commands, inputs[2])
-        late = delayed(
-            levels, durations, duration, self.throttle_dead_time, steps=SUBSTEPS
+        late = delayed(levels, durations, step, self.throttle_dead_time, steps=SUBSTEPS)
+        state = rk4(
+            lambda x, throttle: self.derivative(x, imposed(inputs, throttle[0])),
+            state,
+            step,
+            jnp.broadcast_to(late[:, None, None], (SUBSTEPS, 3, 1)),
+            count=count.astype(int),
         )
-        state = self._integrate(state, inputs, late, duration / SUBSTEPS)
         durations = shift(durations, duration)[0]
         return (state, readings, levels[1:], durations, torques, ratios), outputs
 
-    def _integrate(
-        self,
-        state: Float[Array, " states"],
-        inputs: Float[Array, " inputs"],
-        throttle: Float[Array, " steps"],
-        step: Float[Array, ""],
-    ) -> Float[Array, " states"]:
-        """Classical Runge-Kutta steps of `step` seconds, one for each command."""
-        drive = imposed(inputs)
+    def margins(self, carry, inputs: Float[Array, " inputs"]):
+        """`mixture`, `heat`, `boost`, `turbo`, `vacuum`, `surge` and `spark`; see
+        `gtdi_margins`."""
+        return gtdi_margins(self.quantities(carry[0], imposed(inputs)))
 
-        def move(x, command):
-            held = drive._replace(throttle=command)
-            k1 = self.derivative(x, held)
-            k2 = self.derivative(x + step / 2 * k1, held)
-            k3 = self.derivative(x + step / 2 * k2, held)
-            k4 = self.derivative(x + step * k3, held)
-            return x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), None
-
-        return jax.lax.scan(move, state, throttle)[0]
+    def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
+        """`gtdi_demands`, with fuel and spark set by `scheduled`."""
+        return scheduled(self, gtdi_demands(key, length))[0]
 
     def _throttle_area(self, angle: Float[Array, ""]) -> Float[Array, ""]:
         x = (angle - self.throttle_shut) / self.throttle_travel

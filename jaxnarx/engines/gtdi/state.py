@@ -5,6 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, ScalarLike
 
+SLOWEST = 1000.0  # rpm
+EVENT = 180.0  # degrees crank angle
+
 
 class Drive(NamedTuple):
     """What is imposed on the engine; an entry that is `None` takes care of itself.
@@ -51,9 +54,13 @@ class Quantities(NamedTuple):
     derivative: Float[Array, "*time states"]
 
 
-def imposed(inputs: Float[Array, " inputs"]) -> Drive:
-    """The columns of a record: fuel, spark, throttle, speed."""
+def imposed(
+    inputs: Float[Array, " inputs"], arrived: Float[Array, ""] | None = None
+) -> Drive:
+    """The columns of a record: fuel, spark, throttle, speed; `arrived` is the throttle
+    command behind its dead time, if not the present one."""
     fuel, spark, throttle, speed = inputs
+    throttle = throttle if arrived is None else arrived
     return Drive(throttle, speed, fuel=fuel, spark=spark)
 
 
@@ -62,3 +69,23 @@ def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Arr
     if value is None:
         return otherwise
     return jnp.asarray(value, otherwise.dtype)
+
+
+def gtdi_margins(q: Quantities) -> dict[str, Float[Array, "*time"]]:
+    """How far inside the limits of the bed [O]; any shape.
+
+    `mixture`: lambda inside 0.7 to 1.4. `heat`: exhaust up to 1250 K, enrich above.
+    `boost`: up to 230 kPa before the throttle. `turbo`: up to 190 krpm. `vacuum`:
+    intake at least 25 kPa. `surge`: the compressor not on its surge tail. `spark`:
+    inside -40 to 20 degrees from the best, where the torque curve holds.
+    """
+    early = q.spark - q.best_spark
+    return {
+        "mixture": jnp.minimum(q.ratio - 0.7, 1.4 - q.ratio),
+        "heat": 1250.0 - q.temperature,
+        "boost": 230.0 - q.boost,
+        "turbo": 190.0 - q.turbo,
+        "vacuum": q.pressure - 25.0,
+        "surge": q.surge_margin - 1e-6,
+        "spark": jnp.minimum(early + 40.0, 20.0 - early),
+    }
