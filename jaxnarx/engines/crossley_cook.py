@@ -111,6 +111,11 @@ class CrossleyCook(AbstractEngine):
         """0.015 s: 180 deg at 2000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.015
 
+    @property
+    def event(self) -> float | None:
+        """180 degrees crank angle."""
+        return EVENT
+
     def quantities(
         self,
         state: Float[Array, " states"],

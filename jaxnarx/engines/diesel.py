@@ -220,6 +220,11 @@ class Diesel(AbstractEngine):
         """`interval`, 0.1 s by default; exact, the bed does not sample by events."""
         return self.interval
 
+    @property
+    def event(self) -> float | None:
+        """None: the bed samples time."""
+        return None
+
     def derivative(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
     ) -> Float[Array, " states"]:

@@ -53,16 +53,18 @@ def exhaust_temperature(
     heating = engine.compression ** (engine.gamma_a - 1)
     release = burnt * engine.heating_value / ((burnt + air) * engine.heat_capacity)
     emptied = ratio ** (1 / engine.gamma_a)
-    cooling = engine.cycle_factor * ratio / emptied / heating
+    cooling = engine.cycle_factor * ratio / (emptied * heating)
+    left = emptied / engine.compression
 
     residual, start = jnp.zeros_like(ratio), engine.intake_temperature
     hot = start
-    # Written out: as a loop inside the loops of the integration it costs a fifth more.
+    # Written out, with one division a round: it is a good part of the whole model's
+    # cost, and a loop inside the loops of the integration would add to it.
     for _ in range(TEMPERATURE_ROUNDS):
-        heat = release * (1 - residual)  # q/c_pa
-        burning = 1 + heat / (start * heating)
-        residual = jnp.clip(emptied / (engine.compression * burning), 0.0, 1.0)
-        hot = cooling * (heat + start * heating)
+        compressed = start * heating
+        burnt_out = compressed + release * (1 - residual)  # T_1 H + q/c_pa
+        residual = jnp.clip(left * compressed / burnt_out, 0.0, 1.0)
+        hot = cooling * burnt_out
         start = residual * hot + (1 - residual) * engine.intake_temperature
         start = jnp.maximum(start, 273.0)
     area = math.pi * engine.pipe_diameter * engine.pipe_length * engine.pipes

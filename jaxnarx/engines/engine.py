@@ -74,6 +74,11 @@ class AbstractEngine(eqx.Module):
         """Nominal duration of an event [s]; the true one is in inverse proportion to
         speed where events are crank angles."""
 
+    @property
+    @abc.abstractmethod
+    def event(self) -> float | None:
+        """Crank angle of an event [degrees]; None where the bed samples time."""
+
     @abc.abstractmethod
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """The state that does not change under constant `inputs`; NaN where there is

@@ -154,6 +154,11 @@ class Pfi(AbstractEngine):
         """0.03 s: 180 deg at 1000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.03
 
+    @property
+    def event(self) -> float | None:
+        """180 degrees crank angle."""
+        return EVENT
+
     def derivative(
         self, state: Float[Array, " states"], drive: Drive
     ) -> Float[Array, " states"]:

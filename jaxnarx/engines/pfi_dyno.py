@@ -103,6 +103,11 @@ class PfiDyno(AbstractEngine):
         """0.04 s: 360 deg at 1500 rpm. The true value is 60/N seconds at N rpm."""
         return 0.04
 
+    @property
+    def event(self) -> float | None:
+        """360 degrees crank angle."""
+        return EVENT
+
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """`[p_m, m_ff, W_v, omega]` that do not change at the imposed speed."""
         return self.engine.balance(_drive(inputs))

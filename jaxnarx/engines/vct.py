@@ -210,6 +210,11 @@ class Vct(AbstractEngine):
         """0.02 s: 180 deg at 1500 rpm. The true value is 30/N seconds at N rpm."""
         return 0.02
 
+    @property
+    def event(self) -> float | None:
+        """180 degrees crank angle."""
+        return EVENT
+
     def derivative(
         self, state: Float[Array, " states"], drive: VctDrive
     ) -> Float[Array, " states"]:

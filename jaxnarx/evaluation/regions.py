@@ -41,7 +41,7 @@ def describe_partition(
 
 
 def _cloud(data: Dataset, scheduling: Any) -> Float[np.ndarray, "samples dims"]:
-    """Measured scheduling variables, evenly thinned, rows with a missing one left out."""
+    """Measured scheduling variables, evenly thinned; rows that lack one left out."""
     kept = []
     reach = max(lag for _, lag in scheduling)
     for r in data:

@@ -1,6 +1,7 @@
 """Settings of experiment design."""
 
 import dataclasses
+
 from jaxnarx.errors import SpecError
 
 

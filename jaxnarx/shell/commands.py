@@ -226,12 +226,58 @@ class Prepare:
     """Overwrite files of an earlier run."""
 
 
+@dataclasses.dataclass(frozen=True)
+class SimulateEngine:
+    """Simulate a virtual engine and write its records, ready to be identified.
+
+    FOLDER receives a CSV file per record, engine.toml, which describes them, and
+    excitation.png: inputs and outputs over time, their spectra, and which cells of the
+    operating space are visited. Samples beyond a limit (smoke, surge, mixture ...) are
+    told and marked in columns of their own. Beds sampled by crank angle have one row
+    per event, unless --sample-time is given.
+
+    Example:
+        jaxnarx simulate-engine diesel --signal aprbs --duration 600 --out runs/diesel
+    """
+
+    engine: Positional[Literal["pfi", "pfi-dyno", "pfi-cc", "diesel", "gtdi", "vct"]]
+    """The bed: port-injected (free speed, on a dynamometer, compact variant), diesel
+    with EGR and VGT, turbocharged direct injection, variable cam timing."""
+    signal: Literal["aprbs", "prbs", "random-walk", "multisine", "chirp", "steps"] = (
+        "aprbs"
+    )
+    """aprbs moves all inputs as is usual for the bed; the others move one of them, the
+    rest stays at a usual operating point."""
+    input: Annotated[str | None, _optional("NAME")] = None
+    """The input that is moved; default: the first."""
+    duration: float = 300.0
+    """Length of every record [s]; nominal where events are sampled."""
+    records: int = 3
+    """Number of records; of three or more the last two validate and test."""
+    hold: int = 20
+    """Samples for which prbs and random-walk hold a level; the highest frequency of
+    multisine and chirp is that of twice as many."""
+    sample_time: Annotated[float | None, _optional("SECONDS")] = None
+    """Resample records of crank-angle events to this time."""
+    noise: float = 1.0
+    """Measurement noise as a multiple of the bed's own; 0 for none."""
+    spread: float = 0.0
+    """Simulate a random relative of the engine, its parameters off by about this."""
+    seed: int = 1
+    """Seed of signals, noise and relative."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "runs/engine"
+    """Folder for the files."""
+    force: _Flag = False
+    """Overwrite files of an earlier run."""
+
+
 def _kebab(name: str) -> str:
     """A class name as it is typed: `SimulateEngine` is `simulate-engine`."""
     return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
 
 
-Command = Demo | Identify | Simulate | Report | Check | Prepare
+Command = Demo | Identify | Simulate | Report | Check | Prepare | SimulateEngine
 COMMANDS: dict[str, type] = {
-    _kebab(c.__name__): c for c in (Demo, Identify, Simulate, Report, Check, Prepare)
+    _kebab(c.__name__): c
+    for c in (Demo, Identify, Simulate, Report, Check, Prepare, SimulateEngine)
 }

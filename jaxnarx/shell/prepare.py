@@ -1,7 +1,5 @@
 """Prepared records: written as files, and made again of new ones."""
 
-import csv
-import io
 import json
 import os
 import re
@@ -29,13 +27,13 @@ from jaxnarx.data.preparation import AbstractStep
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.shell.commands import Prepare
 from jaxnarx.shell.output import (
-    cell,
     file_names,
     run_folder,
     write_text,
     written_together,
 )
 from jaxnarx.shell.progress import count, say
+from jaxnarx.shell.record_files import describe, record_csv
 
 DESCRIPTION, PREPARATION = "prepared.toml", "preparation.json"
 
@@ -115,7 +113,8 @@ def write_prepared(
     lengths = [len(data) for data in parts.values()]
     starts = np.cumsum([0, *lengths]).tolist()
     of = {p: names[a : a + n] for p, a, n in zip(parts, starts, lengths, strict=False)}
-    texts[DESCRIPTION] = description(done, of)
+    made = {"preparation": PREPARATION}
+    texts[DESCRIPTION] = describe(done, of, by="jaxnarx prepare", extra=made)
     kept = preparation.to_dict()
     texts[PREPARATION] = json.dumps(kept, allow_nan=False, indent=1)
     with run_folder(out, "", force=force, marks=list(texts)) as folder:
@@ -127,59 +126,6 @@ def write_prepared(
         f"{DESCRIPTION} and {PREPARATION} to {folder}"
     )
     return folder / DESCRIPTION
-
-
-def record_csv(data: Dataset, n: int) -> str:
-    """Record `n` as CSV: time [s] and every channel; masked samples are empty.
-
-    Numbers are written so that they are read back as they are.
-    """
-    record, names = data.records[n], data.channels.names
-    x = np.concatenate([record.u, record.y], axis=1)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_time_name(names), *map(cell, names)])
-    for k, (row, valid) in enumerate(
-        zip(x.tolist(), record.valid.tolist(), strict=True)
-    ):
-        cells = [repr(v) if good else "" for v, good in zip(row, valid, strict=True)]
-        writer.writerow([f"{k * data.sample_time:.10g}", *cells])
-    return text.getvalue()
-
-
-def _time_name(names: Sequence[str]) -> str:
-    """A header for the time that no channel has."""
-    name = "time [s]"
-    while name in names:
-        name = "record " + name
-    return name
-
-
-def description(data: Dataset, files: dict[str, list[str]]) -> str:
-    """A TOML description of prepared files, by part."""
-    lines = [
-        "# Written by `jaxnarx prepare`. The files are in the folder of this one.",
-        "[data]",
-        f"sample_time = {data.sample_time!r}",
-        'missing = "mask"  # empty cells are masked samples',
-        'delimiter = ","',
-        f"preparation = {_quoted(PREPARATION)}  # how these files came about",
-    ]
-    groups = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
-    for group, channels in groups.items():
-        lines += ["", f"[channels.{group}]"]
-        for c in channels:
-            column, unit = _quoted(cell(c.name)), _quoted(c.unit)
-            lines.append(f"{_quoted(c.name)} = {{column = {column}, unit = {unit}}}")
-    lines += ["", "[records]"]
-    for part, names in files.items():
-        lines.append(f"{part} = [{', '.join(map(_quoted, names))}]")
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """A TOML string; unlike JSON's, it may not hold the delete character."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def stored(model: str | os.PathLike[str]) -> Preparation | None:

@@ -1,6 +1,7 @@
 """What the commands do."""
 
 import math
+import os
 import shlex
 import sys
 from collections.abc import Iterator
@@ -32,6 +33,8 @@ def run(command: commands.Command, *, typed: str) -> int:
     _configure()
     if isinstance(command, commands.Demo):
         return _demo(command, typed)
+    if isinstance(command, commands.SimulateEngine):
+        return _simulate_engine(command, typed)
     if isinstance(command, commands.Identify):
         return _identify(command, typed)
     if isinstance(command, commands.Simulate):
@@ -41,8 +44,6 @@ def run(command: commands.Command, *, typed: str) -> int:
 
 def _configure() -> None:
     """float64 and a compilation cache: set here, never by the library."""
-    import os
-
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -111,18 +112,27 @@ def _check(command: commands.Check) -> int:
 
 
 def _prepare(command: commands.Prepare) -> int:
-    import os
-
     from jaxnarx.shell.prepare import make_steps, write_prepared
 
     steps = make_steps(command)
     split = _read(command.description, command.root)
-    file = write_prepared(split, steps, command.out, force=command.force)
+    _next_check(write_prepared(split, steps, command.out, force=command.force))
+    return 0
+
+
+def _simulate_engine(command: commands.SimulateEngine, typed: str) -> int:
+    from jaxnarx.shell.simulate_engine import simulate_engine
+
+    _next_check(simulate_engine(command, typed))
+    return 0
+
+
+def _next_check(file: Path) -> None:
+    """Advise to look at a description that was just written."""
     # the variable would send the reader of the new files to the old ones
     elsewhere = os.environ.get("JAXNARX_DATA")
     root = ("--root", str(file.parent)) if elsewhere else ()
     _next("jaxnarx", "check", str(file), *root)
-    return 0
 
 
 def _size(data: "Dataset") -> str:

@@ -27,13 +27,8 @@ from jaxnarx.data import (
 from jaxnarx.models import load, load_about, save
 from jaxnarx.shell import commands
 from jaxnarx.shell.cli import run
-from jaxnarx.shell.prepare import (
-    description,
-    make_steps,
-    raw_channels,
-    record_csv,
-    stored,
-)
+from jaxnarx.shell.prepare import make_steps, raw_channels, stored
+from jaxnarx.shell.record_files import describe, record_csv
 from jaxnarx.simulation import simulate
 
 ROWS = 500
@@ -219,8 +214,7 @@ def test_odd_names_are_quoted():
     data = Dataset.from_arrays(
         None, values, inputs=[], outputs=channels.outputs, sample_time=1e-5
     )
-    text = description(data, {"files": ["a.csv"]})
-    text = text.replace('preparation = "preparation.json"', "")
+    text = describe(data, {"files": ["a.csv"]}, by="a test")
     Path("odd.toml").write_text(text, encoding="utf-8")
     Path("a.csv").write_text(record_csv(data, 0), encoding="utf-8")
     same(read_split("odd.toml").all, data)

@@ -158,6 +158,11 @@ class Gtdi(AbstractEngine):
         """0.015 s: 180 deg at 2000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.015
 
+    @property
+    def event(self) -> float | None:
+        """180 degrees crank angle."""
+        return EVENT
+
     def derivative(
         self, state: Float[Array, " states"], drive: Drive
     ) -> Float[Array, " states"]:

@@ -1,0 +1,88 @@
+"""Records as files that `jaxnarx check` and `identify` read: CSV and a description."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from jaxnarx.data import Dataset
+from jaxnarx.shell.output import cell
+
+
+def record_csv(
+    data: Dataset,
+    n: int,
+    *,
+    by_event: bool = False,
+    flags: Mapping[str, Bool[np.ndarray, " time"]] | None = None,
+) -> str:
+    """Record `n` as CSV: time [s] and every channel; masked samples are empty.
+
+    Numbers are written so that they are read back as they are. `by_event` counts
+    samples instead of telling their time, where they are not equidistant in time;
+    `flags` adds columns of 0 and 1.
+    """
+    record, names = data.records[n], data.channels.names
+    x = np.concatenate([record.u, record.y], axis=1)
+    columns = {k: np.asarray(v).astype(int).tolist() for k, v in (flags or {}).items()}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    first = _free("event" if by_event else "time [s]", names)
+    writer.writerow([first, *map(cell, names), *map(cell, columns)])
+    for k, (row, valid) in enumerate(
+        zip(x.tolist(), record.valid.tolist(), strict=True)
+    ):
+        at = str(k) if by_event else f"{k * data.sample_time:.10g}"
+        cells = [repr(v) if good else "" for v, good in zip(row, valid, strict=True)]
+        writer.writerow([at, *cells, *(column[k] for column in columns.values())])
+    return text.getvalue()
+
+
+def _free(name: str, names: Sequence[str]) -> str:
+    """A header that no channel has."""
+    while name in names:
+        name = "record " + name
+    return name
+
+
+def describe(
+    data: Dataset,
+    files: Mapping[str, Sequence[str]],
+    *,
+    by: str,
+    remarks: Sequence[str] = (),
+    extra: Mapping[str, str] | None = None,
+) -> str:
+    """A TOML description of written records, by part; they lie in its own folder.
+
+    `by` is the command that wrote them; `remarks` become comments, `extra` entries of
+    [data].
+    """
+    lines = [
+        f"# Written by `{' '.join(by.split())}`.",
+        "# The files are in the folder of this one.",
+        *(f"# {remark}" for remark in remarks),
+        "[data]",
+        f"sample_time = {data.sample_time!r}",
+        'missing = "mask"  # empty cells are masked samples',
+        'delimiter = ","',
+        *(f"{key} = {_quoted(value)}" for key, value in (extra or {}).items()),
+    ]
+    groups = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
+    for group, channels in groups.items():
+        lines += ["", f"[channels.{group}]"]
+        for c in channels:
+            column, unit = _quoted(cell(c.name)), _quoted(c.unit)
+            lines.append(f"{_quoted(c.name)} = {{column = {column}, unit = {unit}}}")
+    lines += ["", "[records]"]
+    for part, names in files.items():
+        lines.append(f"{part} = [{', '.join(map(_quoted, names))}]")
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A TOML string; unlike JSON's, it may not hold the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
