@@ -6,6 +6,7 @@ variables, and `to_oracle` turns any network into the plain one of `oracles.py`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -231,6 +232,19 @@ def from_rows(rows: Sequence[np.ndarray], *, missing: str = "mask") -> Dataset:
         sample_time=0.1,
         missing=missing,
     )
+
+
+REFERENCE = Path(__file__).parents[1] / "experiments" / "thesis" / "reference"
+
+
+def reference(name: str) -> dict[str, list[str]]:
+    """A table of steady states of the beds' specification, by column.
+
+    Entries are text as printed there, so that the last printed digit is known.
+    """
+    rows = (REFERENCE / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    header, *body = (line.split() for line in rows)
+    return dict(zip(header, map(list, zip(*body, strict=True)), strict=True))
 
 
 _compiled: list[float] = []

@@ -1,4 +1,4 @@
-"""The benchmarks run with `--smoke`, and what they record is whole and portable."""
+"""Every experiment runs with `--smoke`; what it records is whole and portable."""
 
 import json
 import os
@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from jaxnarx.engines import BEDS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "experiments" / "benchmarks"
@@ -85,6 +87,69 @@ def test_command_line(tmp_path):
     row = demo["free_run"]["refined"]["pooled"]
     assert row["status"] == "ok" and row["fit"] > 50
     assert_target(demo["targets"]["warm_s"])
+
+
+@pytest.mark.slow
+def test_engines(tmp_path):
+    found = run("engines.py", results=tmp_path / "results")["engines"]
+    beds = {k: v for k, v in found["beds"].items() if k != "cores"}
+    assert set(beds) == set(BEDS)
+    assert all(row["finite"] and row["times_real_time"] > 0 for row in beds.values())
+    assert found["family"]["finite"]
+    # Chunks round differently; the engines are stable, so differences stay small.
+    assert found["family"]["largest_difference"] < 1e-9
+    lsoda = found["lsoda"]
+    # LSODA's own tolerance is 1e-6 a step, of which there are hundreds.
+    assert lsoda["fixed_step_difference"] < 1e-4
+    assert max(lsoda["lsoda_difference"].values()) < 1e-4
+    assert lsoda["plain_rate_difference"] < 1e-9
+
+
+def experiment(script: str, *arguments: str) -> subprocess.CompletedProcess:
+    """Run an experiment small; it must end well."""
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "experiments" / script), "--smoke", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.slow
+def test_beds_of_chapter_3(tmp_path):
+    experiment("thesis/chapter3_test_beds.py", "--out", str(tmp_path))
+    content = json.loads((tmp_path / "chapter3_test_beds.json").read_text())
+    columns = content["figures"]["steady_states"]["pfi_free"]
+    assert len(columns) == 5 and all(row["within"] for row in columns.values())
+    assert {"steady.png", "pfi.png"} <= {p.name for p in tmp_path.iterdir()}
+
+
+@pytest.mark.slow
+def test_optimal_excitation_of_chapter_6(tmp_path):
+    experiment("thesis/chapter6_optimal_excitation.py", "--out", str(tmp_path))
+    content = json.loads((tmp_path / "chapter6_optimal_excitation.json").read_text())
+    figures = content["figures"]
+    assert figures["seeds"] == 2 and figures["log_det_rises_in"] == 2
+    assert figures["relative_error_random"]["median"] > 0
+    assert (tmp_path / "chapter6_optimal_excitation.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_figure_of_the_readme(tmp_path):
+    experiment("demo/figure.py", "--out", str(tmp_path / "demo.png"))
+    assert (tmp_path / "demo.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_choice_of_a_configuration(tmp_path, measured):
+    experiment("gengine1/choose.py", "--out", str(tmp_path / "choice.json"))
+    content = json.loads((tmp_path / "choice.json").read_text())
+    (row,) = content["rows"]
+    assert row["validation"] > 0 and content["chosen"]["NOx"] in (row, None)
+    names = content["held_out"]
+    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
 
 
 def test_results_hold_no_folders(tmp_path):

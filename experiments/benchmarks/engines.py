@@ -110,7 +110,7 @@ def beds(*, seconds: int, events: int, repeats: int, **_: Any) -> dict[str, Any]
         begin = time.perf_counter()
         outputs = jax.block_until_ready(run(engine, inputs))
         first = time.perf_counter() - begin
-        engine_time = _duration(name, engine, inputs, outputs)
+        engine_time = _duration(engine, inputs, outputs)
         timed = best_of(_ready(run, engine, inputs), repeats, warm_up=0)
         found[name] = {
             "events": length,
@@ -276,16 +276,15 @@ def _levels(engine: Any, count: int) -> Any:
     return np.random.default_rng(SEED).uniform(low, high, (count, len(low)))
 
 
-def _duration(name: str, engine: Any, inputs: Any, outputs: Any) -> float:
+def _duration(engine: Any, inputs: Any, outputs: Any) -> float:
     """What the events last on the engine [s]."""
     import numpy as np
 
-    if name == "diesel":
+    if engine.event is None:
         return len(inputs) * engine.sample_time
     names = engine.channels.input_names + engine.channels.output_names
     speed = np.concatenate([inputs, outputs], axis=1)[:, names.index("speed")]
-    degrees = 360.0 if name == "pfi-dyno" else 180.0
-    return float(np.sum(degrees / (6.0 * speed)))
+    return float(np.sum(engine.event / (6.0 * speed)))
 
 
 def _ready(function: Callable[..., Any], *arguments: Any) -> Callable[[], None]:

@@ -266,7 +266,9 @@ def main() -> None:
         figures["diesel_steps"], curves = diesel_steps()
         turn = float(position[np.argmax(flow)])
         figures["vgt_gain_changes_sign_at_percent"] = turn
-        draw_diesel(curves, (position, flow)).savefig(folder / "diesel_steps.png", dpi=130)
+        draw_diesel(curves, (position, flow)).savefig(
+            folder / "diesel_steps.png", dpi=130
+        )
     for name in beds:
         figures["beds"][name], drawn = bed_record(name, 6 if options.smoke else SECONDS)
         drawn.savefig(folder / f"{name}.png", dpi=110, facecolor="white")

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import reference
 
 from jaxnarx.engines.diesel import Diesel
 from jaxnarx.engines.diesel_parts import diesel_margins
@@ -18,30 +19,8 @@ from jaxnarx.errors import DataError, SpecError
 # Compilation of the stiff steady states takes the better part of a minute.
 pytestmark = pytest.mark.slow
 
-# Entries are text, so that the last printed digit is known.
-COLUMNS = (
-    *("speed", "fuel", "egr_valve", "vgt", "pressure", "exhaust_pressure", "oxygen"),
-    *("exhaust_oxygen", "turbo", "torque", "oxygen_ratio", "egr_share", "compressor"),
-    "temperature",
-)
-STEADY = """
-1500 110 80 75 1.4959 1.5365 0.2251 0.1138  59779  793.3 2.091 0.054 0.2445 729.9
-1500 110 80 65 1.5513 1.6066 0.2232 0.1157  61633  791.8 2.147 0.071 0.2486 720.7
-1500 110 80 30 1.8499 2.1241 0.1997 0.1090  68292  769.6 2.272 0.259 0.2345 690.8
-1500 110 80 25 1.8878 2.2518 0.1901 0.1013  68453  760.5 2.205 0.317 0.2203 692.7
-1500 110  0 50 1.8599 2.0812 0.2314 0.1403  73573  775.0 2.646 0     0.3181 684.3
-1000  60 50 40 1.0864 1.1654 0.2126 0.1317  28619  434.3 2.731 0.189 0.1054 577.1
-1200 150 30 50 1.7516 1.7720 0.2292 0.1010  66247 1209.9 1.842 0.017 0.2397 782.1
-1800 120 30 60 1.9650 2.1654 0.2212 0.1260  78370  788.9 2.410 0.096 0.3583 709.3
-2000 250  0 60 3.0073 4.3779 0.2314 0.0984 112361 1763.7 1.791 0     0.6523 954.2
-"""
-ENTRIES = dict(
-    zip(
-        COLUMNS,
-        map(list, zip(*map(str.split, STEADY.strip().splitlines()), strict=True)),
-        strict=True,
-    )
-)
+
+ENTRIES = reference("diesel")
 OPERATING = jnp.asarray(
     [
         [float(x) for x in ENTRIES[name]]
@@ -124,7 +103,7 @@ def steady(everywhere):
     return jax.tree.map(lambda x: x[: len(OPERATING)], everywhere)
 
 
-@pytest.mark.parametrize("name", COLUMNS[4:])
+@pytest.mark.parametrize("name", list(ENTRIES)[4:])
 def test_steady_table(steady, name):
     assert_prints(getattr(steady[1], name), ENTRIES[name])
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import reference
 
 from jaxnarx.engines.gtdi.bed import START, Gtdi
 from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, scheduled
@@ -20,29 +21,9 @@ from jaxnarx.errors import DataError
 # Compilation of the turbocharged engine takes minutes.
 pytestmark = pytest.mark.slow
 
-# Entries are text, so that the last printed digit is known.
-STEADY_COLUMNS = (
-    *("FUL", "SA", "THR", "rpm", "torque", "afr", "pressure", "boost"),
-    *("back_pressure", "turbo", "temperature", "air", "wastegate"),
-)
-STEADY = """
-     9.3  20   7  1000   24.5  14.65   37.83  101.45  101.96    6.3   605    4.54  0
-    16.0  26  12  1500   61.4  14.57   58.34  103.12  105.13   21.2   879   11.65  0
-    16.5  26  14  2000   63.3  14.64   59.36  106.14  108.49   33.9   950   16.10  0
-    46.3  18  22  2000  223.1  14.60  142.71  169.49  151.41  115.2  1112   45.07  0
-    59.1  12  30  2000  291.7  14.61  174.51  188.97  169.03  128.9  1142   57.55  0.053
-    64.7   6  45  2500  313.8  14.59  185.15  196.65  188.33  136.7  1186   78.66  0.207
-    23.2  26  18  3000   95.8  14.61   78.50  138.76  131.28   88.6  1074   33.90  0
-    68.9   4  60  3500  321.2  14.61  191.65  206.78  228.51  151.6  1250  117.42  0.410
-    68.2   6  80  5000  296.2  14.60  187.89  211.31  298.49  172.6  1317  166.00  0.500
-"""
+STEADY = reference("gtdi")
 STEP = 1e-3  # s, of the continuous responses
 EVENTS = 3600
-
-
-def table(text: str, columns: tuple[str, ...]) -> dict[str, list[str]]:
-    rows = [line.split() for line in text.strip().splitlines()]
-    return dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))
 
 
 def half_digit(entry: str) -> float:
@@ -69,10 +50,10 @@ def settle():
 
 @pytest.fixture(scope="module")
 def steady(engine, settle):
-    entries = table(STEADY, STEADY_COLUMNS)
+    entries = STEADY
     fuel, spark, throttle, speed = (
         jnp.asarray([float(entry) for entry in entries[name]])
-        for name in STEADY_COLUMNS[:4]
+        for name in list(STEADY)[:4]
     )
     drive = filled(Drive(throttle, speed, fuel=fuel, spark=spark))
     return entries, drive, *settle(engine, drive)
@@ -88,7 +69,7 @@ def filled(drive: Drive) -> Drive:
     )
 
 
-@pytest.mark.parametrize("name", STEADY_COLUMNS[4:])
+@pytest.mark.parametrize("name", list(STEADY)[4:])
 def test_steady_table(steady, name):
     entries, values = steady[0][name], np.asarray(getattr(steady[3], name))
     for row, (value, entry) in enumerate(zip(values, entries, strict=True)):

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import reference
 
 from jaxnarx.engines import Drive, Pfi, pfi_siso_records
 from jaxnarx.engines.events import shift
@@ -17,38 +18,9 @@ from jaxnarx.engines.flow import throttle_share
 from jaxnarx.engines.integration import held
 from jaxnarx.errors import DataError, SpecError
 
-# Entries are text, so that the last printed digit is known.
-FREE_COLUMNS = ("duty", "speed", "pressure", "air", "pulse", "load")
-FREE = """
-    0.370   593.2   29.78   1.862   3.618    5.41
-    0.380   792.6   29.61   2.469   3.595    6.51
-    0.390  1041.1   30.35   3.354   3.694    8.34
-    0.395  1179.3   31.06   3.918   3.788    9.56
-    0.400  1322.8   31.96   4.565   3.908   11.00
-    0.410  1612.4   34.21   6.086   4.208   14.40
-    0.420  1882.9   36.78   7.800   4.551   18.18
-"""
-HELD_COLUMNS = (
-    *("speed", "duty", "pulse", "pressure", "air", "ratio", "torque"),
-    *("efficiency", "film_share", "film_time"),
-)
-HELD = """
-     900  0.38  3.250  27.02   2.469  1.000   3.36  0.311  0.556  1.103
-    1150  0.39  3.411  28.23   3.354  1.000   5.43  0.330  0.539  1.002
-    1350  0.40  3.843  31.47   4.565  1.000  10.29  0.342  0.519  0.901
-    1550  0.42  5.377  42.98   7.799  1.000  27.88  0.355  0.476  0.752
-    1550  0.42  6.202  42.98   7.799  0.850  26.36  0.293  0.476  0.752
-    1550  0.42  4.767  42.98   7.799  1.150  22.64  0.365  0.476  0.752
-    1750  0.44  6.485  51.30  10.891  1.000  41.01  0.364  0.442  0.671
-    1550  0.60  8.680  67.78  13.307  1.000  65.79  0.358  0.407  0.636
-"""
+FREE, HELD = reference("pfi_free"), reference("pfi_held")
 STEP = 0.005  # s, of the continuous responses
 EVENTS = 2000
-
-
-def table(text: str, columns: tuple[str, ...]) -> dict[str, list[str]]:
-    rows = [line.split() for line in text.strip().splitlines()]
-    return dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))
 
 
 def numbers(entries: list[str]) -> jax.Array:
@@ -82,13 +54,13 @@ def engine():
 
 @pytest.fixture(scope="module")
 def free(engine):
-    entries = table(FREE, FREE_COLUMNS)
+    entries = FREE
     return entries, *settle(engine, Drive(numbers(entries["duty"])))
 
 
 @pytest.fixture(scope="module")
 def at_speed(engine):
-    entries = table(HELD, HELD_COLUMNS)
+    entries = HELD
     drive = Drive(
         numbers(entries["duty"]),
         pulse=numbers(entries["pulse"]),
@@ -97,13 +69,13 @@ def at_speed(engine):
     return entries, *settle(engine, drive)
 
 
-@pytest.mark.parametrize("name", FREE_COLUMNS[1:])
+@pytest.mark.parametrize("name", list(FREE)[1:])
 def test_free_speed_table(free, name):
     entries, _, q = free
     assert_prints(getattr(q, name), entries[name])
 
 
-@pytest.mark.parametrize("name", HELD_COLUMNS[3:])
+@pytest.mark.parametrize("name", list(HELD)[3:])
 def test_held_speed_table(at_speed, name):
     entries, _, q = at_speed
     assert_prints(getattr(q, name), entries[name])

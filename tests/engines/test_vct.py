@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import reference
 
 from jaxnarx.engines.integration import held
 from jaxnarx.engines.vct import Vct, VctDrive, vct_margins
@@ -16,26 +17,9 @@ from jaxnarx.errors import DataError, SpecError
 # Compilation of the stiff steady states takes the better part of a minute.
 pytestmark = pytest.mark.slow
 
-# Entries are text, so that the last printed digit is known.
-COLUMNS = (
-    *("speed", "throttle", "cam", "pressure", "air", "charge", "torque", "nox"),
-    "hc",
-)
-STEADY = """
-     750   7     0  0.3428   7.285  0.1457   55.77  10.54  7.52
-    1000  10     0  0.3965  11.967  0.1795   76.89  11.81  6.91
-    1000  10    20  0.4566  11.967  0.1795   76.89   6.84  5.53
-    1500   9.33  0  0.2665  10.786  0.1079   23.58   9.52  7.38
-    1500  12     0  0.3540  15.935  0.1594   58.69  11.37  6.67
-    1500  12    35  0.5177  15.931  0.1593   58.66   2.56  4.18
-    1500  16    10  0.5431  25.702  0.2570  124.86  11.37  5.40
-    2000  16     0  0.4087  25.769  0.1933   76.23  12.76  6.01
-    2000  20    10  0.5812  37.516  0.2814  135.77  12.12  5.00
-    2000  20    35  0.7203  34.385  0.2579  119.95   3.18  3.55
-"""
-ROWS = [row.split() for row in STEADY.strip().splitlines()]
-ENTRIES = dict(zip(COLUMNS, map(list, zip(*ROWS, strict=True)), strict=True))
-TABLE = [tuple(float(x) for x in row[:3]) for row in ROWS]
+ENTRIES = reference("vct")
+_ROWS = zip(*list(ENTRIES.values())[:3], strict=True)
+TABLE = [tuple(float(x) for x in row) for row in _ROWS]
 # Speed, throttle, cam; two by two the ends of a step, then a cam sweep while choked.
 STEPS = [
     *((1500.0, 9.33, 0.0), (1500.0, 9.33, 20.0)),
@@ -85,7 +69,7 @@ def everywhere(engine):
     return settle(engine, drive(TABLE + STEPS + CHOKED))
 
 
-@pytest.mark.parametrize("name", COLUMNS[3:])
+@pytest.mark.parametrize("name", list(ENTRIES)[3:])
 def test_steady_table(everywhere, name):
     assert_prints(getattr(everywhere[1], name)[: len(TABLE)], ENTRIES[name])
 
