@@ -171,6 +171,7 @@ def test_gradient_by_levels_equals_central_differences(free_run, plan):
     )
 
 
+@pytest.mark.slow
 def test_line_goes_to_the_ends_of_its_range(key):
     plan = aprbs_plan(key, 120, inputs={"u": (-1.0, 1.0)}, hold=(6, 6))
     found = adjust(plan, LINE, OptimalDesign(max_steps=200))
@@ -181,6 +182,7 @@ def test_line_goes_to_the_ends_of_its_range(key):
     assert found.stats["end"].log_det > 2 * np.log(120) - 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("criterion", "share"), [("D", 1 / 3), ("A", 1 / 2)], ids=["D", "A"]
 )
@@ -232,6 +234,7 @@ def test_information_grows_within_the_limits(limited_pair):
     check_plan(found.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("criterion", "figure"), [("A", "trace"), ("G", "largest")])
 def test_the_other_criteria_improve_too(key, criterion, figure):
     plan = aprbs_plan(key, 120, inputs={"u": (-1.0, 1.0)}, hold=(6, 6))
@@ -241,6 +244,7 @@ def test_the_other_criteria_improve_too(key, criterion, figure):
     assert getattr(end, figure) < 0.9 * getattr(start, figure)
 
 
+@pytest.mark.slow
 def test_a_plan_whose_holds_end_early_lasts_to_the_end(key):
     plan = aprbs_plan(key, 120, inputs={"u": (-1.0, 1.0)}, hold=(6, 6))
     cut = eqx.tree_at(

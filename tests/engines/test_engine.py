@@ -19,17 +19,13 @@ from jaxnarx.engines import (
 )
 from jaxnarx.errors import DataError, SpecError
 
+# A program for every bed.
+pytestmark = pytest.mark.slow
+
 LENGTH = 60
-QUICK = ("pfi", "pfi-dyno", "pfi-cc")
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
-        for name in BEDS
-    ],
-)
+@pytest.fixture(scope="module", params=list(BEDS))
 def bed(request):
     return BEDS[request.param]()
 

@@ -12,6 +12,9 @@ from jaxnarx.engines.gtdi.state import imposed
 from jaxnarx.engines.integration import held, rk4, settled, solve
 from jaxnarx.engines.vct import VctDrive
 
+# A program for every bed, twice.
+pytestmark = pytest.mark.slow
+
 
 def test_runge_kutta_is_of_fourth_order():
     def error(steps):

@@ -222,6 +222,7 @@ def gradients():
     return jax.jit(jax.value_and_grad(loss)), push
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_equal_central_differences(name, gradients):
     reverse, forward = gradients
@@ -244,6 +245,7 @@ def test_every_parameter_has_a_finite_gradient(gradients):
 # All runs below share one shape, so that they share one compiled program.
 
 
+@pytest.mark.slow
 def test_records_stay_in_the_prototype_range(key):
     data = pfi_siso_records(key, (EVENTS, EVENTS), names=None, outputs=None)
     assert data.channels.input_names == ["duty"]
@@ -270,6 +272,7 @@ def test_noise_has_the_stated_size(engine, key):
     assert not np.array_equal(noisy.records[0].y, noisy.records[1].y)
 
 
+@pytest.mark.slow
 def test_many_records_run_side_by_side(engine, key):
     """From eight records on in one vectorised loop: the same numbers."""
     rows = [np.repeat([d, 0.39], 20) for d in np.linspace(0.385, 0.405, 9)]

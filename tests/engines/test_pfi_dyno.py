@@ -8,6 +8,9 @@ import pytest
 
 from jaxnarx.engines import Drive, Pfi, PfiDyno
 
+# The bench compiles for the better part of a minute.
+pytestmark = pytest.mark.slow
+
 EVENTS = 600
 START = [0.42, 5.377, 1550.0]
 

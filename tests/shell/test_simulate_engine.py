@@ -95,6 +95,7 @@ def simulate_signal(key):
     return signal
 
 
+@pytest.mark.slow
 def test_records_can_be_resampled_to_time(simulate):
     code, _, _ = simulate("pfi --duration 6 --records 1 --sample-time 0.05 --out bed")
     assert code == 0
