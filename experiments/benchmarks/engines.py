@@ -65,7 +65,8 @@ def main() -> None:
     figures = {part: _run(part, sizes) for part in chosen.only or PARTS}
     figures["targets"] = _targets(figures)
     folder = results_folder(chosen.results, smoke=chosen.smoke)
-    print(record("engines", figures, folder=folder, note=chosen.note))
+    name = "_".join(["engines", *(chosen.only or ())])
+    print(record(name, figures, folder=folder, note=chosen.note))
     print(json.dumps(figures, indent=1))
 
 

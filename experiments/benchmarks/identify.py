@@ -122,7 +122,7 @@ def jobs() -> dict[str, tuple[str, tuple[str, ...]]]:
     had seen errors on the test records.
     """
     chosen = json.loads((ROOT / CHOICE).read_text(encoding="utf-8"))["chosen"]
-    listed = {"cubic NOx": ("NOx", CUBIC)}
+    listed: dict[str, tuple[str, tuple[str, ...]]] = {"cubic NOx": ("NOx", CUBIC)}
     for output, row in chosen.items():
         sizes = [(f"--{key}", str(row[key])) for key in ("degree", "terms", "models")]
         options = [part for size in sizes for part in size]

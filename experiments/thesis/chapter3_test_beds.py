@@ -26,7 +26,7 @@ from jaxnarx.engines.vct import VctDrive
 from jaxnarx.shell.excitation_figure import excitation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from common import record  # noqa: E402
+from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
 
 SEED, SECONDS = 3, 60.0
 REFERENCE = Path(__file__).with_name("reference")
@@ -240,7 +240,7 @@ def bed_record(name: str, seconds: float) -> tuple[dict, matplotlib.figure.Figur
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="The four test beds.")
     parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
     parser.add_argument("--smoke", action="store_true", help="one table, one short bed")
     options = parser.parse_args()

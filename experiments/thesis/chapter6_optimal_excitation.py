@@ -32,7 +32,7 @@ from jaxnarx.engines import Pfi
 from jaxnarx.methods import OptimalDesign
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from common import record  # noqa: E402
+from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
 
 jax.config.update("jax_enable_x64", True)  # before an engine is made
 
@@ -144,13 +144,13 @@ def spread(values) -> dict:
 def draw(rows: list[dict], example: dict) -> matplotlib.figure.Figure:
     """Both plans of the first seed, and information against error of all."""
     figure = matplotlib.figure.Figure(figsize=(9, 6), layout="constrained")
-    top, low = figure.subfigures(2, 1)
+    top, low = figure.subfigures(2, 1, squeeze=False)[:, 0]
     axes = top.subplots(1, 1)
     for kind, color in zip(KINDS, ("0.55", "C0"), strict=True):
         axes.plot(example[kind], color=color, lw=1.1, label=f"{kind} plan")
     axes.set(xlabel="event of 180°", ylabel="duty [-]", title="first seed")
     axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0.75, 1.0), frameon=False)
-    left, right = low.subplots(1, 2)
+    left, right = np.ravel(low.subplots(1, 2))
     for r in rows:
         pair = [(r[k]["log_det"], 100 * np.median(r[k]["errors"])) for k in KINDS]
         left.plot(*np.transpose(pair), color="0.8", lw=0.8, zorder=0)
@@ -169,7 +169,7 @@ def draw(rows: list[dict], example: dict) -> matplotlib.figure.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="Optimal excitation on pfi.")
     parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
     parser.add_argument("--smoke", action="store_true", help="two seeds, short plans")
     options = parser.parse_args()

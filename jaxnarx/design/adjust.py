@@ -115,11 +115,11 @@ def _descend(sensitivity, plan, reference, method):
 def _step(sensitivity, plan, share, reference, state, method):
     """The criterion at `share`, and where the next step leads."""
 
-    def value(share):
+    def criterion(share):
         slope = sensitivity(render(_with(plan, share)))
         return objective(slope, reference, method)
 
-    value, gradient = jax.value_and_grad(value)(share)
+    value, gradient = jax.value_and_grad(criterion)(share)
     gradient = jnp.where(jnp.isfinite(gradient), gradient, 0.0)
     # optax counts its steps in int32 whatever the promotion rules of the user are.
     with jax.numpy_dtype_promotion("standard"):

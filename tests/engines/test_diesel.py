@@ -290,7 +290,8 @@ def test_noise_has_the_stated_size(engine, excited, key):
         size = np.abs(quiet.y) * [[0.002, 0.002, 0.006, *[0.002] * 6]]
         error = (loud.y - quiet.y) / np.where(size > 0, size, 1.0)
         assert np.all(loud.y[size == 0] == quiet.y[size == 0])
-        deviation = [np.std(e[s > 0]) for e, s in zip(error.T, size.T, strict=True)]
+        columns = zip(error.T, size.T, strict=True)
+        deviation = np.array([np.std(e[s > 0]) for e, s in columns])
         np.testing.assert_allclose(deviation, 1, atol=4 / np.sqrt(2 * SAMPLES * 0.7))
 
 
