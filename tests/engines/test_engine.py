@@ -73,7 +73,7 @@ def test_flags_cover_every_event(bed, excited):
     assert not any(broken[0] for broken in flags.values())
 
 
-def test_a_broken_bed_breaks_every_limit(bed, excited):
+def test_a_broken_bed_breaks_limits_and_is_refused(bed, excited):
     dead = jax.tree.map(lambda leaf: leaf * jnp.nan, bed)
     assert any(f.all() for f in dead.flags(excited.records[0].u).values())
     with pytest.raises(DataError, match="is nan.* at event 0, .*where .* is"):
