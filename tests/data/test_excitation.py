@@ -156,6 +156,7 @@ def test_given_levels_come_in_rounds(key):
     assert set(found[20:]) <= set(levels) and found[20] != found[21]
 
 
+@pytest.mark.slow
 def test_a_sequence_can_be_made_inside_a_program(key):
     request = {"hold": (5, 9), "amplitude": (0.0, 1.0), "level_distribution": "latin"}
     keys = jax.random.split(key, 3)

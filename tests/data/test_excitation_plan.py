@@ -135,6 +135,7 @@ def test_derivatives_to_the_levels(which, request):
     np.testing.assert_allclose(backward, slope, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_plans_can_be_stacked(hasty, slow):
     stacked = jax.tree.map(lambda a, b: jnp.stack([a, b]), hasty, slow)
     together = eqx.filter_vmap(render)(stacked)
@@ -251,6 +252,7 @@ def test_every_input_visits_each_of_its_strata_once(key):
         np.testing.assert_array_equal(stratum, np.arange(n))
 
 
+@pytest.mark.slow
 def test_together_the_placed_combinations_are_visited(key):
     made = aprbs_plan(key, 1000, **request(rate=None, together=True))
     x = np.asarray(render(made))

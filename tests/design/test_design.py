@@ -266,6 +266,7 @@ def test_figures_are_those_of_the_returned_plan(one_step, limited_pair):
     assert "as if" in found.detail
 
 
+@pytest.mark.slow
 def test_without_steps_the_plan_stays(one_step, plan):
     found = adjust(plan, one_step, OptimalDesign(max_steps=0))
     assert found.status_name == "no_improvement"

@@ -8,6 +8,9 @@ import pytest
 from jaxnarx.engines import CrossleyCook
 from jaxnarx.errors import DataError
 
+# A bed beside the main ones.
+pytestmark = pytest.mark.slow
+
 RPM = np.pi / 30
 
 # Throttle, speed [rad/s], P_m [bar], m_ao [g/s], m_a [g], T [Nm]; None: not printed.

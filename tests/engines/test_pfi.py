@@ -352,6 +352,7 @@ def test_unknown_output_is_refused(engine, key):
         engine.simulate(np.full((5, 1), 0.4), key, outputs=[])
 
 
+@pytest.mark.slow
 def test_a_family_is_a_stacked_tree(engine, key):
     family = jax.vmap(lambda k: engine.perturbed(k, 0.05))(jax.random.split(key, 6))
     state = jax.jit(jax.vmap(lambda e: e.balance(Drive(0.395))))(family)
@@ -362,6 +363,7 @@ def test_a_family_is_a_stacked_tree(engine, key):
     assert eqx.tree_equal(same, engine)
 
 
+@pytest.mark.slow
 def test_arithmetic_follows_the_dtype():
     single = jax.tree.map(lambda p: p.astype(jnp.float32), Pfi())
     state, q = settle(single, Drive(jnp.asarray([0.39, 0.4], jnp.float32)))

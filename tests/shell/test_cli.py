@@ -428,6 +428,7 @@ def test_a_run_is_not_overwritten_unless_told(capsys, one):
     assert sorted(os.listdir(out)) == FILES
 
 
+@pytest.mark.slow
 def test_default_folders_are_numbered(capsys):
     arguments = ["identify", "engine.toml", *PART]
     os.makedirs("runs/engine-temp")
@@ -446,6 +447,7 @@ def test_a_required_fit_decides_the_exit_code(capsys):
     assert sorted(os.listdir("b")) == FILES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_few_records_are_cut_for_validation(capsys, count):
     names = [f"r{k}" for k in range(count)]
@@ -463,6 +465,7 @@ def test_outputs_that_are_not_modelled_are_not_needed_later(capsys, one):
     assert not any("NOx" in name for name in table("out/new.csv"))
 
 
+@pytest.mark.slow
 def test_regions_are_made_and_may_follow_another_output(capsys):
     """With more terms asked for than there are: all of them."""
     flags = ["--degree", "1", "--terms", "500"]

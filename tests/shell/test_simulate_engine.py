@@ -70,6 +70,7 @@ def test_what_is_written_reads_back_as_what_was_simulated(simulate):
     assert Path("bed/excitation.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_one_input_moves_and_the_others_stay(simulate):
     line = "pfi-cc --signal prbs --input load --hold 5 --duration 1.5 --records 1"
     code, _, _ = simulate(f"{line} --noise 0 --out bed")
@@ -110,6 +111,7 @@ def test_records_can_be_resampled_to_time(simulate):
     assert 3.2 < len(data.records[0]) * 0.05 < 13.4
 
 
+@pytest.mark.slow
 def test_limits_are_told_and_marked(simulate, monkeypatch):
     def flags(self, inputs):
         broken = np.zeros(len(inputs), bool)
