@@ -9,7 +9,12 @@ from jaxtyping import Array, Float
 
 from jaxnarx.data.excitation import AprbsPlan, reachable, render
 from jaxnarx.design.criteria import Criteria, criteria, objective
-from jaxnarx.design.sensitivity import AbstractSensitivity, network_sensitivity
+from jaxnarx.design.sensitivity import (
+    AbstractSensitivity,
+    NetworkSensitivity,
+    network_sensitivity,
+)
+from jaxnarx.errors import SpecError
 from jaxnarx.methods import OptimalDesign
 from jaxnarx.models import Network
 from jaxnarx.solution import RESULTS, Solution
@@ -33,10 +38,12 @@ def adjust(
     parameter grew, exp of the gain in log det over p; 2 means that the starting plan
     would need twice the length) and `steps`. Status `ok`, `no_improvement` where no
     step improved the plan, `unidentifiable` where the starting plan does not determine
-    the parameters.
+    the parameters. A plan for other inputs than the network's raises `SpecError`.
     """
     method = OptimalDesign() if method is None else method
     sensitivity = network_sensitivity(model) if isinstance(model, Network) else model
+    if isinstance(sensitivity, NetworkSensitivity):
+        _require_inputs(plan, sensitivity.network.channels.input_names)
     padded, reference = _begin(sensitivity, _padded(plan))
     start = _figures(sensitivity, padded, reference)
     if not all(np.isfinite(value) for value in start):
@@ -64,6 +71,15 @@ def adjust(
     level = best.level[: plan.level.shape[0]]
     best = eqx.tree_at(lambda p: p.level, plan, level)
     return Solution(best, status, stats, _told(start, end, efficiency))
+
+
+def _require_inputs(plan: AprbsPlan, names: list[str]) -> None:
+    if list(plan.names) != names:
+        raise SpecError(
+            f"the plan is for {', '.join(plan.names)}, the network's inputs are "
+            f"{', '.join(names)}; plan all of them, in this order",
+            field="plan",
+        )
 
 
 SEGMENTS = 32

@@ -274,6 +274,12 @@ def test_without_steps_the_plan_stays(one_step, plan):
     np.testing.assert_allclose(found.value.level, plan.level, rtol=0, atol=1e-14)
 
 
+def test_a_plan_for_other_inputs_is_refused(one_step, key):
+    plan = aprbs_plan(key, 60, inputs={"b": (0.0, 1.0), "a": (0.0, 1.0)}, hold=(6, 9))
+    with pytest.raises(SpecError, match="inputs are a, b; plan all"):
+        adjust(plan, one_step)
+
+
 def test_a_plan_that_shows_too_little_is_said_so(key):
     still = plan_of(key, length=LENGTH)
     still = eqx.tree_at(lambda p: p.level, still, jnp.zeros_like(still.level))
