@@ -146,7 +146,7 @@ def test_the_rule_catches_what_it_should():
     assert not allowed("jaxnarx.arrays.windows", "jaxnarx.data")
     assert not allowed("jaxnarx.simulation", "jaxnarx.refinement.refine")
     assert not allowed("jaxnarx.refinement.refine", "jaxnarx.evaluation.report")
-    assert not allowed("jaxnarx.selection.choose", "jaxnarx.partition")
+    assert not allowed("jaxnarx.selection.select_terms", "jaxnarx.partition")
     assert not allowed("jaxnarx.evaluation.report", "jaxnarx.shell.html")
     assert not allowed("jaxnarx.engines.pfi", "jaxnarx.simulation")
     assert not allowed("jaxnarx.data.files", "jaxnarx.engines")

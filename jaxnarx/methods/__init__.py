@@ -3,6 +3,14 @@
 from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.partition import Global, Lolimot
 from jaxnarx.methods.refinement import SimulationError
-from jaxnarx.methods.selection import ForwardOLS
+from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 
-__all__ = ["ForwardOLS", "Global", "Lolimot", "OptimalDesign", "SimulationError"]
+__all__ = [
+    "Backward",
+    "ForwardOLS",
+    "Global",
+    "Lolimot",
+    "OptimalDesign",
+    "SimulationError",
+    "StepwiseF",
+]

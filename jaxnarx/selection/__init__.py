@@ -1,6 +1,6 @@
 """Choice of terms from a pool."""
 
-from jaxnarx.selection.choose import select
+from jaxnarx.selection.select_terms import select
 from jaxnarx.selection.selection import Selection
 
 __all__ = ["Selection", "select"]

@@ -1,0 +1,286 @@
+"""The verb `select`: checks, the search, and what it found as a value."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.special
+from jaxtyping import Float
+
+from jaxnarx.arrays.contraction import positions
+from jaxnarx.data import Dataset, match_channels
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
+from jaxnarx.regressors import Pool, evaluate
+from jaxnarx.regressors.rows import Rows, regression_rows
+from jaxnarx.selection.criteria import criteria
+from jaxnarx.selection.path import Path, padded
+from jaxnarx.selection.program import Method, Plan, constant_term, plan
+from jaxnarx.selection.search import Program, search
+from jaxnarx.selection.selection import Selection
+from jaxnarx.selection.unusable import unusable_signals, usable_terms
+from jaxnarx.solution import RESULTS, Solution
+
+_search = jax.jit(search, static_argnames=("max_terms", "removes", "exchanges"))
+
+
+def select(
+    source: Pool | Selection,
+    data: Dataset,
+    method: ForwardOLS | StepwiseF | Backward | None = None,
+    *,
+    weights: list[Float[np.ndarray, " time"]] | None = None,
+) -> Solution[Selection]:
+    """Choose terms of a pool for every modelled output by `method`.
+
+    A selection as `source` is a start: its terms are in the model before the first
+    choice. `weights` holds one non-negative weight per sample and record; a validity
+    function is one. Signals are scaled by their root mean square, never centred. Terms
+    of constant or duplicate channels are passed over and listed in
+    `stats["passed_over"]`.
+
+    `stats` also holds, per output and nested size, the criteria of `criteria` ("aic",
+    "bic", "press", ...) and `sse` (scaled); per output `count`, `samples`, `cond`; per
+    output and term the `t` values and two-sided `p_value` of the coefficients, which
+    know nothing of the search before them. With partial F, `f_level` is the level at
+    the end, and `history` lists for every output the partial F of all terms in the
+    model after each round (thesis Table 5.2), by term text in order of entry.
+
+    Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
+    when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,
+    constant outputs and data without excitation raise `DataError`.
+    """
+    method = ForwardOLS() if method is None else method
+    pool = source.pool if isinstance(source, Selection) else source
+    data, _ = match_channels(data, pool.channels)
+    passed_over = unusable_signals(data, pool)
+    outputs = range(len(pool.outputs))
+    chosen = [source.terms(o) if source is not pool else [] for o in outputs]  # pyright: ignore
+    rows = regression_rows(
+        data,
+        pool.variables,
+        pool.outputs,
+        history=pool.variables.longest,
+        need=max(min(method.max_terms, len(pool)), *map(len, chosen)) + 1,
+        weights=weights,
+    )
+    usable = usable_terms(pool, passed_over)
+    path, made = choose_terms(pool, rows, method, usable, chosen)
+    return _solution(pool, rows, path, passed_over, method, made)
+
+
+def choose_terms(
+    pool: Pool, rows: Rows, method: Method, usable, chosen: Sequence[Sequence[int]]
+) -> tuple[Path, Plan]:
+    """The search on rows that are made; every row of `rows.y` is a lane."""
+    samples = int(np.asarray((rows.weight > 0).sum(axis=1)).min())
+    dtype = rows.v.dtype
+    made = plan(pool, method, usable, chosen, samples, dtype)
+    path = run(pool, rows, made)
+    if isinstance(method, ForwardOLS) and method.constant == "after":
+        path = _with_constant(pool, rows, path)
+    return path, made
+
+
+def run(pool: Pool, rows: Rows, made: Plan) -> Path:
+    """Run a plan on every lane of `rows`."""
+    return jax.block_until_ready(
+        _search(
+            rows.v,
+            rows.y,
+            rows.weight,
+            pool.factor,
+            positions(pool.factor, rows.v.shape[0]),
+            made.program,
+            made.start,
+            made.starts,
+            max_terms=made.max_terms,
+            removes=made.removes,
+            exchanges=made.exchanges,
+        )
+    )
+
+
+def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
+    """The thesis's ending: the constant joins the chosen terms, all are fitted anew."""
+    constant = constant_term(pool)
+    if constant is None:
+        raise SpecError("the pool has no constant term to add", field="constant")
+    return refit(pool, rows, [[*terms, constant] for terms in chosen_of(path)])
+
+
+def chosen_of(path: Path) -> list[list[int]]:
+    """Terms of every lane, in order."""
+    index, count = np.asarray(path.index), np.asarray(path.count)
+    return [index[lane, :n].tolist() for lane, n in enumerate(count)]
+
+
+def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
+    """Least squares of given terms in a given order; collinear ones are left out.
+
+    Each lane's columns serve as the variables of a search that has nothing to choose.
+    """
+    slots = max(len(terms) for terms in chosen)
+    paths = [
+        padded(_refit_one(pool, rows, o, terms), slots)
+        for o, terms in enumerate(chosen)
+    ]
+    return jax.tree.map(lambda *lanes: jnp.concatenate(lanes), *paths)
+
+
+def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
+    columns = evaluate(pool.factor[np.asarray(terms)], rows.v)
+    ones = jnp.ones((1, columns.shape[1]), columns.dtype)
+    number = jnp.asarray(0.0, columns.dtype)
+    size = len(terms)
+    nothing = Program(
+        stages=jnp.zeros((1, size), bool),
+        limits=jnp.zeros(1, int),
+        keep=jnp.zeros(size, bool),
+        rho=number - 1.0,
+        tau=jnp.asarray(1e-24, columns.dtype),
+        tau_absolute=number,
+        f_in=number,
+        f_out=number,
+        f_last=number,
+        rounds=jnp.asarray(0),
+    )
+    factor = np.arange(1, size + 1)[:, None]
+    path = _search(
+        jnp.concatenate([ones, columns]),
+        rows.y[lane][None],
+        rows.weight[lane][None],
+        factor,
+        positions(factor, size + 1),
+        nothing,
+        np.arange(size)[None],
+        np.array([size]),
+        max_terms=size,
+        removes=False,
+        exchanges=False,
+    )
+    index = np.asarray(terms)[np.asarray(path.index)]
+    return dataclasses.replace(path, index=jnp.asarray(index))
+
+
+def selection_of(pool: Pool, rows: Rows, path: Path) -> Selection:
+    """The value from the arrays."""
+    count = np.asarray(path.count)
+    last = np.maximum(count - 1, 0)
+    lanes = np.arange(len(count))
+    nested, errors = np.asarray(path.nested), np.asarray(path.errors)
+    return Selection(
+        pool,
+        np.asarray(path.index),
+        np.arange(nested.shape[1])[None] < count[:, None],
+        np.asarray(path.err),
+        nested[lanes, last],
+        errors[lanes, last],
+        nested,
+        errors,
+        np.asarray(path.sse),
+        np.asarray(path.press),
+        _total(rows),
+        np.asarray(path.samples).astype(int),
+        rows.gain,
+    )
+
+
+def _total(rows: Rows) -> Float[np.ndarray, " lanes"]:
+    """Weighted sum of squares of the outputs about their means."""
+    y, w = np.asarray(rows.y), np.asarray(rows.weight)
+    mass = np.maximum(w.sum(axis=1), np.finfo(w.dtype).tiny)
+    mean = (w * y).sum(axis=1) / mass
+    return (w * (y - mean[:, None]) ** 2).sum(axis=1)
+
+
+def criteria_of(selection: Selection, output: int) -> dict[str, np.ndarray]:
+    """Criteria of the nested models of one output; see `criteria`."""
+    size = max(selection.size(output), 1)
+    return criteria(
+        selection.sse[output, :size],
+        int(selection.samples[output]),
+        total=float(selection.total[output]),
+        press=selection.press[output, :size],
+    )
+
+
+def _solution(
+    pool: Pool, rows: Rows, path: Path, passed_over, method: Method, made: Plan
+) -> Solution[Selection]:
+    value = selection_of(pool, rows, path)
+    t, p_value = _t_values(value)
+    stats: dict[str, Any] = _tables(value) | {
+        "sse": value.sse,
+        "samples": value.samples,
+        "cond": np.asarray(path.cond),
+        "count": np.asarray(path.count),
+        "t": t,
+        "p_value": p_value,
+        "passed_over": passed_over,
+        "candidates": len(pool),
+    }
+    if made.removes:
+        stats |= {"f_level": made.f_level, "history": _histories(pool, path)}
+    status, detail = _status(value, np.asarray(path.cond), method)
+    return Solution(value, status, stats, detail)
+
+
+def _tables(value: Selection) -> dict[str, np.ndarray]:
+    """Criteria of all outputs; past an output's last size they repeat."""
+    slots = value.index.shape[1]
+    tables = [criteria_of(value, o) for o in range(len(value.index))]
+    return {
+        name: np.stack(
+            [np.pad(t[name], (0, slots - len(t[name])), mode="edge") for t in tables]
+        )
+        for name in tables[0]
+    }
+
+
+def _t_values(value: Selection):
+    """Coefficients over their standard errors, and the probability of larger ones."""
+    positive = value.error > 0
+    t = np.where(
+        positive, value.coefficient / np.where(positive, value.error, 1.0), 0.0
+    )
+    spare = np.maximum(value.samples - value.used.sum(axis=1), 1)[:, None]
+    p_value = 2.0 * scipy.special.stdtr(spare, -np.abs(t))
+    return t, np.where(value.used, p_value, 1.0)
+
+
+def _histories(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
+    h = jax.tree.map(np.asarray, path.history)
+    return [
+        [
+            {
+                pool.name(int(h.term[o, r, s])): float(h.f[o, r, s])
+                for s in np.flatnonzero(h.used[o, r])
+            }
+            for r in range(int(h.rounds[o]))
+        ]
+        for o in range(len(h.rounds))
+    ]
+
+
+def _status(value: Selection, cond, method: Method) -> tuple[RESULTS, str]:
+    pool, names = value.pool, value.output_names
+    limit = 1.0 / np.sqrt(np.finfo(value.sse.dtype).eps)
+    if np.any(cond > limit):
+        o = int(np.argmax(cond))
+        return RESULTS.unidentifiable, (
+            f"the chosen terms of {names[o]} are collinear (condition {cond[o]:.1e}): "
+            + ", ".join(pool.name(t) for t in value.terms(o)[-3:])
+        )
+    if isinstance(method, ForwardOLS):
+        count = value.used.sum(axis=1)
+        explained = 1.0 - value.err.sum(axis=1) <= method.rho
+        exhausted = np.logical_not(explained) & (count < method.max_terms)
+        if np.any(exhausted):
+            o = int(np.argmax(exhausted))
+            detail = f"{int(count[o])} terms of {names[o]} qualify"
+            return RESULTS.pool_exhausted, detail
+    return RESULTS.ok, ""
