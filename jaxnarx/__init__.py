@@ -18,19 +18,36 @@ if TYPE_CHECKING:
     from jaxnarx.errors import SpecError as SpecError
     from jaxnarx.evaluation import Report as Report
     from jaxnarx.evaluation import report as report
+    from jaxnarx.methods import Anova as Anova
+    from jaxnarx.methods import Backward as Backward
     from jaxnarx.methods import ForwardOLS as ForwardOLS
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Lolimot as Lolimot
     from jaxnarx.methods import SimulationError as SimulationError
+    from jaxnarx.methods import SimulationOLS as SimulationOLS
+    from jaxnarx.methods import StepwiseF as StepwiseF
     from jaxnarx.models import Network as Network
     from jaxnarx.models import load as load
     from jaxnarx.models import save as save
     from jaxnarx.partition import grow as grow
     from jaxnarx.refinement import refine as refine
+    from jaxnarx.regressors import Kautz as Kautz
+    from jaxnarx.regressors import Laguerre as Laguerre
+    from jaxnarx.regressors import LowPass as LowPass
+    from jaxnarx.regressors import Orthonormal as Orthonormal
     from jaxnarx.regressors import Pool as Pool
+    from jaxnarx.regressors import kautz_bank as kautz_bank
+    from jaxnarx.regressors import laguerre_bank as laguerre_bank
+    from jaxnarx.regressors import low_pass_bank as low_pass_bank
+    from jaxnarx.regressors import orthonormal_bank as orthonormal_bank
     from jaxnarx.regressors import polynomial_pool as polynomial_pool
+    from jaxnarx.regressors import time_constants as time_constants
     from jaxnarx.selection import Selection as Selection
+    from jaxnarx.selection import choose as choose
     from jaxnarx.selection import select as select
+    from jaxnarx.selection import select_each as select_each
+    from jaxnarx.selection import select_weighted as select_weighted
+    from jaxnarx.selection import selection_frequency as selection_frequency
     from jaxnarx.simulation import predict as predict
     from jaxnarx.simulation import simulate as simulate
     from jaxnarx.solution import RESULTS as RESULTS
@@ -40,12 +57,17 @@ _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
     "evaluation": "Report report",
-    "methods": "ForwardOLS Global Lolimot SimulationError",
+    "methods": "Anova Backward ForwardOLS Global Lolimot SimulationError SimulationOLS "
+    "StepwiseF",
     "models": "Network load save",
     "partition": "grow",
     "refinement": "refine",
-    "regressors": "Pool polynomial_pool",
-    "selection": "Selection select",
+    "regressors": (
+        "Kautz Laguerre LowPass Orthonormal Pool kautz_bank laguerre_bank "
+        "low_pass_bank orthonormal_bank polynomial_pool time_constants"
+    ),
+    "selection": "Selection choose select select_each select_weighted "
+    "selection_frequency",
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
 }

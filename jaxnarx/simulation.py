@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.recurrence import free_run, history_of
-from jaxnarx.arrays.windows import lagged, usable
+from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError, SpecError
@@ -94,16 +94,14 @@ def tables(network: Network) -> tuple[tuple[int, int], ...]:
 @eqx.filter_jit
 def make_drive(network: Network, batch: Batch) -> Drive:
     """Lagged and scheduling variables of every record."""
-    at = jnp.arange(batch.signals.shape[1])
 
-    def one(signals):
+    def one(record):
+        signals, valid = record
+        v, x = network.columns(signals, valid)
         scaled = signals / network.gain[None]
-        ones = jnp.ones((1, at.shape[0]), signals.dtype)
-        v = jnp.concatenate([ones, lagged(scaled, at, network.variables.rows)])
-        x = tuple(lagged(signals, at, m.scheduling.rows) for m in network.models)
         return v, x, scaled[:, np.array(network.signals)]
 
-    return Drive(*jax.lax.map(one, batch.signals))
+    return Drive(*jax.lax.map(one, (batch.signals, batch.valid)))
 
 
 def make_masks(network: Network, batch: Batch) -> Masks:

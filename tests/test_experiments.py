@@ -51,25 +51,28 @@ def assert_target(row: dict[str, Any]) -> None:
 
 def test_selection_with_peers_that_may_be_missing(tmp_path):
     found = run("selection.py", "--peers", results=tmp_path / "results")
-    assert set(found) == {"selection", "selection_peers"}
+    assert set(found) == {"selection"}
     figures = found["selection"]
-    assert figures["candidates"] == 903 and figures["terms"] == 15
-    select, kernel = figures["select"], figures["kernel"]
-    assert select["chosen"] == kernel["chosen"] and len(select["chosen"]) == 15
-    # The process that made the data: its larger terms must be among the chosen.
-    assert {"1", "u1[t-1]", "u2[t-2]", "y[t-1]", "u3[t-5]"} <= set(select["chosen"])
-    for one in (select, kernel):
-        assert 0 < one["compiled_s"]["best"] < one["first_call_s"]
+    (cell,) = figures["cells"].values()
+    assert cell["candidates"] == 903 and figures["terms"] == 15
+    for one in cell["jaxnarx"].values():
+        # The process that made the data: its larger terms must be among the chosen.
+        assert {"1", "u1[t-1]", "u2[t-2]", "y[t-1]", "u3[t-5]"} <= set(one["chosen"])
+        assert len(one["chosen"]) == 15
+        assert 0 < one["compiled"]["wall_s"] < one["first_call"]["wall_s"]
         assert one["memory"]["above_imports_mb"] > 0
-        assert all(share > 0 for share in one["rate"]["share"].values())
+    bare = figures["contraction"]
+    assert bare["share"] > 0 and 0 < bare["computed"] < 1
     for row in figures["targets"].values():
         assert_target(row)
-    peers = found["selection_peers"]
-    if "skipped" in peers:
-        assert peers["skipped"] == "no peer is installed"
-        return
-    compared = [v for v in peers["degree 2"].values() if "same_ordered_terms" in v]
-    assert compared and all(row["same_ordered_terms"] for row in compared)
+    for row in figures["at_least"].values():
+        assert row["met"] == (row["value"] >= row["at_least"])
+    # With peers the script itself fails where SysIdentPy's ordered terms are not ours.
+    assert figures["other_terms"] == []
+    compared = [
+        row for row in cell.get("peers", {}).values() if "same_ordered_terms" in row
+    ]
+    assert all(row["same_ordered_terms"] for row in compared)
 
 
 @pytest.mark.slow
@@ -103,6 +106,37 @@ def test_engines(tmp_path):
     assert lsoda["fixed_step_difference"] < 1e-4
     assert max(lsoda["lsoda_difference"].values()) < 1e-4
     assert lsoda["plain_rate_difference"] < 1e-9
+
+
+@pytest.mark.slow
+def test_recovery_with_peers_that_may_be_missing(tmp_path):
+    found = run("recovery.py", "--peers", results=tmp_path / "results")["recovery"]
+    (cell,) = found["cells"].values()
+    assert cell["seeds"] == len(cell["systems"]) == 2
+    assert all(len(set(terms)) == 10 for terms in cell["systems"])
+    rows = cell["methods"]
+    for row in rows.values():
+        assert row["exact"] == 2 - len(row["wrong"])
+        assert (row["missing_mean"] + row["extra_mean"] > 0) == bool(row["wrong"])
+    # Elimination recovers what the forward search alone, told the size, does not.
+    exact = {name: row["exact"] for name, row in rows.items()}
+    assert exact["jaxnarx Backward"] == exact["jaxnarx StepwiseF"] == 2
+    assert exact["jaxnarx ForwardOLS"] < 2
+    assert found["targets"]["met"]
+
+
+@pytest.mark.slow
+def test_bouc_wen(tmp_path, measured, monkeypatch):
+    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+    found = run("bouc_wen.py", "--peers", results=tmp_path / "results")["bouc_wen"]
+    if "skipped" in found:
+        pytest.skip(found["skipped"])
+    row = found["rows"]["jaxnarx ForwardOLS"]
+    # The published figure has six decimals.
+    assert abs(row["unseen_rrse"] - found["published_rrse"]) < 5e-7
+    assert len(row["terms"]) == 15 and row["unseen_limited"] == 0
+    for row in found["targets"].values():
+        assert_target(row)
 
 
 def experiment(script: str, *arguments: str) -> subprocess.CompletedProcess:

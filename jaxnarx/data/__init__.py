@@ -27,6 +27,7 @@ from jaxnarx.data.preparation import (
     ToTime,
     prepare,
 )
+from jaxnarx.data.step_response import step_times
 
 __all__ = [
     "Channel",
@@ -60,5 +61,6 @@ __all__ = [
     "read",
     "read_files",
     "read_split",
+    "step_times",
     "suggest_lags",
 ]

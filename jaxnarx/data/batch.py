@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -43,12 +42,14 @@ def stack(data: Dataset) -> Batch:
     dtype = data.records[0].u.dtype
     check_precision(dtype)
     longest = max(len(r) for r in data)
-    width = len(data.channels.all)
+    width, inputs = len(data.channels.all), len(data.channels.inputs)
     signals = np.zeros((len(data), longest, width), dtype)
     valid = np.zeros((len(data), longest, width), bool)
     for n, record in enumerate(data):
-        signals[n, : len(record)] = np.concatenate([record.u, record.y], axis=1)
+        signals[n, : len(record), :inputs] = record.u
+        signals[n, : len(record), inputs:] = record.y
         valid[n, : len(record)] = record.valid
         # Padding repeats the last sample: the free run goes on quietly and unscored.
         signals[n, len(record) :] = signals[n, len(record) - 1 : len(record)]
-    return Batch(jnp.asarray(signals), valid)
+    # device_put takes the memory over where it can; jnp.asarray would copy it.
+    return Batch(jax.device_put(signals), valid)

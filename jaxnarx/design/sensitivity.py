@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.windows import lagged
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, scheduling_values
 from jaxnarx.simulation import run_record
@@ -110,13 +109,7 @@ class NetworkSensitivity(AbstractSensitivity):
         outputs = outputs.at[:, at].set(jnp.tile(middle * gain, (u.shape[0], 1)))
 
         def drive(outputs):
-            table = jnp.concatenate([u, outputs], axis=1)
-            rows = jnp.arange(u.shape[0])
-            scaled = table / network.gain[None]
-            ones = jnp.ones((1, u.shape[0]), u.dtype)
-            v = jnp.concatenate([ones, lagged(scaled, rows, network.variables.rows)])
-            x = tuple(lagged(table, rows, m.scheduling.rows) for m in network.models)
-            return v, x
+            return network.columns(jnp.concatenate([u, outputs], axis=1))
 
         v, x = drive(outputs)
         anchor = jnp.arange(u.shape[0]) == network.history

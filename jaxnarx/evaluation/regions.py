@@ -5,7 +5,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
+from jaxnarx.data.batch import stack
+from jaxnarx.regressors import Variables, row_columns
 
 POINTS = 2000
 """Data points kept to show where measurements lie."""
@@ -40,19 +43,15 @@ def describe_partition(
     return out
 
 
-def _cloud(data: Dataset, scheduling: Any) -> Float[np.ndarray, "samples dims"]:
+def _cloud(data: Dataset, scheduling: Variables) -> Float[np.ndarray, "samples dims"]:
     """Measured scheduling variables, evenly thinned; rows that lack one left out."""
-    kept = []
-    reach = max(lag for _, lag in scheduling)
-    for r in data:
-        rows = np.concatenate([r.u, r.y], axis=1)
-        at = np.arange(reach, len(r))
-        points = [rows[at - lag, s] for s, lag in scheduling]
-        valid = [r.valid[at - lag, s] for s, lag in scheduling]
-        kept.append(np.stack(points, axis=1)[np.all(valid, axis=0)])
-    cloud = np.concatenate(kept)
-    step = max(1, -(-len(cloud) // POINTS))
-    return cloud[::step].astype(float)
+    batch = stack(data)
+    good = usable(batch.valid, scheduling.rows, scheduling.longest)
+    lengths = np.array([len(r) for r in data])
+    good &= np.arange(good.shape[1])[None] < lengths[:, None]
+    at = np.flatnonzero(good)
+    step = max(1, -(-len(at) // POINTS))
+    return row_columns(batch, at[::step], scheduling, data.sample_time).T.astype(float)
 
 
 def _regions(network: Any) -> dict[str, list[dict[str, Any]]]:

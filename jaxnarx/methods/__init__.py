@@ -1,16 +1,20 @@
 """Settings of the verbs: frozen and jax-free, so that the command line can use them."""
 
+from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.partition import Global, Lolimot
 from jaxnarx.methods.refinement import SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
+from jaxnarx.methods.simulation_ols import SimulationOLS
 
 __all__ = [
+    "Anova",
     "Backward",
     "ForwardOLS",
     "Global",
     "Lolimot",
     "OptimalDesign",
     "SimulationError",
+    "SimulationOLS",
     "StepwiseF",
 ]

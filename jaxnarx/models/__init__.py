@@ -1,5 +1,6 @@
 """Validity functions, local models and the network that blends them."""
 
+from jaxnarx.models.assemble import assemble, global_model, output_model
 from jaxnarx.models.feedback import (
     collapse,
     collapsed_step,
@@ -20,14 +21,17 @@ __all__ = [
     "LocalModels",
     "Network",
     "OutputModel",
+    "assemble",
     "collapse",
     "collapsed_step",
     "collapses",
     "depth",
     "fed_back",
     "general_step",
+    "global_model",
     "load",
     "load_about",
+    "output_model",
     "respond",
     "save",
     "scheduling_values",

@@ -17,8 +17,9 @@ from jaxnarx.regressors import (
     Variables,
     equation,
     evaluate,
+    record_columns,
     term_name,
-    variable_name,
+    variable_names,
 )
 
 
@@ -91,6 +92,8 @@ class Network(eqx.Module):
             raise ValueError(
                 f"{len(self.modelled)} modelled outputs but {len(self.models)} models"
             )
+        for table in (self.variables, *(m.scheduling for m in self.models)):
+            table.require_measured(self.signals, self.channels.names)
 
     @property
     def history(self) -> int:
@@ -116,7 +119,28 @@ class Network(eqx.Module):
     @property
     def variable_names(self) -> list[str]:
         """`speed[t-2]` for every lagged variable."""
-        return [variable_name(self.channels, s, d) for s, d in self.variables]
+        return variable_names(self.channels, self.variables)
+
+    def columns(
+        self,
+        signals: Float[Array, "time signals"],
+        valid: Bool[Array, "time signals"] | None = None,
+    ) -> tuple[Float[Array, "vars time"], tuple[Float[Array, "_ time"], ...]]:
+        """Lagged variables of one record, known before the run, at every sample.
+
+        The scaled ones of the terms behind a leading one, and per output those of the
+        scheduling in physical units. Filters begin at rest at the first valid sample
+        (without `valid`: the first); see `jaxnarx.regressors.record_columns`.
+        """
+        at = jnp.arange(signals.shape[0])
+        ones = jnp.ones((1, at.shape[0]), signals.dtype)
+
+        def table(values, variables):
+            return record_columns(values, valid, at, variables, self.sample_time)
+
+        scaled = table(signals / self.gain[None], self.variables)
+        x = tuple(table(signals, m.scheduling) for m in self.models)
+        return jnp.concatenate([ones, scaled]), x
 
     def equations(self, *, style: str = "text") -> list[dict]:
         """Every local model's equation in physical units, host only.
@@ -157,9 +181,10 @@ class Network(eqx.Module):
         span, offset = np.asarray(model.span), np.asarray(model.offset)
         centre = np.asarray(model.validity.centre)[m] * span + offset
         width = np.exp(np.asarray(model.validity.log_width)[m]) * span
+        names = variable_names(self.channels, model.scheduling)
         return {
-            variable_name(self.channels, s, d): {"centre": float(c), "width": float(w)}
-            for (s, d), c, w in zip(model.scheduling, centre, width, strict=True)
+            name: {"centre": float(c), "width": float(w)}
+            for name, c, w in zip(names, centre, width, strict=True)
         }
 
 

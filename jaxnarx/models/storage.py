@@ -2,7 +2,9 @@
 
 The header (metadata key `jaxnarx`) holds the format version, the package version, the
 channels with units and the static tables; the tensors are the network's arrays. A file
-of a newer format, a foreign or a damaged one is a `ModelFileError`.
+of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
+filtered variables is written as format 2, so that programs that know format 1 alone do
+not take them for unfiltered ones; any other is still written as format 1.
 """
 
 import contextlib
@@ -22,32 +24,49 @@ from jaxnarx.data.batch import check_precision
 from jaxnarx.errors import ModelFileError
 from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import AbstractValidity, Gaussians
-from jaxnarx.regressors import Variables
+from jaxnarx.regressors import (
+    Variables,
+    filter_from_dict,
+    filter_to_dict,
+    require_sampled,
+)
 
-FORMAT = 1
+FORMAT = 2
+"""Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
 VALIDITIES: dict[str, type[AbstractValidity]] = {"Gaussians": Gaussians}
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
+    tables = (network.variables, *(m.scheduling for m in network.models))
     return {
-        "format": FORMAT,
+        "format": 2 if any(t.filters for t in tables) else 1,
         "kind": "network",
         "jaxnarx": importlib.metadata.version("jaxnarx"),
         "inputs": [[c.name, c.unit] for c in network.channels.inputs],
         "outputs": [[c.name, c.unit] for c in network.channels.outputs],
         "modelled": list(network.modelled),
-        "variables": [list(r) for r in network.variables],
+        **_described("variables", network.variables),
         "models": [
             {
-                "scheduling": [list(r) for r in m.scheduling],
+                **_described("scheduling", m.scheduling),
                 "validity": type(m.validity).__name__,
             }
             for m in network.models
         ],
         "about": about or {},
     }
+
+
+def _described(name: str, table: Variables) -> dict[str, Any]:
+    """The rows of a table, and its filters if it has any."""
+    out: dict[str, Any] = {name: [list(r) for r in table]}
+    if table.filters:
+        out[f"{name}_filters"] = [
+            None if f is None else filter_to_dict(f) for f in table.filters
+        ]
+    return out
 
 
 def _tensors(network: Network) -> dict[str, np.ndarray]:
@@ -173,11 +192,14 @@ def _text(value: object) -> str:
     return value
 
 
-def _variables(rows: Any, signals: int) -> Variables:
-    table = tuple((int(s), int(d)) for s, d in rows)
+def _variables(entry: dict[str, Any], name: str, signals: int) -> Variables:
+    table = tuple((int(s), int(d)) for s, d in entry[name])
     if any(not 0 <= s < signals or d < 0 for s, d in table):
         raise ValueError("a lagged variable points outside the channels")
-    return Variables(table)
+    filters = entry.get(f"{name}_filters", ())
+    return Variables(
+        table, tuple(None if f is None else filter_from_dict(f) for f in filters)
+    )
 
 
 def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
@@ -206,7 +228,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
         )
         models.append(
             OutputModel(
-                _variables(entry["scheduling"], signals),
+                _variables(entry, "scheduling", signals),
                 get(f"{lead}.offset"),
                 get(f"{lead}.span"),
                 validity(*(get(f"{lead}.validity.{f}") for f in fields)),
@@ -217,7 +239,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     network = Network(
         channels,
         tuple(int(o) for o in header["modelled"]),
-        _variables(header["variables"], signals),
+        _variables(header, "variables", signals),
         tuple(models),
         *(
             get(f".{f}")
@@ -257,6 +279,8 @@ def _check(network: Network) -> None:
         all(d > 0 for table in tables for s, d in table if s in own),
         "a modelled output is used before it is computed",
     )
+    for table in tables:
+        require_sampled(table.filters, float(network.sample_time))
     for model in network.models:
         _check_model(model, len(network.variables) + 1)
 

@@ -7,19 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.arrays.least_squares import least_squares
-from jaxnarx.arrays.windows import lagged
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError
 from jaxnarx.methods import Global, Lolimot
-from jaxnarx.models import Gaussians, Network, OutputModel
-from jaxnarx.partition.lolimot import Stage, gaussians, lolimot
-from jaxnarx.partition.scaffold import (
+from jaxnarx.models import (
+    Network,
+    OutputModel,
     assemble,
-    chosen_terms,
+    global_model,
     output_model,
-    scheduling_table,
 )
-from jaxnarx.regressors import Pool, Variables, evaluate, variable_name
+from jaxnarx.partition.lolimot import Stage, gaussians, lolimot
+from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
+from jaxnarx.regressors import Pool, Variables, evaluate, row_columns, variable_names
 from jaxnarx.regressors.rows import Rows, regression_rows
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
@@ -61,16 +61,10 @@ def _grow_global(pool: Pool, factors, data: Dataset, rows: Rows) -> Solution[Net
     for o, factor in enumerate(factors):
         columns = evaluate(factor, rows.v)
         theta, rank, cond = least_squares(columns, rows.y[o], rows.weight[o])
-        validity = Gaussians(
-            jnp.zeros((1, 0), theta.dtype), jnp.zeros((1, 0), theta.dtype)
-        )
-        nothing = np.zeros(0, rows.gain.dtype)
-        models.append(
-            output_model(factor, theta[None], validity, Variables(()), nothing, nothing)
-        )
+        models.append(global_model(factor, theta))
         ranks.append(int(rank))
         conds.append(float(cond))
-    network = assemble(pool, data, rows, models)
+    network = assemble(pool, data, rows.gain, models)
     stats = {"rank": np.array(ranks), "cond": np.array(conds)}
     short = [o for o, f in enumerate(factors) if ranks[o] < len(f)]
     if short:
@@ -83,25 +77,28 @@ def _grow_global(pool: Pool, factors, data: Dataset, rows: Rows) -> Solution[Net
     return Solution(network, RESULTS.ok, stats)
 
 
-def _scheduling_range(pool, rows: Rows, scheduling: Variables):
+def _scheduling_range(pool, rows: Rows, scheduling: Variables, sample_time: float):
     """Scheduling variables of every row in physical units, their offset and span."""
-    x = lagged(rows.batch.flat, jnp.asarray(rows.at), scheduling.rows)
-    low, high = np.asarray(x.min(axis=1)), np.asarray(x.max(axis=1))
-    for (s, d), a, b in zip(scheduling, low, high, strict=True):
-        if not b > a:
-            name = variable_name(pool.channels, s, d)
+    x = row_columns(rows.batch, rows.at, scheduling, sample_time)
+    low, high = x.min(axis=1), x.max(axis=1)
+    names = variable_names(pool.channels, scheduling)
+    # a filter leaves rounding errors on a constant
+    least = 100 * np.finfo(x.dtype).eps * np.maximum(np.abs(low), np.abs(high))
+    constant = ~(high - low > least)
+    for s, name, a, flat in zip(scheduling.signal, names, low, constant, strict=True):
+        if flat:
             raise DataError(
                 f"scheduling variable {name} is constant ({a:g}); choose one that "
                 "moves",
                 channel=pool.channels.names[s],
             )
-    return x, low, high - low
+    return jnp.asarray(x), low, high - low
 
 
 def _grow_lolimot(
     pool: Pool, factors, data: Dataset, rows: Rows, scheduling, method: Lolimot
 ) -> Solution[Network]:
-    x, offset, span = _scheduling_range(pool, rows, scheduling)
+    x, offset, span = _scheduling_range(pool, rows, scheduling, data.sample_time)
     z = (x - offset[:, None]) / span[:, None]
     number = functools.partial(jnp.asarray, dtype=z.dtype)
     models, figures, statuses = [], [], []
@@ -120,7 +117,7 @@ def _grow_lolimot(
         )
         figures.append(figure)
         statuses.append(figure["stopped"])
-    network = assemble(pool, data, rows, models)
+    network = assemble(pool, data, rows.gain, models)
     stats = {k: [f[k] for f in figures] for k in figures[0]}
     if any(s == "criterion" for s in statuses):
         return Solution(network, RESULTS.no_improvement, stats)

@@ -102,9 +102,18 @@ def _direct(
     return jnp.stack(out, axis=1)
 
 
-def _record_block(network: Network, layout: Layout, block, past):
-    """Sensitivities of one record over one block of time; returns the end and all."""
-    v, x, history, own = block
+def linearised(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    history: Float[Array, "time outputs depth"],
+    own: Bool[Array, "time depth"],
+):
+    """A_t of a finished run, where it is limited, and the variables as it saw them.
+
+    A_t is the derivative of y_t by the run's own past, (time, outputs, outputs, depth):
+    zero for measured history and where the feedback bound acts.
+    """
     if collapses(network):
         step, params = collapsed_step(network), None
         drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
@@ -115,9 +124,31 @@ def _record_block(network: Network, layout: Layout, block, past):
         step, params, drive, history, network.lower, network.upper
     )
     a = jnp.where(own[:, None, None], a, 0.0)
-    v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
-    d = _direct(network, layout, v, x, limited)
-    return linear_recurrence(a, d, past)
+    return a, limited, *with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+
+
+def _record_block(network: Network, layout: Layout, block, past):
+    """Sensitivities of one record over one block of time; returns the end and all."""
+    a, limited, v, x = linearised(network, *block)
+    return linear_recurrence(a, _direct(network, layout, v, x, limited), past)
+
+
+def seen_history(
+    network: Network,
+    y: Float[Array, "records time outputs"],
+    measured: Float[Array, "records time outputs"],
+    anchor: Bool[Array, "records time"],
+) -> tuple[
+    Float[Array, "records time outputs depth"], Bool[Array, "records time depth"]
+]:
+    """The past outputs every step of a finished run has seen, and which are its own."""
+    lags = depth(network)
+
+    def one(y, measured, anchor):
+        past = run_history(y, history_of(measured, lags), anchor)
+        return past, own_history(anchor, lags)
+
+    return jax.vmap(one)(y, measured, anchor)
 
 
 @eqx.filter_jit
@@ -137,11 +168,7 @@ def normal_equations(
     blocks = -(-time // size)
     residual = y - drive.measured
 
-    def history(y, measured, anchor):
-        return run_history(y, history_of(measured, lags), anchor)
-
-    past = jax.vmap(history)(y, drive.measured, anchor)
-    own = jax.vmap(lambda a: own_history(a, lags))(anchor)
+    past, own = seen_history(network, y, drive.measured, anchor)
     slope = layout.slope(u)
 
     def cut(a, axis, start):

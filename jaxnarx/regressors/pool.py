@@ -14,13 +14,15 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.regressors.text import term_name, variable_name
-from jaxnarx.regressors.variables import Variables
+from jaxnarx.regressors.filters import AbstractFilter, require_filter
+from jaxnarx.regressors.text import term_name, variable_names
+from jaxnarx.regressors.variables import Entry, Variables
 
 LARGEST = 5_000_000
 """Terms a pool may hold; beyond that its index table alone takes over 100 MB."""
 
 Lags = Sequence[int] | Mapping[str, Sequence[int]]
+Filters = Sequence[AbstractFilter] | Mapping[str, Sequence[AbstractFilter]]
 
 
 def evaluate(
@@ -61,7 +63,7 @@ class Pool(eqx.Module):
     @property
     def variable_names(self) -> list[str]:
         """`speed[t-2]` for every lagged variable."""
-        return [variable_name(self.channels, s, d) for s, d in self.variables]
+        return variable_names(self.channels, self.variables)
 
     def name(self, term: int) -> str:
         """Text of one term, `"u1[t-2]*NOx[t-1]"`."""
@@ -102,6 +104,34 @@ def _lags(
     return [[int(lag) for lag in row] for row in chosen]
 
 
+def _filtered(
+    channels: Channels, filters: Filters | None, lags: Sequence[int]
+) -> list[Entry]:
+    """Filtered inputs, each at all lags."""
+    if filters is None:
+        return []
+    inputs = channels.input_names
+    by_name = filters
+    if not isinstance(by_name, Mapping):
+        by_name = {name: by_name for name in inputs}
+    for name, bank in by_name.items():
+        if name not in inputs:
+            raise SpecError(
+                f"filters names {name!r}, which is not an input. "
+                f"{suggest(name, inputs)}",
+                field="filters",
+            )
+        if len(set(map(require_filter, bank))) != len(bank):
+            raise SpecError(f"filters of {name!r} repeat: {bank}", field="filters")
+    (lags,) = _lags(lags, ["inputs"], lowest=0, kind="filter")
+    return [
+        (channels.signal(name), lag, filter_)
+        for name in inputs
+        for filter_ in by_name.get(name, ())
+        for lag in lags
+    ]
+
+
 def polynomial_pool(
     channels: Channels,
     *,
@@ -109,6 +139,8 @@ def polynomial_pool(
     input_lags: Lags,
     output_lags: Lags,
     degree: int,
+    filters: Filters | None = None,
+    filter_lags: Sequence[int] = (0,),
 ) -> Pool:
     """All products of up to `degree` lagged variables, the constant among them.
 
@@ -116,6 +148,11 @@ def polynomial_pool(
     free run. Lags are in samples, a tuple for all channels or a dict by channel name
     (channels it leaves out get none); inputs from 0, outputs from 1. With V variables
     the pool has C(V + degree, degree) terms. Wrong names or lags raise `SpecError`.
+
+    `filters` adds filtered inputs, `LowPass(4.0)` and its like: a sequence for all
+    inputs or a dict by channel name, each of them at `filter_lags`. They remember the
+    inputs of long ago; with `output_lags=()` the model has no feedback and cannot
+    diverge. The order of variables is: lagged inputs, filtered inputs, lagged outputs.
     """
     if isinstance(outputs, str):
         outputs = [outputs]
@@ -128,19 +165,21 @@ def polynomial_pool(
             )
     if not 1 <= degree <= 4:
         raise SpecError(f"degree must be 1 to 4, got {degree}", field="degree")
-    rows = []
+    rows: list[Entry] = []
     inputs = channels.input_names
     for name, lags in zip(
         inputs, _lags(input_lags, inputs, lowest=0, kind="input"), strict=True
     ):
-        rows += [(channels.signal(name), lag) for lag in lags]
+        rows += [(channels.signal(name), lag, None) for lag in lags]
+    rows += _filtered(channels, filters, filter_lags)
     for name, lags in zip(
         chosen, _lags(output_lags, chosen, lowest=1, kind="output"), strict=True
     ):
-        rows += [(channels.signal(name), lag) for lag in lags]
+        rows += [(channels.signal(name), lag, None) for lag in lags]
     if not rows:
         raise SpecError(
-            "no lagged variables: give input_lags or output_lags", field="input_lags"
+            "no lagged variables: give input_lags, output_lags or filters",
+            field="input_lags",
         )
     size = math.comb(len(rows) + degree, degree)
     if size > LARGEST:
@@ -157,4 +196,4 @@ def polynomial_pool(
         count=size * degree,
     ).reshape(size, degree)
     positions = tuple(channels.output_names.index(name) for name in chosen)
-    return Pool(Variables(tuple(rows)), factor, channels, positions)
+    return Pool(Variables.of(rows), factor, channels, positions)

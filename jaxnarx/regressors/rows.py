@@ -1,15 +1,16 @@
 """Regression rows: every usable sample of every record behind one another."""
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.windows import lagged, usable
+from jaxnarx.arrays.windows import usable
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.scaling import gains
 from jaxnarx.errors import DataError
+from jaxnarx.regressors.columns import row_columns
 from jaxnarx.regressors.variables import Variables
 
 
@@ -35,7 +36,7 @@ def regression_rows(
     *,
     history: int,
     need: int = 1,
-    weights: list[Float[np.ndarray, " time"]] | None = None,
+    weights: list[Float[np.ndarray, " _"]] | None = None,
     gain: Float[np.ndarray, " signals"] | None = None,
 ) -> Rows:
     """Rows of all records after `history` samples; windows never cross a border.
@@ -49,7 +50,7 @@ def regression_rows(
     good = usable(batch.valid, variables.rows, history)
     counted = good[:, :, None] & batch.valid[:, :, targets]
     if weights is not None:
-        positive = _flat_weights(weights, data, good.shape[1]) > 0
+        positive = flat_weights(weights, data, good.shape[1]) > 0
         counted &= positive.reshape(good.shape)[:, :, None]
     enough(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
@@ -57,17 +58,16 @@ def regression_rows(
     weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T
     weight = weight.astype(gain.dtype)
     if weights is not None:
-        weight = weight * _flat_weights(weights, data, good.shape[1])[at][None]
-    scaled = batch.flat / gain[None]
-    x = lagged(scaled, jnp.asarray(at), variables.rows)
-    v = jnp.concatenate([jnp.ones((1, len(at)), x.dtype), x])
-    y = scaled[at][:, targets].T
-    return Rows(v, y, jnp.asarray(weight), at, batch, gain)
+        weight = weight * flat_weights(weights, data, good.shape[1])[at][None]
+    v = row_columns(batch, at, variables, data.sample_time, gain=gain, ones=1)
+    y = np.asarray(batch.flat)[at[:, None], targets[None]] / gain[targets][None]
+    # device_put takes the memory over where it can; jnp.asarray would copy it.
+    v, y, weight = jax.device_put((v, y.T, weight))
+    return Rows(v, y, weight, at, batch, gain)
 
 
-def _flat_weights(
-    weights, data: Dataset, longest: int
-) -> Float[np.ndarray, " samples"]:
+def flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " samples"]:
+    """Weights of all records behind one another, padded to the longest with zeros."""
     if [len(w) for w in weights] != [len(r) for r in data]:
         raise DataError(
             "weights must be one array per record with one number per sample; "

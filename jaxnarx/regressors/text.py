@@ -1,7 +1,8 @@
 """Variables, terms and equations as people read them, and back.
 
 Strings exist at the surface only: tables are what the program computes with. The parser
-knows one form, `name[t-3]`; nothing is ever evaluated.
+knows one form, `name[t-3]`, in which a filter may stand for the name; nothing is ever
+evaluated.
 """
 
 import re
@@ -11,28 +12,45 @@ import numpy as np
 
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
+from jaxnarx.regressors.filter_text import FORMS, filter_text, parse_filter
+from jaxnarx.regressors.filters import AbstractFilter
+from jaxnarx.regressors.variables import Entry, Variables
 
 _LAG = re.compile(r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$", re.DOTALL)
 
 
-def variable_name(channels: Channels, signal: int, lag: int) -> str:
-    """`speed[t-3]`, or `speed[t]` at lag 0."""
-    return (
-        f"{channels.names[signal]}[t-{lag}]" if lag else f"{channels.names[signal]}[t]"
-    )
+def variable_name(
+    channels: Channels, signal: int, lag: int, filter_: AbstractFilter | None = None
+) -> str:
+    """`speed[t-3]`, or `speed[t]` at lag 0; `lp(speed, 4 s)[t]` of a filtered one."""
+    name = channels.names[signal]
+    if filter_ is not None:
+        name = filter_text(filter_, name)
+    return f"{name}[t-{lag}]" if lag else f"{name}[t]"
 
 
-def parse_variable(channels: Channels, text: str) -> tuple[int, int]:
-    """(signal, lag) of `"speed[t-3]"`; unknown names and other forms raise
-    SpecError.
+def variable_names(channels: Channels, variables: Variables) -> list[str]:
+    """Texts of all lagged variables."""
+    return [variable_name(channels, *entry) for entry in variables.entries]
+
+
+def parse_variable(channels: Channels, text: str) -> Entry:
+    """(signal, lag, filter or None) of `"speed[t-3]"` or `"lp(speed, 4 s)[t]"`.
+
+    The exact name of a channel wins, whatever it looks like. Unknown names and other
+    forms raise SpecError.
     """
     match = _LAG.match(text.rstrip())
     if match is None:
         raise SpecError(
-            f"{text!r} is not a lagged variable; write 'name[t]' or 'name[t-3]'",
+            f"{text!r} is not a lagged variable; write 'name[t]' or 'name[t-3]', or of "
+            f"a filtered one {FORMS} in place of the name",
             field="scheduling",
         )
-    name = match["name"]
+    name, filter_ = match["name"], None
+    if name not in channels.names and name.strip() not in channels.names:
+        found = parse_filter(name, channels.names)
+        name, filter_ = found if found is not None else (name, None)
     signal = channels.signal(name if name in channels.names else name.strip())
     lag = int(match["lag"] or 0)
     if lag == 0 and signal >= len(channels.inputs):
@@ -42,7 +60,7 @@ def parse_variable(channels: Channels, text: str) -> tuple[int, int]:
             f"'{match['name']}[t-1]'",
             field="scheduling",
         )
-    return signal, lag
+    return signal, lag, filter_
 
 
 def _powers(factors: Sequence[int]) -> list[tuple[int, int]]:
@@ -71,6 +89,7 @@ _SPECIAL = {
     "}": r"\}",
     "^": r"\hat{}",
     "~": r"\sim ",
+    " ": r"\ ",
 }
 
 

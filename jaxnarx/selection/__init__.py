@@ -1,6 +1,19 @@
 """Choice of terms from a pool."""
 
+from jaxnarx.selection.frequency import SelectionFrequency, selection_frequency
+from jaxnarx.selection.many import select_each, select_weighted
 from jaxnarx.selection.select_terms import select
 from jaxnarx.selection.selection import Selection
+from jaxnarx.selection.sizes import choose, criteria_of, errors_along
 
-__all__ = ["Selection", "select"]
+__all__ = [
+    "Selection",
+    "SelectionFrequency",
+    "choose",
+    "criteria_of",
+    "errors_along",
+    "select",
+    "select_each",
+    "select_weighted",
+    "selection_frequency",
+]

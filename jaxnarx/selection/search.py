@@ -51,6 +51,10 @@ FEIGNED = 1e-12
 """... beside this share of the output's power, which rounding can feign."""
 
 
+TIE = 1e-10
+"""Share by which the scores of equal columns may differ: their sums round apart."""
+
+
 class Program(eqx.Module):
     """What is searched for, and when it ends; the settings of every selector.
 
@@ -162,7 +166,9 @@ def _candidate(program: Program, lane: Lane, s: State):
     b, d = remaining(s.basis, lane)
     usable = s.alive & program.stages[s.stage]
     usable &= (d > program.tau * lane.norm) & (d > program.tau_absolute)
-    best = jnp.argmax(jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf))
+    score = jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf)
+    # Of copies the first, whatever rounding says; in a pool that is the simplest one.
+    best = jnp.argmax(score >= (1.0 - TIE) * jnp.max(score))
     found, asked = jnp.any(usable), jnp.asarray(False)
     if lane.start.shape[0]:
         asked = s.started < lane.starts

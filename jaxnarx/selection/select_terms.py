@@ -12,15 +12,17 @@ from jaxtyping import Float
 
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset, match_channels
-from jaxnarx.errors import SpecError
-from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
+from jaxnarx.errors import DataError, SpecError
+from jaxnarx.methods import Anova, Backward, ForwardOLS, SimulationOLS, StepwiseF
 from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.regressors.rows import Rows, regression_rows
-from jaxnarx.selection.criteria import criteria
+from jaxnarx.selection.anova import anova, significant_terms
 from jaxnarx.selection.path import Path, padded
 from jaxnarx.selection.program import Method, Plan, constant_term, plan
 from jaxnarx.selection.search import Program, search
 from jaxnarx.selection.selection import Selection
+from jaxnarx.selection.simulation_ols import Progress, simulation_ols
+from jaxnarx.selection.sizes import criteria_of
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.solution import RESULTS, Solution
 
@@ -30,9 +32,10 @@ _search = jax.jit(search, static_argnames=("max_terms", "removes", "exchanges"))
 def select(
     source: Pool | Selection,
     data: Dataset,
-    method: ForwardOLS | StepwiseF | Backward | None = None,
+    method: ForwardOLS | StepwiseF | Backward | SimulationOLS | Anova | None = None,
     *,
-    weights: list[Float[np.ndarray, " time"]] | None = None,
+    weights: list[Float[np.ndarray, " _"]] | None = None,
+    progress: Progress | None = None,
 ) -> Solution[Selection]:
     """Choose terms of a pool for every modelled output by `method`.
 
@@ -49,6 +52,15 @@ def select(
     the end, and `history` lists for every output the partial F of all terms in the
     model after each round (thesis Table 5.2), by term text in order of entry.
 
+    `Anova` keeps all terms whose variables lie in a significant effect; the tables of
+    effects are `stats["anova"]`, one per output. It narrows a pool: choose further from
+    `value.narrowed()`.
+
+    `SimulationOLS` takes one output, no weights, and calls `progress` on the host with
+    a dictionary after every round. Its selection holds the one-step coefficients;
+    `stats["network"]` is the network with those refined on the free run, `history` the
+    rounds, `loss` the mean squared free-run error over the output's variance.
+
     Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
     when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,
     constant outputs and data without excitation raise `DataError`.
@@ -64,12 +76,66 @@ def select(
         pool.variables,
         pool.outputs,
         history=pool.variables.longest,
-        need=max(min(method.max_terms, len(pool)), *map(len, chosen)) + 1,
+        need=max(_terms_asked(pool, method), *map(len, chosen)) + 1,
         weights=weights,
     )
     usable = usable_terms(pool, passed_over)
+    if isinstance(method, Anova):
+        return _by_variance(pool, rows, method, usable)
+    if isinstance(method, SimulationOLS):
+        return _on_free_run(pool, data, rows, method, usable, chosen, progress)
     path, made = choose_terms(pool, rows, method, usable, chosen)
-    return _solution(pool, rows, path, passed_over, method, made)
+    return solution_of(pool, rows, path, passed_over, method, made)
+
+
+def _terms_asked(pool: Pool, method: Any) -> int:
+    return 1 if isinstance(method, Anova) else min(method.max_terms, len(pool))
+
+
+def _by_variance(pool: Pool, rows: Rows, method: Anova, usable) -> Solution[Selection]:
+    tables = [anova(pool, rows, o, method) for o in range(len(pool.outputs))]
+    kept = [[t for t in significant_terms(pool, a) if usable[t]] for a in tables]
+    names = [pool.channels.output_names[o] for o in pool.outputs]
+    for name, terms in zip(names, kept, strict=True):
+        if not terms:
+            raise DataError(
+                f"no effect of the lagged variables on {name} is significant; use "
+                "other lags or a larger `significance`",
+                channel=name,
+            )
+    path = refit(pool, rows, kept)
+    value = selection_of(pool, rows, path)
+    stats = _figures(value, path) | {"anova": tables, "candidates": len(pool)}
+    status, detail = _status(value, np.asarray(path.cond), method)
+    return Solution(value, status, stats, detail)
+
+
+def _on_free_run(
+    pool: Pool, data: Dataset, rows: Rows, method: SimulationOLS, usable, chosen, tell
+) -> Solution[Selection]:
+    if len(pool.outputs) > 1:
+        raise SpecError(
+            "SimulationOLS chooses for one output at a time; make a pool for each, "
+            "with outputs=['...']",
+            field="outputs",
+        )
+    start = chosen[0]
+    if not start:
+        few = ForwardOLS(max_terms=min(method.start_terms, len(pool)))
+        path, _ = choose_terms(pool, rows, few, usable, [[]])
+        start = chosen_of(path)[0]
+    path = refit(pool, rows, [start])
+    theta = np.asarray(path.nested)[0, -1]
+    found = simulation_ols(pool, data, rows.gain, start, theta, method, usable, tell)
+    path = refit(pool, rows, [found.terms])
+    value = selection_of(pool, rows, path)
+    stats = _figures(value, path) | {
+        "candidates": len(pool),
+        "network": found.network,
+        "loss": found.loss,
+        "history": found.history,
+    }
+    return Solution(value, found.status, stats, found.detail)
 
 
 def choose_terms(
@@ -197,36 +263,29 @@ def _total(rows: Rows) -> Float[np.ndarray, " lanes"]:
     return (w * (y - mean[:, None]) ** 2).sum(axis=1)
 
 
-def criteria_of(selection: Selection, output: int) -> dict[str, np.ndarray]:
-    """Criteria of the nested models of one output; see `criteria`."""
-    size = max(selection.size(output), 1)
-    return criteria(
-        selection.sse[output, :size],
-        int(selection.samples[output]),
-        total=float(selection.total[output]),
-        press=selection.press[output, :size],
-    )
-
-
-def _solution(
+def solution_of(
     pool: Pool, rows: Rows, path: Path, passed_over, method: Method, made: Plan
 ) -> Solution[Selection]:
+    """Value, figures and status from what the search returned."""
     value = selection_of(pool, rows, path)
+    stats = _figures(value, path)
+    stats |= {"passed_over": passed_over, "candidates": len(pool)}
+    if made.removes:
+        stats |= {"f_level": made.f_level, "history": _histories(pool, path)}
+    status, detail = _status(value, np.asarray(path.cond), method)
+    return Solution(value, status, stats, detail)
+
+
+def _figures(value: Selection, path: Path) -> dict[str, Any]:
     t, p_value = _t_values(value)
-    stats: dict[str, Any] = _tables(value) | {
+    return _tables(value) | {
         "sse": value.sse,
         "samples": value.samples,
         "cond": np.asarray(path.cond),
         "count": np.asarray(path.count),
         "t": t,
         "p_value": p_value,
-        "passed_over": passed_over,
-        "candidates": len(pool),
     }
-    if made.removes:
-        stats |= {"f_level": made.f_level, "history": _histories(pool, path)}
-    status, detail = _status(value, np.asarray(path.cond), method)
-    return Solution(value, status, stats, detail)
 
 
 def _tables(value: Selection) -> dict[str, np.ndarray]:
@@ -266,7 +325,7 @@ def _histories(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
     ]
 
 
-def _status(value: Selection, cond, method: Method) -> tuple[RESULTS, str]:
+def _status(value: Selection, cond, method: Method | Anova) -> tuple[RESULTS, str]:
     pool, names = value.pool, value.output_names
     limit = 1.0 / np.sqrt(np.finfo(value.sse.dtype).eps)
     if np.any(cond > limit):

@@ -20,7 +20,8 @@ _Description = Annotated[str, arg(metavar="DESCRIPTION")]
 _Model = Annotated[str, arg(metavar="MODEL")]
 _Folder = Annotated[str | None, _optional("FOLDER")]
 _Names = Annotated[tuple[str, ...], _optional("NAME [NAME ...]")]
-_Lags = Annotated[tuple[int, ...], arg(metavar="LAG [LAG ...]")]
+_Lags = Annotated[tuple[int, ...], arg(metavar="[LAG ...]")]
+_Seconds = Annotated[tuple[float, ...], _optional("SECONDS [SECONDS ...]")]
 _Flag = Annotated[bool, arg(help_behavior_hint="")]
 _Ints = Annotated[tuple[int, ...], arg(metavar="INT [INT ...]")]
 _Whole = Annotated[int | None, _optional("INT")]
@@ -69,9 +70,11 @@ class Identify:
     output: _Names = ()
     """Outputs to model; default: all of the description."""
     input_lags: _Lags = (0, 1, 2, 4, 8, 16)
-    """Input lags in samples; `jaxnarx check` suggests some."""
+    """Input lags in samples, or none; `jaxnarx check` suggests some."""
     output_lags: _Lags = (1, 2)
-    """Output lags in samples, fed back in a free run."""
+    """Output lags in samples, fed back in a free run; none: it cannot diverge."""
+    filters: _Seconds = ()
+    """Time constants [s] of first-order lags; inputs enter through each of them too."""
     degree: int = 2
     """Largest number of factors of a term."""
     terms: int = 25

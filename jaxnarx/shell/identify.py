@@ -16,7 +16,7 @@ from jaxnarx.methods import ForwardOLS, Global, Lolimot, SimulationError
 from jaxnarx.models import Network, save
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
-from jaxnarx.regressors import parse_variable, polynomial_pool
+from jaxnarx.regressors import LowPass, parse_variable, polynomial_pool
 from jaxnarx.selection import Selection, select
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.output import write_report, written_together
@@ -36,6 +36,8 @@ class Plan:
     grow: Global | Lolimot
     refine: SimulationError
     command: str
+    filters: tuple[LowPass, ...] = ()
+    """First-order lags through which every input enters as well."""
     preparation: dict[str, Any] | None = None
     """What was done to the records before, kept with the model."""
 
@@ -77,6 +79,7 @@ def make_plan(command: Identify, typed: str) -> Plan:
         outputs=command.output,
         input_lags=command.input_lags,
         output_lags=command.output_lags,
+        filters=_lags_of_first_order(command.filters),
         degree=command.degree,
         select=ForwardOLS(max_terms=command.terms, constant=command.constant),
         grow=growth,
@@ -88,6 +91,16 @@ def make_plan(command: Identify, typed: str) -> Plan:
         ),
         command=typed,
     )
+
+
+def _lags_of_first_order(time_constants: tuple[float, ...]) -> tuple[LowPass, ...]:
+    """The filters of these time constants [s]."""
+    if not all(0 < t < math.inf for t in time_constants):
+        given = " ".join(f"{t:g}" for t in time_constants)
+        raise SpecError(
+            f"--filters must be positive time constants in seconds, got {given}"
+        )
+    return tuple(LowPass(t) for t in dict.fromkeys(time_constants))
 
 
 def prepared_by(preparation: Preparation | None, plan: Plan) -> Plan:
@@ -114,6 +127,7 @@ def identify(
         outputs=plan.outputs,
         input_lags=plan.input_lags,
         output_lags=plan.output_lags,
+        filters=plan.filters,
         degree=plan.degree,
     )
     require_rows(parts, pool.variables.longest)

@@ -21,7 +21,7 @@ NAMES = ["speed[t]", "load[t-2]", "NOx[t-1]"]
 )
 def test_a_variable_and_its_text(signal, lag, text):
     assert variable_name(CHANNELS, signal, lag) == text
-    assert parse_variable(CHANNELS, text) == (signal, lag)
+    assert parse_variable(CHANNELS, text) == (signal, lag, None)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_variable_and_its_text(signal, lag, text):
     ],
 )
 def test_blanks_and_leading_zeros_do_not_matter(text, expected):
-    assert parse_variable(CHANNELS, text) == expected
+    assert parse_variable(CHANNELS, text) == (*expected, None)
 
 
 # Whatever may stand in a channel's name: brackets, operators, blanks, other scripts.
@@ -53,7 +53,7 @@ def test_every_variable_survives_its_text(chosen, signal, lag):
     signal %= len(chosen)
     lag = max(lag, 1) if signal == len(chosen) - 1 else lag
     text = variable_name(channels, signal, lag)
-    assert parse_variable(channels, text) == (signal, lag)
+    assert parse_variable(channels, text) == (signal, lag, None)
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_every_variable_survives_its_text(chosen, signal, lag):
 )
 def test_odd_names_are_only_names(name):
     channels = Channels((Channel("a"), Channel(name)), (Channel("y"),))
-    assert parse_variable(channels, variable_name(channels, 1, 3)) == (1, 3)
-    assert parse_variable(channels, variable_name(channels, 1, 0)) == (1, 0)
+    assert parse_variable(channels, variable_name(channels, 1, 3)) == (1, 3, None)
+    assert parse_variable(channels, variable_name(channels, 1, 0)) == (1, 0, None)
 
 
 @pytest.mark.parametrize(

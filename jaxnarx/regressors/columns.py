@@ -1,0 +1,115 @@
+"""Columns of lagged variables, filtered ones among them: the one place they are formed.
+
+A filtered variable is a lagged variable of a longer signal table: behind the signals
+stand the filtered ones, each computed record by record before anything is shifted.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.arrays.windows import lagged
+from jaxnarx.data.batch import Batch
+from jaxnarx.regressors.filtering import FilterTable, filter_table, filtered
+from jaxnarx.regressors.filters import require_sampled
+from jaxnarx.regressors.variables import Variables
+
+
+def record_columns(
+    signals: Float[Array, "time signals"],
+    valid: Bool[Array, "time signals"] | Bool[np.ndarray, "time signals"] | None,
+    at: Int[Array, " rows"],
+    variables: Variables,
+    sample_time: Float[Array, ""],
+) -> Float[Array, "vars rows"]:
+    """Lagged variables of one record at samples `at`, in the unit of `signals`.
+
+    Filters begin at rest at the first valid sample (`valid` None: the first), see
+    `filtering.filtered`. Before the first sample the window is clipped to it.
+    """
+    pairs = variables.filtered
+    if not pairs:
+        return lagged(signals, at, variables.rows)
+    source = np.array([s for s, _ in pairs])
+    table = filter_table([f for _, f in pairs])
+
+    def one(row):
+        signal, table = row
+        mask = None if valid is None else jnp.asarray(valid)[:, signal]
+        return filtered(table, signals[:, signal], mask, sample_time)
+
+    bank = jax.lax.map(one, (jnp.asarray(source), table))
+    signals = jnp.concatenate([signals, bank.T], axis=1)
+    return lagged(signals, at, _extended(variables, signals.shape[1] - len(pairs)))
+
+
+def _extended(variables: Variables, signals: int) -> tuple[tuple[int, int], ...]:
+    """Rows into the signal table with the filtered signals behind it."""
+    place = {pair: signals + n for n, pair in enumerate(variables.filtered)}
+    return tuple((s if f is None else place[s, f], d) for s, d, f in variables.entries)
+
+
+@eqx.filter_jit
+def _filtered_records(
+    table: FilterTable,
+    u: Float[Array, "records time"],
+    valid: Bool[Array, "records time"],
+    sample_time: Float[Array, ""],
+) -> Float[Array, "records time"]:
+    one = jax.vmap(filtered, in_axes=(None, 0, 0, None))
+    return one(table, u, valid, sample_time)
+
+
+def row_columns(
+    batch: Batch,
+    at: Int[np.ndarray, " rows"],
+    variables: Variables,
+    sample_time: float,
+    *,
+    gain: Float[np.ndarray, " signals"] | None = None,
+    ones: int = 0,
+) -> Float[np.ndarray, "vars rows"]:
+    """Lagged variables at places `at` of `batch.flat`, below `ones` rows of ones.
+
+    Divided by the `gain` of their signals where one is given, else in physical units.
+    Every column is written into its place of one array: memory beside the result is
+    that of a few columns.
+    """
+    signals = np.asarray(batch.signals)
+    flat = signals.reshape(-1, signals.shape[-1])
+    out = _aligned((ones + len(variables), len(at)), flat.dtype)
+    out[:ones] = 1
+    for (signal, filter_), users in _by_source(variables).items():
+        column = flat[:, signal]
+        if filter_ is not None:
+            require_sampled((filter_,), sample_time)
+            column = _filtered_records(
+                filter_table((filter_,))[0],
+                jnp.asarray(signals[..., signal]),
+                jnp.asarray(batch.valid[..., signal]),
+                jnp.asarray(sample_time, flat.dtype),
+            )
+        column = np.array(column, order="C").reshape(-1)
+        if gain is not None:
+            column /= gain[signal]
+        for row, lag in users:
+            np.take(column, at - lag, mode="clip", out=out[ones + row])
+    return out
+
+
+def _by_source(variables: Variables) -> dict:
+    """(row, lag) of the variables by signal and filter."""
+    out: dict = {}
+    for row, (signal, lag, filter_) in enumerate(variables.entries):
+        out.setdefault((signal, filter_), []).append((row, lag))
+    return out
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """An empty array that jax on a CPU can take over without a copy."""
+    size = int(np.prod(shape)) * dtype.itemsize
+    space = np.empty(size + 64, np.uint8)
+    start = -space.ctypes.data % 64
+    return space[start : start + size].view(dtype).reshape(shape)

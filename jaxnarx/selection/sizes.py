@@ -1,0 +1,127 @@
+"""How many of the chosen terms to keep: criteria, and errors along the path."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset, match_channels
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.evaluation.metrics import nrmse
+from jaxnarx.models import Network, assemble, global_model
+from jaxnarx.selection.criteria import GREATER_IS_BETTER, criteria
+from jaxnarx.selection.selection import Selection
+from jaxnarx.simulation import Trajectories, predict, simulate
+
+MEASURED = ("one_step", "free_run")
+"""Criteria that need validation records."""
+ALIASES = {"mdl": "bic"}
+
+
+def criteria_of(
+    selection: Selection, output: int = 0
+) -> dict[str, Float[np.ndarray, " sizes"]]:
+    """Criteria of the nested models of one output; see `criteria`."""
+    size = max(selection.size(output), 1)
+    return criteria(
+        selection.sse[output, :size],
+        int(selection.samples[output]),
+        total=float(selection.total[output]),
+        press=selection.press[output, :size],
+    )
+
+
+def choose(
+    selection: Selection,
+    criterion: str = "bic",
+    *,
+    output: str | None = None,
+    train: Dataset | None = None,
+    validation: Dataset | None = None,
+) -> int:
+    """The size, 1, 2, ..., that `criterion` calls best among the nested models.
+
+    "aic", "aicc", "bic" (or "mdl"), "fpe", "cp", "press", "adjusted_r2" and "overall_f"
+    come from the search itself; "one_step" and "free_run" are the normalised errors on
+    the records of `validation`, with bounds and ranges from `train`. A size whose free
+    run diverges counts as infinitely bad. Of several outputs `output` names one; among
+    equals the smallest size wins. `selection.head(size)` is the selection of that size.
+    """
+    place = _place(selection, output)
+    name = ALIASES.get(criterion, criterion)
+    if name in MEASURED:
+        if train is None or validation is None:
+            raise SpecError(
+                f"criterion {criterion!r} needs `train` and `validation` records",
+                field="validation",
+            )
+        values = errors_along(selection, train, validation)[name][:, place]
+        return int(np.argmin(values[: selection.size(place)])) + 1
+    table = criteria_of(selection, place)
+    if name not in table:
+        known = [*table, *ALIASES, *MEASURED]
+        raise SpecError(
+            f"unknown criterion {criterion!r}. {suggest(criterion, known)}",
+            field="criterion",
+        )
+    values = -table[name] if name in GREATER_IS_BETTER else table[name]
+    return int(np.argmin(values)) + 1
+
+
+def _place(selection: Selection, output: str | None) -> int:
+    names = selection.output_names
+    if output is None:
+        if len(names) > 1:
+            raise SpecError(
+                f"this selection has several outputs; name one of {names}",
+                field="output",
+            )
+        return 0
+    if output not in names:
+        raise SpecError(
+            f"no modelled output {output!r}. {suggest(output, names)}", field="output"
+        )
+    return names.index(output)
+
+
+def network_of(selection: Selection, data: Dataset, size: int | None = None) -> Network:
+    """The first `size` terms of every output as a network with one local model.
+
+    All sizes have the same shapes, so that they share compiled programs. Ranges and
+    feedback bounds come from `data`.
+    """
+    size = int(selection.index.shape[1]) if size is None else size
+    models = []
+    for o in range(len(selection.index)):
+        last = max(min(size, selection.size(o)), 1) - 1
+        factor = selection.pool.factor[selection.index[o]]
+        theta = np.where(selection.used[o], selection.nested[o, last], 0.0)
+        models.append(global_model(factor, theta.astype(selection.gain.dtype)))
+    return assemble(selection.pool, data, selection.gain, models)
+
+
+def errors_along(
+    selection: Selection, train: Dataset, validation: Dataset
+) -> dict[str, Float[np.ndarray, "sizes outputs"]]:
+    """One-step and free-run NRMSE on `validation` of every nested size.
+
+    `train` are the records of the selection: feedback bounds are made of their ranges.
+    Outputs that diverge in a record of the free run give `inf`.
+    """
+    train, _ = match_channels(train, selection.pool.channels)
+    validation, _ = match_channels(validation, selection.pool.channels)
+    found: dict[str, list[Any]] = {"one_step": [], "free_run": []}
+    for size in range(1, selection.index.shape[1] + 1):
+        network = network_of(selection, train, size)
+        for name, verb in (("one_step", predict), ("free_run", simulate)):
+            found[name].append(
+                _errors(network, verb(network, validation).value, validation)
+            )
+    return {name: np.stack(rows) for name, rows in found.items()}
+
+
+def _errors(network: Network, run: Trajectories, data: Dataset) -> np.ndarray:
+    outputs = np.array(network.modelled)
+    y = np.concatenate([r.y[:, outputs] for r in data])
+    error = nrmse(y, np.concatenate(run.outputs), np.concatenate(run.scored))
+    return np.where(np.any(run.diverged, axis=0), np.inf, error)
