@@ -83,11 +83,15 @@ class FilterSystem(eqx.Module):
         blocks = -(-length // BLOCK)
         rows = jnp.pad(u, (0, blocks * BLOCK - length)).reshape(blocks, BLOCK)
         # reached[k] = A^k b and seen[k] = c A^(k+1)
-        through = jax.lax.scan(lambda x, _: (self.a @ x, x), self.b, length=BLOCK)
-        seen = jax.lax.scan(
-            lambda x, _: (x @ self.a, x @ self.a), self.c, length=BLOCK
-        )[1]
-        reached, whole = through[1], _power(self.a, BLOCK)
+        _, reached = jax.lax.scan(
+            lambda x, _: (_product(self.a, x), x), self.b, length=BLOCK
+        )
+        _, seen = jax.lax.scan(
+            lambda x, _: (_product(x, self.a), x),
+            _product(self.c, self.a),
+            length=BLOCK,
+        )
+        whole = _power(self.a, BLOCK)
         at = jnp.arange(BLOCK)
         delay = at[:, None] - at[None]
         pulse = _product(reached, self.c)

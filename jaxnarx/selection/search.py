@@ -118,7 +118,7 @@ def search(
     lanes = Lane(
         target=y * root,
         root=root,
-        norm=contract(v**2, weight, degree)[:, position],
+        norm=contract(v, weight, degree, squared=True)[:, position],
         moment=products(y * root),
         power=jnp.sum(weight * y**2, axis=1),
         samples=jnp.sum((weight > 0).astype(y.dtype), axis=1),

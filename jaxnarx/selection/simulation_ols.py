@@ -22,7 +22,6 @@ simulate for every candidate.
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -78,9 +77,9 @@ def pool_derivatives(
 
     v, adjoint = jax.lax.map(lambda r: one(*r), (drive.v, drive.x, past, own, residual))
     v = jnp.moveaxis(v, 1, 0).reshape(v.shape[1], -1)
-    products = partial(contract, degree=factor.shape[1])
-    derivative = products(v, adjoint.reshape(1, -1))[0, position]
-    norm = products(v**2, weight.reshape(1, -1))[0, position]
+    degree = factor.shape[1]
+    derivative = contract(v, adjoint.reshape(1, -1), degree)[0, position]
+    norm = contract(v, weight.reshape(1, -1), degree, squared=True)[0, position]
     return derivative, norm, jnp.sum(weight * (y - drive.measured) ** 2)
 
 
@@ -283,6 +282,7 @@ def simulation_ols(
         status = RESULTS.ok
     elif status == RESULTS.no_improvement:
         detail = f"no further term made the free run better (loss {mark:.4g})"
+    network = r.network(terms, theta, len(terms))
     return Found(
-        solution.value, terms, float(solution.stats["loss"]), r.history, status, detail
+        network, terms, float(solution.stats["loss"]), r.history, status, detail
     )

@@ -78,9 +78,15 @@ class Identify:
     degree: int = 2
     """Largest number of factors of a term."""
     terms: int = 25
-    """Number of terms of every local model."""
+    """Number of terms of every local model, the largest where F decides."""
+    select: Literal["err", "stepwise", "backward", "simulation"] = "err"
+    """How terms are chosen: forward by error reduction ratio; stepwise by partial F;
+    forward, then backward by partial F; or by what they bring to the free run."""
+    significance: float = 0.01
+    """Probability with which noise alone reaches the partial F to enter or stay."""
     constant: Literal["first", "candidate", "after"] = "first"
-    """Constant term: chosen first, a candidate, or added after the choice (thesis)."""
+    """Constant term of --select err: chosen first, a candidate, or added after the
+    choice (thesis)."""
     models: int = 1
     """Largest number of local models."""
     schedule: _Names = ()

@@ -12,7 +12,15 @@ from jaxnarx.data import Channels, Dataset, Preparation, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.evaluation import Report, report
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.methods import ForwardOLS, Global, Lolimot, SimulationError
+from jaxnarx.methods import (
+    Backward,
+    ForwardOLS,
+    Global,
+    Lolimot,
+    SimulationError,
+    SimulationOLS,
+    StepwiseF,
+)
 from jaxnarx.models import Network, save
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
@@ -20,8 +28,15 @@ from jaxnarx.regressors import LowPass, parse_variable, polynomial_pool
 from jaxnarx.selection import Selection, select
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.output import write_report, written_together
-from jaxnarx.shell.progress import count, refinement_progress, say
+from jaxnarx.shell.progress import (
+    count,
+    refinement_progress,
+    say,
+    selection_progress,
+)
 from jaxnarx.solution import Solution
+
+Choice = ForwardOLS | StepwiseF | Backward | SimulationOLS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +47,7 @@ class Plan:
     input_lags: tuple[int, ...]
     output_lags: tuple[int, ...]
     degree: int
-    select: ForwardOLS
+    select: Choice
     grow: Global | Lolimot
     refine: SimulationError
     command: str
@@ -50,6 +65,11 @@ class Plan:
                     f"--output: there is no output {name!r}. {suggest(name, known)}"
                 )
         outputs = tuple(dict.fromkeys(self.outputs)) or tuple(known)
+        if isinstance(self.select, SimulationOLS) and len(outputs) > 1:
+            raise SpecError(
+                "--select simulation takes one output at a time; add "
+                f"--output {outputs[0]!r}, say"
+            )
         return dataclasses.replace(self, outputs=outputs)
 
 
@@ -81,7 +101,7 @@ def make_plan(command: Identify, typed: str) -> Plan:
         output_lags=command.output_lags,
         filters=_lags_of_first_order(command.filters),
         degree=command.degree,
-        select=ForwardOLS(max_terms=command.terms, constant=command.constant),
+        select=_choice(command),
         grow=growth,
         refine=SimulationError(
             horizons=command.horizons,
@@ -91,6 +111,21 @@ def make_plan(command: Identify, typed: str) -> Plan:
         ),
         command=typed,
     )
+
+
+def _choice(command: Identify) -> Choice:
+    """The settings of the selection that --select names."""
+    if command.constant != "first" and command.select != "err":
+        raise SpecError(f"--constant {command.constant} belongs to --select err")
+    by_f = {"max_terms": command.terms, "significance": command.significance}
+    if command.select == "stepwise":
+        return StepwiseF(**by_f)
+    if command.select == "backward":
+        return Backward(**by_f)
+    if command.select == "simulation":
+        few = min(command.terms, SimulationOLS.start_terms)
+        return SimulationOLS(max_terms=command.terms, start_terms=few)
+    return ForwardOLS(max_terms=command.terms, constant=command.constant)
 
 
 def _lags_of_first_order(time_constants: tuple[float, ...]) -> tuple[LowPass, ...]:
@@ -131,10 +166,12 @@ def identify(
         degree=plan.degree,
     )
     require_rows(parts, pool.variables.longest)
-    say(f"Choosing {min(plan.select.max_terms, len(pool))} of {len(pool)} terms")
-    chosen = select(pool, train, plan.select)
+    most = "" if isinstance(plan.select, ForwardOLS) else "up to "
+    size = min(plan.select.max_terms, len(pool))
+    say(f"Choosing {most}{size} of {len(pool)} terms")
+    chosen = select(pool, train, plan.select, progress=selection_progress)
     _tell(chosen)
-    grown = grow(chosen.value, train, plan.grow)
+    grown = _grown(chosen, train, plan)
     _tell(grown)
     for name, model in zip(plan.outputs, grown.value.models, strict=True):
         terms = count(model.local.index.shape[1], "term")
@@ -161,6 +198,16 @@ def identify(
     return result, fit.status_name != "start_diverged" and all(
         not row.diverged for row in pooled
     )
+
+
+def _grown(
+    chosen: Solution[Selection], train: Dataset, plan: Plan
+) -> Solution[Network]:
+    """The network to refine: of one model, what a choice in free run ended with."""
+    network = chosen.stats.get("network")
+    if network is not None and isinstance(plan.grow, Global):
+        return Solution(network, chosen.status, {})
+    return grow(chosen.value, train, plan.grow)
 
 
 def _needed(data: Dataset, plan: Plan) -> Dataset:

@@ -26,6 +26,14 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def selection_progress(row: dict[str, Any]) -> None:
+    """A line for every round of a selection on simulation error."""
+    say(
+        f"  {row['terms']:3d} of {row['of']} terms, training NRMSE "
+        f"{row['loss'] ** 0.5:.4f}: {row['term']} {row['what']}"
+    )
+
+
 @contextmanager
 def refinement_progress() -> Iterator[Progress]:
     """A callback for `refine`: loss, horizon and time left while it runs."""

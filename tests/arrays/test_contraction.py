@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles import full_pool, term_matrix
 
-from jaxnarx.arrays.contraction import BLOCK, TILE, contract, plan, positions
+from jaxnarx.arrays.contraction import BLOCK, LANES, contract, plan, positions
 
 compiled = jax.jit(contract, static_argnames="degree")
 
@@ -37,13 +37,14 @@ def assert_products(found, v, q, factor, *, eps=2.2e-16):
     assert np.all(np.abs(found - expected) <= (v.shape[1] + 5) * eps * magnitude)
 
 
-# Variables (without the one) that make the right-hand side end before, at and after a
-# tile's border; at degree 4 the right side holds pairs, 32 to a tile: 28, 36 and 66.
+# Variables (without the one) that fill the right-hand side to before, at and after its
+# rounded width, and enough of them for one, two and many groups. At degree 4 the right
+# side holds pairs: 3, 15, 36 and 66.
 SIZES = [
-    *((1, n) for n in (1, TILE - 1, TILE, 2 * TILE)),
-    *((2, n) for n in (1, TILE - 1, TILE, TILE + 3)),
-    *((3, n) for n in (1, TILE - 2, TILE - 1, TILE)),
-    *((4, n) for n in (1, 6, 7, 10)),
+    *((1, n) for n in (1, LANES - 1, LANES)),
+    *((2, n) for n in (1, LANES - 1, LANES, 3 * LANES)),
+    *((3, n) for n in (1, LANES - 1, LANES, 27)),
+    *((4, n) for n in (1, 4, 7, 10)),
 ]
 
 
@@ -88,6 +89,23 @@ def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
     assert_products(
         np.asarray(found)[:, positions(factor, 5)], v[:, keep], q[:, keep], factor
     )
+
+
+@pytest.mark.parametrize("time", [40, BLOCK + 8])
+def test_squared_is_the_contraction_of_the_squares(time):
+    v, q = problem(4, time)
+    factor = full_pool(4, 3)
+    found = contract(jnp.asarray(v), jnp.asarray(q), 3, squared=True)
+    assert_products(np.asarray(found)[:, positions(factor, 5)], v**2, q, factor)
+
+
+@pytest.mark.parametrize("squared", [False, True])
+def test_no_copy_of_the_variables_is_made(squared):
+    v, q = (jnp.zeros((n, 64 * BLOCK)) for n in (10, 1))
+    search = jax.jit(lambda v, q: contract(v, q, 3, squared=squared))
+    memory = search.lower(v, q).compile().memory_analysis()
+    assert memory is not None
+    assert memory.temp_size_in_bytes < v.nbytes / 4
 
 
 def test_vmap_over_data_is_a_loop():
