@@ -161,6 +161,32 @@ def test_beds_of_chapter_3(tmp_path):
 
 
 @pytest.mark.slow
+def test_models_of_chapter_5(tmp_path):
+    done = experiment("thesis/chapter5_miso.py", "--out", str(tmp_path))
+    assert "F history of CORR" in done.stdout
+    content = json.loads((tmp_path / "chapter5_miso.json").read_text())
+    for output in ("TRQ", "AFR"):
+        found = content["figures"][output]
+        first = found["models"]["CORR"]
+        # One row of partial F is that of the model, to its last term.
+        assert set(first["history"][-1]) == set(first["terms"])
+        assert len(found["models"]["ERR"]["terms"]) == (16 if output == "TRQ" else 12)
+        fitted = {
+            name: model["quality"]["identification"]["one_step"]
+            for name, model in found["models"].items()
+        }
+        assert all(row["r2"] > 95 for row in fitted.values())
+        # Cp is n for the model that gives sigma^2, whatever the data.
+        sizes = {name: model["size"] for name, model in found["models"].items()}
+        largest = [k for k, size in sizes.items() if size == max(sizes.values())]
+        assert abs(min(fitted[k]["cp"] for k in largest) - max(sizes.values())) < 1e-6
+        for row in found["unseen_r2"].values():
+            assert len(row["free_run"]["values"]) == 2
+        assert (tmp_path / f"chapter5_{output}.png").stat().st_size > 10_000
+    assert (tmp_path / "chapter5_spread.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_optimal_excitation_of_chapter_6(tmp_path):
     experiment("thesis/chapter6_optimal_excitation.py", "--out", str(tmp_path))
     content = json.loads((tmp_path / "chapter6_optimal_excitation.json").read_text())

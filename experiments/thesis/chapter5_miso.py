@@ -38,12 +38,13 @@ chapter5_spread.png. Tables are those of the first of ten seeds.
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib.figure
 import numpy as np
+from chapter5_figures import draw_prediction, draw_spread
 from chapter5_tables import (
     MODES,
     PARTS,
@@ -61,7 +62,6 @@ from jaxnarx import (
     ForwardOLS,
     Network,
     Pool,
-    Selection,
     SimulationOLS,
     StepwiseF,
     polynomial_pool,
@@ -70,8 +70,9 @@ from jaxnarx import (
     simulate,
 )
 from jaxnarx.engines import PfiDyno, records
+from jaxnarx.regressors import term_name, variable_names
 from jaxnarx.selection.sizes import network_of
-from jaxnarx.shell.style import BLUE, GREY, INK, ORANGE, RED, canvas, save, styled
+from jaxnarx.shell.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -132,16 +133,203 @@ def bench(seed: int, length: int) -> dict[str, Dataset]:
     }
 
 
-def coefficients(network: Network, pool: Pool) -> dict[str, float]:
+def coefficients(network: Network) -> dict[str, float]:
     """Coefficients for signals in their units, by term."""
-    local = network.models[0].local
-    gain = np.asarray(network.gain)
-    of_variable = np.concatenate([[1.0], gain[[s for s, _ in pool.variables]]])
-    names, out = pool.variable_names, gain[network.signals[0]]
+    local, gain = network.models[0].local, np.asarray(network.gain)
+    names = variable_names(network.channels, network.variables)
+    size = np.array([1.0, *(gain[signal] for signal, _ in network.variables)])
+    values = np.asarray(local.dense())[0] * gain[network.signals[0]]
+    rows = zip(np.asarray(local.factor), values, strict=True)
+    return {
+        term_name(names, row.tolist()): float(value / np.prod(size[row]))
+        for row, value in rows
+        if value != 0
+    }
+
+
+def identified(data: Dataset, pool: Pool, method: Any) -> dict[str, Any]:
+    """Chosen terms, their history if there is one, and both runs on both records."""
+    found = select(pool, data[0], method)
+    selection = found.value
+    network = found.stats.get("network", network_of(selection, data[0]))
+    model: dict[str, Any] = {
+        "status": found.status_name,
+        "condition": float(found.stats["cond"][0]),
+        "size": selection.size(),
+        "terms": coefficients(network),
+    }
+    if isinstance(method, StepwiseF):
+        model["f_level"] = float(found.stats["f_level"])
+        model["history"] = found.stats["history"][0]
+    model["runs"] = {
+        part: {mode: errors(network, data[i], run) for mode, run in RUNS.items()}
+        for i, part in enumerate(PARTS)
+    }
+    return model
+
+
+def errors(network: Network, data: Dataset, run: Callable) -> dict[str, Any]:
+    """Measured and predicted output where it is scored, and whether it diverged."""
+    value = run(network, data).value
+    scored = value.scored[0][:, 0]
+    return {
+        "at": np.flatnonzero(scored),
+        "measured": data.records[0].y[scored, 0],
+        "predicted": value.outputs[0][scored, 0],
+        "diverged": bool(value.diverged[0][0]),
+    }
+
+
+# figures of merit -----------------------------------------------------------------
+
+
+def squared(run: dict[str, Any]) -> float:
+    """Sum of squared errors."""
+    return float(np.sum((run["measured"] - run["predicted"]) ** 2))
+
+
+def noise_variance(models: dict[str, dict]) -> float:
+    """SSE/(N - n) one step ahead of the largest model that is compared, (5.34)."""
+    largest = max(model["size"] for model in models.values())
+    runs = [
+        model["runs"]["identification"]["one_step"]
+        for model in models.values()
+        if model["size"] == largest
+    ]
+    return min(squared(run) / (len(run["at"]) - largest) for run in runs)
+
+
+def quality(run: dict[str, Any], terms: int, variance: float) -> dict[str, Any]:
+    """R2 [%] (5.32), Cp (5.33), FPE (5.35) and the root mean square error."""
+    n, sse, y = len(run["at"]), squared(run), run["measured"]
+    return {
+        "r2": 100.0 * (1.0 - sse / float(np.sum((y - y.mean()) ** 2))),
+        "cp": sse / variance - n + 2 * terms,
+        "fpe": n * float(np.log(sse / n) + np.log((n + terms) / (n - terms))),
+        "rmse": float(np.sqrt(sse / n)),
+        "samples": n,
+        "diverged": run["diverged"],
+    }
+
+
+def judged(models: dict[str, dict]) -> dict[str, dict]:
+    """All models of one output with their quality in place of the runs."""
+    variance = noise_variance(models)
+    return {
+        name: {k: v for k, v in model.items() if k != "runs"}
+        | {
+            "quality": {
+                part: {
+                    mode: quality(run, model["size"], variance)
+                    for mode, run in runs.items()
+                }
+                for part, runs in model["runs"].items()
+            }
+        }
+        for name, model in models.items()
+    }
+
+
+def spread(seeds: list[dict[str, dict]]) -> dict[str, dict]:
+    """Unseen R2 of every method over the seeds, and how many free runs diverged."""
     found = {}
-    for row, theta in zip(
-        np.asarray(local.factor), np.asarray(local.theta)[0], strict=True
-    ):
-        text = "*".join(names[v - 1] for v in row if v) or "1"
-        found[text] = float(theta * out / np.prod(of_variable[row]))
+    for name in seeds[0]:
+        rows = [models[name]["quality"]["unseen"] for models in seeds]
+        found[name] = {
+            "terms_median": float(
+                np.median([models[name]["size"] for models in seeds])
+            ),
+            "diverged": sum(row["free_run"]["diverged"] for row in rows),
+        }
+        for mode in MODES:
+            values = [row[mode]["r2"] for row in rows]
+            found[name][mode] = {
+                "least": min(values),
+                "median": float(np.median(values)),
+                "largest": max(values),
+                "values": values,
+            }
     return found
+
+
+def wins(seeds: list[dict[str, dict]]) -> dict[str, int]:
+    """In how many seeds CORR has the larger unseen R2 than ERR."""
+    return {
+        mode: sum(
+            models["CORR"]["quality"]["unseen"][mode]["r2"]
+            > models["ERR"]["quality"]["unseen"][mode]["r2"]
+            for models in seeds
+        )
+        for mode in MODES
+    }
+
+
+# the run --------------------------------------------------------------------------
+
+
+def show(output: str, models: dict[str, dict], seeds: list[dict[str, dict]]) -> None:
+    """Print the tables of one output."""
+    pair = {name: models[name] for name in ("CORR", "ERR")}
+    print(f"\n== {output} ==\n\nF history of CORR (Table 5.2)")
+    print(f_table(models["CORR"]["history"]))
+    print(f"\nTerms (Tables 5.3, 5.4)\n{term_table(pair)}")
+    print("\nQuality (Table 5.5); * held at its bounds too often")
+    print(quality_table(output, models))
+    print(f"\nUnseen R2 [%] over {len(seeds)} seeds\n{spread_table(spread(seeds))}")
+    count, total = wins(seeds), len(seeds)
+    print(
+        f"\nCORR beats ERR in {count['one_step']} of {total} seeds one step ahead, in "
+        f"{count['free_run']} in the free run."
+    )
+
+
+def measured(seed: int, *, smoke: bool) -> dict[str, dict]:
+    """Models of both outputs from the records of one seed."""
+    found = {}
+    for output, data in bench(seed, 200 if smoke else LENGTH).items():
+        lags = SMOKE_LAGS if smoke else (INPUT_LAGS, OUTPUT_LAGS)
+        pool = polynomial_pool(
+            data.channels, input_lags=lags[0], output_lags=lags[1], degree=DEGREE
+        )
+        found[output] = {
+            name: identified(data, pool, method)
+            for name, method in methods(ITERATIONS[output]).items()
+            if not (smoke and name == "SimulationOLS")
+        }
+    print(f"seed {seed} done", flush=True)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="CORR against ERR on pfi-dyno.")
+    parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
+    parser.add_argument("--smoke", action="store_true", help="two seeds, short delays")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    seeds: dict[str, list[dict]] = {"TRQ": [], "AFR": []}
+    first: dict[str, dict] = {}
+    for seed in range(2 if options.smoke else SEEDS):
+        found = measured(seed, smoke=options.smoke)
+        first = first or found
+        for output, models in found.items():
+            seeds[output].append(judged(models))
+    figures: dict[str, Any] = {"thesis_table_5_5": THESIS, "noise": NOISE}
+    for channel in (TORQUE, RATIO):
+        output = channel.name
+        show(output, seeds[output][0], seeds[output])
+        figures[output] = {
+            "models": seeds[output][0],
+            "seeds": len(seeds[output]),
+            "unseen_r2": spread(seeds[output]),
+            "corr_beats_err": wins(seeds[output]),
+        }
+        drawn = draw_prediction(channel, first[output])
+        save(drawn, folder / f"chapter5_{output}.png")
+    save(draw_spread(seeds), folder / "chapter5_spread.png")
+    record("chapter5_miso", figures, folder=folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -22,10 +22,11 @@ PARTS = ("identification", "unseen")
 def f_table(rounds: Sequence[Mapping[str, float]], limit: int = 7) -> str:
     """Table 5.2: partial F of every term in the model after each round.
 
-    Columns are terms in order of entry, the constant left out; an empty place is a term
-    that has left.
+    Columns are terms in order of entry, the constant and its round left out; an empty
+    place right of the first is a term that is not in the model.
     """
-    shown = [{k: f for k, f in row.items() if k != "1"} for row in rounds[:limit]]
+    rows = [{k: f for k, f in row.items() if k != "1"} for row in rounds]
+    shown = [row for row in rows if row][:limit]
     names = list(dict.fromkeys(name for row in shown for name in row))
     lines = ["round" + "".join(f"{f'Reg{i + 1}':>11}" for i in range(len(names)))]
     for i, row in enumerate(shown):
@@ -49,10 +50,10 @@ def quality_table(output: str, models: Mapping[str, Mapping[str, Any]]) -> str:
     width = max(map(len, models)) + 2
     lines = []
     for part in PARTS:
-        above = "".join(f"{mode.replace('_', ' '):>27}" for mode in (*MODES, "thesis"))
+        heads = ("one step", "free run", *(["thesis"] if part == "unseen" else []))
         below = f"{'R2 %':>9}{'Cp':>9}{'FPE':>9}"
-        lines += [f"{part:<{width + 6}}{above}"]
-        lines += [f"{'':<{width}}{'terms':>6}{below * 3}"]
+        lines.append(f"{part:<{width + 6}}" + "".join(f"{h:>27}" for h in heads))
+        lines.append(f"{'':<{width}}{'terms':>6}{below * len(heads)}")
         for name, model in models.items():
             cells = [_cells(model["quality"][part][mode]) for mode in MODES]
             printed = THESIS[output].get(name)
@@ -63,8 +64,9 @@ def quality_table(output: str, models: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _cells(row: Mapping[str, Any]) -> str:
-    star = "*" if row.get("diverged") else ""
-    return f"{f'{row["r2"]:.2f}{star}':>9}{row['cp']:9.0f}{row['fpe']:9.0f}"
+    """R2, with a star for a run that was held at its bounds too often, Cp and FPE."""
+    r2 = f"{row['r2']:.2f}" + ("*" if row.get("diverged") else "")
+    return f"{r2:>9}{row['cp']:9.0f}{row['fpe']:9.0f}"
 
 
 def spread_table(methods: Mapping[str, Mapping[str, Any]]) -> str:

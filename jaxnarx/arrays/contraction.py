@@ -24,7 +24,7 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 BLOCK = 512
 """Samples per block, at most: a block's left products stay near the cache."""
@@ -215,7 +215,7 @@ def contract(
     q: Float[Array, "vectors time"],
     degree: int,
     *,
-    squared: bool = False,
+    squared: bool | Bool[Array, ""] = False,
 ) -> Float[Array, "vectors products"]:
     """All products of up to `degree` variables, summed against each vector of `q`.
 
@@ -223,7 +223,8 @@ def contract(
     term stands in it, other entries mean nothing. Twice the length of the result
     floating-point operations per sample and vector; memory of one block beside the
     result. Several vectors in one call share the left products. `squared` takes the
-    squares of `v`, as norms of terms need them, without a second `v` in memory.
+    squares of `v`, as norms of terms need them, without a second `v` in memory; it may
+    be traced, so that one program serves both.
     """
     tables = plan(v.shape[0], degree)
     vectors, length = q.shape
@@ -235,7 +236,9 @@ def contract(
         return jnp.pad(x, ((0, 0), (0, size - rest)))
 
     def powers(v):
-        return v * v if squared else v
+        if isinstance(squared, bool):
+            return v * v if squared else v
+        return v * jnp.where(squared, v, 1.0)
 
     def body(carry, start):
         """Add the block that is carried, and fetch the next one.

@@ -42,7 +42,7 @@ from jaxnarx.selection.basis import (
     squared_error,
     swaps,
 )
-from jaxnarx.selection.path import History, Path, path_of
+from jaxnarx.selection.path import History
 
 ENTERING, EXCHANGING, DONE = range(3)
 WORTH = 1e-9
@@ -89,42 +89,58 @@ class State(eqx.Module):
     history: History
 
 
-def search(
+def make_lanes(
     v: Float[Array, "vars rows"],
     y: Float[Array, "lanes rows"],
     weight: Float[Array, "lanes rows"],
     factor: Int[Array, "terms degree"],
     position: Int[Array, " terms"],
-    program: Program,
     start: Int[Array, "lanes start"],
     starts: Int[Array, " lanes"],
-    *,
-    max_terms: int,
-    removes: bool,
-    exchanges: bool,
-) -> Path:
-    """Run the search on every lane at once; they share each pass over the pool.
+) -> Lane:
+    """Every output, or weighting, as a lane, with two passes over the pool.
 
-    The first `starts` terms of `start` enter before any choice. `position` comes from
-    `arrays.contraction.positions`. `removes` and `exchanges` are static: a plain
-    forward search does not carry their code.
+    `position` comes from `arrays.contraction.positions`; the first `starts` terms of
+    `start` enter before any choice.
     """
-    degree = factor.shape[1]
+    norm, moment = jax.lax.map(
+        lambda a: contract(v, a[0], factor.shape[1], squared=a[1])[:, position],
+        (jnp.stack([weight, weight * y]), jnp.array([True, False])),
+    )
     root = jnp.sqrt(weight)
-
-    def products(vectors):
-        return contract(v, vectors * root, degree)[:, position]
-
-    lanes = Lane(
+    return Lane(
         target=y * root,
         root=root,
-        norm=contract(v, weight, degree, squared=True)[:, position],
-        moment=products(y * root),
+        norm=norm,
+        moment=moment,
         power=jnp.sum(weight * y**2, axis=1),
         samples=jnp.sum((weight > 0).astype(y.dtype), axis=1),
         start=start,
         starts=starts,
     )
+
+
+def search(
+    v: Float[Array, "vars rows"],
+    lanes: Lane,
+    factor: Int[Array, "terms degree"],
+    position: Int[Array, " terms"],
+    program: Program,
+    *,
+    max_terms: int,
+    removes: bool,
+    exchanges: bool,
+) -> tuple[Basis, History]:
+    """Run the search on every lane at once; they share each pass over the pool.
+
+    `removes` and `exchanges` are static: a plain forward search does not carry their
+    code.
+    """
+    degree = factor.shape[1]
+
+    def products(vectors):
+        return contract(v, vectors * lanes.root, degree)[:, position]
+
     rounds = 4 * max_terms + 16 if removes else 0
 
     def body(s: State) -> State:
@@ -143,7 +159,7 @@ def search(
 
     begin = jax.vmap(partial(_start, program, max_terms, rounds))(lanes)
     end = jax.lax.while_loop(lambda s: jnp.any(s.phase != DONE), body, begin)
-    return jax.vmap(path_of)(end.basis, lanes, end.history)
+    return end.basis, end.history
 
 
 def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset, match_channels
@@ -17,16 +17,19 @@ from jaxnarx.methods import Anova, Backward, ForwardOLS, SimulationOLS, Stepwise
 from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.regressors.rows import Rows, regression_rows
 from jaxnarx.selection.anova import anova, significant_terms
-from jaxnarx.selection.path import Path, padded
+from jaxnarx.selection.path import Path, padded, path_of
 from jaxnarx.selection.program import Method, Plan, constant_term, plan
-from jaxnarx.selection.search import Program, search
+from jaxnarx.selection.search import Program, make_lanes, search
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
 from jaxnarx.selection.sizes import criteria_of
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.solution import RESULTS, Solution
 
+# Three programs rather than one: compiled together they take twice the memory.
+_lanes = jax.jit(make_lanes)
 _search = jax.jit(search, static_argnames=("max_terms", "removes", "exchanges"))
+_path = jax.jit(jax.vmap(path_of))
 
 
 def select(
@@ -145,29 +148,33 @@ def choose_terms(
     samples = int(np.asarray((rows.weight > 0).sum(axis=1)).min())
     dtype = rows.v.dtype
     made = plan(pool, method, usable, chosen, samples, dtype)
-    path = run(pool, rows, made)
+    path = run(rows.v, rows.y, rows.weight, pool.factor, made)
     if isinstance(method, ForwardOLS) and method.constant == "after":
         path = _with_constant(pool, rows, path)
     return path, made
 
 
-def run(pool: Pool, rows: Rows, made: Plan) -> Path:
-    """Run a plan on every lane of `rows`."""
-    return jax.block_until_ready(
-        _search(
-            rows.v,
-            rows.y,
-            rows.weight,
-            pool.factor,
-            positions(pool.factor, rows.v.shape[0]),
-            made.program,
-            made.start,
-            made.starts,
-            max_terms=made.max_terms,
-            removes=made.removes,
-            exchanges=made.exchanges,
-        )
+def run(
+    v: Float[Array, "vars rows"],
+    y: Float[Array, "lanes rows"],
+    weight: Float[Array, "lanes rows"],
+    factor: Int[np.ndarray, "terms degree"],
+    made: Plan,
+) -> Path:
+    """Run a plan on every lane."""
+    place = positions(factor, v.shape[0])
+    lanes = _lanes(v, y, weight, factor, place, made.start, made.starts)
+    basis, history = _search(
+        v,
+        lanes,
+        factor,
+        place,
+        made.program,
+        max_terms=made.max_terms,
+        removes=made.removes,
+        exchanges=made.exchanges,
     )
+    return jax.block_until_ready(_path(basis, lanes, history))
 
 
 def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
@@ -214,19 +221,22 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
         f_last=number,
         rounds=jnp.asarray(0),
     )
-    factor = np.arange(1, size + 1)[:, None]
-    path = _search(
-        jnp.concatenate([ones, columns]),
-        rows.y[lane][None],
-        rows.weight[lane][None],
-        factor,
-        positions(factor, size + 1),
+    made = Plan(
         nothing,
-        np.arange(size)[None],
-        np.array([size]),
+        start=np.arange(size)[None],
+        starts=np.array([size]),
         max_terms=size,
         removes=False,
         exchanges=False,
+        candidates=0,
+        f_level=0.0,
+    )
+    path = run(
+        jnp.concatenate([ones, columns]),
+        rows.y[lane][None],
+        rows.weight[lane][None],
+        np.arange(1, size + 1)[:, None],
+        made,
     )
     index = np.asarray(terms)[np.asarray(path.index)]
     return dataclasses.replace(path, index=jnp.asarray(index))
