@@ -7,10 +7,8 @@ import shlex
 import shutil
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from jaxnarx.data import (
     Channel,
@@ -73,22 +71,11 @@ def write(path: Path, columns: np.ndarray) -> None:
         writer.writerows(columns.T.tolist())
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """Compiled programs go to a folder of this module; jax is left as it was."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.delenv("JAXNARX_DATA", raising=False)
-        yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
+pytestmark = pytest.mark.usefixtures("own_settings")
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory, cache) -> Path:
+def files(tmp_path_factory, own_settings) -> Path:
     """Raw records, prepared ones, and a model of the prepared ones."""
     folder = tmp_path_factory.mktemp("engine")
     for k in range(4):

@@ -7,25 +7,13 @@ from typing import get_args, get_type_hints
 import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from jaxnarx.data import read_split
 from jaxnarx.engines import BEDS, Pfi
 from jaxnarx.shell import commands, simulate_engine
 from jaxnarx.shell.cli import run
 
-
-@pytest.fixture(autouse=True)
-def own_cache(monkeypatch, tmp_path):
-    """The command's settings of jax are undone; its cache is its own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("JAXNARX_DATA", raising=False)
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: jax.config.values[name] for name in names}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
+pytestmark = pytest.mark.usefixtures("own_settings")
 
 
 @pytest.fixture
