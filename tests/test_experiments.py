@@ -171,6 +171,7 @@ def test_models_of_chapter_5(tmp_path):
         # One row of partial F is that of the model, to its last term.
         assert set(first["history"][-1]) == set(first["terms"])
         assert len(found["models"]["ERR"]["terms"]) == (16 if output == "TRQ" else 12)
+        assert found["models"]["ERR, as many as CORR"]["size"] == first["size"]
         fitted = {
             name: model["quality"]["identification"]["one_step"]
             for name, model in found["models"].items()

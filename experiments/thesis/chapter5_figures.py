@@ -49,13 +49,7 @@ def draw_spread(outputs: dict[str, list[dict]]) -> matplotlib.figure.Figure:
         for label, color in (*COLORS.items(), ("held at its bounds", RED)):
             axes[1].scatter([], [], s=14, color=color, label=label.replace("_", " "))
         axes[1].plot([], [], "|", color=INK, ms=8, label="median")
-        axes[1].legend(
-            ncols=4,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            columnspacing=1.0,
-            handletextpad=0.2,
-        )
+        figure.legend(loc="outside upper right", ncols=4, handletextpad=0.2)
     return figure
 
 

@@ -14,7 +14,9 @@ What differs from the thesis:
 * the engine and its excitation. The thesis shows its records (figure 5.5) and does not
   say how they were made; here it is the bed's usual one, APRBS on duty and speed and on
   the pulse width about its stoichiometric value. Unseen data are a second record, not
-  the next 1,000 events of the same one;
+  the next 1,000 events of the same one. The bed's torque lacks what accelerates the
+  engine in the same event; delays from 1 do not see it, hence the spikes of the
+  one-step errors;
 * the pool has all products. The code of appendix B leaves out four of five cubic ones;
 * the threshold tau on the squared norm of an orthogonalised column depends on units,
   the thesis's are not known and ours are columns of mean square one. The row ERR uses
@@ -29,7 +31,17 @@ Both one-step predictions and free runs are scored. The thesis does not say what
 = 379,350 of the first torque term (Table 5.2) means 99.7 % there. AFR is measured input
 of the torque model in both.
 
-CONCLUSION
+What came out, as medians of the unseen R2 over ten seeds. One step ahead nothing is
+decided: torque 99.5 % for all but one row, air-fuel ratio 99.7 to 99.8 % for CORR and
+ERR. In the free run CORR wins both times, torque 96.6 against 94.4 % (in 7 of 10 seeds)
+and air-fuel ratio 74.7 against 61.0 % (10 of 10); the thesis has ERR ahead for the air-
+fuel ratio. What holds ERR back is mostly that it chooses for the output with its mean:
+with the constant first it has 96.3 and 74.2 %. With tau 1 two of ten free runs of
+torque diverge. Of our own settings, SimulationOLS is best for torque in the free run
+(98.5 %, and 99.0 % one step ahead) and not for the air-fuel ratio (69.1 %, one of ten
+diverges), where Backward() is (78.4 %). StepwiseF() is too strict here: it stops at 4
+terms of the air-fuel ratio, as no single candidate has the F of 23 it asks for, and its
+free run explains nothing.
 
 Run as `python experiments/thesis/chapter5_miso.py [--out DIR] [--smoke]`. Writes
 chapter5_miso.json, chapter5_TRQ.png and chapter5_AFR.png (figures 5.6 and 5.7) and
@@ -84,6 +96,7 @@ F_IN, F_OUT = 5.5, 4.0
 ITERATIONS = {"TRQ": 15, "AFR": 11}  # of Tables 5.3 and 5.4
 INPUTS = (Channel("ABV", "-"), Channel("FPW", "ms"), Channel("RPM", "rpm"))
 RATIO, TORQUE = Channel("AFR", "-"), Channel("TRQ", "Nm")
+AS_MANY = "ERR, as many as CORR"
 NOISE = {"TRQ": 0.4, "AFR": 0.03}  # standard deviation, of the bed
 RUNS = {"one_step": predict, "free_run": simulate}
 
@@ -93,18 +106,21 @@ def methods(terms: int) -> dict[str, Any]:
     thesis: dict[str, Any] = {"f_in": F_IN, "f_out": F_OUT, "exchange": False}
     return {
         "CORR": StepwiseF(max_terms=terms + 1, **thesis),
-        "ERR": ForwardOLS(max_terms=terms, constant="after", tau=0, tau_absolute=1e-9),
+        "ERR": _err(terms),
         "CORR staged (2, 3, 3)": StepwiseF(
             max_terms=terms + 1, stages=(2, 3, 3), **thesis
         ),
-        "ERR, tau 1": ForwardOLS(
-            max_terms=terms, constant="after", tau=0, tau_absolute=1
-        ),
+        "ERR, tau 1": _err(terms, tau=1),
         "ERR, constant first": ForwardOLS(max_terms=terms + 1),
         "StepwiseF()": StepwiseF(),
         "Backward()": Backward(),
         "SimulationOLS": SimulationOLS(max_terms=terms + 1),
     }
+
+
+def _err(terms: int, tau: float | int = 1e-9) -> ForwardOLS:
+    """Appendix B: the constant is added after the choice."""
+    return ForwardOLS(max_terms=terms, constant="after", tau=0, tau_absolute=tau)
 
 
 # data and models ------------------------------------------------------------------
@@ -291,11 +307,13 @@ def measured(seed: int, *, smoke: bool) -> dict[str, dict]:
         pool = polynomial_pool(
             data.channels, input_lags=lags[0], output_lags=lags[1], degree=DEGREE
         )
-        found[output] = {
+        models = {
             name: identified(data, pool, method)
             for name, method in methods(ITERATIONS[output]).items()
             if not (smoke and name == "SimulationOLS")
         }
+        fewer = _err(max(models["CORR"]["size"] - 1, 1))
+        found[output] = models | {AS_MANY: identified(data, pool, fewer)}
     print(f"seed {seed} done", flush=True)
     return found
 

@@ -123,6 +123,11 @@ def _on_free_run(
             field="outputs",
         )
     start = chosen[0]
+    if len(start) > method.max_terms:
+        raise SpecError(
+            f"the start has {len(start)} terms, max_terms is {method.max_terms}",
+            field="max_terms",
+        )
     if not start:
         few = ForwardOLS(max_terms=min(method.start_terms, len(pool)))
         path, _ = choose_terms(pool, rows, few, usable, [[]])

@@ -264,6 +264,10 @@ def simulation_ols(
     mark, idle = float(solution.stats["loss"]), 0
     while idle <= method.patience:
         short, slope, gram, loss = r.candidates(terms, theta, task)
+        if not np.all(np.isfinite(gram)):
+            status = RESULTS.diverged
+            detail = "the run is so unstable that its sensitivities overflow"
+            break
         gained, left = promises(slope, gram, len(terms))
         gained = np.where(left > method.tau, gained, 0.0)
         if not short or not np.max(gained) > 0.0:
@@ -278,7 +282,7 @@ def simulation_ols(
         idle += 1
         if float(solution.stats["loss"]) < (1.0 - method.least_gain) * mark:
             mark, idle = float(solution.stats["loss"]), 0
-    if len(terms) == method.max_terms:
+    if len(terms) == method.max_terms and status == RESULTS.no_improvement:
         status = RESULTS.ok
     elif status == RESULTS.no_improvement:
         detail = f"no further term made the free run better (loss {mark:.4g})"
