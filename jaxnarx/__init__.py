@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from jaxnarx.regressors import time_constants as time_constants
     from jaxnarx.selection import Selection as Selection
     from jaxnarx.selection import choose as choose
+    from jaxnarx.selection import coefficient_table as coefficient_table
     from jaxnarx.selection import select as select
     from jaxnarx.selection import select_each as select_each
     from jaxnarx.selection import select_weighted as select_weighted
@@ -66,8 +67,8 @@ _HOME = {
         "Kautz Laguerre LowPass Orthonormal Pool kautz_bank laguerre_bank "
         "low_pass_bank orthonormal_bank polynomial_pool time_constants"
     ),
-    "selection": "Selection choose select select_each select_weighted "
-    "selection_frequency",
+    "selection": "Selection choose coefficient_table select select_each "
+    "select_weighted selection_frequency",
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
 }

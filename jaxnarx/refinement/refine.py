@@ -112,8 +112,18 @@ def refine(
         validation, _ = match_channels(validation, network.channels)
         guard, _ = make_task(network, validation, spread)
     layout = make_layout(network, trainable, method.width_band)
-    search = _Search(layout, task, guard, method, progress)
-    return search.solve()
+    return refine_task(layout, task, guard, method, progress)
+
+
+def refine_task(
+    layout: Layout,
+    task: Task,
+    guard: Task,
+    method: SimulationError,
+    progress: Progress | None = None,
+) -> Solution[Network]:
+    """`refine` on prepared data, for those who refine many networks on the same."""
+    return _Search(layout, task, guard, method, progress).solve()
 
 
 def _on_host(equations) -> tuple[float, np.ndarray, np.ndarray]:

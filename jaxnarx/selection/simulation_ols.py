@@ -36,10 +36,9 @@ from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.data import Dataset
 from jaxnarx.methods import SimulationError, SimulationOLS
 from jaxnarx.models import Network, assemble, depth, global_model
-from jaxnarx.refinement import refine
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import linearised, normal_equations, seen_history
-from jaxnarx.refinement.refine import Task, make_task
+from jaxnarx.refinement.refine import make_task, refine_task
 from jaxnarx.regressors import Pool
 from jaxnarx.simulation import Drive, run
 from jaxnarx.solution import RESULTS
@@ -99,11 +98,14 @@ class _Rounds:
     """Bookkeeping of the rounds on the host."""
 
     def __init__(self, pool: Pool, data: Dataset, gain, method, usable, progress):
-        self.pool, self.data, self.gain = pool, data, gain
+        self.pool = pool
         self.method: SimulationOLS = method
         self.usable, self.progress = usable.copy(), progress
         self.position = positions(pool.factor, len(pool.variables) + 1)
         self.history: list[dict[str, Any]] = []
+        first = global_model(pool.factor[:1], np.zeros(1, gain.dtype))
+        self.base = assemble(pool, data, gain, [first])
+        self.task, _ = make_task(self.base, data)
         # One slot to spare: a full model takes a term in before it drops another.
         self.slots = method.max_terms + 1
 
@@ -111,28 +113,36 @@ class _Rounds:
         """`terms` with coefficients, padded to `slots` so that programs are shared."""
         spare = slots - len(terms)
         factor = self.pool.factor[np.array([*terms, *[0] * spare], int)]
-        model = global_model(factor, np.r_[theta, np.zeros(spare)].astype(float))
+        value = np.r_[theta, np.zeros(spare)].astype(self.base.gain.dtype)
+        model = global_model(factor, value)
         used = jnp.asarray(np.arange(slots) < len(terms))[None]
         model = eqx.tree_at(lambda m: m.local.used, model, used)
-        return assemble(self.pool, self.data, self.gain, [model])
+        return eqx.tree_at(lambda n: n.models, self.base, (model,))
 
     def refined(self, terms, theta, *, first: bool = False):
         """Coefficients after refinement on the free run, and how it ended."""
         network = self.network(terms, theta, self.slots)
-        horizons = HORIZONS if first else ()
         steps = SimulationError(
-            horizons=horizons, max_steps=self.method.steps, window_steps=10
+            horizons=HORIZONS if first else (),
+            max_steps=self.method.steps,
+            window_steps=10,
         )
-        solution = refine(network, self.data, steps)
+        layout = make_layout(network, None, (0.5, 2.0))
+        solution = refine_task(layout, self.task, self.task, steps)
         theta = np.asarray(solution.value.models[0].local.coefficient)[0, : len(terms)]
         return theta, solution
 
-    def candidates(self, terms, theta, task: Task):
+    def candidates(self, terms, theta):
         """The shortlist, and the Gram matrix of chosen and shortlisted columns."""
         network = self.network(terms, theta, self.slots)
-        anchor = task.anchors(None)
+        anchor = self.task.anchors(None)
         g, norm, loss = pool_derivatives(
-            network, task.drive, anchor, task.weight, self.pool.factor, self.position
+            network,
+            self.task.drive,
+            anchor,
+            self.task.weight,
+            self.pool.factor,
+            self.position,
         )
         g, norm = np.asarray(g), np.asarray(norm)
         open_ = self.usable & (norm > 0)
@@ -145,12 +155,12 @@ class _Rounds:
         wide = self.network(both, np.r_[theta, np.zeros(len(short))], slots)
         layout = make_layout(wide, None, (0.5, 2.0))
         _, slope, gram = normal_equations(
-            layout, layout.gather(wide), task.drive, anchor, task.weight
+            layout, layout.gather(wide), self.task.drive, anchor, self.task.weight
         )
         size = len(both)
         return short, np.asarray(slope)[:size], np.asarray(gram)[:size, :size], loss
 
-    def changed(self, terms, theta, solution, term: int, task: Task):
+    def changed(self, terms, theta, solution, term: int):
         """After one more term, or with it in the place of another; or as it was.
 
         The loss falls, by `least_gain` where the model gets larger, or everything
@@ -159,7 +169,7 @@ class _Rounds:
         before = float(solution.stats["loss"])
         more = [*terms, term]
         after, tried = self.refined(more, np.r_[theta, 0.0])
-        fewer, less, thinner = self.thinned(more, after, tried, task, before)
+        fewer, less, thinner = self.thinned(more, after, tried, before)
         if fewer is not None and thinner.stats["loss"] < before:
             dropped = next(t for t in more if t not in fewer)
             self.tell(fewer, term, thinner, f"taken in for {self.pool.name(dropped)}")
@@ -171,7 +181,7 @@ class _Rounds:
         self.tell(terms, term, solution, "refused")
         return terms, theta, solution
 
-    def thinned(self, terms, theta, solution, task: Task, before: float):
+    def thinned(self, terms, theta, solution, before: float):
         """Without the term that costs least, the newest excepted; or None for terms.
 
         None where the loss would come out above `before`, unless a term must go.
@@ -179,7 +189,11 @@ class _Rounds:
         network = self.network(terms, theta, self.slots)
         layout = make_layout(network, None, (0.5, 2.0))
         _, _, gram = normal_equations(
-            layout, layout.gather(network), task.drive, task.anchors(None), task.weight
+            layout,
+            layout.gather(network),
+            self.task.drive,
+            self.task.anchors(None),
+            self.task.weight,
         )
         size = len(terms)
         cost = costs(theta, np.asarray(gram)[:size, :size])
@@ -250,7 +264,6 @@ def simulation_ols(
     r = _Rounds(pool, data, gain, method, usable, progress)
     terms = list(start)
     theta, solution = r.refined(terms, theta, first=True)
-    task, _ = make_task(solution.value, data)
     if solution.stats["start_diverged"] and solution.status == RESULTS.start_diverged:
         return Found(
             solution.value,
@@ -263,7 +276,7 @@ def simulation_ols(
     status, detail = RESULTS.no_improvement, ""
     mark, idle = float(solution.stats["loss"]), 0
     while idle <= method.patience:
-        short, slope, gram, loss = r.candidates(terms, theta, task)
+        short, slope, gram, loss = r.candidates(terms, theta)
         if not np.all(np.isfinite(gram)):
             status = RESULTS.diverged
             detail = "the run is so unstable that its sensitivities overflow"
@@ -278,7 +291,7 @@ def simulation_ols(
             break
         term = short[best]
         r.usable[term] = False
-        terms, theta, solution = r.changed(terms, theta, solution, term, task)
+        terms, theta, solution = r.changed(terms, theta, solution, term)
         idle += 1
         if float(solution.stats["loss"]) < (1.0 - method.least_gain) * mark:
             mark, idle = float(solution.stats["loss"]), 0

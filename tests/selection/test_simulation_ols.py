@@ -130,7 +130,7 @@ def test_filtered_columns_are_what_the_run_changes_by(data, start, rounds):
     task, _ = make_task(network, data)
     theta = np.asarray(network.models[0].local.coefficient)[0]
     terms = selection.terms()
-    short, slope, gram, _ = rounds.candidates(terms, theta, task)
+    short, slope, gram, _ = rounds.candidates(terms, theta)
     both, step = [*terms, *short], 1e-6
     slots = rounds.slots + METHOD.shortlist
     weight = np.sqrt(np.asarray(task.weight))

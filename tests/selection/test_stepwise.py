@@ -11,9 +11,10 @@ from common import W, Y
 from test_select import PROBLEMS, formed, pool, rows_of
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
+from jaxnarx.methods import Backward, ForwardOLS, Global, StepwiseF
+from jaxnarx.partition import grow
 from jaxnarx.regressors import Pool
-from jaxnarx.selection import Selection, select
+from jaxnarx.selection import Selection, coefficient_table, select
 
 TERMS = 12
 LEVEL = 9.0
@@ -106,6 +107,18 @@ def test_the_result_is_that_of_refitting_the_chosen_terms():
     np.testing.assert_allclose(solution.stats["t"][0, :size], t, rtol=1e-7)
     last = list(solution.stats["history"][0][-1].values())
     np.testing.assert_allclose(last, t**2, rtol=1e-7)
+
+
+def test_the_table_is_in_physical_units():
+    solution = choose("white", StepwiseF(max_terms=TERMS))
+    lines = coefficient_table(solution.value).splitlines()
+    assert len(lines) == 2 + solution.value.size()
+    network = grow(solution.value, common.from_rows(rows_of("white")), Global()).value
+    physical = dict(network.equations()[0]["terms"])
+    for line, t in zip(lines[2:], solution.stats["t"][0], strict=False):
+        name, _, coefficient, _, shown_t, _ = line.split()
+        assert float(coefficient) == pytest.approx(physical[name], rel=1e-5)
+        assert float(shown_t) == pytest.approx(t, abs=0.005)
 
 
 def test_criteria_of_every_nested_size_are_those_of_refits():
