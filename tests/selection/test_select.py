@@ -168,6 +168,14 @@ def test_terms_err_and_coefficients_equal_the_dense_search(problem):
     assert solution.stats["samples"] == [len(y)]
 
 
+def test_degree_four_equals_the_dense_search():
+    rows, source = rows_of("white"), pool(degree=4)
+    solution = choose(rows, source=source)
+    p, y, _ = formed(rows, source)
+    assert p.shape[1] == 210
+    assert_equals(solution, oracles.forward_ols_dense(p, y, TERMS))
+
+
 def test_nested_sums_of_squares_and_criteria_are_those_of_refitted_models():
     rows = rows_of("slow")
     p, y, _ = formed(rows, pool())
