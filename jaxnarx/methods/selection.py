@@ -92,6 +92,8 @@ class StepwiseF:
     noise is far above the table value of about 4: the default level is the one that the
     largest F of all candidates exceeds by chance with probability `significance`
     (Bonferroni), the quantile 1 - significance / candidates of F(1, N - max_terms).
+    A search that takes in one term at a time stops where only several together would
+    help; `Backward`, which starts from more terms, does not.
     """
 
     max_terms: int = 25
