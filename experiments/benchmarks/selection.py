@@ -34,7 +34,7 @@ RATIOS = {"SysIdentPy FROLS": 30.0, "fastcan FastCan": 15.0}
 SHARE = 0.6
 """Target of the bare pass: nominal operations over the rate of matrix products."""
 
-PEER_LIMIT = 600.0
+PEER_LIMIT = 300.0
 """Seconds after which a peer is stopped."""
 
 COPIES = 6

@@ -26,6 +26,7 @@ import numpy as np
 import jaxnarx as jnx
 from jaxnarx.data import Dataset, hold_out
 from jaxnarx.evaluation.metrics import nrmse, rmse
+from jaxnarx.shell.progress import selection_progress
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record, results_folder  # noqa: E402
@@ -44,7 +45,9 @@ MEMORIES = {
 METHODS = {
     "ERR": jnx.ForwardOLS(max_terms=TERMS),
     "stepwise F": jnx.StepwiseF(max_terms=TERMS),
-    "simulation error": jnx.SimulationOLS(max_terms=TERMS, shortlist=60, steps=5),
+    "simulation error": jnx.SimulationOLS(
+        max_terms=TERMS, shortlist=40, steps=4, max_rounds=40
+    ),
 }
 REFINEMENT = jnx.SimulationError(window_steps=10, max_steps=30)
 
@@ -83,7 +86,7 @@ def fit(
     """One row: choose, fit, refine, score."""
     pool = pool_of(train, output, MEMORIES[memory])
     begin = time.perf_counter()
-    chosen = jnx.select(pool, train, METHODS[how])
+    chosen = jnx.select(pool, train, METHODS[how], progress=selection_progress)
     chosen_s = time.perf_counter() - begin
     network = chosen.stats.get("network")
     if network is None:

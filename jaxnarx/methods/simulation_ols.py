@@ -26,12 +26,21 @@ class SimulationOLS:
     """Stop when no candidate promises to lower the loss by this share."""
     patience: int = 4
     """Stop after this many rounds that did not lower it by that share."""
+    max_rounds: int = 100
+    """Largest number of rounds, entries and exchanges together."""
     tau: float | int = 1e-8
     """Pass over a candidate whose filtered column keeps less than this share of its
     squared norm beside the chosen ones."""
 
     def __post_init__(self):
-        for field in ("max_terms", "start_terms", "shortlist", "steps", "patience"):
+        for field in (
+            "max_terms",
+            "start_terms",
+            "shortlist",
+            "steps",
+            "patience",
+            "max_rounds",
+        ):
             if getattr(self, field) < 1:
                 raise SpecError(
                     f"{field} must be at least 1, got {getattr(self, field)}",

@@ -276,6 +276,9 @@ def simulation_ols(
     status, detail = RESULTS.no_improvement, ""
     mark, idle = float(solution.stats["loss"]), 0
     while idle <= method.patience:
+        if len(r.history) == method.max_rounds:
+            status = RESULTS.budget_spent
+            break
         short, slope, gram, loss = r.candidates(terms, theta)
         if not np.all(np.isfinite(gram)):
             status = RESULTS.diverged
