@@ -213,6 +213,18 @@ def test_the_choice_of_a_configuration(tmp_path, measured):
     assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
 
 
+@pytest.mark.slow
+def test_terms_of_a_real_engine(tmp_path, measured):
+    for _ in range(2):  # the second run finds its row done
+        experiment("gengine1/select_terms.py", "--results", str(tmp_path))
+    content = json.loads((tmp_path / "gengine1_selection.json").read_text())
+    (row,) = content["figures"]["rows"]
+    assert row["terms"] == len(row["names"]) <= 25
+    assert row["test"]["one_step"]["rmse"] < 1.0
+    names = content["figures"]["held_out"]
+    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
+
+
 def test_results_hold_no_folders(tmp_path):
     code = (
         "import sys; from pathlib import Path; sys.argv[0] = 'x.py'\n"
