@@ -108,6 +108,9 @@ def main() -> None:
         metavar="SAMPLES,DEGREE",
         help="only these, and no bare pass; use with --results",
     )
+    parser.add_argument(
+        "--bare", action="store_true", help="only the bare pass, a record of its own"
+    )
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     parser.add_argument("--note", default="", help="a remark kept with the figures")
     parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
@@ -121,6 +124,12 @@ def main() -> None:
     sizes = SMOKE if chosen.smoke else FULL
     if chosen.cells:
         sizes = dataclasses.replace(sizes, cells=tuple(chosen.cells), contract={})
+    if chosen.bare:
+        folder = results_folder(chosen.results, smoke=chosen.smoke)
+        figures = _run("contract", **sizes.contract)
+        print(record("selection_pass", figures, folder=folder, note=chosen.note))
+        print(json.dumps(figures, indent=1))
+        return
     versions = _installed(chosen.peers) if chosen.peers else {}
     figures = measure(sizes, chosen.peers, versions)
     folder = results_folder(chosen.results, smoke=chosen.smoke)
