@@ -29,7 +29,10 @@ from jaxnarx.evaluation.metrics import nrmse, rmse
 from jaxnarx.shell.progress import selection_progress
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from common import record, results_folder  # noqa: E402
+from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    record,
+    results_folder,
+)
 
 DESCRIPTION = Path(__file__).with_name("gengine1.toml")
 OUTPUTS = ("NOx", "HC", "T_exhaust")

@@ -155,7 +155,9 @@ def test_filtered_columns_are_what_the_run_changes_by(data, start, rounds):
         atol=1e-6,
     )
     np.testing.assert_allclose(
-        slope / scale, columns @ residual / scale, atol=1e-6 * np.linalg.norm(residual)
+        slope / scale,
+        columns @ residual / scale,
+        atol=1e-6 * float(np.linalg.norm(residual)),
     )
 
 
