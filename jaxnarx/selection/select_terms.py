@@ -69,6 +69,8 @@ def select(
     constant outputs and data without excitation raise `DataError`.
     """
     method = ForwardOLS() if method is None else method
+    if isinstance(method, SimulationOLS) and weights is not None:
+        raise SpecError("SimulationOLS takes no sample weights", field="weights")
     pool = source.pool if isinstance(source, Selection) else source
     data, _ = match_channels(data, pool.channels)
     passed_over = unusable_signals(data, pool)
@@ -84,11 +86,14 @@ def select(
     )
     usable = usable_terms(pool, passed_over)
     if isinstance(method, Anova):
-        return _by_variance(pool, rows, method, usable)
-    if isinstance(method, SimulationOLS):
-        return _on_free_run(pool, data, rows, method, usable, chosen, progress)
-    path, made = choose_terms(pool, rows, method, usable, chosen)
-    return solution_of(pool, rows, path, passed_over, method, made)
+        solution = _by_variance(pool, rows, method, usable)
+    elif isinstance(method, SimulationOLS):
+        solution = _on_free_run(pool, data, rows, method, usable, chosen, progress)
+    else:
+        path, made = choose_terms(pool, rows, method, usable, chosen)
+        return solution_of(pool, rows, path, passed_over, method, made)
+    stats = solution.stats | {"passed_over": passed_over}
+    return Solution(solution.value, solution.status, stats, solution.detail)
 
 
 def _terms_asked(pool: Pool, method: Any) -> int:

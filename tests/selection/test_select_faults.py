@@ -67,6 +67,7 @@ def test_terms_are_found_all_the_same(method, fault):
         assert np.all(np.isfinite(solution.stats[name])), name
     if fault in ("constant channel", "zero channel", "copy", "near copy"):
         assert not any("b[" in name for name in value.names)
+        assert set(solution.stats["passed_over"]) == {"b"}
 
 
 def dead_output() -> Dataset:

@@ -203,6 +203,11 @@ def test_several_outputs_are_refused():
         select(pool, data, METHOD)
 
 
+def test_weights_are_refused_rather_than_ignored(pool, data):
+    with pytest.raises(SpecError, match="weights"):
+        select(pool, data, METHOD, weights=[np.ones(len(r)) for r in data])
+
+
 def test_settings_out_of_range_are_refused():
     with pytest.raises(SpecError, match="start_terms"):
         SimulationOLS(max_terms=3, start_terms=4)
