@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from jaxnarx.methods import ForwardOLS as ForwardOLS
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Lolimot as Lolimot
+    from jaxnarx.methods import PredictionError as PredictionError
     from jaxnarx.methods import SimulationError as SimulationError
     from jaxnarx.methods import SimulationOLS as SimulationOLS
     from jaxnarx.methods import StepwiseF as StepwiseF
@@ -30,7 +31,14 @@ if TYPE_CHECKING:
     from jaxnarx.models import load as load
     from jaxnarx.models import save as save
     from jaxnarx.partition import grow as grow
+    from jaxnarx.refinement import Bands as Bands
+    from jaxnarx.refinement import Stability as Stability
+    from jaxnarx.refinement import Uncertainty as Uncertainty
+    from jaxnarx.refinement import bands as bands
+    from jaxnarx.refinement import freeze as freeze
     from jaxnarx.refinement import refine as refine
+    from jaxnarx.refinement import stability as stability
+    from jaxnarx.refinement import uncertainty as uncertainty
     from jaxnarx.regressors import Kautz as Kautz
     from jaxnarx.regressors import Laguerre as Laguerre
     from jaxnarx.regressors import LowPass as LowPass
@@ -58,11 +66,12 @@ _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
     "evaluation": "Report report",
-    "methods": "Anova Backward ForwardOLS Global Lolimot SimulationError SimulationOLS "
-    "StepwiseF",
+    "methods": "Anova Backward ForwardOLS Global Lolimot PredictionError "
+    "SimulationError SimulationOLS StepwiseF",
     "models": "Network load save",
     "partition": "grow",
-    "refinement": "refine",
+    "refinement": "Bands Stability Uncertainty bands freeze refine stability "
+    "uncertainty",
     "regressors": (
         "Kautz Laguerre LowPass Orthonormal Pool kautz_bank laguerre_bank "
         "low_pass_bank orthonormal_bank polynomial_pool time_constants"

@@ -237,3 +237,60 @@ def test_results_hold_no_folders(tmp_path):
     (path,) = (tmp_path / "out").iterdir()
     figures = json.loads(path.read_text(encoding="utf-8"))["figures"]
     assert figures["texts"] == ["see b.json", "83 GFLOP/s", "a / b", "c.csv"]
+
+
+@pytest.mark.slow
+def test_processes_of_nelles(tmp_path):
+    experiment("nelles/processes.py", "--results", str(tmp_path))
+    content = json.loads((tmp_path / "nelles_processes.json").read_text())
+    (row,) = content["figures"]["rows"]
+    (entry,) = content["figures"]["summary"].values()
+    # Noise of 5 % alone is an NRMSE of 0.05 on validation; the test has none.
+    before, after = (row["validation"][k]["free_run"] for k in ("LOLIMOT", "joint"))
+    assert after < 0.06 < 0.2 < before
+    assert_target(entry["target"])
+    assert entry["target"]["met"] and entry["joint"]["diverged"] == 0
+    assert (tmp_path / "nelles_processes.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_all_outputs_of_a_real_engine(tmp_path, measured):
+    experiment("gengine1/refine_outputs.py", "--results", str(tmp_path))
+    content = json.loads((tmp_path / "gengine1_outputs.json").read_text())
+    (row,) = content["figures"]["rows"]
+    scores = [s["free_run"]["rmse"] for s in row["validation"].values()]
+    assert scores == sorted(scores, reverse=True)
+    assert content["figures"]["choice"]["over"] == ["T_exhaust"]
+    names = content["figures"]["held_out"]
+    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [[], ["--coloured"]], ids=["white", "coloured"])
+def test_coverage_of_bands(tmp_path, colour):
+    experiment("refinement/coverage.py", "--results", str(tmp_path), *colour)
+    (path,) = tmp_path.glob("*.json")
+    figures = json.loads(path.read_text())["figures"]
+    assert figures["sets"] == len(figures["rows"]) == 3
+    for name in ("run", "measurement"):
+        parts = figures["coverage"][name]
+        # Three sets tell no more than that.
+        assert all(0.5 < part["share"] <= 1 for part in parts.values())
+    assert path.with_suffix(".png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_simulation_with_peers_that_may_be_missing(tmp_path):
+    found = run("simulation.py", "--peers", results=tmp_path / "results")
+    figures = found["simulation"]
+    (length,) = figures["lengths"].values()
+    for one in length["rounds"]:
+        # Both gradients and both runs are the same numbers by other orders of sums.
+        assert one["jaxnarx"]["gradient_difference"] < 1e-9
+        assert one["jaxnarx"]["newton"]["converged"]
+        assert one["jaxnarx"]["newton"]["largest_difference"] < 1e-9
+        assert one.get("numba", {}).get("largest_difference", 0.0) < 1e-9
+    assert figures["search"]["programs"] == 1
+    assert figures["normal_equations"]["parameters"] == 100
+    for row in figures["targets"].values():
+        assert_target(row)

@@ -20,6 +20,7 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
+from jaxnarx.evaluation.stability import assess, stability_notes, stability_values
 from jaxnarx.evaluation.strict import strict
 from jaxnarx.evaluation.table import text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
@@ -43,6 +44,8 @@ class Report:
       (low, high) of each, and `before`, `after`: lists of `{"centre", "width"}` per
       local model, all in the units of the scheduling variables; `cloud` may hold data
       points (samples, dims);
+    - `stability`: the value of the verb `stability` on the main part: poles and a
+      contraction bound;
     - `provenance`: anything worth stating; versions and data hashes are filled in.
     """
 
@@ -56,6 +59,7 @@ class Report:
     selection: Mapping[str, Any] | None = None
     history: Sequence[Mapping[str, Any]] | None = None
     partition: Mapping[str, Any] | None = None
+    stability: Any = None
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -91,7 +95,7 @@ class Report:
         A diverged row has null metrics and says so in `status`; an infinite figure is
         the text `"inf"` or `"-inf"`.
         """
-        left_out = {"traces", "residuals", "partition"}
+        left_out = {"traces", "residuals", "partition", "stability"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values = {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
@@ -104,6 +108,7 @@ class Report:
             for r in self.residuals
         ]
         values["partition"] = strict(_without_cloud(self.partition))
+        values["stability"] = strict(stability_values(self.stability))
         return values
 
     def to_html(self, path: str | os.PathLike[str]) -> None:
@@ -125,6 +130,7 @@ def report(
     selection: Mapping[str, Any] | None = None,
     history: Sequence[Mapping[str, Any]] | None = None,
     partition: Mapping[str, Any] | None = None,
+    stability: Any = True,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -136,6 +142,9 @@ def report(
     `partition` the network's own is shown; `describe_partition(network, start=before)`
     shows it beside that of the network before refinement.
 
+    Stability is assessed on up to 2000 samples of the main part; `stability=False`
+    leaves it out, and a `Stability` at hand already is shown as it is.
+
     Every figure is in physical units over the samples that are valid and have enough
     history. Divergence is reported as a status, never as a number.
     """
@@ -145,8 +154,9 @@ def report(
     known = simulated if isinstance(simulated, Mapping) else {}
     if simulated is not None and not isinstance(simulated, Mapping):
         known = dict.fromkeys(list(parts)[:1], simulated)
+    free = {part: _free_run(network, parts[part], known.get(part)) for part in parts}
     runs = {
-        part: _runs(network, part_data, outputs, horizons, known.get(part))
+        part: _runs(network, part_data, outputs, horizons, free[part])
         for part, part_data in parts.items()
     }
     rows = tuple(row for part in parts for row in _rows(part, outputs, runs[part]))
@@ -154,6 +164,9 @@ def report(
     traces, errors = _pictures(outputs, runs[main], parts[main].sample_time)
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
+    if stability is True:
+        stability = assess(network, parts[main], free[main])
+    notes += stability_notes(stability or None, main)
     if partition is None:
         partition = describe_partition(network, data=parts[main])
     return Report(
@@ -167,6 +180,7 @@ def report(
         selection=selection,
         history=history,
         partition=partition or None,
+        stability=stability or None,
         provenance=_provenance(parts) | dict(provenance or {}),
     )
 
@@ -185,21 +199,27 @@ def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:
         )
 
 
+def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:
+    from jaxnarx.simulation import simulate
+
+    return simulate(network, data) if simulated is None else simulated
+
+
 def _runs(
     network: Any,
     data: Dataset,
     outputs: tuple[Channel, ...],
     horizons: Sequence[int],
-    simulated: Any,
+    free: Any,
 ) -> dict[str, list[list[Samples]]]:
     """Samples by output and record, for every mode; the free run comes last."""
-    from jaxnarx.simulation import predict, simulate
+    from jaxnarx.simulation import predict
 
     runs = {
         mode_name(int(k)): predict(network, data, k=int(k))
         for k in dict.fromkeys(horizons)
     }
-    runs[FREE_RUN] = simulate(network, data) if simulated is None else simulated
+    runs[FREE_RUN] = free
     return {
         mode: collect(data, outputs, getattr(run, "value", run))
         for mode, run in runs.items()

@@ -3,7 +3,7 @@
 from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.partition import Global, Lolimot
-from jaxnarx.methods.refinement import SimulationError
+from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
 
@@ -14,6 +14,7 @@ __all__ = [
     "Global",
     "Lolimot",
     "OptimalDesign",
+    "PredictionError",
     "SimulationError",
     "SimulationOLS",
     "StepwiseF",

@@ -1,25 +1,38 @@
 """Settings of refinement."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Literal
 
 from jaxnarx.errors import SpecError
 
 
+def _require(holds: bool, field: str, message: str) -> None:
+    if not holds:
+        raise SpecError(message, field=field)
+
+
 @dataclasses.dataclass(frozen=True)
 class SimulationError:
-    """Least squares of the free-run error by Levenberg-Marquardt.
+    """Training on the error of the free run, by default least squares by
+    Levenberg-Marquardt.
 
     The run is first restarted from the measurement every few samples; these windows
     grow until the whole record is one.
     """
 
-    horizons: Sequence[int] = (10, 30, 100, 300, 1000)
-    """Window lengths in samples before the full record."""
+    horizons: Sequence[int] | Literal["auto"] = (10, 30, 100, 300, 1000)
+    """Window lengths in samples before the full record. `"auto"`: the first is the
+    slowest time constant of the local models, each of the next three times longer."""
     max_steps: int = 40
     """Accepted steps on the full record."""
     window_steps: int = 20
     """Accepted steps at each window length."""
+    windows_train: Literal["all", "coefficients"] = "all"
+    """What moves in the windows. `"coefficients"`: the partition stays there, and for
+    `window_steps` on the full record, before everything is trained together. Windows
+    start from noisy outputs, so the shorter they are the more a network gains by
+    explaining that noise; a partition that follows it does not come back."""
     tolerance: float | int = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
@@ -30,28 +43,128 @@ class SimulationError:
     information about it."""
     width_band: tuple[float | int, float | int] = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
+    solver: Literal["levenberg", "bfgs", "lbfgs", "windows"] = "levenberg"
+    """Levenberg-Marquardt; quasi-Newton with or without a full matrix; or Adam on
+    random windows, which has no stage of full records."""
+    loss: Literal["squares", "huber", "log-cosh"] = "squares"
+    """What errors cost. The robust ones grow linearly beyond `corner`."""
+    corner: float | int = 0.2
+    """Error at which a robust loss turns linear, in standard deviations of the output
+    (after its transform)."""
+    box_cox: float | int | Mapping[str, float | int] = 1.0
+    """Exponent p of the transform (y^p - 1) / p in which errors are measured, for all
+    outputs or by name: 1 none, 0 the logarithm. For outputs of many decades, such as HC
+    or particle number; they must be positive."""
+    initial_conditions: Literal["measured", "estimated"] = "measured"
+    """Whether training runs start from the measured outputs, or from ones estimated
+    beside the parameters. The result is judged from measured starts in any case."""
+    starts: int = 1
+    """Starting points. Those beyond the given network move the partition at random and
+    take the coefficients of least squares there; the best after the windows goes on."""
+    folds: int = 0
+    """Choose the length of the search by cross-validation over this many groups of
+    records, then train on all; in place of validation records."""
+    stability: float | int = 0.0
+    """Weight of the penalty on samples at which the network does not contract; 0
+    none."""
+    contraction: float | int = 1.0
+    """Norm of a step's linearisation above which the penalty acts."""
+    batch: int = 32
+    """Windows in one update of the solver `"windows"`."""
+    learning_rate: float | int = 0.01
+    """Step of Adam, in parameters scaled by their effect."""
+    seed: int = 0
+    """Of random starts and windows."""
 
     def __post_init__(self):
-        object.__setattr__(self, "horizons", tuple(self.horizons))
-        if any(h < 2 for h in self.horizons):
-            raise SpecError(
-                f"horizons must be at least 2 samples, got {self.horizons}",
-                field="horizons",
+        if self.horizons != "auto":
+            object.__setattr__(self, "horizons", tuple(self.horizons))
+            _require(
+                all(not isinstance(h, str) and h >= 2 for h in self.horizons),
+                "horizons",
+                f'horizons must be at least 2 samples, or "auto", got {self.horizons}',
             )
-        if self.max_steps < 0 or self.window_steps < 0:
-            raise SpecError("step budgets must not be negative", field="max_steps")
-        if not (self.ridge >= 0 and self.tolerance >= 0):
-            raise SpecError(
-                f"ridge and tolerance must not be negative, got {self.ridge} and "
-                f"{self.tolerance}",
-                field="ridge",
-            )
-        if self.patience < 1:
-            raise SpecError(
-                f"patience must be at least 1, got {self.patience}", field="patience"
-            )
-        if not 0 < self.width_band[0] < 1 < self.width_band[1]:
-            raise SpecError(
-                f"width_band must enclose one, got {self.width_band}",
-                field="width_band",
-            )
+        _require(
+            self.max_steps >= 0 and self.window_steps >= 0,
+            "max_steps",
+            "step budgets must not be negative",
+        )
+        _require(
+            self.ridge >= 0 and self.tolerance >= 0,
+            "ridge",
+            f"ridge and tolerance must not be negative, got {self.ridge} and "
+            f"{self.tolerance}",
+        )
+        _check_width_band(self.width_band)
+        for name in ("patience", "starts", "batch"):
+            value = getattr(self, name)
+            _require(value >= 1, name, f"{name} must be at least 1, got {value}")
+        for name in ("corner", "learning_rate", "contraction"):
+            value = getattr(self, name)
+            _require(value > 0, name, f"{name} must be positive, got {value}")
+        _require(
+            self.stability >= 0,
+            "stability",
+            f"stability must not be negative, got {self.stability}",
+        )
+        _require(
+            self.folds == 0 or self.folds >= 2,
+            "folds",
+            f"folds must be 0 (none) or at least 2, got {self.folds}",
+        )
+        _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
+        _choice("windows_train", self.windows_train, ("all", "coefficients"))
+        _choice("loss", self.loss, ("squares", "huber", "log-cosh"))
+        _choice(
+            "initial_conditions", self.initial_conditions, ("measured", "estimated")
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class PredictionError:
+    """Least squares of the one-step error, by separable Gauss-Newton.
+
+    Coefficients enter the one-step prediction linearly: for every partition they are
+    solved for, and the search moves centres and widths alone (variable projection:
+    Golub and Pereyra 1973, in Kaufman's form of 1975).
+    """
+
+    max_steps: int = 40
+    """Accepted steps of the partition."""
+    tolerance: float | int = 1e-4
+    """The search ends when a step lowers the loss by less than this share, twice in a
+    row."""
+    patience: int = 15
+    """Stop after this many accepted steps without a better validation."""
+    ridge: float | int = 1e-9
+    """Pull of every parameter towards its start, as a share of the data's own
+    information about it."""
+    width_band: tuple[float | int, float | int] = (0.5, 2.0)
+    """Limits of a Gaussian's width as multiples of its start."""
+
+    def __post_init__(self):
+        _require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
+        _require(
+            self.ridge >= 0 and self.tolerance >= 0,
+            "ridge",
+            f"ridge and tolerance must not be negative, got {self.ridge} and "
+            f"{self.tolerance}",
+        )
+        _require(
+            self.patience >= 1,
+            "patience",
+            f"patience must be at least 1, got {self.patience}",
+        )
+        _check_width_band(self.width_band)
+
+
+def _choice(field: str, value: str, known: tuple[str, ...]) -> None:
+    _require(value in known, field, f"{field} must be one of {known}, got {value!r}")
+
+
+def _check_width_band(band: tuple[float | int, float | int]) -> None:
+    _require(
+        0 < band[0] < 1 < band[1],
+        "width_band",
+        f"width_band must enclose one, got {band}",
+    )

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays.recurrence import polynomial_step
 from jaxnarx.models.network import Network, OutputModel, scheduling_values
 from jaxnarx.regressors import Variables, evaluate
 
@@ -99,14 +100,7 @@ def collapsed_step(network: Network):
     own = fed_back(network.variables, network.signals)
     output = np.array([o for _, o, _ in own], dtype=np.int64)
     lag = np.array([d for _, _, d in own], dtype=np.int64)
-    table = monomials(network)
-
-    def step(params, g, history):
-        del params
-        past = jnp.concatenate([jnp.ones(1, g.dtype), history[output, lag]])
-        return g @ jnp.prod(past[table], axis=1)
-
-    return step
+    return polynomial_step(monomials(network), output, lag, len(network.models))
 
 
 def with_history(network: Network, v, x, history):

@@ -9,10 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel
+from jaxnarx.refinement.initial import Initial
 
 
 def freeze(
@@ -59,17 +60,33 @@ slope vanishes and it could never leave."""
 class Layout(eqx.Module):
     """Places a vector of trained parameters in a network, and back.
 
-    `low` and `high` are the limits of every entry, infinite where there are none.
+    `low` and `high` are the limits of every entry, infinite where there are none. With
+    `initial` the offsets of the records' initial conditions follow the network's
+    parameters.
     """
 
     base: Network
     low: Float[Array, " params"]
     high: Float[Array, " params"]
     chosen: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
+    initial: Initial | None = None
+
+    @property
+    def parameters(self) -> int:
+        """Number of the network's own parameters, which come first."""
+        return self.low.shape[0] - (0 if self.initial is None else self.initial.size)
+
+    def begin(
+        self, u: Float[Array, " params"], measured: Float[Array, "r time outputs"]
+    ) -> Float[Array, "r time outputs"]:
+        """Measured outputs with estimated initial conditions in their place."""
+        if self.initial is None:
+            return measured
+        return self.initial.begin(u[self.parameters :], measured)
 
     def gather(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as a vector in solver coordinates."""
-        p = self._flat(network)
+        p = self.flat(network)
         bounded = jnp.isfinite(self.low)
         low = jnp.where(bounded, self.low, 0.0)
         span = jnp.where(bounded, self.high - self.low, 1.0)
@@ -107,8 +124,25 @@ class Layout(eqx.Module):
                     new.append(leaf)
         return eqx.tree_at(_where, self.base, new)
 
-    def _flat(self, network: Network) -> Float[Array, " params"]:
-        return _concatenate(_pieces(network), self.chosen)
+    def flat(self, network: Network) -> Float[Array, " params"]:
+        """The trained parameters of `network` as they stand; zeros for offsets."""
+        own = _concatenate(_pieces(network), self.chosen)
+        return jnp.pad(own, (0, self.low.shape[0] - own.shape[0]))
+
+    def coefficients(self) -> Int[np.ndarray, " _"]:
+        """Positions of the local models' coefficients in the vector; host only."""
+        at, start = [], 0
+        for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
+            for n, (leaf, trained) in enumerate(zip(output, keep, strict=True)):
+                if trained and n == 0:
+                    at.append(np.arange(start, start + leaf.size))
+                start += leaf.size if trained else 0
+        return np.concatenate([np.arange(0), *at])
+
+    def partition(self) -> Int[np.ndarray, " _"]:
+        """Positions of the validity functions' parameters in the vector; host only."""
+        own = np.arange(self.parameters)
+        return np.setdiff1d(own, self.coefficients())
 
     def spans(self) -> list[tuple[int, int]]:
         """Start and stop of each output's parameters in the vector."""
@@ -136,6 +170,7 @@ def make_layout(
     network: Network,
     trainable: Network | None,
     width_band: tuple[float | int, float | int],
+    initial: Initial | None = None,
 ) -> Layout:
     """Layout of the leaves that are True in `trainable` (default: all with an effect).
 
@@ -158,6 +193,8 @@ def make_layout(
             [jnp.full_like(m.local.coefficient, sign), *jax.tree.leaves(limit[side])]
             for m, limit in zip(network.models, limits, strict=True)
         ]
-        return _concatenate(pieces, chosen)
+        own = _concatenate(pieces, chosen)
+        more = 0 if initial is None else initial.size
+        return jnp.pad(own, (0, more), constant_values=sign)
 
-    return Layout(network, bounds(0), bounds(1), chosen)
+    return Layout(network, bounds(0), bounds(1), chosen, initial)

@@ -2,113 +2,116 @@
 
 Marquardt scaling, a ridge towards the start, the Jacobian kept when a step is rejected,
 and own stops: these are why no library solver is used. Each trial costs one run, each
-accepted step one pass of `normal_equations`.
+accepted step one pass of the normal equations.
 """
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg
 
+from jaxnarx.refinement.problem import AbstractProblem, Linear
 from jaxnarx.solution import RESULTS
 
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
 SHRINK, GROW = 5.0, 4.0
 REACH = 2.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Problem:
-    """`loss(u)` and `normal_equations(u) -> (loss, J'r, J'J)` of one stage."""
-
-    loss: Callable[[np.ndarray], float]
-    normal_equations: Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
-    wall: np.ndarray
-    """Largest magnitude of every entry; infinite where it is free. Entries with a wall
-    also move by no more than REACH in one step: on the flat ends of their bounded map a
-    step by curvature would throw them from one limit to the other."""
+"""Entries with a wall move by no more than this in one step: on the flat ends of their
+bounded map a step by curvature would throw them from one limit to the other."""
+ARRIVED = 1e-10
+"""Share of the loss below which a promised decrease counts as none."""
 
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """Where the search stands. `loss` excludes the ridge; `tried` counts trial runs."""
+    """Where the search stands; losses exclude the ridge. `tried` counts trial runs."""
 
     u: np.ndarray
-    loss: float
-    gradient: np.ndarray
-    gram: np.ndarray
+    linear: Linear
     damping: float
     tried: int = 0
     gain: float = np.inf
     """Relative decrease of the loss by the last accepted step."""
 
-
-def init(problem: Problem, u: np.ndarray, *, damping: float = DAMPING_START) -> State:
-    """Linearise at the start."""
-    return State(u, *problem.normal_equations(u), damping)
-
-
-def _direction(s: State, pull: np.ndarray, origin: np.ndarray) -> np.ndarray | None:
-    """Damped step, or None where the equations cannot be solved.
-
-    Entries without any information (padding, frozen directions) get a zero step.
-    """
-    diagonal = np.diagonal(s.gram) + pull
-    alive = diagonal > 0
-    if not alive.any():
-        return None
-    scale = np.sqrt(np.where(alive, diagonal, 1.0))
-    gram = (s.gram + np.diag(pull)) / np.outer(scale, scale)
-    gram = gram + np.diag(np.where(alive, s.damping, 1.0))
-    right = (s.gradient + pull * (s.u - origin)) / scale
-    try:
-        factor = scipy.linalg.cho_factor(gram, check_finite=True)
-    except (scipy.linalg.LinAlgError, ValueError):
-        return None
-    return np.where(alive, -scipy.linalg.cho_solve(factor, right) / scale, 0.0)
+    @property
+    def loss(self) -> float:
+        """The loss where the search stands."""
+        return self.linear.loss
 
 
-def promise(s: State, pull: np.ndarray, origin: np.ndarray) -> float:
-    """Decrease of the penalised loss that the linearised problem promises."""
-    fresh = dataclasses.replace(s, damping=DAMPING_START)
-    delta = _direction(fresh, pull, origin)
-    if delta is None:
-        return np.inf
-    return -float((s.gradient + pull * (s.u - origin)) @ delta)
+class Levenberg:
+    """Steps of one stage, with a ridge `pull` of every parameter to the start."""
 
+    def __init__(self, problem: AbstractProblem):
+        self.problem = problem
 
-def step(
-    problem: Problem, s: State, pull: np.ndarray, origin: np.ndarray
-) -> tuple[State, RESULTS]:
-    """One accepted step, raising the damping until a trial lowers the penalised loss.
+    def init(self, u: np.ndarray, linear: Linear, pull: np.ndarray) -> State:
+        """Begin at `u`, where the problem is `linear`."""
+        self.origin, self.pull = u, pull
+        return State(u, linear, DAMPING_START)
 
-    `pull` is the ridge of every parameter towards `origin`. Status `stalled` when the
-    damping reaches its limit first; `unidentifiable` when no parameter has any effect;
-    `diverged` when sensitivities overflow.
-    """
+    def step(self, s: State) -> tuple[State, RESULTS]:
+        """One accepted step, raising the damping until the penalised loss falls.
 
-    def penalty(u):
-        return float(pull @ (u - origin) ** 2)
+        Status `stalled` when the damping reaches its limit first; `unidentifiable` when
+        no parameter has any effect; `diverged` when sensitivities overflow.
+        """
+        if not np.all(np.isfinite(s.linear.gram)):
+            return s, RESULTS.diverged
+        if not np.any(np.diagonal(s.linear.gram) > 0):
+            return s, RESULTS.unidentifiable
+        damping, tried = s.damping, s.tried
+        while damping <= DAMPING_LIMIT:
+            u = self._trial(s, damping)
+            if u is not None:
+                loss = self.problem.loss(u)
+                tried += 1
+                here = s.loss + self._penalty(s.u)
+                if np.isfinite(loss) and loss + self._penalty(u) < here:
+                    gain = 1.0 - loss / s.loss if s.loss > 0 else 0.0
+                    damping = max(damping / SHRINK, 1e-12)
+                    linear = self.problem.linear(u)
+                    return State(u, linear, damping, tried, gain), RESULTS.ok
+            damping *= GROW
+        return dataclasses.replace(s, damping=damping, tried=tried), RESULTS.stalled
 
-    if not np.all(np.isfinite(s.gram)):
-        return s, RESULTS.diverged
-    if not np.any(np.diagonal(s.gram) > 0):
-        return s, RESULTS.unidentifiable
-    damping, tried = s.damping, s.tried
-    while damping <= DAMPING_LIMIT:
-        delta = _direction(dataclasses.replace(s, damping=damping), pull, origin)
-        if delta is not None:
-            reach = np.where(np.isfinite(problem.wall), REACH, np.inf)
-            u = s.u + np.clip(delta, -reach, reach)
-            u = np.clip(u, -problem.wall, problem.wall)
-            loss = problem.loss(u)
-            tried += 1
-            if np.isfinite(loss) and loss + penalty(u) < s.loss + penalty(s.u):
-                gain = 1.0 - loss / s.loss if s.loss > 0 else 0.0
-                damping = max(damping / SHRINK, 1e-12)
-                new = State(u, *problem.normal_equations(u), damping, tried, gain)
-                return new, RESULTS.ok
-        damping *= GROW
-    return dataclasses.replace(s, damping=damping, tried=tried), RESULTS.stalled
+    def arrived(self, s: State) -> bool:
+        """Whether the linearised problem promises no decrease worth naming."""
+        delta = self._direction(s, DAMPING_START)
+        if delta is None:
+            return False
+        return -float(self._slope(s) @ delta) < ARRIVED * s.loss
+
+    def _penalty(self, u: np.ndarray) -> float:
+        return float(self.pull @ (u - self.origin) ** 2)
+
+    def _slope(self, s: State) -> np.ndarray:
+        return s.linear.gradient + self.pull * (s.u - self.origin)
+
+    def _trial(self, s: State, damping: float) -> np.ndarray | None:
+        delta = self._direction(s, damping)
+        if delta is None:
+            return None
+        wall = self.problem.wall
+        reach = np.where(np.isfinite(wall), REACH, np.inf)
+        return np.clip(s.u + np.clip(delta, -reach, reach), -wall, wall)
+
+    def _direction(self, s: State, damping: float) -> np.ndarray | None:
+        """Damped step, or None where the equations cannot be solved.
+
+        Entries without any information (padding, frozen directions) get a zero step.
+        """
+        diagonal = np.diagonal(s.linear.gram) + self.pull
+        alive = diagonal > 0
+        if not alive.any():
+            return None
+        scale = np.sqrt(np.where(alive, diagonal, 1.0))
+        gram = (s.linear.gram + np.diag(self.pull)) / np.outer(scale, scale)
+        gram = gram + np.diag(np.where(alive, damping, 1.0))
+        try:
+            factor = scipy.linalg.cho_factor(gram, check_finite=True)
+        except (scipy.linalg.LinAlgError, ValueError):
+            return None
+        delta = scipy.linalg.cho_solve(factor, self._slope(s) / scale) / scale
+        return np.where(alive, -delta, 0.0)

@@ -29,6 +29,7 @@ from jaxnarx.models import (
     scheduling_values,
     with_history,
 )
+from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Drive, run
@@ -39,15 +40,6 @@ cache.
 """
 
 
-def squares(
-    y: Float[Array, "records time outputs"],
-    measured: Float[Array, "records time outputs"],
-    weight: Float[Array, "records time outputs"],
-) -> Float[Array, ""]:
-    """Weighted sum of squared errors."""
-    return jnp.sum(weight * (y - measured) ** 2)
-
-
 @eqx.filter_jit
 def loss(
     layout: Layout,
@@ -55,10 +47,30 @@ def loss(
     drive: Drive,
     anchor: Bool[Array, "records time"],
     weight: Float[Array, "records time outputs"],
+    criterion: Criterion | None = None,
 ) -> Float[Array, ""]:
-    """Weighted sum of squared errors of the run restarted at anchors."""
-    y = run(layout.place(u), drive, anchor)
-    return squares(y, drive.measured, weight)
+    """Weighted errors of the run restarted at anchors; by default their squares."""
+    started = _started(layout, u, drive)
+    y = run(layout.place(u), started, anchor)
+    rule = _rule(criterion, y)
+    return rule(y, drive.measured, weight) + _initial_loss(layout, u)
+
+
+def _rule(criterion: Criterion | None, y) -> Criterion:
+    return squares(y.shape[-1], y.dtype) if criterion is None else criterion
+
+
+def _started(layout: Layout, u, drive: Drive) -> Drive:
+    measured = layout.begin(u, drive.measured)
+    return eqx.tree_at(lambda d: d.measured, drive, measured)
+
+
+def _initial_loss(layout: Layout, u) -> Float[Array, ""]:
+    """What the offsets of the initial conditions cost."""
+    if layout.initial is None:
+        return jnp.zeros((), u.dtype)
+    offset = u[layout.parameters :]
+    return jnp.sum(layout.initial.weight.reshape(-1) * offset**2)
 
 
 def output_gradient(
@@ -82,7 +94,7 @@ def output_gradient(
     return [coefficient, *jax.tree.leaves(by_validity)]
 
 
-def _direct(
+def direct_tangents(
     network: Network, layout: Layout, v, x, limited
 ) -> Float[Array, "rows outputs params"]:
     """Direct tangents D_t of all outputs by all parameters, zero where limited."""
@@ -102,6 +114,22 @@ def _direct(
     return jnp.stack(out, axis=1)
 
 
+def slopes(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    history: Float[Array, "time outputs depth"],
+) -> tuple[Float[Array, "time outputs outputs depth"], Bool[Array, "time outputs"]]:
+    """Derivative of every sample by its whole history, and where it is limited."""
+    if collapses(network):
+        step, params = collapsed_step(network), None
+        drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
+    else:
+        step, params = general_step(network), eqx.filter(network, eqx.is_array)
+        drive = (v.T, tuple(x_o.T for x_o in x))
+    return sensitivities(step, params, drive, history, network.lower, network.upper)
+
+
 def linearised(
     network: Network,
     v: Float[Array, "vars time"],
@@ -114,23 +142,22 @@ def linearised(
     A_t is the derivative of y_t by the run's own past, (time, outputs, outputs, depth):
     zero for measured history and where the feedback bound acts.
     """
-    if collapses(network):
-        step, params = collapsed_step(network), None
-        drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
-    else:
-        step, params = general_step(network), eqx.filter(network, eqx.is_array)
-        drive = (v.T, tuple(x_o.T for x_o in x))
-    a, limited = sensitivities(
-        step, params, drive, history, network.lower, network.upper
-    )
+    a, limited = slopes(network, v, x, history)
     a = jnp.where(own[:, None, None], a, 0.0)
     return a, limited, *with_history(network, v, x, jnp.moveaxis(history, 0, -1))
 
 
-def _record_block(network: Network, layout: Layout, block, past):
+def _record_block(network: Network, layout: Layout, block, time, record, past):
     """Sensitivities of one record over one block of time; returns the end and all."""
-    a, limited, v, x = linearised(network, *block)
-    return linear_recurrence(a, _direct(network, layout, v, x, limited), past)
+    v, x, history, own = block
+    a, limited = slopes(network, v, x, history)
+    v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+    direct = direct_tangents(network, layout, v, x, limited)
+    if layout.initial is not None:
+        by_start = layout.initial.direct(a, own, time, record)
+        direct = direct.at[..., layout.parameters :].add(by_start)
+    a = jnp.where(own[:, None, None], a, 0.0)
+    return linear_recurrence(a, direct, past)
 
 
 def seen_history(
@@ -158,42 +185,67 @@ def normal_equations(
     drive: Drive,
     anchor: Bool[Array, "records time"],
     weight: Float[Array, "records time outputs"],
+    criterion: Criterion | None = None,
 ) -> tuple[Float[Array, ""], Float[Array, " params"], Float[Array, "params params"]]:
-    """Loss, J'r and J'J of the run restarted at anchors, by the coordinates `u`."""
-    network = layout.place(u)
-    y = run(network, drive, anchor)
+    """Loss, J'r and J'J of the run restarted at anchors, by the coordinates `u`.
+
+    J'r is half the gradient of the loss. Under a robust loss J'J holds the weights of
+    iteratively reweighted least squares.
+    """
+    network, drive_of = layout.place(u), _started(layout, u, drive)
+    y = run(network, drive_of, anchor)
+    rule = _rule(criterion, y)
+    error, bend = rule.errors(y, drive.measured)
+    share = weight * rule.share(error)
     records, time, outputs = y.shape
     lags, params = depth(network), u.shape[0]
-    size = max(16, SAMPLES // records)
-    blocks = -(-time // size)
-    residual = y - drive.measured
+    blocks = -(-time // max(16, SAMPLES // records))
+    size = -(-time // blocks)
 
-    past, own = seen_history(network, y, drive.measured, anchor)
+    past, own = seen_history(network, y, drive_of.measured, anchor)
     slope = layout.slope(u)
 
-    def cut(a, axis, start):
+    def padded(a, axis):
         extra = [(0, 0)] * a.ndim
         extra[axis] = (0, blocks * size - time)
-        return jax.lax.dynamic_slice_in_dim(jnp.pad(a, extra), start, size, axis)
+        return jnp.pad(a, extra)
+
+    # Once and outside the loop; what is padded has no weight.
+    whole = (
+        padded(drive.v, 2),
+        tuple(padded(x, 2) for x in drive.x),
+        padded(past, 1),
+        padded(own, 1),
+    )
+    root, scored = padded(jnp.sqrt(share), 1), padded(error, 1)
+    bend = padded(bend, 1)
 
     def body(carry, start):
         state, gradient, gram = carry
-        block = (
-            cut(drive.v, 2, start),
-            tuple(cut(x, 2, start) for x in drive.x),
-            cut(past, 1, start),
-            cut(own, 1, start),
-        )
-        one = lambda b, s: _record_block(network, layout, b, s)  # noqa: E731
-        state, s = jax.vmap(one)(block, state)
-        root = jnp.sqrt(cut(weight, 1, start))
+
+        def cut(a, axis):
+            return jax.lax.dynamic_slice_in_dim(a, start, size, axis)
+
+        v, x, past, own = whole
+        block = (cut(v, 2), tuple(cut(x_o, 2) for x_o in x), cut(past, 1), cut(own, 1))
+        at = start + jnp.arange(size)
+        one = lambda b, n, s: _record_block(network, layout, b, at, n, s)  # noqa: E731
+        state, s = jax.vmap(one)(block, jnp.arange(records), state)
+        here = cut(root, 1)
         # Unscored stretches may be unstable: what overflows there must not count.
-        jacobian = jnp.where(root[..., None] > 0, s * root[..., None], 0.0)
+        factor = (here * cut(bend, 1))[..., None]
+        jacobian = jnp.where(here[..., None] > 0, s * factor, 0.0)
         jacobian = jacobian.reshape(-1, params) * slope[None]
-        r = (cut(residual, 1, start) * root).reshape(-1)
+        r = jnp.where(here > 0, cut(scored, 1) * here, 0.0).reshape(-1)
         return (state, gradient + r @ jacobian, gram + jacobian.T @ jacobian), None
 
     zero = jnp.zeros((records, lags, outputs, params), y.dtype)
     start = (zero, jnp.zeros(params, y.dtype), jnp.zeros((params, params), y.dtype))
     (_, gradient, gram), _ = jax.lax.scan(body, start, jnp.arange(blocks) * size)
-    return squares(y, drive.measured, weight), gradient, gram
+    if layout.initial is not None:
+        extra = layout.initial.weight.reshape(-1)
+        at = layout.parameters + jnp.arange(extra.shape[0])
+        gradient = gradient.at[at].add(extra * u[layout.parameters :])
+        gram = gram.at[at, at].add(extra)
+    value = rule(y, drive.measured, weight) + _initial_loss(layout, u)
+    return value, gradient, gram

@@ -1,103 +1,61 @@
-"""The verb `refine`: train a network on the error of its own free run."""
+"""The verb `refine`: train a network on the error of its own runs."""
 
-import dataclasses
-import time as clock
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
 
-import jax.numpy as jnp
+import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Dataset, match_channels
-from jaxnarx.data.batch import stack
-from jaxnarx.errors import DataError
-from jaxnarx.methods import SimulationError
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
-from jaxnarx.refinement import levenberg
+from jaxnarx.refinement.folds import best_position, curve
+from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, make_layout
-from jaxnarx.refinement.normal import loss, normal_equations
-from jaxnarx.simulation import (
-    Drive,
-    Masks,
-    first_anchor,
-    has_diverged,
-    make_drive,
-    make_masks,
-    run,
-)
-from jaxnarx.solution import NAMES, RESULTS, Solution, code
+from jaxnarx.refinement.prediction import refine_prediction
+from jaxnarx.refinement.search import Progress, Schedule, Search, Stage
+from jaxnarx.refinement.stability import first_horizon
+from jaxnarx.refinement.starts import random_start, remedies
+from jaxnarx.refinement.task import Task, make_task
+from jaxnarx.solution import Solution
 
-ROUNDING = 1e-24
-"""Loss (mean squared NRMSE) that is nothing but rounding errors of float64."""
-
-Progress = Callable[[dict[str, Any]], None]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Task:
-    """A dataset prepared for runs of one network: the loss is mean squared NRMSE."""
-
-    drive: Drive
-    masks: Masks
-    weight: Float[Array, "records time outputs"]
-
-    def anchors(self, horizon: int | None) -> Bool[Array, "records time"]:
-        """Restarts every `horizon` samples where the history is valid; None: one."""
-        anchor = first_anchor(self.masks)
-        if horizon is not None:
-            time = np.arange(anchor.shape[1])[None]
-            every = (time - self.masks.start[:, None]) % horizon == 0
-            anchor = anchor | (every & self.masks.anchors)
-        return jnp.asarray(anchor)
-
-
-def make_task(
-    network: Network, data: Dataset, spread: Float[np.ndarray, " outputs"] | None = None
-) -> tuple[Task, Float[np.ndarray, " outputs"]]:
-    """Prepare `data`; residuals are divided by `spread`, the outputs' standard
-    deviation.
-
-    The spread is that of the data themselves unless it is given (scaled units).
-    """
-    batch = stack(data)
-    masks = make_masks(network, batch)
-    if not masks.scored.any():
-        raise DataError(
-            f"no record has {network.history} valid samples in a row and one more to "
-            "score; refinement has nothing to work on"
-        )
-    drive = make_drive(network, batch)
-    if spread is None:
-        y = np.asarray(drive.measured)
-        columns = [y[..., o][masks.scored[..., o]] for o in range(y.shape[2])]
-        spread = np.array([c.std() for c in columns], y.dtype)
-        spread = np.where(spread > 0, spread, 1.0)
-    count = np.maximum(masks.scored.sum(axis=(0, 1)), 1)
-    weight = masks.scored / (count * spread**2 * len(spread))[None, None]
-    return Task(drive, masks, jnp.asarray(weight.astype(spread.dtype))), spread
+__all__ = ["make_task", "refine", "refine_task"]
 
 
 def refine(
     network: Network,
     data: Dataset,
-    method: SimulationError | None = None,
+    method: SimulationError | PredictionError | None = None,
     *,
     validation: Dataset | None = None,
     trainable: Network | None = None,
+    weights: Sequence[float | int] | None = None,
+    deviations: Network | None = None,
     progress: Progress | None = None,
 ) -> Solution[Network]:
     """Refine coefficients, centres and widths together on simulation error.
 
-    The loss is the mean squared free-run error over the variance of each output.
-    Windows started from the measurement grow through `method.horizons` to whole
-    records. After every accepted step the free run of `validation` (default: of `data`)
-    is scored, and the best network by that score is returned: it is never worse there
-    than the start.
+    The loss is the mean squared free-run error over the variance of each output, or
+    what `method.loss` and `method.box_cox` make of it. Windows started from the
+    measurement grow through `method.horizons` to whole records. After every accepted
+    step the free run of `validation` (default: of `data`) is scored by the same loss,
+    and the best network by that score is returned: it is never worse there than the
+    start. With `method.folds` the records of `data` take turns as validation.
 
-    `trainable` is a tree of booleans with the network's structure. `progress` is called
-    on the host with a dictionary after every accepted step. `stats["history"]` lists
-    these: stage, horizon, step, loss, validation, damping, seconds.
+    `PredictionError` trains on the one-step error instead, and is judged by it.
+
+    `trainable` is a tree of booleans with the network's structure, see `freeze`.
+    `weights` holds one number per record of `data`. `deviations`, a tree like the
+    network's, holds the standard deviation of a Gaussian prior around the start for
+    every trained parameter (as it stands in the network; infinite for none); the
+    noise it is weighed against is what is left at the start of a stage. `progress` is
+    called on the host with a dictionary after every accepted step. `stats["history"]`
+    lists these: stage, horizon, step, loss, validation, damping, seconds.
+
+    Where the start diverges, windows shorter than its escape still train it; if that
+    does not lead to a network that runs, the search begins anew from the least squares
+    of the one-step error, from shrunk feedback, and from random starts, in this order;
+    `stats["remedy"]` and `detail` name what worked.
 
     Statuses: `ok` (relative decrease below tolerance), `budget_spent` (the usual end:
     free-run fits have nearly flat directions), `no_improvement` (validation stopped
@@ -106,13 +64,29 @@ def refine(
     """
     method = SimulationError() if method is None else method
     data, _ = match_channels(data, network.channels)
-    task, spread = make_task(network, data)
+    settings = {}
+    if isinstance(method, SimulationError):
+        settings = {"loss": method.loss, "box_cox": method.box_cox}
+        settings |= {"corner": method.corner}
+    task, spread = make_task(network, data, weights=weights, **settings)
     guard = task
     if validation is not None:
         validation, _ = match_channels(validation, network.channels)
-        guard, _ = make_task(network, validation, spread)
-    layout = make_layout(network, trainable, method.width_band)
-    return refine_task(layout, task, guard, method, progress)
+        guard, _ = make_task(network, validation, spread, criterion=task.criterion)
+    if isinstance(method, PredictionError):
+        layout = make_layout(network, trainable, method.width_band)
+        prior = _prior(layout, deviations)
+        return refine_prediction(layout, task, guard, method, prior, progress)
+    if method.folds and validation is not None:
+        raise SpecError(
+            "folds make validation records of the training data; give one or the other",
+            field="folds",
+        )
+    initial = None
+    if method.initial_conditions == "estimated":
+        initial = initial_conditions(network, task)
+    layout = make_layout(network, trainable, method.width_band, initial)
+    return refine_task(layout, task, guard, method, progress, deviations=deviations)
 
 
 def refine_task(
@@ -121,138 +95,104 @@ def refine_task(
     guard: Task,
     method: SimulationError,
     progress: Progress | None = None,
+    *,
+    deviations: Network | None = None,
 ) -> Solution[Network]:
     """`refine` on prepared data, for those who refine many networks on the same."""
-    return _Search(layout, task, guard, method, progress).solve()
+    schedule = _schedule(layout, task, method)
+    prior = _prior(layout, deviations)
 
-
-def _on_host(equations) -> tuple[float, np.ndarray, np.ndarray]:
-    value, gradient, gram = equations
-    return float(value), np.asarray(gradient), np.asarray(gram)
-
-
-class _Search:
-    """Bookkeeping of one refinement on the host: stages, the guard and the history."""
-
-    def __init__(self, layout: Layout, task, guard, method: SimulationError, progress):
-        self.layout, self.task, self.guard = layout, task, guard
-        self.method, self.progress = method, progress
-        self.history: list[dict[str, Any]] = []
-        self.begin = clock.perf_counter()
-        self.best = np.asarray(layout.gather(layout.base))
-        self.start_score, self.start_diverged = self._judge(self.best)
-        self.score, self.diverged = self.start_score, self.start_diverged
-        self.since = self.passed = 0
-        self.total = method.window_steps * len(method.horizons) + method.max_steps
-
-    def _judge(self, u: np.ndarray) -> tuple[float, bool]:
-        """Free-run loss on the guard's records, and whether any of them diverges."""
-        network = self.layout.place(jnp.asarray(u))
-        y = run(network, self.guard.drive, self.guard.anchors(None))
-        error = jnp.sum(self.guard.weight * (y - self.guard.drive.measured) ** 2)
-        value = np.asarray(y)
-        held = (value <= np.asarray(network.lower)) | (
-            value >= np.asarray(network.upper)
-        )
-        held &= self.guard.masks.scored
-        bad = any(
-            has_diverged(held[n, self.guard.masks.scored[n, :, o], o])
-            for n in range(held.shape[0])
-            for o in range(held.shape[2])
-        )
-        return float(error), bad
-
-    def _consider(self, u: np.ndarray) -> tuple[float, bool]:
-        """Keep `u` if its guard score is the best; a network that runs beats none."""
-        score, diverged = self._judge(u)
-        better = (diverged, score) < (self.diverged, self.score)
-        if better:
-            self.best, self.score, self.diverged, self.since = u, score, diverged, 0
-        else:
-            self.since += 1
-        return score, diverged
-
-    def _problem(self, horizon: int | None) -> levenberg.Problem:
-        anchors = self.task.anchors(horizon)
-        args = (self.task.drive, anchors, self.task.weight)
-        return levenberg.Problem(
-            lambda u: float(loss(self.layout, jnp.asarray(u), *args)),
-            lambda u: _on_host(normal_equations(self.layout, jnp.asarray(u), *args)),
-            np.asarray(self.layout.wall),
+    def search(task: Task, guard: Task, limit: int | None = None) -> Search:
+        return Search(
+            layout,
+            task,
+            guard,
+            method,
+            schedule=schedule,
+            prior=prior,
+            progress=progress,
+            limit=limit,
         )
 
-    def _stage(self, u: np.ndarray, horizon: int | None, steps: int):
-        """Up to `steps` accepted steps at one horizon; returns the end and its
-        status.
-        """
-        if not steps:
-            return u, RESULTS.budget_spent
-        problem = self._problem(horizon)
-        state = levenberg.init(problem, u)
-        pull = self.method.ridge * np.diagonal(state.gram)
-        small = self.since = 0
-        for n in range(steps):
-            state, status = levenberg.step(problem, state, pull, u)
-            if status != RESULTS.ok:
-                # Where no step promises a decrease, or at a loss of rounding errors
-                # alone, the search has converged; it stalls only short of that.
-                arrived = levenberg.promise(state, pull, u) < 1e-10 * state.loss
-                if status == RESULTS.stalled and (arrived or state.loss < ROUNDING):
-                    status = RESULTS.ok
-                return state.u, status
-            score, diverged = self._consider(state.u)
-            self._tell(horizon, n, state, score, diverged)
-            small = small + 1 if state.gain < self.method.tolerance else 0
-            if small >= 2:
-                return state.u, RESULTS.ok
-            if horizon is None and self.since >= self.method.patience:
-                return state.u, RESULTS.no_improvement
-        return state.u, RESULTS.budget_spent
+    if not method.folds:
+        return _solve(search(task, guard))
+    records = len(task.masks.start)
 
-    def _tell(self, horizon, n: int, state: levenberg.State, score, diverged) -> None:
-        row = {
-            "step": len(self.history) + 1,
-            "of": self.total,
-            "done": self.passed + n + 1,
-            "stage": "full record" if horizon is None else f"{horizon} samples",
-            "horizon": horizon,
-            "stage_step": n + 1,
-            "loss": state.loss,
-            "validation": score,
-            "diverged": diverged,
-            "damping": state.damping,
-            "seconds": clock.perf_counter() - self.begin,
-        }
-        self.history.append(row)
-        if self.progress is not None:
-            self.progress(row)
+    def judge(left_out: np.ndarray) -> np.ndarray:
+        rest = np.setdiff1d(np.arange(records), left_out)
+        one = search(task.only(rest), task.only(left_out))
+        _solve(one)
+        start = one.start_diverged, one.start_score
+        return curve(start, one.history, one.total)
 
-    def solve(self) -> Solution[Network]:
-        u, status = self.best, RESULTS.budget_spent
-        longest = int(self.task.masks.scored.any(axis=2).sum(axis=1).max())
-        horizons = [h for h in self.method.horizons if h < longest]
-        for horizon in horizons:
-            u, _ = self._stage(u, horizon, self.method.window_steps)
-            self.passed += self.method.window_steps
-        u, status = self._stage(u, None, self.method.max_steps)
-        return self._solution(status)
+    limit, scores = best_position(records, method.folds, judge)
+    solution = _solve(search(task, task, limit))
+    solution.stats["cross_validation"] = scores
+    solution.stats["limit"] = limit
+    return solution
 
-    def _solution(self, status: RESULTS) -> Solution[Network]:
-        network = self.layout.place(jnp.asarray(self.best))
-        detail = f"free-run loss {self.start_score:.4g} -> {self.score:.4g}"
-        if self.diverged:
-            status = RESULTS.start_diverged if self.start_diverged else status
-            detail += "; no network was found that runs within its bounds"
-        elif self.start_diverged:
-            detail += "; the start diverged, growing horizons led to one that does not"
-        stats = {
-            "history": self.history,
-            "loss": self.score,
-            "loss_start": self.start_score,
-            "start_diverged": self.start_diverged,
-            "steps": len(self.history),
-            "parameters": int(self.best.size),
-            "seconds": clock.perf_counter() - self.begin,
-            "end": NAMES[int(code(status))],
-        }
-        return Solution(network, status, stats, detail)
+
+def _schedule(layout: Layout, task: Task, method: SimulationError) -> Schedule:
+    """Stages of growing windows, then full records."""
+    if method.horizons == "auto":
+        first = first_horizon(layout.base, task.drive, task.masks)
+        horizons = [first * 3**n for n in range(20)]
+    else:
+        horizons = list(method.horizons)
+    # Where only one kind is trained, there is no order in which to train the two.
+    kinds = layout.coefficients().size and layout.partition().size
+    first = bool(kinds) and method.windows_train == "coefficients"
+    stages = [
+        Stage(h, method.window_steps, first) for h in horizons if h < task.longest
+    ]
+    if first and method.solver != "windows":
+        stages.append(Stage(None, method.window_steps, True))
+    last = 0 if method.solver == "windows" else method.max_steps
+    return [*stages, Stage(None, last)]
+
+
+def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
+    """One over the standard deviation of every trained parameter."""
+    if deviations is None:
+        return None
+    if jax.tree.structure(deviations) != jax.tree.structure(layout.base):
+        raise SpecError(
+            "deviations must have the structure of the network; make it with "
+            "eqx.tree_at on the network itself",
+            field="deviations",
+        )
+    value = np.asarray(layout.flat(deviations))[: layout.parameters]
+    if not np.all(value > 0):
+        raise SpecError(
+            "deviations of trained parameters must be positive, or inf for no prior",
+            field="deviations",
+        )
+    return np.pad(1.0 / value, (0, layout.low.shape[0] - layout.parameters))
+
+
+def _solve(search: Search) -> Solution[Network]:
+    """Run the schedule from one start or from several, with remedies."""
+    method, layout = search.method, search.layout
+    ends = [(search.grow(search.start), "")]
+    if method.starts > 1:
+        ends = [_scored(search, *ends[0])]
+        rng = np.random.default_rng(method.seed)
+        for n in range(1, method.starts):
+            search.attempt = f"random start {n}"
+            u = random_start(layout, search.task, search.start, rng)
+            ends.append(_scored(search, search.grow(u), search.attempt))
+        ends = [end[1:] for end in sorted(ends, key=lambda end: end[0])]
+    u, search.attempt = ends[0]
+    status = search.finish(u)
+    if search.diverged and search.total and search.limit is None:
+        for name, u in remedies(search):
+            search.attempt = name
+            search.offer(u)
+            status = search.run(u)
+            if not search.diverged:
+                break
+    return search.solution(status)
+
+
+def _scored(search: Search, u: np.ndarray, name: str):
+    return search.judge(u), u, name

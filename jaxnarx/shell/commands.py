@@ -101,6 +101,13 @@ class Identify:
     """Refinement steps at each window length."""
     ridge: float = 1e-5
     """Pull of the parameters towards the one-step model."""
+    loss: Literal["squares", "huber", "log-cosh"] = "squares"
+    """What errors cost in the refinement; the robust ones forgive outliers."""
+    log: _Names = ()
+    """Outputs whose error is refined on a logarithmic scale, such as HC or particle
+    number; they must be positive."""
+    starts: int = 1
+    """Starting points of the refinement, those beyond the first at random."""
     hold_out: float = 0.2
     """Share of the training samples that validates, where no record is named for it."""
     root: _Folder = None

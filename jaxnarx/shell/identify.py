@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,12 @@ class Plan:
     preparation: dict[str, Any] | None = None
     """What was done to the records before, kept with the model."""
 
+    @property
+    def logarithmic(self) -> tuple[str, ...]:
+        """Outputs whose errors are refined on a logarithmic scale."""
+        powers = self.refine.box_cox
+        return tuple(powers) if isinstance(powers, Mapping) else ()
+
     def on(self, channels: Channels) -> "Plan":
         """The plan for data with these channels: no output named means all of them."""
         known = channels.output_names
@@ -69,6 +76,11 @@ class Plan:
             raise SpecError(
                 "--select simulation takes one output at a time; add "
                 f"--output {outputs[0]!r}, say"
+            )
+        wrong = [name for name in self.logarithmic if name not in outputs]
+        if wrong:
+            raise SpecError(
+                f"--log: {wrong[0]!r} is not modelled. {suggest(wrong[0], outputs)}"
             )
         return dataclasses.replace(self, outputs=outputs)
 
@@ -108,6 +120,9 @@ def make_plan(command: Identify, typed: str) -> Plan:
             max_steps=command.steps,
             window_steps=command.window_steps if command.steps else 0,
             ridge=command.ridge,
+            loss=command.loss,
+            box_cox=dict.fromkeys(command.log, 0.0) if command.log else 1.0,
+            starts=command.starts,
         ),
         command=typed,
     )

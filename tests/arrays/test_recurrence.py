@@ -10,11 +10,11 @@ import pytest
 from oracles import central_difference
 
 from jaxnarx.arrays.recurrence import (
-    age,
     free_run,
     history_of,
     linear_recurrence,
     own_history,
+    polynomial_step,
     run_history,
 )
 
@@ -301,12 +301,6 @@ def test_history_is_newest_first():
     np.testing.assert_array_equal(found[0], np.tile(y[0][:, None], (1, DEPTH)))
 
 
-def test_age_counts_from_the_last_anchor():
-    anchor = jnp.asarray([False, False, True, False, True, True, False])
-    np.testing.assert_array_equal(age(anchor)[2:], [0, 1, 0, 0, 1])
-    assert np.all(np.asarray(age(anchor))[:2] >= 7)
-
-
 def test_run_history_is_simulated_since_the_anchor_and_measured_before():
     anchor = ANCHORS["several"]
     rng = np.random.default_rng(1)
@@ -348,3 +342,47 @@ def test_linear_recurrence_solves_the_dense_triangular_system(shape):
     end, found = linear_recurrence(*(jnp.asarray(x) for x in (a, d, start)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(end, expected[::-1][:DEPTH], rtol=0, atol=1e-11)
+
+
+# polynomial steps -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("copies", [1, 40], ids=["written out", "gathered"])
+def test_polynomial_step_is_its_sum(copies):
+    # Both forms: the table repeated forty times has too many products to write out.
+    table = np.array([[0, 0], [0, 1], [0, 3], [1, 2], [2, 2], [3, 3]])
+    output, lag = np.array([0, 1, 0]), np.array([0, 2, 1])
+    rng = np.random.default_rng(5)
+    g = rng.normal(size=(OUTPUTS, copies * len(table)))
+    history = rng.normal(size=(OUTPUTS, DEPTH))
+    polynomial = polynomial_step(np.tile(table, (copies, 1)), output, lag, OUTPUTS)
+    args = jnp.asarray(g), jnp.asarray(history)
+    found, slope = jax.jit(
+        lambda g, h: (
+            polynomial(None, g, h),
+            jax.jacfwd(lambda h: polynomial(None, g, h))(h),
+        )
+    )(*args)
+
+    def plain(h):
+        x = np.array([1.0, *h[output, lag]])
+        return g.reshape(OUTPUTS, copies, -1).sum(axis=1) @ np.prod(x[table], axis=1)
+
+    np.testing.assert_allclose(found, plain(history), rtol=1e-12)
+    expected = central_difference(
+        lambda h: plain(h.reshape(history.shape)), history.ravel(), eps=1e-5
+    )
+    # Quadratic: central differences are exact but for rounding, 1e-14 / 1e-5.
+    np.testing.assert_allclose(
+        slope.reshape(OUTPUTS, -1), expected, rtol=1e-8, atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("unroll", [2, 3, 8])
+def test_unrolling_changes_nothing(unroll):
+    args, (anchor, lower, upper) = arguments(ANCHORS["several"], TIGHT)
+    unrolled = partial(free_run, step, depth=DEPTH, unroll=unroll)
+    y = jax.jit(unrolled)(*args, anchor, lower, upper)
+    expected = run(problem(ANCHORS["several"]), TIGHT)
+    # Another arrangement of the same sums.
+    np.testing.assert_allclose(y[3:], expected[3:], rtol=0, atol=1e-15)

@@ -83,3 +83,18 @@ def test_a_true_model_scores_perfectly_in_every_mode(network, tmp_path):
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert "speed<sub>t−1</sub> about 1500 ± 400" in page
     assert "Operating regions" in page
+
+
+def test_a_report_says_whether_the_model_forgets_its_past(network, tmp_path):
+    data = Dataset((record(1, "a"), record(2, "b")), CHANNELS, 0.1)
+    got = report(network, {"train": data, "test": data[:1]}, horizons=())
+    values = json.loads(json.dumps(got.to_dict()["stability"], allow_nan=False))
+    assert values["contracts"] == got.stability.contracts
+    assert got.notes[-1] == f"Stability on test: {values['summary']}"
+    assert [p["model"] for p in values["poles"]] == [1, 2, None]
+    # The record's samples less the history: of the main part alone.
+    assert values["bounds"][-1]["of"] == len(data.records[0]) - network.history
+    got.to_html(tmp_path / "r.html")
+    assert "<h2>Stability</h2>" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    bare = report(network, data, horizons=(), stability=False)
+    assert bare.stability is None and not any("Stability" in n for n in bare.notes)

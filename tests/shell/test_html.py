@@ -9,6 +9,7 @@ import pytest
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import Report, Residuals, Row, Trace
+from jaxnarx.refinement.stability import Bound, Place, Poles, Stability
 from jaxnarx.shell.html import figure_text, render, term_html, write_report
 
 EVIL = "<script>alert(1)</script>"
@@ -21,6 +22,15 @@ def row(output, mode, record="pooled", part="test", status="ok", **more):
     counts = dict(samples=100, limited=0, extrapolated=3)
     base = dict(part=part, output=output, unit="ppm", mode=mode, record=record)
     return Row(**(base | figures | counts | {"status": status} | more))  # pyright: ignore
+
+
+def stability(name, record):
+    place = Place(record, 3, 0.3, {name: 1.0})
+    bound = Bound(
+        "sampled", False, 1.1, 0.9, 2.0, 0.2, {name: (0.0, 1.0)}, place, 50, 90
+    )
+    poles = Poles(name, 1, 50, 0.5, 0.9, 1.1, 0.02, 0.14)
+    return Stability((poles,), (bound,), 0.1)
 
 
 def make(name="NOx", record="r1", samples=50):
@@ -51,6 +61,7 @@ def make(name="NOx", record="r1", samples=50):
             "ranges": [(0.0, 1.0)],
             "after": [{"centre": [0.2], "width": [0.1]}],
         },
+        stability=stability(name, record),
         provenance={"command": name, "versions": {"numpy": np.__version__}},
     )
 
@@ -102,12 +113,24 @@ def test_every_section_is_there_and_optional_ones_may_be_absent():
     full = render(make())
     bare = render(
         dataclasses.replace(
-            make(), selection=None, history=None, partition=None, equations=(), notes=()
+            make(),
+            selection=None,
+            history=None,
+            partition=None,
+            stability=None,
+            equations=(),
+            notes=(),
         )
     )
     for title in ("Scores", "Where it can be trusted", "Provenance", "Residuals"):
         assert title in full and title in bare
-    for title in ("The equations", "How the terms", "Refinement of", "Operating"):
+    for title in (
+        "The equations",
+        "How the terms",
+        "Refinement of",
+        "Operating",
+        "Stability",
+    ):
         assert title in full and title not in bare
 
 

@@ -1,0 +1,236 @@
+"""The search on the host: stages of growing horizon, the guard, the history."""
+
+import time as clock
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.methods import SimulationError
+from jaxnarx.models import Network
+from jaxnarx.refinement.layout import Layout
+from jaxnarx.refinement.levenberg import Levenberg
+from jaxnarx.refinement.problem import Linear, Problem, restraint
+from jaxnarx.refinement.quasi_newton import QuasiNewton
+from jaxnarx.refinement.random_windows import RandomWindows
+from jaxnarx.refinement.task import Task
+from jaxnarx.simulation import has_diverged, run
+from jaxnarx.solution import NAMES, RESULTS, Solution, code
+
+ROUNDING = 1e-24
+"""Loss (mean squared NRMSE) that is nothing but rounding errors of float64."""
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+class Stage(NamedTuple):
+    """A horizon (None: the full record), its accepted steps, and what is trained."""
+
+    horizon: int | None
+    steps: int
+    only_coefficients: bool = False
+
+
+Schedule = list[Stage]
+
+
+class Guard:
+    """Judges networks by the free run of records, from their measured starts."""
+
+    def __init__(self, layout: Layout, task: Task):
+        self.layout, self.task = layout, task
+
+    def __call__(self, u: np.ndarray) -> tuple[bool, float]:
+        """Whether any record diverges, and the loss."""
+        return self.network(self.layout.place(jnp.asarray(u)))
+
+    def network(self, network: Network) -> tuple[bool, float]:
+        """The same for a network."""
+        task = self.task
+        y = run(network, task.drive, task.anchors(None))
+        error = task.criterion(y, task.drive.measured, task.weight)
+        value = np.asarray(y)
+        held = (value <= np.asarray(network.lower)) | (
+            value >= np.asarray(network.upper)
+        )
+        scored = task.masks.scored
+        bad = any(
+            has_diverged(held[n, scored[n, :, o], o])
+            for n in range(held.shape[0])
+            for o in range(held.shape[2])
+        )
+        return bad, float(error)
+
+
+class Search:
+    """One refinement: where it stands, the best so far by the guard, and the history.
+
+    `limit` ends it at that position of the schedule, as cross-validation asks.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        task: Task,
+        guard: Task,
+        method: SimulationError,
+        *,
+        schedule: Schedule,
+        prior: np.ndarray | None = None,
+        progress: Progress | None = None,
+        limit: int | None = None,
+    ):
+        self.layout, self.task, self.method = layout, task, method
+        self.schedule, self.prior, self.progress = schedule, prior, progress
+        self.limit, self.judge = limit, Guard(layout, guard)
+        self.history: list[dict[str, Any]] = []
+        self.begin = clock.perf_counter()
+        self.best = self.start = np.asarray(layout.gather(layout.base))
+        self.start_diverged, self.start_score = self.judge(self.best)
+        self.diverged, self.score = self.start_diverged, self.start_score
+        self.since = self.passed = 0
+        self.attempt = ""
+        self.remedy = ""
+        self.total = sum(stage.steps for stage in schedule)
+
+    def run(self, u: np.ndarray) -> RESULTS:
+        """The whole schedule from `u`; returns how its last stage ended."""
+        u = self.grow(u)
+        return self.finish(u)
+
+    def grow(self, u: np.ndarray) -> np.ndarray:
+        """All stages but the last; returns where they end."""
+        self.passed = 0
+        for stage in self.schedule[:-1]:
+            u, _ = self.stage(u, stage)
+            self.passed += stage.steps
+        return u
+
+    def finish(self, u: np.ndarray) -> RESULTS:
+        """The last stage, full records."""
+        self.passed = self.total - self.schedule[-1].steps
+        _, status = self.stage(u, self.schedule[-1])
+        return status
+
+    def problem(self, u: np.ndarray, stage: Stage) -> Problem:
+        """The loss of a stage, with the restraint that suits the network at `u`."""
+        weight, target = self.method.stability, self.method.contraction
+        held = restraint(self.layout, u, self.task, weight, target)
+        anchors = self.task.anchors(stage.horizon)
+        still = self.layout.partition() if stage.only_coefficients else None
+        return Problem(self.layout, self.task, anchors, held, still)
+
+    def _stepper(self, problem: Problem, horizon: int | None) -> Any:
+        method = self.method
+        if method.solver == "levenberg":
+            return Levenberg(problem)
+        if method.solver != "windows":
+            return QuasiNewton(problem, limited_memory=method.solver == "lbfgs")
+        return RandomWindows(
+            problem,
+            horizon or self.task.longest,
+            batch=method.batch,
+            learning_rate=method.learning_rate,
+            seed=method.seed,
+        )
+
+    def pull(self, linear: Linear, u: np.ndarray) -> np.ndarray:
+        """Ridge and prior of a stage that starts at `u`."""
+        pull = self.method.ridge * np.diagonal(linear.gram)
+        if self.prior is None:
+            return pull
+        # The noise's variance, in units of the loss, by what is left at the start.
+        count = max(int(self.task.masks.scored.sum()), 1)
+        slope = np.asarray(self.layout.slope(jnp.asarray(u)))
+        return pull + linear.loss / count * (slope * self.prior) ** 2
+
+    def stage(self, u: np.ndarray, stage: Stage) -> tuple[np.ndarray, RESULTS]:
+        """The accepted steps of a stage; returns the end and its status."""
+        horizon, steps, _ = stage
+        if self.limit is not None:
+            steps = min(steps, self.limit - self.passed)
+        if steps <= 0:
+            return u, RESULTS.budget_spent
+        problem = self.problem(u, stage)
+        stepper = self._stepper(problem, horizon)
+        linear = problem.linear(u)
+        state = stepper.init(u, linear, self.pull(linear, u))
+        small = self.since = 0
+        for n in range(steps):
+            state, status = stepper.step(state)
+            if status != RESULTS.ok:
+                # Where no step promises a decrease, or at a loss of rounding errors
+                # alone, the search has converged; it stalls only short of that.
+                done = state.loss < ROUNDING
+                if status == RESULTS.stalled and (done or stepper.arrived(state)):
+                    status = RESULTS.ok
+                return state.u, status
+            self._consider(state.u, horizon, n, state)
+            # Batches are noisy: their loss may rest for a while.
+            quiet = state.gain < self.method.tolerance
+            small = small + 1 if quiet and self.method.solver != "windows" else 0
+            if small >= 2:
+                return state.u, RESULTS.ok
+            last = stage is self.schedule[-1]
+            if last and self.since >= self.method.patience:
+                return state.u, RESULTS.no_improvement
+        return state.u, RESULTS.budget_spent
+
+    def offer(self, u: np.ndarray) -> tuple[bool, float]:
+        """Keep `u` if its guard score is the best; a network that runs beats none."""
+        diverged, score = self.judge(u)
+        if (diverged, score) < (self.diverged, self.score):
+            self.best, self.score, self.diverged, self.since = u, score, diverged, 0
+            self.remedy = self.attempt
+        else:
+            self.since += 1
+        return diverged, score
+
+    def _consider(self, u: np.ndarray, horizon: int | None, n: int, state) -> None:
+        """Offer `u`, and note it."""
+        diverged, score = self.offer(u)
+        row = {
+            "step": len(self.history) + 1,
+            "of": self.total,
+            "done": self.passed + n + 1,
+            "stage": "full record" if horizon is None else f"{horizon} samples",
+            "horizon": horizon,
+            "stage_step": n + 1,
+            "loss": state.loss,
+            "validation": score,
+            "diverged": diverged,
+            "damping": state.damping,
+            "seconds": clock.perf_counter() - self.begin,
+        }
+        if self.attempt:
+            row["start"] = self.attempt
+        self.history.append(row)
+        if self.progress is not None:
+            self.progress(row)
+
+    def solution(self, status: RESULTS) -> Solution[Network]:
+        """The best network, and how it was found."""
+        network = self.layout.place(jnp.asarray(self.best))
+        detail = f"free-run loss {self.start_score:.4g} -> {self.score:.4g}"
+        if self.diverged:
+            status = RESULTS.start_diverged if self.start_diverged else status
+            detail += "; no network was found that runs within its bounds"
+        elif self.start_diverged:
+            way = self.remedy or "growing horizons"
+            detail += f"; the start diverged, {way} led to one that does not"
+        stats = {
+            "history": self.history,
+            "loss": self.score,
+            "loss_start": self.start_score,
+            "start_diverged": self.start_diverged,
+            "remedy": self.remedy,
+            "steps": len(self.history),
+            "parameters": self.layout.parameters,
+            "seconds": clock.perf_counter() - self.begin,
+            "end": NAMES[int(code(status))],
+        }
+        if self.layout.initial is not None:
+            offset = self.best[self.layout.parameters :]
+            stats["initial"] = offset.reshape(self.layout.initial.weight.shape)
+        return Solution(network, status, stats, detail)

@@ -1,0 +1,90 @@
+"""Other points to start from: at random, and where the given one diverges."""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.models import Network, fed_back
+from jaxnarx.refinement.layout import Layout
+from jaxnarx.refinement.problem import Problem
+from jaxnarx.refinement.search import Search
+from jaxnarx.refinement.separable import solve_coefficients
+from jaxnarx.refinement.task import Task
+
+REACH = 0.7
+"""Standard deviation of a random move of the partition, in solver coordinates."""
+JITTER = 0.3
+"""... and of coefficients where there is no partition, as a share of their value."""
+SHRINK = (0.98, 0.95, 0.9, 0.8, 0.6, 0.3, 0.0)
+"""Factors on the fed-back terms that are tried one after another."""
+EXTRA = 3
+"""Random starts in the last remedy."""
+
+
+def one_step_least_squares(layout: Layout, task: Task, u: np.ndarray) -> np.ndarray:
+    """`u` with all coefficients at their least-squares values one step ahead.
+
+    Three times: samples at the feedback bound have no part in one solution, and may
+    have in the next.
+    """
+    problem = Problem(layout, task, task.anchors(1))
+    inner = layout.coefficients()
+    for _ in range(3 if inner.size else 0):
+        u = solve_coefficients(problem.linear(u), u, inner)
+    return u
+
+
+def random_start(
+    layout: Layout, task: Task, u: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """The partition moved at random, with the coefficients of least squares there.
+
+    Without a trained partition the coefficients are moved instead.
+    """
+    bounded = np.isfinite(np.asarray(layout.low))
+    wall = np.asarray(layout.wall)
+    if bounded.any():
+        moved = u + np.where(bounded, REACH * rng.normal(size=u.size), 0.0)
+        moved = np.clip(moved, -wall, wall).astype(u.dtype)
+        return one_step_least_squares(layout, task, moved)
+    own = np.arange(u.size) < layout.parameters
+    factor = 1.0 + JITTER * rng.normal(size=u.size)
+    return np.where(own, u * factor, u).astype(u.dtype)
+
+
+def shrunk(layout: Layout, u: np.ndarray, factor: float) -> np.ndarray:
+    """Coefficients of fed-back terms times `factor`, their others as they are."""
+    network = layout.place(jnp.asarray(u))
+    new = layout.gather(shrink_feedback(network, factor))
+    return np.where(np.arange(u.size) < layout.parameters, np.asarray(new), u)
+
+
+def shrink_feedback(network: Network, factor: float) -> Network:
+    """Every term with a modelled output in it, at `factor` times its coefficient."""
+    rows = [row + 1 for row, _, _ in fed_back(network.variables, network.signals)]
+
+    def one(model):
+        local = model.local
+        own = jnp.isin(local.factor, jnp.asarray(rows, local.factor.dtype)).any(axis=1)
+        value = jnp.where(own[local.index], factor, 1.0).astype(local.coefficient.dtype)
+        return eqx.tree_at(
+            lambda m: m.local.coefficient, model, local.coefficient * value
+        )
+
+    return eqx.tree_at(lambda n: n.models, network, tuple(map(one, network.models)))
+
+
+def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
+    """Starts in place of one that diverges, in order, each with its name."""
+    layout, task = search.layout, search.task
+    yield "one-step least squares", one_step_least_squares(layout, task, search.start)
+    for factor in SHRINK:
+        u = shrunk(layout, search.start, factor)
+        if not search.judge(u)[0]:
+            yield f"feedback shrunk to {factor:g}", u
+            break
+    rng = np.random.default_rng(search.method.seed)
+    for n in range(EXTRA):
+        yield f"random start {n + 1}", random_start(layout, task, search.start, rng)

@@ -1,0 +1,135 @@
+"""The run by Newton's method against the time loop."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnarx.arrays.recurrence import free_run, linear_recurrence
+from jaxnarx.arrays.time_parallel import affine_recurrence, newton_run, parallel_run
+
+TIME, OUTPUTS, DEPTH = 60, 2, 3
+EQUAL = 1e-9
+"""The contract of `parallel_run`; Newton's method stops at 1e-10."""
+
+
+def step(params, drive, history):
+    """Two coupled outputs, products of feedback and input, lags 1 to 3."""
+    h = history
+    first = params[0] * h[0, 0] - 0.2 * h[0, 1] + params[1] * drive[0] * h[1, 0]
+    second = params[2] * h[1, 0] + params[3] * h[0, 2] ** 2 - 0.25 * h[1, 2]
+    return jnp.stack([first + drive[0], second + drive[1] * drive[0]])
+
+
+def problem(*anchors: int, gain: float = 1.0, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    return (
+        gain * jnp.array([0.7, 0.2, 0.5, 0.3]),
+        jnp.asarray(rng.uniform(-0.5, 0.5, size=(TIME, 2))),
+        jnp.asarray(rng.uniform(-0.4, 0.4, size=(TIME, OUTPUTS))),
+        jnp.isin(jnp.arange(TIME), jnp.array(anchors)),
+    )
+
+
+def bounds(limit: float):
+    return jnp.full(OUTPUTS, -limit), jnp.full(OUTPUTS, limit)
+
+
+loop = jax.jit(lambda *args: free_run(step, *args, depth=DEPTH))
+newton = jax.jit(lambda *args: newton_run(step, *args, depth=DEPTH))
+parallel = jax.jit(lambda *args: parallel_run(step, *args, depth=DEPTH))
+
+
+@pytest.mark.parametrize("limit", [50.0, 0.35], ids=["wide", "tight"])
+@pytest.mark.parametrize("anchors", [(3,), (17,), (3, 20, 21, 40), tuple(range(3, 60))])
+def test_newton_alone_equals_the_loop(anchors, limit):
+    args = (*problem(*anchors), *bounds(limit))
+    expected = loop(*args)[anchors[0] :]
+    found, converged, count = newton(*args)
+    assert converged and count <= 30
+    np.testing.assert_allclose(found[anchors[0] :], expected, rtol=0, atol=EQUAL)
+    assert (np.abs(expected) == limit).any() == (limit < 1)
+
+
+def test_an_affine_run_takes_one_iteration_and_one_to_see_it():
+    params, *rest = problem(3)
+    linear = params * jnp.array([1.0, 0.0, 1.0, 0.0])
+    _, converged, count = newton(linear, *rest, *bounds(50.0))
+    assert converged and count == 2
+
+
+def test_an_unstable_run_is_that_of_the_loop():
+    # The linear solutions overflow; whatever Newton does, the loop's outputs return.
+    args = (*problem(3, gain=4.0), *bounds(5.0))
+    expected = loop(*args)[3:]
+    assert (np.abs(expected) == 5.0).mean() > 0.2
+    np.testing.assert_allclose(parallel(*args)[0][3:], expected, rtol=0, atol=EQUAL)
+
+
+def test_where_newton_has_not_converged_the_loop_is_used():
+    args = (*problem(3), *bounds(50.0))
+    short = jax.jit(lambda *a: parallel_run(step, *a, depth=DEPTH, iterations=1))
+    y, converged = short(*args)
+    assert not converged
+    np.testing.assert_array_equal(y[3:], loop(*args)[3:])
+
+
+def test_what_precedes_the_first_anchor_does_not_matter():
+    params, drive, measured, anchor = problem(30)
+    wild = drive.at[:30].set(1e6)
+    plain, spoilt = (
+        newton(params, d, measured, anchor, *bounds(50.0)) for d in (drive, wild)
+    )
+    assert plain[1:] == spoilt[1:]
+    np.testing.assert_array_equal(plain[0][30:], spoilt[0][30:])
+
+
+def test_map_over_records_is_a_loop_over_them():
+    records = [problem(3, seed=s)[1:] for s in range(3)]
+    params = problem(3)[0]
+    stacked = [jnp.stack(a) for a in zip(*records, strict=True)]
+    low, high = bounds(50.0)
+
+    def one(record):
+        drive, measured, anchor = record
+        args = params, drive, measured, anchor, low, high
+        return parallel_run(step, *args, depth=DEPTH)
+
+    y, converged = jax.jit(lambda data: jax.lax.map(one, data))(tuple(stacked))
+    assert converged.all()
+    for n, record in enumerate(records):
+        expected = loop(params, *record, low, high)
+        np.testing.assert_allclose(y[n, 3:], expected[3:], rtol=0, atol=EQUAL)
+
+
+def test_float32_stays_float32():
+    args = [*problem(3), *bounds(50.0)]
+    single = [a.astype(jnp.float32) if a.dtype != bool else a for a in args]
+    y, converged = parallel(*single)
+    assert y.dtype == jnp.float32 and converged
+    np.testing.assert_allclose(y[3:], loop(*args)[3:], rtol=0, atol=1e-5)
+
+
+def test_the_parallel_linear_recurrence_is_the_sequential_one():
+    rng = np.random.default_rng(2)
+    a = jnp.asarray(0.3 * rng.normal(size=(TIME, OUTPUTS, OUTPUTS, DEPTH)))
+    d = jnp.asarray(rng.normal(size=(TIME, OUTPUTS)))
+    start = jnp.zeros((DEPTH, OUTPUTS))
+    _, expected = linear_recurrence(a, d, start)
+    none = jnp.zeros(TIME, bool)
+    found = jax.jit(affine_recurrence)(a, d, none)
+    # Sixty products of contractions on numbers of order one.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_an_anchor_forgets_a_past_that_has_overflowed():
+    time, late = 400, 390
+    age = jnp.arange(time) - late
+    own = age[:, None] > jnp.arange(2)[None]
+    a = jnp.where((age < 0)[:, None], 1e3, jnp.where(own, 0.5, 0.0))[:, None, None]
+    found = jax.jit(affine_recurrence)(a, jnp.ones((time, 1)), age == 0)[:, 0]
+    assert not np.isfinite(found[late - 1])
+    expected = [1.0, 1.5]
+    for _ in range(8):
+        expected.append(1.0 + 0.5 * (expected[-1] + expected[-2]))
+    np.testing.assert_allclose(found[late:], expected, rtol=1e-14)

@@ -1,0 +1,365 @@
+"""The options of `refine`: losses, initial conditions, solvers, starts, folds, priors.
+
+Each is held to its own promise: the derivative by central differences, the minimum it
+must reach, or what it must leave alone.
+"""
+
+import common
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import oracles
+import pytest
+from common import Y
+from test_refine import (
+    BAND,
+    SPARE,
+    free_run_error,
+    made_by,
+    perturbed,
+    unstable,
+    used,
+)
+
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import PredictionError, SimulationError
+from jaxnarx.refinement import freeze, refine
+from jaxnarx.refinement.folds import curve, deal
+from jaxnarx.refinement.initial import initial_conditions
+from jaxnarx.refinement.layout import make_layout
+from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.refinement.starts import (
+    one_step_least_squares,
+    random_start,
+    shrink_feedback,
+)
+from jaxnarx.refinement.task import make_task
+from jaxnarx.simulation import predict, run, simulate
+
+QUICK = {"horizons": (8,), "window_steps": 4, "max_steps": 8}
+"""Settings that share the compiled programs of one short search."""
+
+
+# derivatives ----------------------------------------------------------------------
+
+
+def residuals(layout, task, anchor):
+    """sqrt(weight) T'-free errors and the initial offsets' own, as one vector."""
+
+    @eqx.filter_jit
+    def f(u):
+        drive = eqx.tree_at(
+            lambda d: d.measured, task.drive, layout.begin(u, task.drive.measured)
+        )
+        y = run(layout.place(u), drive, anchor)
+        e, _ = task.criterion.errors(y, task.drive.measured)
+        parts = [(jnp.sqrt(task.weight) * e).reshape(-1)]
+        if layout.initial is not None:
+            own = jnp.sqrt(layout.initial.weight.reshape(-1))
+            parts.append(own * u[layout.parameters :])
+        return jnp.concatenate(parts)
+
+    return lambda u: np.asarray(f(jnp.asarray(u)))
+
+
+@pytest.mark.parametrize("horizon", [None, 2], ids=["free run", "windows"])
+@pytest.mark.parametrize("kind", ["coupled", "coupled, by own output"])
+def test_initial_conditions_have_exact_derivatives(kind, horizon):
+    net = common.named(kind, **SPARE)
+    task, _ = make_task(net, common.dataset())
+    layout = make_layout(net, None, BAND, initial_conditions(net, task))
+    rng = np.random.default_rng(0)
+    u = np.array(layout.gather(net))
+    assert layout.initial is not None
+    assert u.size == layout.parameters + layout.initial.size
+    u[layout.parameters :] = 0.1 * rng.normal(size=layout.initial.size)
+    anchor = task.anchors(horizon)
+    found = normal_equations(layout, jnp.asarray(u), task.drive, anchor, task.weight)
+    f = residuals(layout, task, anchor)
+    hessian, gradient = oracles.normal_equations(f, u)
+    np.testing.assert_allclose(found[0], np.sum(f(u) ** 2), rtol=1e-12)
+    # As in test_refine: central differences with h = 1e-6.
+    for one, plain in ((found[1], gradient), (found[2], hessian)):
+        scale = np.abs(plain).max()
+        np.testing.assert_allclose(one, plain, rtol=1e-5, atol=1e-7 * scale)
+    starts = np.asarray(found[2])[layout.parameters :, : layout.parameters]
+    assert np.abs(starts).max() > 1e-6
+
+
+def test_transformed_errors_have_exact_derivatives():
+    net = common.named("one model", **SPARE)
+    data = common.dataset()
+    rows = [np.abs(common.rows_of(data, n)) + 0.5 for n in range(len(data))]
+    task, _ = make_task(net, common.from_rows(rows), box_cox=0.0)
+    layout = make_layout(net, None, BAND)
+    u, anchor = np.asarray(layout.gather(net)), task.anchors(None)
+    args = (layout, jnp.asarray(u), task.drive, anchor, task.weight, task.criterion)
+    value, gradient, gram = normal_equations(*args)
+    f = residuals(layout, task, anchor)
+    hessian, slope = oracles.normal_equations(f, u)
+    np.testing.assert_allclose(value, loss(*args), rtol=1e-12)
+    np.testing.assert_allclose(value, np.sum(f(u) ** 2), rtol=1e-12)
+    for one, plain in ((gradient, slope), (gram, hessian)):
+        scale = np.abs(plain).max()
+        np.testing.assert_allclose(one, plain, rtol=1e-5, atol=1e-7 * scale)
+
+
+# what is minimised ----------------------------------------------------------------
+
+
+def test_estimated_initial_conditions_find_a_wrong_start():
+    truth = common.named("one model", **SPARE)
+    clean = made_by(truth)
+    rows = [common.rows_of(clean, n) for n in range(len(clean))]
+    for r in rows:
+        r[: truth.history, Y] += 2.0 * common.GAIN[Y]
+    spoilt = common.from_rows(rows)
+    start = perturbed(truth, 0.05)
+    method = SimulationError(**QUICK, initial_conditions="estimated", ridge=1e-12)
+    found = refine(start, spoilt, method)
+    # The offsets are those that were added, but for what their own weight costs them.
+    offset = found.stats["initial"][:, : truth.history]
+    plain = refine(start, spoilt, SimulationError(**QUICK, ridge=1e-12))
+    assert np.median(offset[np.abs(offset) > 0]) < -0.5
+    error = {
+        name: free_run_error(s.value, clean, clean)
+        for name, s in (("estimated", found), ("measured", plain))
+    }
+    assert error["estimated"] < error["measured"]
+
+
+def test_a_robust_loss_forgives_outliers():
+    truth = common.named("one model", **SPARE)
+    clean = made_by(truth)
+    rows = [common.rows_of(clean, n) for n in range(len(clean))]
+    rng = np.random.default_rng(1)
+    for r in rows:
+        if len(r) > 20:
+            at = rng.choice(np.arange(5, len(r)), 3, replace=False)
+            r[at, Y] += 8.0 * common.GAIN[Y]
+    spoilt, start = common.from_rows(rows), perturbed(truth, 0.05)
+    errors = {}
+    for name in ("squares", "huber", "log-cosh"):
+        method = SimulationError(horizons=(), max_steps=25, loss=name, corner=0.05)
+        # Windows would begin at outliers; the free run begins before them.
+        errors[name] = free_run_error(refine(start, spoilt, method).value, clean, clean)
+    assert errors["huber"] < errors["squares"] / 5
+    assert errors["log-cosh"] < errors["squares"] / 5
+
+
+@pytest.mark.parametrize("solver", ["bfgs", "lbfgs", "windows"])
+def test_every_solver_comes_near_the_system(solver):
+    truth = common.named("one model", **SPARE)
+    measured, start = made_by(truth), perturbed(truth, 0.1)
+    before = free_run_error(start, measured, measured)
+    method = SimulationError(
+        horizons=(8,), window_steps=25, max_steps=40, solver=solver, ridge=1e-9
+    )
+    solution = refine(start, measured, method)
+    assert solution.is_okay, solution.detail
+    after = free_run_error(solution.value, measured, measured)
+    assert after < before / (20 if solver == "windows" else 1e4)
+
+
+def test_record_weights_choose_what_is_fitted():
+    truth = common.named("one model", **SPARE)
+    other = perturbed(truth, 0.1, seed=8)
+    good, bad = made_by(truth), made_by(other)
+    rows = [common.rows_of(bad if n == 0 else good, n) for n in range(len(good))]
+    mixed, start = common.from_rows(rows), perturbed(truth, 0.05)
+    shares = [0.0, *[1.0] * (len(good) - 1)]
+    method = SimulationError(**QUICK, ridge=1e-12)
+    solution = refine(start, mixed, method, weights=shares)
+    np.testing.assert_allclose(used(solution.value), used(truth), atol=1e-5)
+    with pytest.raises(SpecError, match="weights must be one non-negative number"):
+        refine(start, mixed, method, weights=[1.0])
+
+
+def test_a_prior_holds_what_it_is_sure_of():
+    truth = common.named("one model", **SPARE)
+    measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1)
+    free = jax.tree.map(lambda leaf: leaf, start)
+    wide = eqx.tree_at(
+        lambda n: n.models[0].local.coefficient,
+        free,
+        jnp.full_like(start.models[0].local.coefficient, jnp.inf),
+    )
+    sure = eqx.tree_at(
+        lambda n: n.models[0].local.coefficient,
+        free,
+        jnp.full_like(start.models[0].local.coefficient, jnp.inf).at[0, 0].set(1e-9),
+    )
+    method = SimulationError(**QUICK)
+    plain = refine(start, measured, method)
+    same = refine(start, measured, method, deviations=wide)
+    np.testing.assert_array_equal(used(plain.value), used(same.value))
+    held = used(refine(start, measured, method, deviations=sure).value)
+    np.testing.assert_allclose(held[0], used(start)[0], rtol=0, atol=1e-6)
+    assert np.all(np.abs(held[1:] - used(start)[1:]) > 1e-6)
+    with pytest.raises(SpecError, match="must be positive"):
+        refine(start, measured, method, deviations=start)
+
+
+# starts ---------------------------------------------------------------------------
+
+
+def test_least_squares_of_one_step_is_that_of_the_rows():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth), perturbed(truth, 0.3)
+    # The partition of the truth, the coefficients of the other.
+    start = eqx.tree_at(lambda n: n.models[0].validity, start, truth.models[0].validity)
+    task, _ = make_task(start, measured)
+    layout = make_layout(start, None, BAND)
+    u = np.asarray(layout.gather(start))
+    u = one_step_least_squares(layout, task.one_step(), u)
+    np.testing.assert_allclose(used(layout.place(jnp.asarray(u))), used(truth), 1e-6)
+
+
+def test_random_starts_differ_and_stay_inside():
+    net = common.named("by inputs", **SPARE)
+    task, _ = make_task(net, common.dataset())
+    layout = make_layout(net, None, BAND)
+    u, rng = np.asarray(layout.gather(net)), np.random.default_rng(0)
+    ends = [random_start(layout, task, u, rng) for _ in range(2)]
+    assert np.all(np.abs(ends[0]) <= np.asarray(layout.wall))
+    assert np.abs(ends[0] - ends[1]).max() > 0.1
+
+
+def test_shrunk_feedback_keeps_the_input_terms():
+    net = common.named("coupled", **SPARE)
+    none = shrink_feedback(net, 0.0)
+    rows = common.dataset()
+    # Without feedback one step and the free run are the same.
+    free, step = (f(none, rows).value for f in (simulate, predict))
+    for n, scored in enumerate(step.scored):
+        np.testing.assert_allclose(free[n][scored], step[n][scored], rtol=1e-12)
+    for a, b in zip(
+        jax.tree.leaves(shrink_feedback(net, 1.0)), jax.tree.leaves(net), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_start_beyond_repair_is_replaced():
+    truth = common.named("one model", bound=3.0, **SPARE)
+    measured = made_by(truth, noise=0.01)
+    # One step on the full record, from an explosion, is not enough.
+    method = SimulationError(horizons=(), max_steps=1)
+    solution = refine(unstable(truth), measured, method)
+    assert solution.stats["start_diverged"] and solution.is_okay
+    assert solution.stats["remedy"] == "one-step least squares"
+    assert "one-step least squares led to one that does not" in solution.detail
+    assert free_run_error(solution.value, measured, measured) < 1e-2
+    assert {row.get("start", "") for row in solution.stats["history"]} >= {
+        "one-step least squares"
+    }
+
+
+def test_the_best_of_several_starts_goes_on():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth, noise=0.01), perturbed(truth, 0.3, seed=1)
+    solution = refine(start, measured, SimulationError(**QUICK, starts=3))
+    rows = solution.stats["history"]
+    windows = [row for row in rows if row["horizon"] is not None]
+    names = ["", "random start 1", "random start 2"]
+    assert list(dict.fromkeys(row.get("start", "") for row in windows)) == names
+    # Where each start stands after the windows; the least of them is trained on.
+    ends = {row.get("start", ""): row["validation"] for row in windows}
+    best = min(ends, key=lambda name: ends[name])
+    assert {row.get("start", "") for row in rows if row["horizon"] is None} == {best}
+    assert solution.stats["loss"] <= min(ends.values())
+
+
+# cross-validation -----------------------------------------------------------------
+
+
+def test_records_are_dealt_to_every_fold_once():
+    folds = deal(7, 3)
+    assert sorted(np.concatenate(folds).tolist()) == list(range(7))
+    with pytest.raises(SpecError, match="3 folds need at least as many records"):
+        deal(2, 3)
+
+
+def test_a_curve_goes_on_over_stages_that_ended_early():
+    rows = [
+        {"done": 1, "validation": 4.0, "diverged": False},
+        {"done": 4, "validation": 2.0, "diverged": True},
+        {"done": 5, "validation": 3.0, "diverged": False},
+    ]
+    found = curve((False, 9.0), rows, 6)
+    np.testing.assert_array_equal(found, [9.0, 4.0, 4.0, 4.0, np.inf, 3.0, 3.0])
+
+
+def test_folds_stop_where_left_out_records_stop_to_gain():
+    truth = common.named("one model", **SPARE)
+    # The truth is the start, and the data are noise: every step is one too many.
+    noisy = made_by(truth, noise=1.0)
+    method = SimulationError(**QUICK, folds=2, ridge=0.0)
+    solution = refine(truth, noisy, method)
+    scores = solution.stats["cross_validation"]
+    assert len(scores) == 1 + QUICK["window_steps"] + QUICK["max_steps"]
+    assert solution.stats["limit"] == int(np.argmin(scores))
+    assert solution.stats["steps"] <= solution.stats["limit"]
+    with pytest.raises(SpecError, match="folds make validation records"):
+        refine(truth, noisy, method, validation=noisy)
+
+
+# one-step error -------------------------------------------------------------------
+
+
+def one_step_error(net, data) -> float:
+    found = predict(net, data).value
+    error, y = [], []
+    for n, scored in enumerate(found.scored):
+        s = scored[:, 0]
+        error.append(found[n][s, 0] - data.records[n].y[s, net.modelled[0]])
+        y.append(data.records[n].y[s, net.modelled[0]])
+    return float(np.mean(np.concatenate(error) ** 2) / np.var(np.concatenate(y)))
+
+
+def test_separable_search_finds_the_partition():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth), perturbed(truth, 0.1)
+    method = PredictionError(max_steps=40, ridge=1e-12, tolerance=0.0)
+    solution = refine(start, measured, method)
+    assert solution.is_okay, solution.detail
+    assert solution.stats["loss"] < 1e-6 * solution.stats["loss_start"]
+    np.testing.assert_allclose(
+        solution.stats["loss"],
+        one_step_error(solution.value, measured),
+        rtol=1e-6,
+        atol=1e-20,
+    )
+
+
+def test_without_a_partition_one_solution_is_all():
+    truth = common.named("one model", **SPARE)
+    measured, start = made_by(truth), perturbed(truth, 0.3)
+    solution = refine(start, measured, PredictionError(ridge=0.0))
+    assert solution.status_name == "ok" and solution.stats["steps"] == 1
+    np.testing.assert_allclose(used(solution.value), used(truth), rtol=1e-6)
+
+
+def test_only_what_is_trainable_moves_in_prediction():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth, noise=0.02), perturbed(truth, 0.05)
+    tree = freeze(start, coefficients=False)
+    solution = refine(start, measured, PredictionError(max_steps=3), trainable=tree)
+    np.testing.assert_array_equal(used(solution.value), used(start))
+    assert solution.stats["loss"] < solution.stats["loss_start"]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"folds": 1},
+        {"starts": 0},
+        {"corner": 0.0},
+        {"stability": -1.0},
+    ],
+    ids=str,
+)
+def test_impossible_options_are_refused(settings):
+    with pytest.raises(SpecError) as caught:
+        SimulationError(**settings)
+    assert caught.value.field in settings
