@@ -28,11 +28,13 @@ class SimulationError:
     """Accepted steps on the full record."""
     window_steps: int = 20
     """Accepted steps at each window length."""
-    windows_train: Literal["all", "coefficients"] = "all"
+    windows_train: Literal["all", "coefficients", "either"] = "all"
     """What moves in the windows. `"coefficients"`: the partition stays there, and for
-    `window_steps` on the full record, before everything is trained together. Windows
-    start from noisy outputs, so the shorter they are the more a network gains by
-    explaining that noise; a partition that follows it does not come back."""
+    `window_steps` on the full record, before everything is trained together. `"either"`
+    tries both ways and goes on with the better one by validation. Windows start from
+    measured outputs: where these are noisy a partition gains by following the noise,
+    and does not come back (Nelles' test processes with 5 % noise); where they are
+    clean it is better moved from the beginning (`gengine1`)."""
     tolerance: float | int = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
@@ -113,7 +115,13 @@ class SimulationError:
             f"folds must be 0 (none) or at least 2, got {self.folds}",
         )
         _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
-        _choice("windows_train", self.windows_train, ("all", "coefficients"))
+        _choice("windows_train", self.windows_train, ("all", "coefficients", "either"))
+        _require(
+            not (self.folds and self.windows_train == "either"),
+            "windows_train",
+            "folds choose a position in one schedule; take windows_train "
+            '"all" or "coefficients" with them',
+        )
         _choice("loss", self.loss, ("squares", "huber", "log-cosh"))
         _choice(
             "initial_conditions", self.initial_conditions, ("measured", "estimated")

@@ -99,7 +99,7 @@ def refine_task(
     deviations: Network | None = None,
 ) -> Solution[Network]:
     """`refine` on prepared data, for those who refine many networks on the same."""
-    schedule = _schedule(layout, task, method)
+    schedules = _schedules(layout, task, method)
     prior = _prior(layout, deviations)
 
     def search(task: Task, guard: Task, limit: int | None = None) -> Search:
@@ -108,7 +108,7 @@ def refine_task(
             task,
             guard,
             method,
-            schedule=schedule,
+            schedules=schedules,
             prior=prior,
             progress=progress,
             limit=limit,
@@ -132,23 +132,27 @@ def refine_task(
     return solution
 
 
-def _schedule(layout: Layout, task: Task, method: SimulationError) -> Schedule:
-    """Stages of growing windows, then full records."""
+def _schedules(layout: Layout, task: Task, method: SimulationError) -> list[Schedule]:
+    """Stages of growing windows, then full records; one or two ways of doing it."""
     if method.horizons == "auto":
         first = first_horizon(layout.base, task.drive, task.masks)
         horizons = [first * 3**n for n in range(20)]
     else:
         horizons = list(method.horizons)
+    horizons = [h for h in horizons if h < task.longest]
+    steps = method.window_steps
+    end = Stage(None, 0 if method.solver == "windows" else method.max_steps)
+    everything = [*(Stage(h, steps) for h in horizons), end]
+    apart = [Stage(h, steps, True) for h in horizons]
+    if method.solver != "windows":
+        apart.append(Stage(None, steps, True))
     # Where only one kind is trained, there is no order in which to train the two.
-    kinds = layout.coefficients().size and layout.partition().size
-    first = bool(kinds) and method.windows_train == "coefficients"
-    stages = [
-        Stage(h, method.window_steps, first) for h in horizons if h < task.longest
-    ]
-    if first and method.solver != "windows":
-        stages.append(Stage(None, method.window_steps, True))
-    last = 0 if method.solver == "windows" else method.max_steps
-    return [*stages, Stage(None, last)]
+    both = layout.coefficients().size and layout.partition().size
+    if method.windows_train == "all" or not both:
+        return [everything]
+    if method.windows_train == "coefficients":
+        return [[*apart, end]]
+    return [everything, [*apart, end]]
 
 
 def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
@@ -173,26 +177,23 @@ def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
 def _solve(search: Search) -> Solution[Network]:
     """Run the schedule from one start or from several, with remedies."""
     method, layout = search.method, search.layout
-    ends = [(search.grow(search.start), "")]
-    if method.starts > 1:
-        ends = [_scored(search, *ends[0])]
-        rng = np.random.default_rng(method.seed)
-        for n in range(1, method.starts):
-            search.attempt = f"random start {n}"
-            u = random_start(layout, search.task, search.start, rng)
-            ends.append(_scored(search, search.grow(u), search.attempt))
-        ends = [end[1:] for end in sorted(ends, key=lambda end: end[0])]
-    u, search.attempt = ends[0]
+    starts = [("", search.start)]
+    rng = np.random.default_rng(method.seed)
+    for n in range(1, method.starts):
+        moved = random_start(layout, search.task, search.start, rng)
+        starts.append((f"random start {n}", moved))
+    ends = [search.grow(name, u) for name, u in starts]
+    if len(search.schedules) > 1:
+        ends += [search.grow(name, u, 1) for name, u in starts]
+    if len(ends) > 1:
+        ends.sort(key=lambda end: search.judge(end[1]))
+    search.attempt, u = ends[0]
     status = search.finish(u)
     if search.diverged and search.total and search.limit is None:
         for name, u in remedies(search):
             search.attempt = name
             search.offer(u)
-            status = search.run(u)
+            status = search.finish(search.grow(name, u)[1])
             if not search.diverged:
                 break
     return search.solution(status)
-
-
-def _scored(search: Search, u: np.ndarray, name: str):
-    return search.judge(u), u, name

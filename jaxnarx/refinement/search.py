@@ -76,13 +76,13 @@ class Search:
         guard: Task,
         method: SimulationError,
         *,
-        schedule: Schedule,
+        schedules: list[Schedule],
         prior: np.ndarray | None = None,
         progress: Progress | None = None,
         limit: int | None = None,
     ):
         self.layout, self.task, self.method = layout, task, method
-        self.schedule, self.prior, self.progress = schedule, prior, progress
+        self.schedules, self.prior, self.progress = schedules, prior, progress
         self.limit, self.judge = limit, Guard(layout, guard)
         self.history: list[dict[str, Any]] = []
         self.begin = clock.perf_counter()
@@ -92,26 +92,24 @@ class Search:
         self.since = self.passed = 0
         self.attempt = ""
         self.remedy = ""
-        self.total = sum(stage.steps for stage in schedule)
+        self.last = schedules[0][-1]
+        self.total = max(sum(s.steps for s in one) for one in schedules)
 
-    def run(self, u: np.ndarray) -> RESULTS:
-        """The whole schedule from `u`; returns how its last stage ended."""
-        u = self.grow(u)
-        return self.finish(u)
-
-    def grow(self, u: np.ndarray) -> np.ndarray:
-        """All stages but the last; returns where they end."""
-        self.passed = 0
-        for stage in self.schedule[:-1]:
+    def grow(self, name: str, u: np.ndarray, way: int = 0) -> tuple[str, np.ndarray]:
+        """All stages but the last of one schedule; returns name and where they end."""
+        self.passed, self.attempt = 0, name
+        if way:
+            apart = "coefficients first"
+            self.attempt = f"{name}, {apart}" if name else apart
+        for stage in self.schedules[way][:-1]:
             u, _ = self.stage(u, stage)
             self.passed += stage.steps
-        return u
+        return self.attempt, u
 
     def finish(self, u: np.ndarray) -> RESULTS:
-        """The last stage, full records."""
-        self.passed = self.total - self.schedule[-1].steps
-        _, status = self.stage(u, self.schedule[-1])
-        return status
+        """The last stage: everything on full records."""
+        self.passed = self.total - self.last.steps
+        return self.stage(u, self.last)[1]
 
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
         """The loss of a stage, with the restraint that suits the network at `u`."""
@@ -172,8 +170,7 @@ class Search:
             small = small + 1 if quiet and self.method.solver != "windows" else 0
             if small >= 2:
                 return state.u, RESULTS.ok
-            last = stage is self.schedule[-1]
-            if last and self.since >= self.method.patience:
+            if stage is self.last and self.since >= self.method.patience:
                 return state.u, RESULTS.no_improvement
         return state.u, RESULTS.budget_spent
 

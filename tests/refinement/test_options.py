@@ -4,6 +4,8 @@ Each is held to its own promise: the derivative by central differences, the mini
 must reach, or what it must leave alone.
 """
 
+import dataclasses
+
 import common
 import equinox as eqx
 import jax
@@ -160,6 +162,46 @@ def test_every_solver_comes_near_the_system(solver):
     assert solution.is_okay, solution.detail
     after = free_run_error(solution.value, measured, measured)
     assert after < before / (20 if solver == "windows" else 1e4)
+
+
+def test_windows_may_leave_the_partition_alone():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1)
+    method = SimulationError(
+        horizons=(8,), window_steps=4, max_steps=0, windows_train="coefficients"
+    )
+    solution = refine(start, measured, method)
+    for a, b in zip(
+        jax.tree.leaves(solution.value.models[0].validity),
+        jax.tree.leaves(start.models[0].validity),
+        strict=True,
+    ):
+        # The bounded map and its inverse leave a rounding.
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
+    assert np.all(used(solution.value) != used(start))
+    # The full record follows with the coefficients alone, then with everything.
+    horizons = [row["horizon"] for row in solution.stats["history"]]
+    assert horizons[:4] == [8] * 4 and set(horizons[4:]) == {None}
+    longer = dataclasses.replace(method, max_steps=2)
+    end = refine(start, measured, longer).value.models[0].validity
+    moved = jax.tree.leaves(end)[0] - jax.tree.leaves(start.models[0].validity)[0]
+    assert np.abs(moved).max() > 1e-4
+
+
+def test_either_way_of_training_windows_may_go_on():
+    truth = common.named("by inputs", **SPARE)
+    measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1)
+    method = SimulationError(
+        horizons=(8,), window_steps=4, max_steps=1, windows_train="either"
+    )
+    solution = refine(start, measured, method)
+    rows = solution.stats["history"]
+    ends = {row.get("start", ""): row["validation"] for row in rows[:-1]}
+    assert list(ends) == ["", "coefficients first"]
+    best = min(ends, key=lambda name: ends[name])
+    assert rows[-1].get("start", "") == best
+    with pytest.raises(SpecError, match="folds choose a position in one schedule"):
+        dataclasses.replace(method, folds=2)
 
 
 def test_record_weights_choose_what_is_fitted():
