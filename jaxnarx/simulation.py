@@ -213,8 +213,7 @@ def first_anchor(masks: Masks) -> Bool[np.ndarray, "records time"]:
 
 
 def _prepare(network: Network, data: Dataset):
-    matched, _ = match_channels(data, network.channels)
-    _same_sample_time(network, matched)
+    matched = fitting(network, data)
     batch = stack(matched)
     masks = make_masks(network, batch)
     if np.all(masks.start == masks.anchors.shape[1]):
@@ -225,6 +224,27 @@ def _prepare(network: Network, data: Dataset):
             f"{len(shortest)} rows)"
         )
     return matched, batch, masks, make_drive(network, batch)
+
+
+def fitting(network: Network, data: Dataset) -> Dataset:
+    """`data` with the network's channels, in its order.
+
+    `SpecError` where the sample time is another, or where the network's parameters are
+    not finite: it could not be told from one that runs away.
+    """
+    data, _ = match_channels(data, network.channels)
+    _same_sample_time(network, data)
+    for name, model in zip(network.output_names, network.models, strict=True):
+        parts = {"coefficient": model.local.coefficient, "partition": model.validity}
+        for part, tree in parts.items():
+            leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
+            if not all(np.all(np.isfinite(leaf)) for leaf in leaves):
+                raise SpecError(
+                    f"the model of {name} has a {part} that is not finite; "
+                    "load or grow it anew",
+                    field=part,
+                )
+    return data
 
 
 def _same_sample_time(network: Network, data: Dataset) -> None:

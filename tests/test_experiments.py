@@ -294,3 +294,21 @@ def test_simulation_with_peers_that_may_be_missing(tmp_path):
     assert figures["normal_equations"]["parameters"] == 100
     for row in figures["targets"].values():
         assert_target(row)
+
+
+@pytest.mark.slow
+def test_fitting_without_peers(tmp_path, measured, monkeypatch):
+    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+    figures = run("fitting.py", results=tmp_path / "results")["fitting"]
+    (one,) = figures["sets"].values()
+    if "skipped" in one:
+        pytest.skip(one["skipped"])
+    assert figures["peers"].startswith("no peer") and figures["at_least"] == {}
+    first, again = (one["rounds"][0]["jaxnarx"][key] for key in ("first", "again"))
+    assert len(one["terms"]) == first["parameters"]
+    assert first["rmse"] == again["rmse"] and first["limited"]["validation"] == 0
+    # The search's own score of the step that was kept, in physical units: rounded to
+    # five digits, both of them.
+    kept = first["history"][-1]
+    assert abs(kept["validation"] / first["rmse"]["validation"]["all"] - 1) < 2e-4
+    assert first["selection"]["wall"] < kept["wall"] <= first["total"]["wall"]

@@ -1,7 +1,9 @@
 """Settings of refinement."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Literal
 
 from jaxnarx.errors import SpecError
@@ -82,9 +84,10 @@ class SimulationError:
         if self.horizons != "auto":
             object.__setattr__(self, "horizons", tuple(self.horizons))
             _require(
-                all(not isinstance(h, str) and h >= 2 for h in self.horizons),
+                all(isinstance(h, Integral) and int(h) >= 2 for h in self.horizons),
                 "horizons",
-                f'horizons must be at least 2 samples, or "auto", got {self.horizons}',
+                "horizons must be whole numbers of at least 2 samples, or "
+                f'"auto", got {self.horizons}',
             )
         _require(
             self.max_steps >= 0 and self.window_steps >= 0,
@@ -92,15 +95,19 @@ class SimulationError:
             "step budgets must not be negative",
         )
         _require(
-            self.ridge >= 0 and self.tolerance >= 0,
+            0 <= self.ridge < math.inf and self.tolerance >= 0,
             "ridge",
-            f"ridge and tolerance must not be negative, got {self.ridge} and "
-            f"{self.tolerance}",
+            f"ridge and tolerance must be finite and not negative, got "
+            f"{self.ridge} and {self.tolerance}",
         )
         _check_width_band(self.width_band)
         for name in ("patience", "starts", "batch"):
             value = getattr(self, name)
-            _require(value >= 1, name, f"{name} must be at least 1, got {value}")
+            _require(
+                isinstance(value, Integral) and int(value) >= 1,
+                name,
+                f"{name} must be a whole number of at least 1, got {value}",
+            )
         for name in ("corner", "learning_rate", "contraction"):
             value = getattr(self, name)
             _require(value > 0, name, f"{name} must be positive, got {value}")
@@ -113,6 +120,24 @@ class SimulationError:
             self.folds == 0 or self.folds >= 2,
             "folds",
             f"folds must be 0 (none) or at least 2, got {self.folds}",
+        )
+        powers = self.box_cox
+        powers = powers.values() if isinstance(powers, Mapping) else (powers,)
+        _require(
+            all(math.isfinite(p) for p in powers),
+            "box_cox",
+            f"box_cox must be finite, got {self.box_cox}",
+        )
+        _require(
+            self.solver != "windows" or self.initial_conditions == "measured",
+            "initial_conditions",
+            'solver="windows" starts every window from the measurement; take '
+            'initial_conditions="measured" with it',
+        )
+        _require(
+            self.solver != "windows" or len(self.horizons) > 0,
+            "horizons",
+            'solver="windows" needs at least one horizon, the length of its windows',
         )
         _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
         _choice("windows_train", self.windows_train, ("all", "coefficients", "either"))
@@ -153,10 +178,10 @@ class PredictionError:
     def __post_init__(self):
         _require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
         _require(
-            self.ridge >= 0 and self.tolerance >= 0,
+            0 <= self.ridge < math.inf and self.tolerance >= 0,
             "ridge",
-            f"ridge and tolerance must not be negative, got {self.ridge} and "
-            f"{self.tolerance}",
+            f"ridge and tolerance must be finite and not negative, got "
+            f"{self.ridge} and {self.tolerance}",
         )
         _require(
             self.patience >= 1,

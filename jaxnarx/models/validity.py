@@ -7,6 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+NARROWEST = -30.0
+"""Least log width in use: narrower ones would overflow, and leave no weight at all."""
+
+EDGE = 0.01
+"""Room for a centre at the border of the range, or beyond it, in the range's units."""
+
 
 class AbstractValidity(eqx.Module):
     """Maps points to weights that sum to one over the active models.
@@ -43,7 +49,8 @@ class Gaussians(AbstractValidity):
     ) -> Float[Array, "models *rows"]:
         tail = (1,) * (z.ndim - 1)
         centre = self.centre.reshape(self.centre.shape + tail)
-        scale = jnp.exp(-self.log_width).reshape(self.log_width.shape + tail)
+        log_width = jnp.maximum(self.log_width, NARROWEST)
+        scale = jnp.exp(-log_width).reshape(self.log_width.shape + tail)
         logit = -0.5 * jnp.sum(((z[None] - centre) * scale) ** 2, axis=1)
         return jax.nn.softmax(
             jnp.where(active.reshape(active.shape + tail), logit, -jnp.inf), axis=0
@@ -52,9 +59,12 @@ class Gaussians(AbstractValidity):
     def limits(
         self, width_band: tuple[float | int, float | int]
     ) -> tuple["Gaussians", "Gaussians"]:
-        """Centres stay in the scheduling range, widths within a band of the present."""
+        """Centres stay in the scheduling range, widths within a band of the present.
+
+        A centre that lies beyond the range, or at its border, has its own limit there.
+        """
         low, high = jnp.log(jnp.asarray(width_band, self.log_width.dtype))
         return (
-            Gaussians(jnp.zeros_like(self.centre), self.log_width + low),
-            Gaussians(jnp.ones_like(self.centre), self.log_width + high),
+            Gaussians(jnp.minimum(self.centre - EDGE, 0.0), self.log_width + low),
+            Gaussians(jnp.maximum(self.centre + EDGE, 1.0), self.log_width + high),
         )

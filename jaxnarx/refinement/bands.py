@@ -8,7 +8,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float
 
-from jaxnarx.data import Dataset, match_channels
+from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
@@ -18,6 +18,7 @@ from jaxnarx.refinement.uncertainty import Uncertainty
 from jaxnarx.simulation import (
     Trajectories,
     first_anchor,
+    fitting,
     make_drive,
     make_masks,
     simulate,
@@ -80,7 +81,7 @@ def bands(
         raise SpecError(f"level must lie between 0 and 1, got {level}", field="level")
     _require_same(network, uncertainty)
     simulated = simulate(network, data)
-    data, _ = match_channels(data, network.channels)
+    data = fitting(network, data)
     batch = stack(data)
     masks = make_masks(network, batch)
     layout = uncertainty.layout

@@ -15,6 +15,7 @@ error grows with their value (Box and Cox 1964). Below `floor` it goes on as its
 tangent: a run may become negative where a measurement cannot.
 """
 
+import math
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -95,7 +96,7 @@ class Criterion(eqx.Module):
         else:
             # Each form loses its digits where the other keeps them.
             near = jnp.log1p(2.0 * jnp.sinh(jnp.minimum(x, 1.0) / 2.0) ** 2)
-            far = x + jnp.log1p(jnp.exp(-2.0 * x)) - np.log(2.0)
+            far = x + jnp.log1p(jnp.exp(-2.0 * x)) - math.log(2.0)
             rho = 2.0 * jnp.where(x < 1.0, near, far)
         return jnp.sum(jnp.where(weight > 0, weight * corner**2 * rho, 0.0))
 

@@ -13,14 +13,15 @@ import numpy as np
 from jaxnarx.errors import SpecError
 
 
-def deal(records: int, folds: int) -> list[np.ndarray]:
-    """Positions of the records left out in each fold: every `folds`-th one."""
-    if records < folds:
+def deal(records: np.ndarray, folds: int) -> list[np.ndarray]:
+    """The records left out in each fold: every `folds`-th one."""
+    if len(records) < folds:
         raise SpecError(
-            f"{folds} folds need at least as many records, the data have {records}",
+            f"{folds} folds need at least as many records with samples that count, "
+            f"the data have {len(records)}",
             field="folds",
         )
-    return [np.arange(n, records, folds) for n in range(folds)]
+    return [records[n::folds] for n in range(folds)]
 
 
 def curve(start: tuple[bool, float], history: Sequence[dict], total: int) -> np.ndarray:
@@ -37,7 +38,7 @@ def curve(start: tuple[bool, float], history: Sequence[dict], total: int) -> np.
 
 
 def best_position(
-    records: int, folds: int, judge: Callable[[np.ndarray], np.ndarray]
+    records: np.ndarray, folds: int, judge: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[int, list[float]]:
     """The position of the least mean score, and the mean at every position.
 

@@ -178,6 +178,13 @@ def make_layout(
     `SpecError`.
     """
     tree = freeze(network) if trainable is None else trainable
+    flags = jax.tree.structure(tree) == jax.tree.structure(network)
+    if not flags or not all(isinstance(k, bool) for k in jax.tree.leaves(tree)):
+        raise SpecError(
+            "trainable must be a tree of booleans with the structure of the network; "
+            "make it with `freeze`",
+            field="trainable",
+        )
     chosen = tuple(tuple(bool(k) for k in output) for output in _pieces(tree))
     elsewhere = eqx.tree_at(_where, tree, [False] * len(_where(tree)))
     if any(bool(k) for k in jax.tree.leaves(elsewhere)):

@@ -81,7 +81,8 @@ class Levenberg:
         delta = self._direction(s, DAMPING_START)
         if delta is None:
             return False
-        return -float(self._slope(s) @ delta) < ARRIVED * s.loss
+        small = max(ARRIVED, 10 * float(np.finfo(s.u.dtype).eps))
+        return -float(self._slope(s) @ delta) < small * s.loss
 
     def _penalty(self, u: np.ndarray) -> float:
         return float(self.pull @ (u - self.origin) ** 2)
@@ -95,7 +96,8 @@ class Levenberg:
             return None
         wall = self.problem.wall
         reach = np.where(np.isfinite(wall), REACH, np.inf)
-        return np.clip(s.u + np.clip(delta, -reach, reach), -wall, wall)
+        new = np.clip(s.u + np.clip(delta, -reach, reach), -wall, wall)
+        return new.astype(s.u.dtype)
 
     def _direction(self, s: State, damping: float) -> np.ndarray | None:
         """Damped step, or None where the equations cannot be solved.

@@ -32,7 +32,7 @@ class _Prediction:
         inner = layout.coefficients()
         outer = np.setdiff1d(np.arange(self.best.size), inner)
         problem = Problem(layout, task, task.anchors(1))
-        self.part = Separable(problem, inner, outer, self.best, method.ridge)
+        self.part = Separable(problem, inner, outer, self.best)
 
     def consider(self, u: np.ndarray, loss: float, damping: float) -> None:
         """Keep `u` if its guard score is the best."""
@@ -61,17 +61,22 @@ class _Prediction:
     def run(self, prior: np.ndarray | None) -> RESULTS:
         """Solve for the coefficients, then move the partition."""
         p = self.best[self.part.outer]
+        whole = self.part.problem.linear(self.best)
+        if not np.any(np.diagonal(whole.gram) > 0):
+            return RESULTS.unidentifiable
+        pull = self.method.ridge * np.diagonal(whole.gram)
+        if prior is not None:
+            # Weighed against the noise that least squares of all coefficients leaves.
+            slope = np.asarray(self.layout.slope(jnp.asarray(self.best)))
+            noise = self.part.loss(p) / max(int(self.part.samples), 1)
+            pull = pull + noise * (slope * prior) ** 2
+        self.part.pull = pull[self.part.inner]
         linear = self.part.linear(p)
         self.consider(self.part.u, linear.loss, 0.0)
         if not p.size:
             return RESULTS.ok
         stepper = Levenberg(self.part)
-        pull = self.method.ridge * np.diagonal(linear.gram)
-        if prior is not None:
-            slope = np.asarray(self.layout.slope(jnp.asarray(self.part.u)))
-            count = max(int(self.part.samples), 1)
-            pull = pull + linear.loss / count * (slope * prior)[self.part.outer] ** 2
-        state = stepper.init(p, linear, pull)
+        state = stepper.init(p, linear, pull[self.part.outer])
         small = 0
         for _ in range(self.method.max_steps):
             state, status = stepper.step(state)

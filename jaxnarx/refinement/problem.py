@@ -90,6 +90,11 @@ def restraint(
     )
 
 
+@eqx.filter_jit
+def _restrained(held: Restraint, layout: Layout, u: Float[Array, " params"]):
+    return held(layout, u)
+
+
 class Problem(AbstractProblem):
     """The loss of one horizon as a function of the parameters' vector.
 
@@ -121,7 +126,7 @@ class Problem(AbstractProblem):
         value = float(loss(layout, jnp.asarray(u), *rest))
         if self.restraint is None:
             return value
-        return value + self.restraint.linear(layout, jnp.asarray(u)).loss
+        return value + float(_restrained(self.restraint, layout, jnp.asarray(u)))
 
     def linear(self, u: np.ndarray) -> Linear:
         layout, *rest = self.data

@@ -52,10 +52,12 @@ class Scaled(eqx.Module):
 
 def scaled(problem: Problem, u, linear: Linear, pull: np.ndarray) -> Scaled:
     """Coordinates of a stage that starts at `u`; entries without effect do not move."""
-    diagonal = np.diagonal(linear.gram) + pull
+    diagonal = np.diagonal(linear.gram)
     height = max(linear.loss, float(np.finfo(u.dtype).tiny))
+    # A prior alone moves nothing, least of all a parameter that stands still.
     alive = diagonal > 0
-    unit = np.where(alive, np.sqrt(height / np.where(alive, diagonal, 1.0)), 0.0)
+    full = np.where(alive, diagonal + pull, 1.0)
+    unit = np.where(alive, np.sqrt(height / full), 0.0)
     return Scaled(
         origin=jnp.asarray(u),
         unit=jnp.asarray(unit, u.dtype),

@@ -1,11 +1,12 @@
 """The verb `refine`: train a network on the error of its own runs."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 
-from jaxnarx.data import Dataset, match_channels
+from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
@@ -16,8 +17,9 @@ from jaxnarx.refinement.prediction import refine_prediction
 from jaxnarx.refinement.search import Progress, Schedule, Search, Stage
 from jaxnarx.refinement.stability import first_horizon
 from jaxnarx.refinement.starts import random_start, remedies
-from jaxnarx.refinement.task import Task, make_task
-from jaxnarx.solution import Solution
+from jaxnarx.refinement.task import Task, make_task, require_motion
+from jaxnarx.simulation import fitting
+from jaxnarx.solution import RESULTS, Solution
 
 __all__ = ["make_task", "refine", "refine_task"]
 
@@ -63,15 +65,16 @@ def refine(
     any later network runs within its bounds.
     """
     method = SimulationError() if method is None else method
-    data, _ = match_channels(data, network.channels)
+    data = fitting(network, data)
     settings = {}
     if isinstance(method, SimulationError):
         settings = {"loss": method.loss, "box_cox": method.box_cox}
         settings |= {"corner": method.corner}
     task, spread = make_task(network, data, weights=weights, **settings)
+    require_motion(network, task)
     guard = task
     if validation is not None:
-        validation, _ = match_channels(validation, network.channels)
+        validation = fitting(network, validation)
         guard, _ = make_task(network, validation, spread, criterion=task.criterion)
     if isinstance(method, PredictionError):
         layout = make_layout(network, trainable, method.width_band)
@@ -114,18 +117,26 @@ def refine_task(
             limit=limit,
         )
 
+    if method.solver == "windows" and len(schedules[0]) == 1:
+        found = search(task, guard).solution(RESULTS.too_short)
+        detail = f"no record is longer than the windows of {method.horizons} samples"
+        return dataclasses.replace(found, detail=detail)
     if not method.folds:
         return _solve(search(task, guard))
-    records = len(task.masks.start)
+    # Records that train nothing cannot judge either.
+    useful = np.flatnonzero(np.asarray(task.weight).sum(axis=(1, 2)) > 0)
 
     def judge(left_out: np.ndarray) -> np.ndarray:
-        rest = np.setdiff1d(np.arange(records), left_out)
+        rest = np.setdiff1d(useful, left_out)
         one = search(task.only(rest), task.only(left_out))
         _solve(one)
         start = one.start_diverged, one.start_score
-        return curve(start, one.history, one.total)
+        own = [row for row in one.history if row.get("start", "") == one.winner]
+        return curve(start, own, one.total)
 
-    limit, scores = best_position(records, method.folds, judge)
+    limit, scores = best_position(useful, method.folds, judge)
+    if not np.isfinite(scores[limit]):
+        limit = None
     solution = _solve(search(task, task, limit))
     solution.stats["cross_validation"] = scores
     solution.stats["limit"] = limit
@@ -165,6 +176,16 @@ def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
             "eqx.tree_at on the network itself",
             field="deviations",
         )
+    shapes = [
+        [np.shape(leaf) for leaf in jax.tree.leaves(tree)]
+        for tree in (deviations, layout.base)
+    ]
+    if shapes[0] != shapes[1]:
+        raise SpecError(
+            "deviations must have the shapes of the network's arrays, one standard "
+            "deviation for every parameter",
+            field="deviations",
+        )
     value = np.asarray(layout.flat(deviations))[: layout.parameters]
     if not np.all(value > 0):
         raise SpecError(
@@ -188,8 +209,11 @@ def _solve(search: Search) -> Solution[Network]:
     if len(ends) > 1:
         ends.sort(key=lambda end: search.judge(end[1]))
     search.attempt, u = ends[0]
+    if not search.diverged and search.judge(u)[0]:
+        # The windows ended where the free run does not hold.
+        search.attempt, u = search.winner, search.best
     status = search.finish(u)
-    if search.diverged and search.total and search.limit is None:
+    if search.diverged and search.total:
         for name, u in remedies(search):
             search.attempt = name
             search.offer(u)

@@ -54,13 +54,14 @@ class Guard:
         held = (value <= np.asarray(network.lower)) | (
             value >= np.asarray(network.upper)
         )
-        scored = task.masks.scored
+        masks = task.masks
         bad = any(
-            has_diverged(held[n, scored[n, :, o], o])
-            for n in range(held.shape[0])
+            has_diverged(held[n, masks.start[n] : masks.end[n], o])
+            for n in np.flatnonzero(masks.scored.any(axis=(1, 2)))
             for o in range(held.shape[2])
         )
-        return bad, float(error)
+        score = float(error)
+        return (bad, score) if np.isfinite(score) else (True, np.inf)
 
 
 class Search:
@@ -90,8 +91,8 @@ class Search:
         self.start_diverged, self.start_score = self.judge(self.best)
         self.diverged, self.score = self.start_diverged, self.start_score
         self.since = self.passed = 0
-        self.attempt = ""
-        self.remedy = ""
+        self.status = RESULTS.budget_spent
+        self.attempt = self.winner = ""
         self.last = schedules[0][-1]
         self.total = max(sum(s.steps for s in one) for one in schedules)
 
@@ -102,12 +103,14 @@ class Search:
             apart = "coefficients first"
             self.attempt = f"{name}, {apart}" if name else apart
         for stage in self.schedules[way][:-1]:
-            u, _ = self.stage(u, stage)
+            u, self.status = self.stage(u, stage)
             self.passed += stage.steps
         return self.attempt, u
 
     def finish(self, u: np.ndarray) -> RESULTS:
         """The last stage: everything on full records."""
+        if not self.last.steps and len(self.schedules[0]) > 1:
+            return self.status
         self.passed = self.total - self.last.steps
         return self.stage(u, self.last)[1]
 
@@ -153,6 +156,8 @@ class Search:
         problem = self.problem(u, stage)
         stepper = self._stepper(problem, horizon)
         linear = problem.linear(u)
+        if not np.any(np.diagonal(linear.gram) > 0):
+            return u, RESULTS.unidentifiable
         state = stepper.init(u, linear, self.pull(linear, u))
         small = self.since = 0
         for n in range(steps):
@@ -179,7 +184,7 @@ class Search:
         diverged, score = self.judge(u)
         if (diverged, score) < (self.diverged, self.score):
             self.best, self.score, self.diverged, self.since = u, score, diverged, 0
-            self.remedy = self.attempt
+            self.winner = self.attempt
         else:
             self.since += 1
         return diverged, score
@@ -214,14 +219,14 @@ class Search:
             status = RESULTS.start_diverged if self.start_diverged else status
             detail += "; no network was found that runs within its bounds"
         elif self.start_diverged:
-            way = self.remedy or "growing horizons"
+            way = self.winner or "growing horizons"
             detail += f"; the start diverged, {way} led to one that does not"
         stats = {
             "history": self.history,
             "loss": self.score,
             "loss_start": self.start_score,
             "start_diverged": self.start_diverged,
-            "remedy": self.remedy,
+            "remedy": self.winner if self.start_diverged else "",
             "steps": len(self.history),
             "parameters": self.layout.parameters,
             "seconds": clock.perf_counter() - self.begin,

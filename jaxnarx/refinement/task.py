@@ -14,6 +14,9 @@ from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion, make_criterion
 from jaxnarx.simulation import Drive, Masks, first_anchor, make_drive, make_masks
 
+CONSTANT = 1e-12
+"""Standard deviation, as a share of the largest value, up to which an output rests."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task:
@@ -117,3 +120,16 @@ def record_weights(
             field="weights",
         )
     return value
+
+
+def require_motion(network: Network, task: Task) -> None:
+    """`DataError` where a modelled output is constant over all samples that count."""
+    for o, name in enumerate(network.output_names):
+        counted = np.asarray(task.drive.measured)[..., o][task.masks.scored[..., o]]
+        # A constant's own standard deviation is a rounding error, not zero.
+        if counted.size and counted.std() <= CONSTANT * np.abs(counted).max():
+            raise DataError(
+                f"{name} is constant over all samples that count; there is nothing to "
+                "refine: leave it out of the model or add records in which it moves",
+                channel=name,
+            )

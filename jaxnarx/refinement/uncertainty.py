@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
-from jaxnarx.data import Dataset, match_channels
+from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, depth
 from jaxnarx.refinement.information import Sums, sums
@@ -30,7 +30,7 @@ from jaxnarx.refinement.labels import Labels, label
 from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.noise import Noise, estimate_noise
 from jaxnarx.refinement.refine import Task, make_task
-from jaxnarx.simulation import has_diverged, run
+from jaxnarx.simulation import fitting, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
 ROUNDINGS = 4096
@@ -119,7 +119,9 @@ def uncertainty(
     bands of 95 % that cover 91 %; as white noise they would cover 48 %. `start` says
     whether the measured samples a run starts from carry that noise ("measured") or none
     ("exact"). `ridge` as in `SimulationError`: it
-    shrinks the covariance, and the bias it causes is not part of it.
+    shrinks the covariance, and the bias it causes is not part of it. The estimate is
+    taken to be that of least squares: after a robust loss, a transform, or weights of
+    records the covariance is that of another estimator.
 
     Validity functions are often over-parametrised: two Gaussians in one variable have
     four parameters, but their ratio only three. Status `unidentifiable` names such
@@ -133,7 +135,7 @@ def uncertainty(
     _one_of(start, ("measured", "exact"), "start")
     if not (np.isfinite(ridge) and ridge >= 0):
         raise SpecError(f"ridge must not be negative, got {ridge}", field="ridge")
-    data, _ = match_channels(data, network.channels)
+    data = fitting(network, data)
     task, _ = make_task(network, data)
     layout = make_layout(network, trainable, (0.5, 2.0))
     labels = label(network, layout)

@@ -316,10 +316,10 @@ def test_the_best_of_several_starts_goes_on():
 
 
 def test_records_are_dealt_to_every_fold_once():
-    folds = deal(7, 3)
+    folds = deal(np.arange(7), 3)
     assert sorted(np.concatenate(folds).tolist()) == list(range(7))
     with pytest.raises(SpecError, match="3 folds need at least as many records"):
-        deal(2, 3)
+        deal(np.arange(2), 3)
 
 
 def test_a_curve_goes_on_over_stages_that_ended_early():

@@ -5,13 +5,20 @@ import math
 
 import numpy as np
 
-from jaxnarx.data import Dataset, match_channels
+from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.models import Network
 from jaxnarx.refinement.stability.bound import Bound, bounds
 from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
-from jaxnarx.simulation import Drive, Trajectories, make_drive, make_masks, simulate
+from jaxnarx.simulation import (
+    Drive,
+    Trajectories,
+    fitting,
+    make_drive,
+    make_masks,
+    simulate,
+)
 from jaxnarx.solution import RESULTS, Solution
 
 POLES = 2000
@@ -142,7 +149,7 @@ def stability(
     its bounds. `stats`: `contracts`, `rate`, `fails`, `time_constant`.
     """
     run = simulate(network, data) if simulated is None else simulated
-    matched, _ = match_channels(data, network.channels)
+    matched = fitting(network, data)
     batch = stack(matched)
     masks, drive = make_masks(network, batch), make_drive(network, batch)
     own = _own_outputs(network, drive, run.value)

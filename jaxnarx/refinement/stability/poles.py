@@ -72,7 +72,9 @@ def _local(network: Network, v, x, history, *, output: int):
     for k in range(factor.shape[1]):
         # Product rule: the other factors of the terms whose k-th is that variable.
         others = evaluate(factor.at[:, k].set(0), v)
-        hit = (factor[:, k][:, None] == row[None]).astype(v.dtype)
+        hit = (factor[:, k][:, None] == jnp.asarray(row, factor.dtype)[None]).astype(
+            v.dtype
+        )
         slope = jnp.einsum("mt,te,tp->mep", model.local.dense(), hit, others)
         out = out.at[:, lag].add(slope)
     phi = model.validity(scheduling_values(model, x[output]), model.active)
