@@ -12,7 +12,6 @@ from typing import Any
 from common import resident
 from simulation_data import LIMIT, SCHEDULING, START, VARIABLES, inputs, tables
 
-
 BURST = 5
 """Calls in a row within one turn, as the peers are called too: the first after another
 program's turn pays for that one's cold caches and sleeping threads."""
