@@ -3,6 +3,10 @@
 import os
 from pathlib import Path
 
+# Compilation is nearly all of the tests' time, and here nothing is compiled to be run
+# often: a third of the time is saved. Child processes inherit it.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+
 import jax
 import pytest
 from jaxtyping import install_import_hook

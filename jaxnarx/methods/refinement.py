@@ -86,8 +86,8 @@ class SimulationError:
             _require(
                 all(isinstance(h, Integral) and int(h) >= 2 for h in self.horizons),
                 "horizons",
-                "horizons must be whole numbers of at least 2 samples, or "
-                f'"auto", got {self.horizons}',
+                "horizons must be at least 2 samples each, and whole numbers, got "
+                f"{self.horizons}",
             )
         _require(
             self.max_steps >= 0 and self.window_steps >= 0,
