@@ -367,8 +367,8 @@ def simulate(
     `jaxnarx.arrays.time_parallel`) with the same outputs to 1e-9; the records for which
     that has not converged are run step by step, and `stats["time_parallel"]` says for
     which it has. None uses it where it is measured to win, which is nowhere so far: on
-    CPU it takes 11 times as long as the loop at 1,800 samples of one output with three
-    lags, 60 times at 100,000; accelerators are not measured.
+    a CPU of two cores it takes 5 to 7 times as long as the loop at 1,800 samples of one
+    output with three lags, about 30 times at 100,000; accelerators are not measured.
     """
     matched, batch, masks, drive = _prepare(network, data)
     anchor = jnp.asarray(first_anchor(masks))

@@ -21,18 +21,14 @@ from jaxnarx.arrays.recurrence import (
 from jaxnarx.models import (
     Network,
     OutputModel,
-    collapse,
-    collapsed_step,
-    collapses,
     depth,
-    general_step,
     scheduling_values,
     with_history,
 )
 from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.regressors import evaluate
-from jaxnarx.simulation import Drive, run
+from jaxnarx.simulation import Drive, recursion, run
 
 SAMPLES = 4096
 """Samples per block over all records: the block's Jacobian then stays near the
@@ -121,13 +117,8 @@ def slopes(
     history: Float[Array, "time outputs depth"],
 ) -> tuple[Float[Array, "time outputs outputs depth"], Bool[Array, "time outputs"]]:
     """Derivative of every sample by its whole history, and where it is limited."""
-    if collapses(network):
-        step, params = collapsed_step(network), None
-        drive = jnp.moveaxis(collapse(network, v, x), -1, 0)
-    else:
-        step, params = general_step(network), eqx.filter(network, eqx.is_array)
-        drive = (v.T, tuple(x_o.T for x_o in x))
-    return sensitivities(step, params, drive, history, network.lower, network.upper)
+    bounds = network.lower, network.upper
+    return sensitivities(*recursion(network, v, x), history, *bounds)
 
 
 def linearised(
