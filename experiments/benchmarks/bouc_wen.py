@@ -17,7 +17,6 @@ unseen part.
 The file comes from `$JAXNARX_DATA/bouc_wen_sysidentpy`; without it nothing is run.
 """
 
-import argparse
 import importlib
 import importlib.metadata
 import importlib.util
@@ -28,7 +27,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import record, results_folder, target, worker
+from common import benchmark_parser, record, results_folder, target, worker
 
 FILE = "bouc_wen_sysidentpy/boucwen_histeretic_system.csv"
 INPUTS, OUTPUT = ("E", "v", "sign_v"), "f"
@@ -40,18 +39,7 @@ PUBLISHED = 0.045104
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description="SysIdentPy's Bouc-Wen example.")
-    parser.add_argument("--smoke", action="store_true", help="less simulation")
-    parser.add_argument(
-        "--peers",
-        nargs="?",
-        const=sys.executable,
-        metavar="PYTHON",
-        help="SysIdentPy from this interpreter (default: the own one)",
-    )
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    parser.add_argument("--note", default="", help="a remark kept with the figures")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
+    parser = benchmark_parser("SysIdentPy's Bouc-Wen example.", "less simulation")
     chosen = parser.parse_args()
     if chosen.worker:
         name, options = chosen.worker

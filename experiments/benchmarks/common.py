@@ -4,6 +4,7 @@ Only the standard library is imported here: the parent of a measured process mus
 small, see `child`.
 """
 
+import argparse
 import contextlib
 import dataclasses
 import importlib.metadata
@@ -271,3 +272,24 @@ def results_folder(chosen: str | None, *, smoke: bool) -> Path:
     if chosen is not None:
         return Path(chosen)
     return Path(tempfile.mkdtemp(prefix="jaxnarx-")) if smoke else RESULTS
+
+
+def benchmark_parser(description: str, smoke: str) -> argparse.ArgumentParser:
+    """Flags of every benchmark that has peers; `smoke` says what that flag makes small.
+
+    `--peers` names an interpreter; without a name, this one. `--worker` is for the
+    processes that the benchmark itself starts.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--smoke", action="store_true", help=smoke)
+    parser.add_argument(
+        "--peers",
+        nargs="?",
+        const=sys.executable,
+        metavar="PYTHON",
+        help="compare with the peers this interpreter has (default: the own one)",
+    )
+    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
+    parser.add_argument("--note", default="", help="a remark kept with the figures")
+    parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
+    return parser

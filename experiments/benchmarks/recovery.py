@@ -12,7 +12,6 @@ with its own rule (`order_selection`, here with BIC, up to 25 terms).
     python experiments/benchmarks/recovery.py --peers path/to/venv/bin/python
 """
 
-import argparse
 import dataclasses
 import functools
 import importlib
@@ -26,7 +25,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from common import record, results_folder, worker
+from common import benchmark_parser, record, results_folder, worker
 from recovery_pool import DEGREE, HISTORY, INPUT_LAGS, INPUTS, OUTPUT_LAGS, name
 
 TRUE = 10
@@ -57,19 +56,8 @@ SMOKE = Sizes(("fresh",), (1_000,), 2)
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description="Exact recovery of true terms.")
-    parser.add_argument("--smoke", action="store_true", help="small, in seconds")
+    parser = benchmark_parser("Exact recovery of true terms.", "small, in seconds")
     parser.add_argument("--seeds", type=int, help="seeds of every cell")
-    parser.add_argument(
-        "--peers",
-        nargs="?",
-        const=sys.executable,
-        metavar="PYTHON",
-        help="compare with the peers this interpreter has (default: the own one)",
-    )
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    parser.add_argument("--note", default="", help="a remark kept with the figures")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
     chosen = parser.parse_args()
     if chosen.worker:
         name, options = chosen.worker

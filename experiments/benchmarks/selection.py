@@ -12,16 +12,22 @@ pool would take 106 GB. With `--peers` the same choice by SysIdentPy (FROLS), fa
 It fails when SysIdentPy chooses other ordered terms in any cell that it can run.
 """
 
-import argparse
 import dataclasses
 import json
 import math
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from common import available_memory, child, record, results_folder, target, worker
+from common import (
+    available_memory,
+    benchmark_parser,
+    child,
+    record,
+    results_folder,
+    target,
+    worker,
+)
 from selection_data import TERMS, VARIABLES
 from selection_workers import PEERS, WORKERS
 
@@ -92,15 +98,7 @@ SMOKE = Sizes(
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description="Benchmark of term selection.")
-    parser.add_argument("--smoke", action="store_true", help="small, in seconds")
-    parser.add_argument(
-        "--peers",
-        nargs="?",
-        const=sys.executable,
-        metavar="PYTHON",
-        help="compare with the peers this interpreter has (default: the own one)",
-    )
+    parser = benchmark_parser("Benchmark of term selection.", "small, in seconds")
     parser.add_argument(
         "--cells",
         nargs="+",
@@ -111,9 +109,6 @@ def main() -> None:
     parser.add_argument(
         "--bare", action="store_true", help="only the bare pass, a record of its own"
     )
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    parser.add_argument("--note", default="", help="a remark kept with the figures")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
     chosen = parser.parse_args()
     if chosen.worker:
         name, options = chosen.worker

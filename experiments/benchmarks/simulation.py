@@ -9,7 +9,6 @@ and fastcan on the same record; package and peers are measured in turn, round by
     python experiments/benchmarks/simulation.py --peers path/to/venv/bin/python
 """
 
-import argparse
 import dataclasses
 import json
 import statistics
@@ -18,7 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from common import record, results_folder, target, worker
+from common import benchmark_parser, record, results_folder, target, worker
 from simulation_peers import PEERS, installed
 from simulation_workers import WORKERS
 
@@ -67,18 +66,7 @@ SMOKE = Sizes(
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description="Benchmark of simulation.")
-    parser.add_argument("--smoke", action="store_true", help="small, in seconds")
-    parser.add_argument(
-        "--peers",
-        nargs="?",
-        const=sys.executable,
-        metavar="PYTHON",
-        help="compare with the peers this interpreter has (default: the own one)",
-    )
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    parser.add_argument("--note", default="", help="a remark kept with the figures")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "JSON"))
+    parser = benchmark_parser("Benchmark of simulation.", "small, in seconds")
     chosen = parser.parse_args()
     if chosen.worker:
         name, options = chosen.worker
