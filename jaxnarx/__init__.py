@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from jaxnarx.methods import Backward as Backward
     from jaxnarx.methods import ForwardOLS as ForwardOLS
     from jaxnarx.methods import Global as Global
+    from jaxnarx.methods import Grid as Grid
     from jaxnarx.methods import Lolimot as Lolimot
     from jaxnarx.methods import PredictionError as PredictionError
+    from jaxnarx.methods import SigmoidTree as SigmoidTree
     from jaxnarx.methods import SimulationError as SimulationError
     from jaxnarx.methods import SimulationOLS as SimulationOLS
     from jaxnarx.methods import StepwiseF as StepwiseF
@@ -66,8 +68,8 @@ _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
     "evaluation": "Report report",
-    "methods": "Anova Backward ForwardOLS Global Lolimot PredictionError "
-    "SimulationError SimulationOLS StepwiseF",
+    "methods": "Anova Backward ForwardOLS Global Grid Lolimot PredictionError "
+    "SigmoidTree SimulationError SimulationOLS StepwiseF",
     "models": "Network load save",
     "partition": "grow",
     "refinement": "Bands Stability Uncertainty bands freeze refine stability "

@@ -37,19 +37,21 @@ def least_squares(
 
 
 def cholesky_solve(
-    gram: Float[Array, "terms terms"], moment: Float[Array, " terms"]
+    gram: Float[Array, "terms terms"],
+    moment: Float[Array, " terms"],
+    ridge: Float[Array, ""] | float = 0.0,
 ) -> Float[Array, " terms"]:
     """Solve symmetric positive normal equations, scaled to a unit diagonal.
 
     For many small problems on the same long columns, where a factorisation of each
-    would cost the whole run: the unit diagonal and the ridge of 1e-12 keep it finite;
-    zero rows (padding) give zero.
+    would cost the whole run: the unit diagonal and a ridge of 1e-12 at least keep it
+    finite; zero rows (padding) give zero.
     """
     diagonal = jnp.diagonal(gram)
     scale = jnp.where(
         diagonal > 0, jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0
     )
     scaled = gram / (scale[:, None] * scale[None])
-    ridge = jnp.where(diagonal > 0, 1e-12, 1.0)
-    factor = jax.scipy.linalg.cho_factor(scaled + jnp.diag(ridge), lower=True)
+    more = jnp.where(diagonal > 0, jnp.maximum(ridge, 1e-12), 1.0)
+    factor = jax.scipy.linalg.cho_factor(scaled + jnp.diag(more), lower=True)
     return jax.scipy.linalg.cho_solve(factor, moment / scale) / scale

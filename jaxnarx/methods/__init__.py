@@ -2,7 +2,7 @@
 
 from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
-from jaxnarx.methods.partition import Global, Lolimot
+from jaxnarx.methods.partition import Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
@@ -12,9 +12,11 @@ __all__ = [
     "Backward",
     "ForwardOLS",
     "Global",
+    "Grid",
     "Lolimot",
     "OptimalDesign",
     "PredictionError",
+    "SigmoidTree",
     "SimulationError",
     "SimulationOLS",
     "StepwiseF",

@@ -2,8 +2,22 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 from jaxnarx.errors import SpecError
+from jaxnarx.methods.selection import ForwardOLS, StepwiseF
+
+CRITERIA = ("aicc", "bic", "validation", "none")
+CURVES = ("gaussians", "compact", "boxes")
+
+
+def _require(holds: bool, field: str, message: str) -> None:
+    if not holds:
+        raise SpecError(message, field=field)
+
+
+def _choice(field: str, value: str, known: tuple[str, ...]) -> None:
+    _require(value in known, field, f"{field} must be one of {known}, got {value!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -12,37 +26,244 @@ class Global:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lolimot:
-    """Local linear model tree: axis-orthogonal halving of the worst local model.
-
-    Nelles and Isermann 1996; thesis section 6.2.
-    """
+class _Scheduled:
+    """What every partition of several models is told."""
 
     scheduling: Sequence[str] = ()
     """Scheduling variables, such as "speed[t]" or "load[t-1]"."""
-    max_models: int = 8
-    """Largest number of local models."""
-    k_sigma: float | int = 1 / 3
-    """Width of a Gaussian as a share of its box's extension."""
-    patience: int = 2
-    """Stop after this many successive stages without a better criterion."""
+    local: ForwardOLS | StepwiseF | None = dataclasses.field(default=None, kw_only=True)
+    """How every local model chooses terms of its own, weighted with its validity;
+    default: all have the terms that they are given."""
+    ridge: float | int = dataclasses.field(default=0.0, kw_only=True)
+    """Pull of a local model's coefficients towards the model it was split from (of a
+    grid: towards the global model), as a share of the data's own information about
+    each. Not for local models with terms of their own."""
 
     def __post_init__(self):
         if isinstance(self.scheduling, str):
             object.__setattr__(self, "scheduling", (self.scheduling,))
         object.__setattr__(self, "scheduling", tuple(self.scheduling))
-        if not self.scheduling:
-            raise SpecError(
-                "Lolimot needs scheduling variables, such as "
-                "scheduling=['speed[t]', 'load[t]']",
-                field="scheduling",
+        name = type(self).__name__
+        _require(
+            bool(self.scheduling),
+            "scheduling",
+            f"{name} needs scheduling variables, such as "
+            "scheduling=['speed[t]', 'load[t]']",
+        )
+        _require(
+            len(set(self.scheduling)) == len(self.scheduling),
+            "scheduling",
+            f"a scheduling variable is named twice: {', '.join(self.scheduling)}",
+        )
+        _require(
+            0 <= self.ridge < float("inf"),
+            "ridge",
+            f"ridge must be finite and not negative, got {self.ridge}",
+        )
+        _require(
+            self.local is None or self.ridge == 0,
+            "ridge",
+            "local models with terms of their own take no ridge",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Grown(_Scheduled):
+    """What every growth is told."""
+
+    max_models: int = dataclasses.field(default=8, kw_only=False)
+    """Largest number of local models."""
+    patience: int = dataclasses.field(default=2, kw_only=True)
+    """Stop after this many successive stages without a better criterion."""
+    criterion: Literal["aicc", "bic", "validation", "none"] = dataclasses.field(
+        default="aicc", kw_only=True
+    )
+    """What decides on the number of models: the corrected Akaike or the Bayesian
+    criterion with the effective number of parameters; the free run on the records that
+    `grow` is given as `validation`; or nothing but `max_models`."""
+    least: float | int | None = dataclasses.field(default=None, kw_only=True)
+    """Least sum of a local model's validity over the samples; default: its number of
+    parameters. A split that would leave less is forbidden."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        _require(
+            self.max_models >= 1,
+            "max_models",
+            f"max_models must be at least 1, got {self.max_models}",
+        )
+        _require(
+            self.patience >= 1,
+            "patience",
+            f"patience must be at least 1, got {self.patience}",
+        )
+        _choice("criterion", self.criterion, CRITERIA)
+        _require(
+            self.least is None or self.least > 0,
+            "least",
+            f"least must be positive, got {self.least}",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Lolimot(_Grown):
+    """Local linear model tree: axis-orthogonal halving of the worst local model.
+
+    Nelles and Isermann 1996; thesis section 6.2.
+    """
+
+    k_sigma: float | int = 1 / 3
+    """Width of a Gaussian as a share of its box's extension; with `compact` validity,
+    half the width of the zone of transition."""
+    _: dataclasses.KW_ONLY
+    worst: Literal["squares", "nmse"] = "squares"
+    """Which model is split: the one with the largest sum of weighted squared errors
+    (Nelles), or with the largest local NMSE (6.8) (thesis), blind to its size."""
+    validity: Literal["gaussians", "compact", "boxes"] = "gaussians"
+    """Form of the validity functions: normalised Gaussians, smooth curves of bounded
+    support, or piecewise constant."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        _require(
+            self.k_sigma > 0,
+            "k_sigma",
+            f"k_sigma must be positive, got {self.k_sigma}",
+        )
+        _choice("worst", self.worst, ("squares", "nmse"))
+        _choice("validity", self.validity, CURVES)
+
+
+@dataclasses.dataclass(frozen=True)
+class SigmoidTree(_Grown):
+    """Hierarchical local model tree: the worst leaf is cut by a sigmoid gate.
+
+    O. Nelles 2006; B. Hartmann and O. Nelles 2009 (HILOMOT); thesis section 7.2.
+    """
+
+    smoothness: float | int = 1.0
+    """Width of a gate's transition relative to the distance between the middles of the
+    regions on its sides."""
+    _: dataclasses.KW_ONLY
+    oblique: bool = True
+    """Optimise the direction and place of every gate; False: gates across one variable
+    each."""
+    steps: int = 15
+    """Steps of that optimisation."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        _require(
+            self.smoothness > 0,
+            "smoothness",
+            f"smoothness must be positive, got {self.smoothness}",
+        )
+        _require(
+            self.steps >= 1, "steps", f"steps must be at least 1, got {self.steps}"
+        )
+
+
+Numbers = Sequence[float | int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid(_Scheduled):
+    """A partition that is given: equal boxes, borders, or centres.
+
+    One of `models`, `borders` and `centres`.
+    """
+
+    models: Sequence[int] = ()
+    """Local models along each scheduling variable, whose range in the data is divided
+    equally."""
+    borders: Sequence[Numbers] = ()
+    """Inner borders along each scheduling variable, in its unit, ascending."""
+    centres: Sequence[Numbers] = ()
+    """A centre for each local model: a value per scheduling variable, in its unit."""
+    widths: Sequence[Numbers] = ()
+    """Widths of the Gaussians about `centres`, in the same form; default: `k_sigma`
+    times the distance to the nearest other centre (ranges scaled to one)."""
+    validity: Literal["gaussians", "compact", "boxes", "log-sigmoids"] = "gaussians"
+    """Form of the validity functions; log-sigmoids divide one variable."""
+    k_sigma: float | int = 1 / 3
+    """Width of a Gaussian as a share of its box's extension; with `compact` validity,
+    half the width of the zone of transition."""
+    steepness: float | int | None = None
+    """Steepness of the log-sigmoids, per unit of the scheduling variable; default: 5
+    over the mean distance between borders."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("borders", "centres", "widths"):
+            value = tuple(tuple(map(float, row)) for row in getattr(self, name))
+            object.__setattr__(self, name, value)
+        models = self.models
+        models = (models,) if isinstance(models, int) else tuple(models)
+        object.__setattr__(self, "models", models)
+        _choice("validity", self.validity, (*CURVES, "log-sigmoids"))
+        given = [n for n in ("models", "borders", "centres") if len(getattr(self, n))]
+        _require(
+            len(given) == 1,
+            "models",
+            f"give one of models, borders and centres, got {given or 'none'}",
+        )
+        _require(self.k_sigma > 0, "k_sigma", "k_sigma must be positive")
+        _require(
+            self.steepness is None or self.steepness > 0,
+            "steepness",
+            f"steepness must be positive, got {self.steepness}",
+        )
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        dims = len(self.scheduling)
+        for name in ("models", "borders"):
+            value = getattr(self, name)
+            _require(
+                not value or len(value) == dims,
+                name,
+                f"{name} needs one entry for each of {', '.join(self.scheduling)}, "
+                f"got {len(value)}",
             )
-        if self.max_models < 1:
-            raise SpecError(
-                f"max_models must be at least 1, got {self.max_models}",
-                field="max_models",
+        for name in ("centres", "widths"):
+            _require(
+                all(len(row) == dims for row in getattr(self, name)),
+                name,
+                f"every entry of {name} needs {dims} numbers, one for each scheduling "
+                "variable",
             )
-        if not self.k_sigma > 0:
-            raise SpecError(
-                f"k_sigma must be positive, got {self.k_sigma}", field="k_sigma"
-            )
+        _require(
+            not self.models or min(self.models) >= 1,
+            "models",
+            f"models must be at least 1 along every variable, got {self.models}",
+        )
+        _require(
+            all(a < b for row in self.borders for a, b in zip(row, row[1:])),  # noqa: B905
+            "borders",
+            f"borders must ascend, got {self.borders}",
+        )
+        _require(
+            len(set(self.centres)) == len(self.centres),
+            "centres",
+            "two centres are the same; give every local model its own",
+        )
+        _require(
+            not self.widths or len(self.widths) == len(self.centres),
+            "widths",
+            f"{len(self.widths)} widths for {len(self.centres)} centres",
+        )
+        _require(
+            all(w > 0 for row in self.widths for w in row),
+            "widths",
+            "widths must be positive",
+        )
+        _require(
+            not self.centres or self.validity in ("gaussians", "log-sigmoids"),
+            "validity",
+            f"centres go with gaussians or log-sigmoids, not {self.validity}",
+        )
+        _require(
+            self.validity != "log-sigmoids" or dims == 1,
+            "validity",
+            f"log-sigmoids divide one variable, not {dims}",
+        )

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.models.network import LocalModels, Network, OutputModel
@@ -21,42 +21,54 @@ def ranges(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     return low, np.where(valid, columns, -np.inf).max(axis=0)
 
 
+def local_models(
+    factor: Int[np.ndarray, "terms degree"],
+    theta: Float[Array | np.ndarray, "models terms"],
+    *,
+    sparse: bool = False,
+) -> LocalModels:
+    """Local models with given coefficients: all terms, or those that are not zero."""
+    theta = jnp.asarray(theta)
+    models, terms = theta.shape
+    if not sparse:
+        index = np.broadcast_to(np.arange(terms), (models, terms))
+        used = jnp.ones((models, terms), bool)
+        return LocalModels(jnp.asarray(factor), jnp.asarray(index), used, theta)
+    there = np.asarray(theta) != 0
+    kept = np.flatnonzero(there.any(axis=0) | (np.arange(terms) == 0))
+    there = there[:, kept]
+    slots = max(int(there.sum(axis=1).max(initial=0)), 1)
+    index = np.argsort(~there, axis=1, kind="stable")[:, :slots]
+    used = np.take_along_axis(there, index, axis=1)
+    value = np.take_along_axis(np.asarray(theta)[:, kept], index, axis=1)
+    return LocalModels(*map(jnp.asarray, (factor[kept], index, used, value)))
+
+
 def output_model(
-    factor: np.ndarray,
-    theta: Float[Array, "models terms"],
+    local: LocalModels,
     validity: AbstractValidity,
     scheduling: Variables,
-    offset: np.ndarray,
-    span: np.ndarray,
+    offset: Float[np.ndarray, " dims"],
+    span: Float[np.ndarray, " dims"],
+    active: Bool[Array, " models"] | None = None,
 ) -> OutputModel:
-    """All local models with the same terms and given coefficients."""
-    models, terms = theta.shape
-    index = np.broadcast_to(np.arange(terms), (models, terms))
-    return OutputModel(
-        scheduling,
-        jnp.asarray(offset),
-        jnp.asarray(span),
-        validity,
-        jnp.ones(models, bool),
-        LocalModels(
-            jnp.asarray(factor),
-            jnp.asarray(index),
-            jnp.ones((models, terms), bool),
-            jnp.asarray(theta),
-        ),
-    )
+    """Local models behind their validity functions; all active unless said."""
+    if active is None:
+        active = jnp.ones(local.index.shape[0], bool)
+    at, size = jnp.asarray(offset), jnp.asarray(span)
+    return OutputModel(scheduling, at, size, validity, active, local)
 
 
 def global_model(
-    factor: np.ndarray,
+    factor: Int[np.ndarray, "terms degree"],
     theta: Float[Array, " terms"] | Float[np.ndarray, " terms"],
 ) -> OutputModel:
     """One local model that is valid everywhere, of given terms and coefficients."""
-    theta = jnp.asarray(theta)[None]
-    nowhere = jnp.zeros((1, 0), theta.dtype)
-    nothing = np.zeros(0, theta.dtype)
+    local = local_models(factor, jnp.asarray(theta)[None])
+    nowhere = jnp.zeros((1, 0), local.coefficient.dtype)
+    nothing = np.zeros(0, local.coefficient.dtype)
     validity = Gaussians(nowhere, nowhere)
-    return output_model(factor, theta, validity, Variables(()), nothing, nothing)
+    return output_model(local, validity, Variables(()), nothing, nothing)
 
 
 def assemble(

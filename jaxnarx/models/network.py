@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.models.validity import AbstractValidity, Gaussians
+from jaxnarx.models.validity import AbstractValidity
 from jaxnarx.regressors import (
     Variables,
     equation,
@@ -146,8 +146,9 @@ class Network(eqx.Module):
         """Every local model's equation in physical units, host only.
 
         One dictionary per output and region: `output`, `model` (count from 1), `region`
-        (centre and width of its validity in physical units, by scheduling variable),
-        `terms` (text and coefficient) and the whole as `text` or `latex`.
+        (where it is valid in physical units, by scheduling variable: `centre` and
+        `width`, or `above` and `below`), `terms` (text and coefficient) and the whole
+        as `text` or `latex`.
         """
         return [
             self._equation(o, m, style)
@@ -156,7 +157,7 @@ class Network(eqx.Module):
         ]
 
     def _equation(self, o: int, m: int, style: str) -> dict:
-        model, local = self.models[o], self.models[o].local
+        local = self.models[o].local
         slots = np.flatnonzero(np.asarray(local.used)[m])
         factor = np.asarray(local.factor)[np.asarray(local.index)[m, slots]]
         signal = [s for s, _ in self.variables]
@@ -167,7 +168,7 @@ class Network(eqx.Module):
         return {
             "output": output,
             "model": int(m) + 1,
-            "region": self._region(model, int(m)),
+            "region": self.regions(o)[int(m)],
             "terms": [
                 (term_name(names, row), float(c))
                 for row, c in zip(factor.tolist(), value, strict=True)
@@ -175,17 +176,12 @@ class Network(eqx.Module):
             style: equation(output, names, factor.tolist(), value, style=style),
         }
 
-    def _region(self, model: OutputModel, m: int) -> dict[str, dict[str, float]]:
-        if not isinstance(model.validity, Gaussians):
-            return {}
-        span, offset = np.asarray(model.span), np.asarray(model.offset)
-        centre = np.asarray(model.validity.centre)[m] * span + offset
-        width = np.exp(np.asarray(model.validity.log_width)[m]) * span
+    def regions(self, output: int) -> list[dict[str, dict[str, float]]]:
+        """Where the local models of one output are valid, in physical units."""
+        model = self.models[output]
         names = variable_names(self.channels, model.scheduling)
-        return {
-            name: {"centre": float(c), "width": float(w)}
-            for name, c, w in zip(names, centre, width, strict=True)
-        }
+        span, offset = np.asarray(model.span), np.asarray(model.offset)
+        return model.validity.regions(names, offset, span)
 
 
 def scheduling_values(

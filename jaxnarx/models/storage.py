@@ -3,11 +3,13 @@
 The header (metadata key `jaxnarx`) holds the format version, the package version, the
 channels with units and the static tables; the tensors are the network's arrays. A file
 of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
-filtered variables is written as format 2, so that programs that know format 1 alone do
-not take them for unfiltered ones; any other is still written as format 1.
+filtered variables is written as format 2, one with other validity functions than
+Gaussians as format 3, so that older programs say what they lack; any other is still
+written as format 1.
 """
 
 import contextlib
+import dataclasses
 import importlib.metadata
 import json
 import os
@@ -23,7 +25,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import check_precision
 from jaxnarx.errors import ModelFileError
 from jaxnarx.models.network import LocalModels, Network, OutputModel
-from jaxnarx.models.validity import AbstractValidity, Gaussians
+from jaxnarx.models.validity import KINDS, Gaussians
 from jaxnarx.regressors import (
     Variables,
     filter_from_dict,
@@ -31,17 +33,15 @@ from jaxnarx.regressors import (
     require_sampled,
 )
 
-FORMAT = 2
+FORMAT = 3
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
-VALIDITIES: dict[str, type[AbstractValidity]] = {"Gaussians": Gaussians}
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
-    tables = (network.variables, *(m.scheduling for m in network.models))
     return {
-        "format": 2 if any(t.filters for t in tables) else 1,
+        "format": _format(network),
         "kind": "network",
         "jaxnarx": importlib.metadata.version("jaxnarx"),
         "inputs": [[c.name, c.unit] for c in network.channels.inputs],
@@ -57,6 +57,14 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
         ],
         "about": about or {},
     }
+
+
+def _format(network: Network) -> int:
+    """Oldest format that holds all of the network."""
+    if not all(isinstance(m.validity, Gaussians) for m in network.models):
+        return 3
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    return 2 if any(t.filters for t in tables) else 1
 
 
 def _described(name: str, table: Variables) -> dict[str, Any]:
@@ -218,8 +226,8 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     models = []
     for n, entry in enumerate(header["models"]):
         lead = f".models[{n}]"
-        validity = VALIDITIES[entry["validity"]]
-        fields = validity.__dataclass_fields__  # type: ignore[attr-defined]
+        validity = KINDS[entry["validity"]]
+        fields = [f.name for f in dataclasses.fields(validity)]
         local = LocalModels(
             *(
                 get(f"{lead}.local.{f}")
@@ -294,8 +302,7 @@ def _check_model(model: OutputModel, limit: int) -> None:
         model.offset.shape == dims == model.span.shape, "scaling of the scheduling"
     )
     _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
-    for leaf in jax.tree.leaves(model.validity):
-        _require(leaf.shape == models + dims, "validities do not fit their number")
+    model.validity.check(models[0], dims[0])
     for mask in (model.active, local.used):
         _require(mask.dtype == bool, "a mask is not boolean")
     _require(np.any(np.asarray(model.active)), "no local model is active")

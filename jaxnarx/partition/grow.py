@@ -1,62 +1,77 @@
 """The verb `grow`: from chosen terms to a network of local models."""
 
-import functools
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.arrays.least_squares import least_squares
 from jaxnarx.data import Dataset, match_channels
-from jaxnarx.errors import DataError
-from jaxnarx.methods import Global, Lolimot
-from jaxnarx.models import (
-    Network,
-    OutputModel,
-    assemble,
-    global_model,
-    output_model,
-)
-from jaxnarx.partition.lolimot import Stage, gaussians, lolimot
-from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
-from jaxnarx.regressors import Pool, Variables, evaluate, row_columns, variable_names
-from jaxnarx.regressors.rows import Rows, regression_rows
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Global, Grid, Lolimot, SigmoidTree
+from jaxnarx.models import Network, OutputModel, assemble, global_model
+from jaxnarx.partition.grid import grid_output
+from jaxnarx.partition.ground import Ground, make_ground
+from jaxnarx.partition.growth import grow_output
+from jaxnarx.partition.scaffold import chosen_terms
+from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
 
-_lolimot = jax.jit(lolimot, static_argnames="max_models")
+Method = Global | Grid | Lolimot | SigmoidTree
 
 
 def grow(
-    source: Selection | Pool, data: Dataset, method: Global | Lolimot
+    source: Selection | Pool,
+    data: Dataset,
+    method: Method,
+    *,
+    validation: Dataset | None = None,
 ) -> Solution[Network]:
     """Fit a network with the terms of `source` to one-step prediction of `data`.
 
-    `Global()` is one local model by orthogonal least squares; `Lolimot(...)` divides
-    the space of its scheduling variables until the corrected Akaike criterion
-    deteriorates `patience` times in a row and returns the best stage (`stats["aicc"]`,
-    `"sse"`, `"effective"` per output and stage). A pool stands for all its terms. Too
-    few rows raise `DataError`; collinear terms give `unidentifiable`.
+    `Global()` is one local model by orthogonal least squares. `Lolimot(...)` and
+    `SigmoidTree(...)` divide the space of their scheduling variables until their
+    criterion deteriorates `patience` times in a row and return the best stage; `stats`
+    keeps the figures of all stages per output (`models`, `sse`, `aicc`, `bic`,
+    `effective`, with criterion `"validation"` also the free-run NRMSE on the records of
+    `validation`), `best` and why growth `stopped`: `criterion`, `capacity`, or `data`
+    where no split left both sides enough samples. `Grid(...)` takes a partition as it
+    is. A pool stands for all its terms; with `local` every region chooses its own.
+
+    Too few rows and constant scheduling variables raise `DataError`. Status
+    `no_improvement` where a criterion ended the growth; `unidentifiable` where terms
+    are collinear, or regions of a grid have fewer samples than parameters
+    (`stats["poor"]`): those keep the coefficients of the global model.
     """
     pool, factors = chosen_terms(source)
     data, _ = match_channels(data, pool.channels)
-    scheduling = Variables(())
-    if isinstance(method, Lolimot):
-        scheduling = scheduling_table(pool, tuple(method.scheduling))
-    rows = regression_rows(
+    scheduled = not isinstance(method, Global)
+    ground = make_ground(
+        pool,
+        factors,
         data,
-        pool.variables,
-        pool.outputs,
-        history=max(pool.variables.longest, scheduling.longest),
-        need=max(len(f) for f in factors) + 1,
-        gain=source.gain if isinstance(source, Selection) else None,
+        tuple(method.scheduling) if scheduled else (),
+        source.gain if isinstance(source, Selection) else None,
+        method.local if scheduled else None,
     )
-    if isinstance(method, Lolimot):
-        return _grow_lolimot(pool, factors, data, rows, scheduling, method)
-    return _grow_global(pool, factors, data, rows)
+    if isinstance(method, Global):
+        return _grow_global(ground)
+    if isinstance(method, Grid):
+        return _grow_grid(ground, method)
+    if method.criterion == "validation" and validation is None:
+        raise SpecError(
+            'criterion="validation" needs records: grow(..., validation=...)',
+            field="validation",
+        )
+    return _grow_stages(ground, method, validation)
 
 
-def _grow_global(pool: Pool, factors, data: Dataset, rows: Rows) -> Solution[Network]:
+def _assembled(ground: Ground, models: list[OutputModel]) -> Network:
+    return assemble(ground.pool, ground.data, ground.rows.gain, models)
+
+
+def _grow_global(ground: Ground) -> Solution[Network]:
+    rows, factors = ground.rows, ground.factors
     models, ranks, conds = [], [], []
     for o, factor in enumerate(factors):
         columns = evaluate(factor, rows.v)
@@ -64,7 +79,7 @@ def _grow_global(pool: Pool, factors, data: Dataset, rows: Rows) -> Solution[Net
         models.append(global_model(factor, theta))
         ranks.append(int(rank))
         conds.append(float(cond))
-    network = assemble(pool, data, rows.gain, models)
+    network = _assembled(ground, models)
     stats = {"rank": np.array(ranks), "cond": np.array(conds)}
     short = [o for o, f in enumerate(factors) if ranks[o] < len(f)]
     if short:
@@ -77,88 +92,33 @@ def _grow_global(pool: Pool, factors, data: Dataset, rows: Rows) -> Solution[Net
     return Solution(network, RESULTS.ok, stats)
 
 
-def _scheduling_range(pool, rows: Rows, scheduling: Variables, sample_time: float):
-    """Scheduling variables of every row in physical units, their offset and span."""
-    x = row_columns(rows.batch, rows.at, scheduling, sample_time)
-    low, high = x.min(axis=1), x.max(axis=1)
-    names = variable_names(pool.channels, scheduling)
-    # a filter leaves rounding errors on a constant
-    least = 100 * np.finfo(x.dtype).eps * np.maximum(np.abs(low), np.abs(high))
-    constant = ~(high - low > least)
-    for s, name, a, flat in zip(scheduling.signal, names, low, constant, strict=True):
-        if flat:
-            raise DataError(
-                f"scheduling variable {name} is constant ({a:g}); choose one that "
-                "moves",
-                channel=pool.channels.names[s],
-            )
-    return jnp.asarray(x), low, high - low
+def _grow_grid(ground: Ground, method: Grid) -> Solution[Network]:
+    outputs = range(len(ground.factors))
+    models, poor = zip(*(grid_output(ground, o, method) for o in outputs), strict=True)
+    network = _assembled(ground, list(models))
+    stats: dict[str, Any] = {"poor": list(poor)}
+    short = [o for o in outputs if poor[o]]
+    if not short:
+        return Solution(network, RESULTS.ok, stats)
+    o = short[0]
+    listed = ", ".join(str(m + 1) for m in poor[o][:8])
+    detail = (
+        f"local models {listed} of {network.output_names[o]} have fewer samples than "
+        "parameters and keep the global model's; use fewer regions or terms"
+    )
+    return Solution(network, RESULTS.unidentifiable, stats, detail)
 
 
-def _grow_lolimot(
-    pool: Pool, factors, data: Dataset, rows: Rows, scheduling, method: Lolimot
+def _grow_stages(
+    ground: Ground, method: Lolimot | SigmoidTree, validation: Dataset | None
 ) -> Solution[Network]:
-    x, offset, span = _scheduling_range(pool, rows, scheduling, data.sample_time)
-    z = (x - offset[:, None]) / span[:, None]
-    number = functools.partial(jnp.asarray, dtype=z.dtype)
-    models, figures, statuses = [], [], []
-    for o, factor in enumerate(factors):
-        stages = _lolimot(
-            evaluate(factor, rows.v),
-            z,
-            rows.y[o],
-            rows.weight[o],
-            k_sigma=number(method.k_sigma),
-            max_models=method.max_models,
-        )
-        best, figure = _best_stage(stages, rows.weight[o], method)
-        models.append(
-            _stage_model(stages, best, factor, scheduling, offset, span, method)
-        )
+    models, figures = [], []
+    for o in range(len(ground.factors)):
+        model, figure = grow_output(ground, o, method, validation)
+        models.append(model)
         figures.append(figure)
-        statuses.append(figure["stopped"])
-    network = assemble(pool, data, rows.gain, models)
+    network = _assembled(ground, models)
     stats = {k: [f[k] for f in figures] for k in figures[0]}
-    if any(s == "criterion" for s in statuses):
+    if any(f["stopped"] == "criterion" for f in figures):
         return Solution(network, RESULTS.no_improvement, stats)
     return Solution(network, RESULTS.ok, stats)
-
-
-def _best_stage(stages: Stage, weight, method: Lolimot) -> tuple[int, dict]:
-    """Stage with the best AICc before `patience` successive deteriorations."""
-    count = np.asarray(stages.count)
-    distinct = int(np.sum(np.diff(count) > 0)) + 1
-    n = np.asarray(stages.effective)[:distinct]
-    sse = np.asarray(stages.sse)[:distinct]
-    samples = float(np.sum(np.asarray(weight) > 0))
-    spare = np.maximum(samples - n - 1, 1.0)
-    tiny = np.finfo(sse.dtype).tiny
-    aicc = samples * np.log(np.maximum(sse, tiny) / samples)
-    aicc += 2 * n + 2 * n * (n + 1) / spare
-    best, stopped = 0, "capacity"
-    for stage in range(1, distinct):
-        if aicc[stage] < aicc[best]:
-            best = stage
-        elif stage - best >= method.patience:
-            stopped = "criterion"
-            break
-    if stopped == "capacity" and distinct < method.max_models:
-        stopped = "data"
-    return best, {
-        "models": count[:distinct],
-        "sse": sse,
-        "aicc": aicc,
-        "effective": n,
-        "best": best,
-        "stopped": stopped,
-    }
-
-
-def _stage_model(
-    stages: Stage, best: int, factor, scheduling, offset, span, method: Lolimot
-) -> OutputModel:
-    count = int(stages.count[best])
-    low, high = stages.low[best, :count], stages.high[best, :count]
-    validity = gaussians(low, high, method.k_sigma)
-    theta = stages.theta[best, :count]
-    return output_model(factor, theta, validity, scheduling, offset, span)

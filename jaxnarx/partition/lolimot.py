@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.least_squares import cholesky_solve
-from jaxnarx.models import Gaussians
+from jaxnarx.models import AbstractValidity, Boxes, Compact, Gaussians
+from jaxnarx.partition.local_fit import effective, local_fit
 
 
 class Growth(eqx.Module):
@@ -47,34 +47,28 @@ class Stage(eqx.Module):
     effective: Float[Array, ""]
 
 
-def gaussians(low, high, k_sigma) -> Gaussians:
-    """Validity functions of boxes."""
+def validity_of_boxes(kind: str, low, high, k_sigma) -> AbstractValidity:
+    """Validity functions of boxes: `"gaussians"`, `"compact"` or `"boxes"`."""
+    if kind == "boxes":
+        return Boxes(low, high)
     extension = jnp.where(high > low, high - low, 1.0)
+    if kind == "compact":
+        return Compact(low, high, jnp.log(k_sigma * extension))
     return Gaussians((low + high) / 2, jnp.log(k_sigma * extension))
 
 
-def _fit(p, y, weight):
-    """Weighted least squares of one local model by its scaled normal equations.
+def _local_nmse(phi, weight, e, y):
+    """Var(e)/Var(y) of every local model's own samples, thesis (6.8)."""
+    w = phi * weight[None]
+    mass = jnp.sum(w, axis=1)
+    mass = jnp.where(mass > 0, mass, 1.0)
 
-    A factorisation of the full columns for every trial would cost the whole growth;
-    columns are scaled to unit norm and carry a ridge of 1e-12.
-    """
-    weighted = p * weight[None]
-    return cholesky_solve(weighted @ p.T, weighted @ y)
+    def variance(x):
+        mean = w @ x / mass
+        return jnp.sum(w * (x[None] - mean[:, None]) ** 2, axis=1) / mass
 
-
-def _effective(p, phi, weight, count):
-    """Effective number of parameters, the trace of the local smoothing matrices."""
-
-    def one(phi_m):
-        w = phi_m * weight
-        gram = (p * w[None]) @ p.T
-        twice = (p * (w * phi_m)[None]) @ p.T
-        solved = jax.vmap(cholesky_solve, in_axes=(None, 1), out_axes=1)(gram, twice)
-        return jnp.trace(solved)
-
-    traces = jax.lax.map(one, phi)
-    return jnp.sum(jnp.where(jnp.arange(phi.shape[0]) < count, traces, 0.0))
+    spread = variance(jnp.where(weight > 0, y, 0.0))
+    return jnp.where(spread > 0, variance(e) / jnp.where(spread > 0, spread, 1.0), 0.0)
 
 
 def lolimot(
@@ -84,42 +78,59 @@ def lolimot(
     weight: Float[Array, " rows"],
     *,
     k_sigma: Float[Array, ""],
+    ridge: Float[Array, ""],
+    least: Float[Array, ""],
     max_models: int,
+    kind: str = "gaussians",
+    worst: str = "squares",
+    picks: int | None = None,
+    first: int | None = None,
 ) -> Stage:
     """Grow to `max_models`; returns every stage, stacked (stages = max_models).
 
     `p` holds the regressors of every local model, `z` the scheduling variables scaled
-    to [0, 1]. Once no split is allowed the remaining stages repeat the last.
+    to [0, 1]. A split is allowed where both children have validities that sum to
+    `least` or more. Once no split is allowed the remaining stages repeat the last.
+    `worst` is `"squares"` or `"nmse"`; `ridge`, `picks` and `first` are those of
+    `local_fit`.
     """
     terms, dims = p.shape[0], z.shape[0]
     slots = jnp.arange(max_models)
 
+    def fit(w, prior, pull):
+        return local_fit(p, y, w, prior=prior, ridge=pull, picks=picks, first=first)
+
     def validity(low, high, count):
-        return gaussians(low, high, k_sigma)(z, slots < count)
+        return validity_of_boxes(kind, low, high, k_sigma)(z, slots < count)
 
     def error(phi, theta):
         return jnp.where(weight > 0, y - jnp.sum(phi * (theta @ p), axis=0), 0.0)
 
-    def trial(s: Growth, worst, d):
-        middle = (s.low[worst, d] + s.high[worst, d]) / 2
-        low = s.low.at[s.count].set(s.low[worst]).at[s.count, d].set(middle)
-        high = s.high.at[s.count].set(s.high[worst]).at[worst, d].set(middle)
+    def trial(s: Growth, parent, d):
+        middle = (s.low[parent, d] + s.high[parent, d]) / 2
+        low = s.low.at[s.count].set(s.low[parent]).at[s.count, d].set(middle)
+        high = s.high.at[s.count].set(s.high[parent]).at[parent, d].set(middle)
         phi = validity(low, high, s.count + 1)
-        pair = jnp.stack([worst, s.count])
-        children = jax.lax.map(lambda m: _fit(p, y, phi[m] * weight), pair)
+        pair = jnp.stack([parent, s.count])
+        own = s.theta[parent]
+        children = jax.lax.map(lambda m: fit(phi[m] * weight, own, ridge), pair)
         theta = s.theta.at[pair].set(children)
         sse = jnp.sum(weight * error(phi, theta) ** 2)
         mass = jnp.sum(jnp.where(weight[None] > 0, phi[pair], 0.0), axis=1)
-        sse = jnp.where(jnp.all(mass >= terms), sse, jnp.inf)
+        sse = jnp.where(jnp.all(mass >= least), sse, jnp.inf)
         return low, high, theta, sse
 
     def attempt(s: Growth):
         """Split the worst unlocked model, or lock it."""
         phi = validity(s.low, s.high, s.count)
-        loss = jnp.sum(phi * (weight * error(phi, s.theta) ** 2)[None], axis=1)
+        e = error(phi, s.theta)
+        if worst == "nmse":
+            loss = _local_nmse(phi, weight, e, y)
+        else:
+            loss = jnp.sum(phi * (weight * e**2)[None], axis=1)
         free = (slots < s.count) & ~s.locked
-        worst = jnp.argmax(jnp.where(free, loss, -jnp.inf))
-        trials = jax.lax.map(lambda d: trial(s, worst, d), jnp.arange(dims))
+        parent = jnp.argmax(jnp.where(free, loss, -jnp.inf))
+        trials = jax.lax.map(lambda d: trial(s, parent, d), jnp.arange(dims))
         best = jnp.argmin(trials[3])
         low, high, theta, sse = jax.tree.map(lambda a: a[best], trials)
         allowed = jnp.any(free) & jnp.isfinite(sse)
@@ -127,7 +138,7 @@ def lolimot(
             s, low=low, high=high, theta=theta, sse=sse, count=s.count + 1
         )
         locked = dataclasses.replace(
-            s, locked=s.locked.at[worst].set(True), going=jnp.any(free)
+            s, locked=s.locked.at[parent].set(True), going=jnp.any(free)
         )
         return jax.tree.map(lambda a, b: jnp.where(allowed, a, b), split, locked)
 
@@ -138,11 +149,12 @@ def lolimot(
 
     def keep(s: Growth) -> Stage:
         phi = validity(s.low, s.high, s.count)
-        return Stage(
-            s.low, s.high, s.theta, s.count, s.sse, _effective(p, phi, weight, s.count)
-        )
+        used = (slots < s.count)[:, None]
+        used = used & (s.theta != 0) if picks else jnp.broadcast_to(used, s.theta.shape)
+        n = effective(p, phi, weight, used, ridge)
+        return Stage(s.low, s.high, s.theta, s.count, s.sse, n)
 
-    theta = _fit(p, y, weight)
+    theta = fit(weight, jnp.zeros(terms, p.dtype), jnp.zeros_like(ridge))
     start = Growth(
         low=jnp.zeros((max_models, dims), p.dtype),
         high=jnp.zeros((max_models, dims), p.dtype).at[0].set(1.0),

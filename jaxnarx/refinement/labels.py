@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -86,9 +85,10 @@ def _validity(network: Network, o: int, model: OutputModel) -> list[Entries]:
 def _plain(output: str, model: OutputModel) -> list[Entries]:
     """Parameters of other validity functions, as they are inside the network."""
     found = []
-    for path, leaf in jax.tree_util.tree_leaves_with_path(model.validity):
+    validity = model.validity
+    for field, leaf in zip(validity.trained, validity.parameters, strict=True):
         value = np.asarray(leaf, float)
-        stem = f"{output}: {jax.tree_util.keystr(path).lstrip('.')}"
+        stem = f"{output}: {field}"
         names = [f"{stem}{list(map(int, at))}" for at in np.ndindex(value.shape)]
         everywhere = np.ones(value.shape, bool)
         found.append((names, value, np.ones(value.shape), everywhere))

@@ -35,17 +35,18 @@ def freeze(
 def _trained(model: OutputModel, coefficients: bool, partition: bool) -> OutputModel:
     """One output's tree of booleans."""
     off = jax.tree.map(lambda _: False, model)
-    validity = jax.tree.map(lambda _: partition, model.validity)
-    return eqx.tree_at(
-        lambda m: (m.local.coefficient, m.validity), off, (coefficients, validity)
-    )
+    on = [coefficients, *(partition for _ in model.validity.trained)]
+    return eqx.tree_at(_trainable, off, on)
+
+
+def _trainable(model: OutputModel) -> list:
+    """What may be trained: the coefficients, then the validity's own fields."""
+    return [model.local.coefficient, *model.validity.parameters]
 
 
 def _pieces(tree: Network) -> list[list]:
-    """Leaves that may be trained, for each output: the coefficients, then the
-    validity's.
-    """
-    return [[m.local.coefficient, *jax.tree.leaves(m.validity)] for m in tree.models]
+    """Leaves that may be trained, for each output."""
+    return [_trainable(m) for m in tree.models]
 
 
 def _where(network: Network) -> list:
@@ -197,7 +198,7 @@ def make_layout(
     def bounds(side: int) -> Float[Array, " params"]:
         sign = jnp.inf if side else -jnp.inf
         pieces = [
-            [jnp.full_like(m.local.coefficient, sign), *jax.tree.leaves(limit[side])]
+            [jnp.full_like(m.local.coefficient, sign), *limit[side].parameters]
             for m, limit in zip(network.models, limits, strict=True)
         ]
         own = _concatenate(pieces, chosen)

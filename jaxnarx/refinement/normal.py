@@ -72,7 +72,7 @@ def _initial_loss(layout: Layout, u) -> Float[Array, ""]:
 def output_gradient(
     model: OutputModel, v: Float[Array, "vars rows"], x: Float[Array, "dims rows"]
 ) -> list[Float[Array, "*shape rows"]]:
-    """Derivative of the output by coefficients and by each leaf of the validity.
+    """Derivative of the output by coefficients and by every trained field of validity.
 
     At fixed lagged variables; samples are the trailing axis.
     """
@@ -83,11 +83,13 @@ def output_gradient(
     coefficient = jnp.where(
         model.local.used[..., None], phi[:, None] * terms[model.local.index], 0.0
     )
-    blend = jax.grad(lambda f, z, local: jnp.sum(f(z, model.active) * local))
-    by_validity = jax.vmap(blend, in_axes=(None, 1, 1), out_axes=-1)(
-        model.validity, z, local
-    )
-    return [coefficient, *jax.tree.leaves(by_validity)]
+
+    def blend(parameters, z, local):
+        phi = model.validity.replaced(parameters)(z, model.active)
+        return jnp.sum(phi * local)
+
+    by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
+    return [coefficient, *by_validity(model.validity.parameters, z, local)]
 
 
 def direct_tangents(

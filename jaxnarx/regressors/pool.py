@@ -75,6 +75,10 @@ class Pool(eqx.Module):
         variables = self.variable_names
         return [term_name(variables, row) for row in self.factor.tolist()]
 
+    def of_output(self, place: int) -> "Pool":
+        """The same candidates for one of the modelled outputs; others are measured."""
+        return Pool(self.variables, self.factor, self.channels, (self.outputs[place],))
+
 
 def _lags(
     lags: Lags, names: Sequence[str], *, lowest: int, kind: str

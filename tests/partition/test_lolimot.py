@@ -105,12 +105,19 @@ def problem(seed: int):
     return p, z, y, weight
 
 
-_compiled = jax.jit(lolimot, static_argnames="max_models")
+_compiled = jax.jit(
+    lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")
+)
 
 
-def compiled(p, z, y, weight, *, max_models: int = MODELS, k_sigma: float = K_SIGMA):
-    arrays = (jnp.asarray(a) for a in (p.T, z.T, y, weight))
-    return _compiled(*arrays, k_sigma=jnp.asarray(k_sigma), max_models=max_models)
+def compiled(
+    p, z, y, weight, *, max_models=MODELS, k_sigma=K_SIGMA, ridge=0.0, **options
+):
+    arrays = [jnp.asarray(a) for a in (p.T, z.T, y, weight)]
+    least = jnp.asarray(float(options.pop("least", p.shape[1])))
+    scalars = {"k_sigma": k_sigma, "ridge": ridge}
+    scalars = {name: jnp.asarray(value) for name, value in scalars.items()}
+    return _compiled(*arrays, least=least, max_models=max_models, **scalars, **options)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

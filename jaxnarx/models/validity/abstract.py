@@ -1,0 +1,79 @@
+"""What every validity function offers."""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+EDGE = 0.01
+"""Room for a centre at the border of the range, or beyond it, in the range's units."""
+
+Region = dict[str, dict[str, float]]
+"""Where one local model is valid: by scheduling variable (or combination of them), its
+`centre` and `width`, or what it lies `above` and `below`; physical units."""
+
+
+class AbstractValidity(eqx.Module):
+    """Maps points to weights that sum to one over the active models.
+
+    Points are columns of scaled scheduling variables, [0, 1] the training range of
+    each; samples, where there are several, are trailing axes. Active models come
+    before inactive ones.
+    """
+
+    trained: ClassVar[tuple[str, ...]]
+    """Fields that a refinement may move."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
+    ) -> Float[Array, "models *rows"]: ...
+
+    @abc.abstractmethod
+    def limits(
+        self, width_band: tuple[float | int, float | int]
+    ) -> tuple["AbstractValidity", "AbstractValidity"]:
+        """Lower and upper limits of every trained field for refinement, as such trees.
+
+        Places stay in the scheduling range; widths, or what stands for them, within a
+        band of the present, as multiples.
+        """
+
+    @abc.abstractmethod
+    def check(self, models: int, dims: int) -> None:
+        """ValueError where the fields do not fit a number of models and dimensions."""
+
+    @abc.abstractmethod
+    def regions(
+        self,
+        names: Sequence[str],
+        offset: Float[np.ndarray, " dims"],
+        span: Float[np.ndarray, " dims"],
+    ) -> list[Region]:
+        """Where each local model is valid, in physical units x = offset + span z."""
+
+    @property
+    def parameters(self) -> list[Any]:
+        """The values of the trained fields (flags, in a tree of booleans)."""
+        return [getattr(self, name) for name in self.trained]
+
+    def replaced(self, values: Sequence[Array]) -> "AbstractValidity":
+        """With these values of the trained fields."""
+        return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
+
+
+def column(values: Array, rows: int) -> Array:
+    """`values` with as many trailing axes as there are axes of samples."""
+    return values.reshape(values.shape + (1,) * rows)
+
+
+def require_shape(name: str, value: Array, shape: tuple[int, ...]) -> None:
+    """ValueError unless an array of a file has its size."""
+    if value.shape != shape:
+        raise ValueError(
+            f"validities do not fit their number: {name} is {value.shape}, not {shape}"
+        )

@@ -1,0 +1,127 @@
+"""Partitions that are given: grids, borders, centres."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Grid
+from jaxnarx.models import AbstractValidity, Gaussians, LogSigmoids, OutputModel
+from jaxnarx.partition.ground import Ground
+from jaxnarx.partition.local_fit import local_fit
+from jaxnarx.partition.local_terms import own_terms
+from jaxnarx.partition.lolimot import validity_of_boxes
+from jaxnarx.regressors import evaluate
+
+SHARPNESS = 5.0
+"""Steepness of log-sigmoids times the distance between borders: at the middle of a
+region its model weighs 0.85."""
+
+_fit = jax.jit(local_fit)
+
+
+def grid_output(
+    ground: Ground, output: int, method: Grid
+) -> tuple[OutputModel, list[int]]:
+    """The model of one output, and which local models lack samples.
+
+    A local model whose validity sums to less than its number of parameters keeps the
+    coefficients of the global model.
+    """
+    validity = given_validity(ground, method)
+    count = _models(validity)
+    phi = validity(ground.z, jnp.ones(count, bool))
+    y, weight = ground.rows.y[output], ground.rows.weight[output]
+    mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))
+    p = evaluate(ground.factors[output], ground.rows.v)
+    ridge = jnp.asarray(method.ridge, p.dtype)
+    everywhere = _fit(p, y, weight, prior=jnp.zeros(len(p), p.dtype), ridge=0.0 * ridge)
+    if method.local is not None:
+        need = min(method.local.max_terms, len(p))
+        theta = own_terms(ground, output, phi, method.local)
+    else:
+        need = len(p)
+        fits = [_fit(p, y, w * weight, prior=everywhere, ridge=ridge) for w in phi]
+        theta = np.asarray(jnp.stack(fits))
+    poor = np.flatnonzero(mass < need).tolist()
+    theta = np.where((mass < need)[:, None], np.asarray(everywhere)[None], theta)
+    sparse = method.local is not None
+    return ground.model(output, theta, validity, count, sparse=sparse), poor
+
+
+def _models(validity: AbstractValidity) -> int:
+    if isinstance(validity, LogSigmoids):
+        return validity.border.shape[0] + 1
+    return jax.tree.leaves(validity)[0].shape[0]
+
+
+def given_validity(ground: Ground, method: Grid) -> AbstractValidity:
+    """Validity functions of a grid in scaled scheduling variables."""
+    if method.validity == "log-sigmoids":
+        return _log_sigmoids(ground, method)
+    if method.centres:
+        return _gaussians(ground, method)
+    low, high = _boxes(_borders(ground, method))
+    dtype = ground.z.dtype
+    low, high = jnp.asarray(low, dtype), jnp.asarray(high, dtype)
+    return validity_of_boxes(method.validity, low, high, method.k_sigma)
+
+
+def _borders(ground: Ground, method: Grid) -> list[Float[np.ndarray, " _"]]:
+    """Inner borders along every variable, scaled."""
+    if method.models:
+        return [np.linspace(0, 1, n + 1)[1:-1] for n in method.models]
+    out = []
+    rows = zip(method.borders, ground.names, ground.offset, ground.span, strict=True)
+    for row, name, offset, span in rows:
+        scaled = (np.asarray(row, float) - offset) / span
+        if np.any((scaled <= 0) | (scaled >= 1)):
+            raise SpecError(
+                f"a border of {name} lies outside its range in the data, {offset:g} to "
+                f"{offset + span:g}: {list(row)}",
+                field="borders",
+            )
+        out.append(scaled)
+    return out
+
+
+def _boxes(borders: list[Float[np.ndarray, " _"]]):
+    ends = [np.concatenate([[0.0], b, [1.0]]) for b in borders]
+    low = np.array(list(itertools.product(*(e[:-1] for e in ends))))
+    return low, np.array(list(itertools.product(*(e[1:] for e in ends))))
+
+
+def _centres(ground: Ground, method: Grid) -> Float[np.ndarray, "models dims"]:
+    return (np.asarray(method.centres, float) - ground.offset) / ground.span
+
+
+def _gaussians(ground: Ground, method: Grid) -> Gaussians:
+    centre = _centres(ground, method)
+    if method.widths:
+        width = np.asarray(method.widths, float) / ground.span
+    else:
+        apart = np.linalg.norm(centre[:, None] - centre[None], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        nearest = apart.min(axis=1) if len(centre) > 1 else np.ones(1)
+        width = np.broadcast_to(method.k_sigma * nearest[:, None], centre.shape)
+    dtype = ground.z.dtype
+    return Gaussians(jnp.asarray(centre, dtype), jnp.asarray(np.log(width), dtype))
+
+
+def _log_sigmoids(ground: Ground, method: Grid) -> LogSigmoids:
+    if method.centres:
+        centre = np.sort(_centres(ground, method)[:, 0])
+        border: Array | np.ndarray = (centre[1:] + centre[:-1]) / 2
+    else:
+        (border,) = _borders(ground, method)
+    apart = float(np.mean(np.diff(border))) if len(border) > 1 else 0.5
+    steepness = SHARPNESS / apart
+    if method.steepness is not None:
+        steepness = float(method.steepness * ground.span[0])
+    dtype = ground.z.dtype
+    return LogSigmoids(
+        jnp.asarray(border, dtype), jnp.log(jnp.asarray(steepness, dtype))
+    )

@@ -1,0 +1,119 @@
+"""Growth in stages: the kernel's run, the choice of a stage, and its network."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Lolimot, SigmoidTree
+from jaxnarx.models import AbstractValidity, OutputModel, assemble
+from jaxnarx.partition.ground import Ground
+from jaxnarx.partition.local_terms import own_terms
+from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
+from jaxnarx.partition.stages import choose_stage, free_run_nrmse
+from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
+from jaxnarx.regressors import evaluate
+
+_lolimot = jax.jit(
+    lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")
+)
+
+_sigmoid_tree = jax.jit(
+    sigmoid_tree, static_argnames=("max_models", "oblique", "steps", "picks", "first")
+)
+
+LARGEST = 2**31
+"""Bytes that the columns of all candidate terms may take where every local model
+chooses its own."""
+
+
+def grow_output(
+    ground: Ground,
+    output: int,
+    method: Lolimot | SigmoidTree,
+    validation: Dataset | None,
+) -> tuple[OutputModel, dict[str, Any]]:
+    """The model of one output, and the figures of all stages."""
+    factor, rows = ground.factors[output], ground.rows
+    _affordable(ground, output, method)
+    p = evaluate(factor, rows.v)
+    stages, validity = _run(ground, output, p, method)
+    sparse = method.local is not None
+
+    def at(stage: int, slots: int) -> OutputModel:
+        """The model of a stage; a fixed number of slots compiles once for all."""
+        theta, count = stages.theta[stage, :slots], int(stages.count[stage])
+        return ground.model(output, theta, validity(stage, slots), count)
+
+    def score(stage: int) -> float:
+        assert validation is not None
+        one = ground.pool.of_output(output)
+        network = assemble(one, ground.data, rows.gain, [at(stage, method.max_models)])
+        return free_run_nrmse(network, validation)
+
+    figures = [np.asarray(a) for a in (stages.count, stages.sse, stages.effective)]
+    best, found = choose_stage(*figures, ground.samples(output), method, score)
+    count = int(stages.count[best])
+    if not sparse:
+        return at(best, count), found
+    shape = validity(best, count)
+    phi = shape(ground.z, jnp.ones(count, bool))
+    assert method.local is not None
+    theta = own_terms(ground, output, phi, method.local)
+    return ground.model(output, theta, shape, count, sparse=True), found
+
+
+def _affordable(ground: Ground, output: int, method: Lolimot | SigmoidTree) -> None:
+    if method.local is None:
+        return
+    v = ground.rows.v
+    size = len(ground.factors[output]) * v.shape[1] * v.dtype.itemsize
+    if size > LARGEST:
+        raise SpecError(
+            f"{len(ground.factors[output])} candidate terms on {v.shape[1]} rows are "
+            f"{size / 2**30:.1f} GiB; choose among them first, with `select`, and grow "
+            "from the selection",
+            field="local",
+        )
+
+
+def _run(
+    ground: Ground, output: int, p: Float[Array, "terms rows"], method
+) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
+    """All stages, and a function from stage and slots to its validity functions."""
+    number = functools.partial(jnp.asarray, dtype=p.dtype)
+    picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
+    least = picks or p.shape[0] if method.least is None else method.least
+    common = {
+        "ridge": number(method.ridge),
+        "least": number(least),
+        "max_models": method.max_models,
+        "picks": picks,
+        "first": _constant(ground, output) if picks else None,
+    }
+    data = p, ground.z, ground.rows.y[output], ground.rows.weight[output]
+    if isinstance(method, SigmoidTree):
+        smoothness = number(method.smoothness)
+        shape = {"oblique": method.oblique, "steps": method.steps}
+        tree = _sigmoid_tree(*data, smoothness=smoothness, **shape, **common)
+        return tree, functools.partial(validity_of_stage, tree)
+    k_sigma, kind = number(method.k_sigma), method.validity
+    boxes = _lolimot(*data, k_sigma=k_sigma, kind=kind, worst=method.worst, **common)
+
+    def validity(stage: int, slots: int) -> AbstractValidity:
+        low, high = boxes.low[stage, :slots], boxes.high[stage, :slots]
+        return validity_of_boxes(kind, low, high, method.k_sigma)
+
+    return boxes, validity
+
+
+def _constant(ground: Ground, output: int) -> int | None:
+    """Place of the constant among an output's candidates, if it is one."""
+    rows = np.flatnonzero(~ground.factors[output].any(axis=1))
+    return int(rows[0]) if rows.size else None

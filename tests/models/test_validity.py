@@ -1,0 +1,212 @@
+"""Validity functions other than Gaussians: weights, their sum, ends, derivatives."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnarx.models import Boxes, Compact, Gaussians, LogSigmoids
+
+weights = eqx.filter_jit(lambda f, z, active: f(z, active))
+
+GRID = [(a, b) for a in (0.0, 0.3, 0.7) for b in (0.0, 0.5)]
+LOW = np.array(GRID)
+HIGH = np.array([({0.0: 0.3, 0.3: 0.7, 0.7: 1.0}[a], b + 0.5) for a, b in GRID])
+"""Six boxes that tile the unit square."""
+BORDERS = np.array([0.2, 0.45, 0.8])
+"""Of four regions of one variable."""
+
+
+def compact(margin: float = 0.08) -> Compact:
+    return Compact(
+        jnp.asarray(LOW), jnp.asarray(HIGH), jnp.full((6, 2), np.log(margin))
+    )
+
+
+def sigmoids(steepness: float = 30.0) -> LogSigmoids:
+    return LogSigmoids(jnp.asarray(BORDERS), jnp.asarray(np.log(steepness)))
+
+
+SHAPES = {
+    "boxes": (Boxes(jnp.asarray(LOW), jnp.asarray(HIGH)), 2, 6),
+    "compact": (compact(), 2, 6),
+    "log-sigmoids": (sigmoids(), 1, 4),
+    "steep log-sigmoids": (sigmoids(1e5), 1, 4),
+}
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e100])
+@pytest.mark.parametrize("name", SHAPES)
+def test_weights_sum_to_one_inside_and_outside_the_training_range(name, distance):
+    f, dims, models = SHAPES[name]
+    z = distance * np.random.default_rng(0).uniform(-1.5, 2.5, size=(dims, 500))
+    phi = np.asarray(weights(f, jnp.asarray(z), jnp.ones(models, bool)))
+    np.testing.assert_allclose(phi.sum(axis=0), 1.0, rtol=0, atol=1e-12)
+    # A difference of sigmoids rounds to a few last digits below zero at worst.
+    assert np.all(phi >= -1e-15)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_inactive_models_weigh_nothing_and_the_others_share(name):
+    f, dims, models = SHAPES[name]
+    z = np.random.default_rng(1).uniform(-0.2, 1.2, size=(dims, 300))
+    active = jnp.arange(models) < models - 1
+    phi = np.asarray(weights(f, jnp.asarray(z), active))
+    np.testing.assert_array_equal(phi[-1], 0.0)
+    np.testing.assert_allclose(phi.sum(axis=0), 1.0, rtol=0, atol=1e-12)
+
+
+# one variable ---------------------------------------------------------------------
+
+
+def test_log_sigmoids_are_one_half_at_every_border():
+    f = sigmoids(200.0)
+    phi = np.asarray(weights(f, jnp.asarray(BORDERS[None]), jnp.ones(4, bool)))
+    for border in range(3):
+        # The next border is at least 0.25 away: exp(-50) is the most it adds.
+        pair = phi[border : border + 2, border]
+        np.testing.assert_allclose(pair, 0.5, rtol=0, atol=1e-12)
+
+
+def test_log_sigmoids_go_on_beyond_the_training_range():
+    ends = jnp.asarray([[-1e6, 1e6]])
+    phi = np.asarray(weights(sigmoids(), ends, jnp.ones(4, bool)))
+    np.testing.assert_array_equal(phi, [[1, 0], [0, 0], [0, 0], [0, 1]])
+
+
+def test_log_sigmoids_follow_the_formula():
+    z = np.linspace(-0.5, 1.5, 41)
+    gates = 1 / (1 + np.exp(-30.0 * (z[None] - BORDERS[:, None])))
+    steps = np.vstack([np.ones(41), gates, np.zeros(41)])
+    expected = steps[:-1] - steps[1:]
+    phi = weights(sigmoids(), jnp.asarray(z[None]), jnp.ones(4, bool))
+    np.testing.assert_allclose(phi, expected, rtol=0, atol=1e-14)
+
+
+def test_limits_keep_the_borders_in_order():
+    low, high = sigmoids().limits((0.5, 2.0))
+    np.testing.assert_allclose(low.border, [0.0, 0.325, 0.625], atol=1e-15)
+    np.testing.assert_allclose(high.border, [0.325, 0.625, 1.0], atol=1e-15)
+    np.testing.assert_allclose(np.exp(low.log_steepness), 15.0, rtol=1e-14)
+    np.testing.assert_allclose(np.exp(high.log_steepness), 60.0, rtol=1e-14)
+
+
+# boxes ----------------------------------------------------------------------------
+
+
+def test_boxes_are_indicators_and_outside_the_nearest_one_speaks():
+    f, _, models = SHAPES["boxes"]
+    z = np.random.default_rng(2).uniform(-1, 2, size=(2, 400))
+    phi = np.asarray(weights(f, jnp.asarray(z), jnp.ones(models, bool)))
+    held = np.clip(z, 0.0, 1.0 - 1e-12).T[:, None]
+    inside = np.all((held >= LOW) & (held < HIGH), axis=2)
+    outside = np.any((z < 0) | (z > 1), axis=0)
+    np.testing.assert_array_equal(phi.T[~outside], inside[~outside])
+    assert set(np.unique(phi)) == {0.0, 1.0}
+    away = np.maximum(np.maximum(LOW - z.T[:, None], z.T[:, None] - HIGH), 0).max(
+        axis=2
+    )
+    chosen = away[np.arange(400), phi.argmax(axis=0)]
+    np.testing.assert_array_equal(chosen, away.min(axis=1))
+
+
+# bounded support ------------------------------------------------------------------
+
+
+def test_compact_curves_end_at_their_bounds():
+    margin = 0.08
+    z = np.random.default_rng(3).uniform(size=(2, 600))
+    phi = np.asarray(weights(compact(margin), jnp.asarray(z), jnp.ones(6, bool)))
+    away = np.maximum(LOW - z.T[:, None], z.T[:, None] - HIGH).max(axis=2)
+    beyond, within = away >= margin, away <= -margin
+    np.testing.assert_array_equal(phi.T[beyond], 0.0)
+    # Where one curve is whole all others have ended: borders are shared.
+    np.testing.assert_allclose(phi.T[within], 1.0, rtol=0, atol=1e-15)
+    assert beyond.any() and within.any() and np.any((phi > 0.1) & (phi < 0.9))
+
+
+def test_compact_curves_do_not_reactivate():
+    # DESIGN section 5: the wide Gaussian of two has weight one again at 0.9.
+    at = jnp.asarray([[0.2, 0.9]])
+    low, high = jnp.array([[0.0], [0.35]]), jnp.array([[0.35], [1.0]])
+    f = Compact(low, high, jnp.log(jnp.array([[0.2], [0.05]])))
+    g = Gaussians(jnp.array([[0.2], [0.5]]), jnp.log(jnp.array([[0.2], [0.05]])))
+    both = jnp.ones(2, bool)
+    np.testing.assert_allclose(weights(g, at, both)[0], [1.0, 1.0], atol=1e-6)
+    # One curve over itself: a rounding error of one.
+    np.testing.assert_allclose(weights(f, at, both)[0], [1.0, 0.0], rtol=1e-15)
+
+
+def test_a_gap_between_compact_curves_belongs_to_the_nearest():
+    low, high = jnp.array([[0.0], [0.8]]), jnp.array([[0.2], [1.0]])
+    f = Compact(low, high, jnp.full((2, 1), np.log(0.05)))
+    z = jnp.array([[0.3, 0.45, 0.55, 0.7]])
+    phi = weights(f, z, jnp.ones(2, bool))
+    np.testing.assert_array_equal(phi[0], [1.0, 1.0, 0.0, 0.0])
+    slope = jax.grad(lambda f: jnp.sum(f(z, jnp.ones(2, bool))[0]))(f)
+    for leaf in jax.tree.leaves(slope):
+        np.testing.assert_array_equal(leaf, 0.0)
+
+
+@pytest.mark.parametrize("name", ["compact", "log-sigmoids"])
+def test_derivatives_by_parameters_and_place_are_central_differences(name):
+    f, dims, models = SHAPES[name]
+    rng = np.random.default_rng(4)
+    z = jnp.asarray(rng.uniform(size=(dims, 40)))
+    share = jnp.asarray(rng.normal(size=(models, 40)))
+
+    def value(parameters, z):
+        phi = f.replaced(parameters)(z, jnp.ones(models, bool))
+        return jnp.sum(phi * share)
+
+    compiled = jax.jit(value)
+    found = jax.jit(jax.grad(value, argnums=(0, 1)))(f.parameters, z)
+    leaves, tree = jax.tree.flatten((f.parameters, z))
+    flat = np.concatenate([np.ravel(leaf) for leaf in leaves])
+    ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
+
+    def at(x):
+        parts = np.split(x, ends)
+        new = [
+            jnp.asarray(p.reshape(q.shape)) for p, q in zip(parts, leaves, strict=True)
+        ]
+        return float(compiled(*jax.tree.unflatten(tree, new)))
+
+    h, eye = 1e-6, np.eye(len(flat))
+    expected = [(at(flat + h * e) - at(flat - h * e)) / (2 * h) for e in eye]
+    ours = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)])
+    # h^2 of the third derivative (steepness^3 = 3e4) and 1e-16/h of rounding.
+    np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-6)
+    assert np.abs(expected).max() > 0.1
+
+
+# files and words ------------------------------------------------------------------
+
+
+def test_sizes_of_a_file_are_checked():
+    with pytest.raises(ValueError, match="border is"):
+        sigmoids().check(5, 1)
+    with pytest.raises(ValueError, match="one variable, not 2"):
+        sigmoids().check(4, 2)
+    with pytest.raises(ValueError, match="low is"):
+        compact().check(5, 2)
+    for f, dims, models in SHAPES.values():
+        f.check(models, dims)
+
+
+def test_regions_are_told_in_physical_units():
+    offset, span = np.array([1000.0]), np.array([2000.0])
+    found = sigmoids().regions(["speed[t]"], offset, span)
+    assert found == [
+        {"speed[t]": {"below": pytest.approx(1400.0)}},
+        {"speed[t]": {"above": pytest.approx(1400), "below": pytest.approx(1900)}},
+        {"speed[t]": {"above": pytest.approx(1900), "below": pytest.approx(2600)}},
+        {"speed[t]": {"above": pytest.approx(2600.0)}},
+    ]
+    names, two = ["speed[t]", "load[t]"], np.array([2000.0, 1.0])
+    (first, *_) = compact().regions(names, np.array([1000.0, 0.0]), two)
+    assert first == {
+        "speed[t]": {"above": 1000.0, "below": pytest.approx(1600)},
+        "load[t]": {"above": 0.0, "below": 0.5},
+    }

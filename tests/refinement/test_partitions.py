@@ -1,0 +1,117 @@
+"""Refinement through every kind of validity function: derivatives, limits, names."""
+
+import common
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import oracles
+import pytest
+
+from jaxnarx.methods import PredictionError
+from jaxnarx.models import (
+    AbstractValidity,
+    Boxes,
+    Compact,
+    LogSigmoids,
+    Network,
+    SigmoidTree,
+)
+from jaxnarx.refinement import refine
+from jaxnarx.refinement.labels import label
+from jaxnarx.refinement.layout import freeze, make_layout
+from jaxnarx.refinement.normal import normal_equations
+from jaxnarx.refinement.task import make_task
+from jaxnarx.simulation import run
+
+BAND = (0.5, 2.0)
+LOW = jnp.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.5], [0.3, 0.3]])
+HIGH = jnp.array([[0.4, 1.0], [1.0, 0.5], [1.0, 1.0], [0.6, 0.6]])
+TREE = SigmoidTree(
+    jnp.array([[1.0, 0.3], [-0.2, 0.9], [0.0, 0.0]]),
+    jnp.array([0.5, 0.4, 0.0]),
+    jnp.log(jnp.array([5.0, 8.0, 1.0])),
+    jnp.array([[-1, 0, 0], [1, -1, 0], [1, 1, 0], [0, 0, 0]]),
+)
+"""Three leaves of two oblique gates; a gate and a leaf are spare."""
+COMPACT = Compact(LOW, HIGH, jnp.log(jnp.full((4, 2), 0.25)))
+SIGMOIDS = LogSigmoids(jnp.array([0.45, 0.8]), jnp.log(jnp.array(7.0)))
+"""Two models, and a border of a spare one."""
+
+
+def networks(kind: str, first: AbstractValidity) -> Network:
+    """Two coupled outputs: `first` in two variables, log-sigmoids in one."""
+    net = common.named(kind, spare_models=1, spare_slots=1)
+    where = [lambda n: n.models[0].validity, lambda n: n.models[1].validity]
+    net = eqx.tree_at(where[0], net, first)
+    return eqx.tree_at(where[1], net, SIGMOIDS)
+
+
+compiled_run = eqx.filter_jit(run)
+
+
+@pytest.mark.parametrize("kind", ["coupled", "coupled, by own output"])
+@pytest.mark.parametrize("first", [TREE, COMPACT], ids=["tree", "compact"])
+def test_normal_equations_are_those_of_the_central_differences(kind, first):
+    net = networks(kind, first)
+    task, _ = make_task(net, common.dataset())
+    layout = make_layout(net, None, BAND)
+    anchor, u = task.anchors(None), np.asarray(layout.gather(net))
+    found = normal_equations(layout, jnp.asarray(u), task.drive, anchor, task.weight)
+    root = jnp.sqrt(task.weight)
+
+    def residual(u):
+        y = compiled_run(layout.place(jnp.asarray(u)), task.drive, anchor)
+        return np.asarray(root * (y - task.drive.measured))
+
+    hessian, gradient = oracles.normal_equations(residual, u)
+    # Central differences with h = 1e-6 leave 1e-9 of the largest derivative.
+    for ours, plain in ((found[1], gradient), (found[2], hessian)):
+        scale = np.abs(plain).max()
+        np.testing.assert_allclose(ours, plain, rtol=1e-5, atol=1e-7 * scale)
+    # Every trained field of every real region takes part.
+    names = label(net, layout).names
+    informed = {n for n, d in zip(names, np.diagonal(hessian), strict=True) if d > 0}
+    for field in (*first.trained, *SIGMOIDS.trained):
+        assert any(field in n for n in informed), field
+
+
+@pytest.mark.parametrize("first", [TREE, COMPACT], ids=["tree", "compact"])
+def test_a_layout_places_what_it_gathers(first):
+    net = networks("coupled", first)
+    layout = make_layout(net, None, BAND)
+    u = layout.gather(net)
+    assert jnp.all(layout.low < layout.high)
+    for a, b in zip(
+        jax.tree.leaves(layout.place(u)), jax.tree.leaves(net), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_piecewise_constant_partition_has_nothing_to_train():
+    net = networks("coupled", Boxes(LOW, HIGH))
+    layout = make_layout(net, freeze(net, coefficients=False), BAND)
+    assert layout.parameters == sum(leaf.size for leaf in SIGMOIDS.parameters)
+
+
+def end_of(net: Network) -> SigmoidTree:
+    tree = net.models[0].validity
+    assert isinstance(tree, SigmoidTree)
+    return tree
+
+
+@pytest.mark.parametrize("first", [TREE, COMPACT], ids=["tree", "compact"])
+def test_refinement_lowers_the_error_and_stays_inside_the_limits(first):
+    net = networks("coupled", first)
+    method = PredictionError(max_steps=3, width_band=BAND)
+    solution = refine(net, common.dataset(), method)
+    assert solution.stats["loss"] < 0.99 * solution.stats["loss_start"]
+    for o in range(2):
+        low, high = net.models[o].validity.limits(BAND)
+        end = solution.value.models[o].validity
+        for a, p, b in zip(
+            low.parameters, end.parameters, high.parameters, strict=True
+        ):
+            assert np.all((a <= p) & (p <= b))
+    if isinstance(first, SigmoidTree):
+        np.testing.assert_array_equal(end_of(solution.value).path, first.path)
