@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from jaxnarx.errors import JaxnarxError as JaxnarxError
     from jaxnarx.errors import ModelFileError as ModelFileError
     from jaxnarx.errors import SpecError as SpecError
+    from jaxnarx.evaluation import Cost as Cost
     from jaxnarx.evaluation import Report as Report
+    from jaxnarx.evaluation import cost as cost
+    from jaxnarx.evaluation import pareto as pareto
     from jaxnarx.evaluation import report as report
     from jaxnarx.methods import Anova as Anova
     from jaxnarx.methods import Backward as Backward
@@ -67,7 +70,7 @@ if TYPE_CHECKING:
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
-    "evaluation": "Report report",
+    "evaluation": "Cost Report cost pareto report",
     "methods": "Anova Backward ForwardOLS Global Grid Lolimot PredictionError "
     "SigmoidTree SimulationError SimulationOLS StepwiseF",
     "models": "Network load save",

@@ -1,6 +1,11 @@
 """How good a network is: metrics, and a report of one-step and free-run figures."""
 
 from jaxnarx.evaluation import metrics as metrics
+from jaxnarx.evaluation.cost import Cost as Cost
+from jaxnarx.evaluation.cost import cost as cost
+from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
+from jaxnarx.evaluation.pareto import pareto as pareto
+from jaxnarx.evaluation.reactivation import reactivation as reactivation
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.report import Report as Report
 from jaxnarx.evaluation.report import report as report

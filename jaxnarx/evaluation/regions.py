@@ -1,65 +1,131 @@
 """A network's partition as plain values, in the units of its scheduling variables."""
 
+import dataclasses
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.regressors import Variables, row_columns
+from jaxnarx.models import Network, OutputModel, SigmoidTree, scheduling_values
+from jaxnarx.regressors import Variables, row_columns, variable_names
 
 POINTS = 2000
 """Data points kept to show where measurements lie."""
+
+FINENESS = {1: 401, 2: 161}
+"""Points a side of the grid on which weights are shown, by number of variables."""
 
 
 def describe_partition(
     network: Any, *, start: Any | None = None, data: Dataset | None = None
 ) -> dict[str, dict[str, Any]]:
-    """By output: scheduling names, their training ranges, centres and widths.
+    """By output, what is needed to draw its partition, whatever its class.
 
-    `start` is the network before refinement, shown as `before`; up to 2000 points of
-    `data`, evenly spaced, become the `cloud` that shows where measurements lie. Outputs
-    with a single local model, or whose validity has no centres and widths, are left
-    out. The form is the one `Report.partition` takes.
+    - `validity`: the name of the class of validity function;
+    - `scheduling`: names of the variables; `ranges`: (low, high) of each in training;
+    - `after`, and `before` where `start`, the network before refinement, is given:
+      `regions`, one per local model as `Network.regions` tells them; `weights` (models,
+      *grid), the network's own validity over the ranges, where there are one or two
+      variables; for a tree `gates` (the variable, or combination, of each and what its
+      open side lies `above` or `below`) and `path`, a row of sides per local model;
+    - `cloud`: up to 2000 points of `data`, evenly spaced (samples, dims).
+
+    Outputs with a single local model are left out. It is the form `Report.partition`
+    takes; weights and cloud stay out of its JSON.
     """
-    after, before = _regions(network), _regions(start) if start is not None else {}
+    if not isinstance(network, Network):
+        return {}
     out = {}
-    for name, model in zip(network.output_names, network.models, strict=True):
-        regions = after.get(name, [])
-        if len(regions) < 2 or not all(regions):
+    for o, (name, model) in enumerate(
+        zip(network.output_names, network.models, strict=True)
+    ):
+        if int(np.asarray(model.active).sum()) < 2 or not len(model.scheduling):
             continue
-        low = np.asarray(model.offset, float)
-        high = low + np.asarray(model.span, float)
+        ranges = scheduling_ranges(model)
         out[name] = {
-            "scheduling": list(regions[0]),
-            "ranges": [(float(a), float(b)) for a, b in zip(low, high, strict=True)],
-            "before": [_model(r) for r in before.get(name, []) if r],
-            "after": [_model(r) for r in regions],
+            "validity": type(model.validity).__name__,
+            "scheduling": variable_names(network.channels, model.scheduling),
+            "ranges": ranges,
+            "after": _side(network, o, ranges),
         }
+        if isinstance(start, Network) and _has_partition(start, o, model):
+            out[name]["before"] = _side(start, o, ranges)
         if data is not None:
-            out[name]["cloud"] = _cloud(data, model.scheduling)
+            out[name]["cloud"] = scheduling_cloud(data, model.scheduling)
     return out
 
 
-def _cloud(data: Dataset, scheduling: Variables) -> Float[np.ndarray, "samples dims"]:
+def _has_partition(start: Network, o: int, model: OutputModel) -> bool:
+    """Whether the earlier network divides the same space."""
+    earlier = start.models[o]
+    several = int(np.asarray(earlier.active).sum()) > 1
+    return several and earlier.scheduling == model.scheduling
+
+
+def scheduling_ranges(model: OutputModel) -> list[tuple[float, float]]:
+    """(low, high) of every scheduling variable in training, physical units."""
+    low = np.asarray(model.offset, float)
+    high = low + np.asarray(model.span, float)
+    return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def scheduling_cloud(
+    data: Dataset, scheduling: Variables, *, points: int = POINTS
+) -> Float[np.ndarray, "samples dims"]:
     """Measured scheduling variables, evenly thinned; rows that lack one left out."""
     batch = stack(data)
     good = usable(batch.valid, scheduling.rows, scheduling.longest)
     lengths = np.array([len(r) for r in data])
     good &= np.arange(good.shape[1])[None] < lengths[:, None]
     at = np.flatnonzero(good)
-    step = max(1, -(-len(at) // POINTS))
+    step = max(1, -(-len(at) // points))
     return row_columns(batch, at[::step], scheduling, data.sample_time).T.astype(float)
 
 
-def _regions(network: Any) -> dict[str, list[dict[str, Any]]]:
-    out: dict[str, list[dict[str, Any]]] = {}
-    for entry in network.equations(style="text"):
-        out.setdefault(entry["output"], []).append(entry["region"])
-    return out
+@eqx.filter_jit
+def _weights(
+    model: OutputModel, x: Float[Array, "dims points"]
+) -> Float[Array, "models points"]:
+    return model.validity(scheduling_values(model, x), model.active)
 
 
-def _model(region: dict[str, Any]) -> dict[str, list[float]]:
-    return {key: [v[key] for v in region.values()] for key in ("centre", "width")}
+def weights_at(
+    model: OutputModel, x: Float[np.ndarray, "points dims"]
+) -> Float[np.ndarray, "models points"]:
+    """The active local models' weights at points in physical units."""
+    dtype = model.offset.dtype
+    phi = np.asarray(_weights(model, jnp.asarray(x.T.astype(dtype))), float)
+    return phi[np.asarray(model.active)]
+
+
+def _side(network: Network, o: int, ranges: list[tuple[float, float]]) -> dict:
+    model = network.models[o]
+    active = np.asarray(model.active)
+    regions = [r for r, on in zip(network.regions(o), active, strict=True) if on]
+    side: dict[str, Any] = {"regions": regions}
+    points = FINENESS.get(len(ranges))
+    if points is not None:
+        axes = [np.linspace(low, high, points) for low, high in ranges]
+        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        phi = weights_at(model, x.reshape(-1, len(ranges)))
+        side["weights"] = phi.reshape(-1, *x.shape[:-1])
+    if isinstance(model.validity, SigmoidTree):
+        side |= _tree(network, model, model.validity)
+    return side
+
+
+def _tree(network: Network, model: OutputModel, validity: SigmoidTree) -> dict:
+    """Gates as the regions of a tree in which every leaf lies behind one gate alone."""
+    path = np.asarray(validity.path)[np.asarray(model.active)]
+    used = np.flatnonzero(np.any(path != 0, axis=0))
+    alone = jnp.asarray(np.eye(path.shape[1], dtype=path.dtype)[used])
+    names = variable_names(network.channels, model.scheduling)
+    gates = dataclasses.replace(validity, path=alone).regions(
+        names, np.asarray(model.offset), np.asarray(model.span)
+    )
+    return {"gates": gates, "path": path[:, used].tolist()}

@@ -9,7 +9,9 @@ from typing import Any
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation.cost import cost
 from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
+from jaxnarx.evaluation.reactivation import range_notes, reactivation_notes
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.rows import (
     FREE_RUN,
@@ -24,6 +26,7 @@ from jaxnarx.evaluation.stability import assess, stability_notes, stability_valu
 from jaxnarx.evaluation.strict import strict
 from jaxnarx.evaluation.table import text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
+from jaxnarx.models import Network
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,10 +43,10 @@ class Report:
       `cumulative` lists in order of choice, and `criteria`: name -> values by size;
     - `history`: one dict per refinement iteration with `iteration`, `stage`, `horizon`
       [samples], `loss`, and where known `validation` and `damping`;
-    - `partition`: by output name (or flat), a dict of `scheduling` names, `ranges`
-      (low, high) of each, and `before`, `after`: lists of `{"centre", "width"}` per
-      local model, all in the units of the scheduling variables; `cloud` may hold data
-      points (samples, dims);
+    - `partition`: by output name (or flat), where each local model is valid, in the
+      form that `describe_partition` gives;
+    - `cost`: by output, sizes of the model and operations of one sample, as
+      `Cost.to_dict` gives them;
     - `stability`: the value of the verb `stability` on the main part: poles and a
       contraction bound;
     - `provenance`: anything worth stating; versions and data hashes are filled in.
@@ -59,6 +62,7 @@ class Report:
     selection: Mapping[str, Any] | None = None
     history: Sequence[Mapping[str, Any]] | None = None
     partition: Mapping[str, Any] | None = None
+    cost: Mapping[str, Mapping[str, int]] | None = None
     stability: Any = None
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -107,7 +111,7 @@ class Report:
             {k: v for k, v in strict(r).items() if k not in ("measured", "simulated")}
             for r in self.residuals
         ]
-        values["partition"] = strict(_without_cloud(self.partition))
+        values["partition"] = strict(_without_points(self.partition))
         values["stability"] = strict(stability_values(self.stability))
         return values
 
@@ -164,6 +168,7 @@ def report(
     traces, errors = _pictures(outputs, runs[main], parts[main].sample_time)
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
+    notes += range_notes(rows) + reactivation_notes(network, parts[main])
     if stability is True:
         stability = assess(network, parts[main], free[main])
     notes += stability_notes(stability or None, main)
@@ -180,6 +185,7 @@ def report(
         selection=selection,
         history=history,
         partition=partition or None,
+        cost=cost(network).to_dict() if isinstance(network, Network) else None,
         stability=stability or None,
         provenance=_provenance(parts) | dict(provenance or {}),
     )
@@ -274,11 +280,12 @@ def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
     return {"versions": versions} | described
 
 
-def _without_cloud(partition: Mapping[str, Any] | None) -> Any:
+def _without_points(partition: Mapping[str, Any] | None) -> Any:
+    """A partition without the arrays that only figures need."""
     if partition is None:
         return None
     return {
-        key: _without_cloud(item) if isinstance(item, Mapping) else item
+        key: _without_points(item) if isinstance(item, Mapping) else item
         for key, item in partition.items()
-        if key != "cloud"
+        if key not in ("cloud", "weights")
     }

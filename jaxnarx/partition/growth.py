@@ -57,8 +57,14 @@ def grow_output(
         network = assemble(one, ground.data, rows.gain, [at(stage, method.max_models)])
         return free_run_nrmse(network, validation)
 
-    figures = [np.asarray(a) for a in (stages.count, stages.sse, stages.effective)]
-    best, found = choose_stage(*figures, ground.samples(output), method, score)
+    best, found = choose_stage(
+        np.asarray(stages.count),
+        np.asarray(stages.sse),
+        np.asarray(stages.effective),
+        ground.samples(output),
+        method,
+        score,
+    )
     count = int(stages.count[best])
     if not sparse:
         return at(best, count), found

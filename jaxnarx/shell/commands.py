@@ -58,8 +58,8 @@ class Identify:
 
     The description (TOML) names files, channels, units and which records train,
     validate and test; `jaxnarx check --help` shows one. Without validation records some
-    are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT,
-    and all parameters are refined together on the free-run error.
+    are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT or
+    a tree of sigmoids, and all parameters are refined together on the free-run error.
 
     Example:
         jaxnarx identify engine.toml --output NOx --models 6 --schedule "speed[t]"
@@ -91,6 +91,15 @@ class Identify:
     """Largest number of local models."""
     schedule: _Names = ()
     """Variables that divide the operating space, as "speed[t]"; for --models > 1."""
+    partition: Literal["lolimot", "tree", "axis-tree"] = "lolimot"
+    """How it is divided: boxes with Gaussians; a tree of sigmoids with oblique borders;
+    or such a tree with borders across one variable each."""
+    local_terms: int = 0
+    """Every region keeps this many of the chosen terms, chosen anew by error reduction
+    ratio; 0: all regions have all --terms."""
+    criterion: Literal["aicc", "bic", "validation", "none"] = "aicc"
+    """What decides on the number of regions up to --models: an information criterion,
+    the free run on the validation records, or nothing."""
     k_sigma: Annotated[float, arg(help_behavior_hint="(default: 1/3)")] = 1 / 3
     """Width of a region's Gaussian as a share of its box."""
     horizons: _Ints = (10, 30, 100, 300, 1000)

@@ -26,6 +26,7 @@ from jaxnarx.shell.style import (
 )
 from jaxnarx.shell.style import save as save
 from jaxnarx.shell.style import svg as svg
+from jaxnarx.shell.tree_figure import tree as tree
 
 Numbers = Sequence[float | int | None] | np.ndarray
 """A list or array of numbers; None where one is not known."""

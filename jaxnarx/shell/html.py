@@ -125,6 +125,10 @@ def _words(value: object) -> str:
         return ""
     if isinstance(value, Mapping) and set(value) == {"centre", "width"}:
         return f"about {_words(value['centre'])} ± {_words(value['width'])}"
+    if isinstance(value, Mapping) and value and set(value) <= {"above", "below"}:
+        if len(value) == 2:
+            return f"from {_words(value['above'])} to {_words(value['below'])}"
+        return " ".join(f"{side} {_words(level)}" for side, level in value.items())
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
     if isinstance(value, list | tuple | np.ndarray):
@@ -147,9 +151,9 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "history": [],
         "partition": [
-            (title, _partition(item))
+            picture
             for title, item in _by_output(report.partition, "scheduling")
-            if len(item["scheduling"])
+            for picture in _partition(title, item)
         ],
     }
     if report.history:
@@ -208,14 +212,12 @@ def _selection(item: Mapping[str, Any]) -> Figure:
     )
 
 
-def _partition(item: Mapping[str, Any]) -> Figure:
-    return figures.partition(
-        [str(n) for n in item["scheduling"]],
-        item["ranges"],
-        item.get("before") or (),
-        item.get("after") or (),
-        cloud=item.get("cloud"),
-    )
+def _partition(title: str, item: Mapping[str, Any]) -> list[tuple[str, Figure]]:
+    """The regions and, of a tree that is not the whole picture already, its gates."""
+    drawn = [(title, figures.partition(item))]
+    if "gates" in item["after"] and "weights" in item["after"]:
+        drawn.append((f"{title} tree".strip(), figures.tree(item)))
+    return drawn
 
 
 def _by_output(

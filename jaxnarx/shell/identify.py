@@ -18,6 +18,7 @@ from jaxnarx.methods import (
     ForwardOLS,
     Global,
     Lolimot,
+    SigmoidTree,
     SimulationError,
     SimulationOLS,
     StepwiseF,
@@ -38,6 +39,7 @@ from jaxnarx.shell.progress import (
 from jaxnarx.solution import Solution
 
 Choice = ForwardOLS | StepwiseF | Backward | SimulationOLS
+Growth = Global | Lolimot | SigmoidTree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Plan:
     output_lags: tuple[int, ...]
     degree: int
     select: Choice
-    grow: Global | Lolimot
+    grow: Growth
     refine: SimulationError
     command: str
     filters: tuple[LowPass, ...] = ()
@@ -100,13 +102,6 @@ def make_plan(command: Identify, typed: str) -> Plan:
         raise SpecError(f"--ridge must not be negative, got {command.ridge}")
     if not 0 < command.hold_out < 1:
         raise SpecError(f"--hold-out must lie between 0 and 1, got {command.hold_out}")
-    growth = Global()
-    if command.models > 1:
-        growth = Lolimot(
-            scheduling=command.schedule,
-            max_models=command.models,
-            k_sigma=command.k_sigma,
-        )
     return Plan(
         outputs=command.output,
         input_lags=command.input_lags,
@@ -114,7 +109,7 @@ def make_plan(command: Identify, typed: str) -> Plan:
         filters=_lags_of_first_order(command.filters),
         degree=command.degree,
         select=_choice(command),
-        grow=growth,
+        grow=_growth(command),
         refine=SimulationError(
             horizons=command.horizons,
             max_steps=command.steps,
@@ -126,6 +121,30 @@ def make_plan(command: Identify, typed: str) -> Plan:
         ),
         command=typed,
     )
+
+
+def _growth(command: Identify) -> Growth:
+    """The settings of the growth that --models and --partition name."""
+    if command.local_terms < 0:
+        raise SpecError(
+            f"--local-terms must not be negative, got {command.local_terms}"
+        )
+    if command.models == 1:
+        if command.local_terms:
+            raise SpecError("--local-terms needs --models above 1")
+        return Global()
+    local = None
+    if command.local_terms:
+        local = ForwardOLS(max_terms=command.local_terms)
+    common: dict[str, Any] = {
+        "scheduling": command.schedule,
+        "max_models": command.models,
+        "criterion": command.criterion,
+        "local": local,
+    }
+    if command.partition == "lolimot":
+        return Lolimot(k_sigma=command.k_sigma, **common)
+    return SigmoidTree(oblique=command.partition == "tree", **common)
 
 
 def _choice(command: Identify) -> Choice:
@@ -186,11 +205,12 @@ def identify(
     say(f"Choosing {most}{size} of {len(pool)} terms")
     chosen = select(pool, train, plan.select, progress=selection_progress)
     _tell(chosen)
-    grown = _grown(chosen, train, plan)
+    grown = _grown(chosen, train, validate, plan)
     _tell(grown)
     for name, model in zip(plan.outputs, grown.value.models, strict=True):
         terms = count(model.local.index.shape[1], "term")
-        say(f"{name}: {count(int(model.active.sum()), 'local model')} of {terms}")
+        of = "of" if model.local.used.all() else "of up to"
+        say(f"{name}: {count(int(model.active.sum()), 'local model')} {of} {terms}")
     say("Refining on the free run")
     with refinement_progress() as progress:
         fit = refine(
@@ -216,13 +236,13 @@ def identify(
 
 
 def _grown(
-    chosen: Solution[Selection], train: Dataset, plan: Plan
+    chosen: Solution[Selection], train: Dataset, validate: Dataset, plan: Plan
 ) -> Solution[Network]:
     """The network to refine: of one model, what a choice in free run ended with."""
     network = chosen.stats.get("network")
     if network is not None and isinstance(plan.grow, Global):
         return Solution(network, chosen.status, {})
-    return grow(chosen.value, train, plan.grow)
+    return grow(chosen.value, train, plan.grow, validation=validate)
 
 
 def _needed(data: Dataset, plan: Plan) -> Dataset:
@@ -231,7 +251,7 @@ def _needed(data: Dataset, plan: Plan) -> Dataset:
     New data would otherwise have to bring them along.
     """
     known = data.channels
-    scheduling = plan.grow.scheduling if isinstance(plan.grow, Lolimot) else ()
+    scheduling = () if isinstance(plan.grow, Global) else plan.grow.scheduling
     used = {known.names[parse_variable(known, text)[0]] for text in scheduling}
     kept = tuple(c for c in known.outputs if c.name in used.union(plan.outputs))
     return match_channels(data, Channels(known.inputs, kept))[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tree_oracles
 
-from jaxnarx.models import SigmoidTree
+from jaxnarx.models import AbstractValidity, SigmoidTree
 
 MODELS, DIMS, SPARE = 5, 2, 3
 PATH = [[1, 1, 0, 0], [-1, 0, 1, 1], [1, -1, 0, 0], [-1, 0, -1, 0], [-1, 0, 1, -1]]
@@ -32,9 +32,8 @@ def tree(seed: int = 0, spare: int = 0) -> SigmoidTree:
         # an unused gate may hold a direction too
         unused[0][-1] = 3.0
     fields = zip((direction, border, log_steepness), unused, strict=True)
-    return SigmoidTree(
-        *(jnp.asarray(np.concatenate(pair)) for pair in fields), jnp.asarray(path)
-    )
+    d, b, a = (jnp.asarray(np.concatenate(pair)) for pair in fields)
+    return SigmoidTree(d, b, a, jnp.asarray(path))
 
 
 def active(spare: int = 0) -> jax.Array:
@@ -123,7 +122,7 @@ def test_spare_leaves_and_gates_weigh_nothing():
     np.testing.assert_allclose(padded[:MODELS], bare, rtol=1e-14)
 
 
-def score(shape: SigmoidTree, z: jax.Array, on: jax.Array) -> jax.Array:
+def score(shape: AbstractValidity, z: jax.Array, on: jax.Array) -> jax.Array:
     return jnp.sum(shape(z, on) * jnp.cos(jnp.arange(on.shape[0]))[:, None])
 
 
@@ -190,21 +189,20 @@ NAMES, OFFSET, SPAN = (
 
 
 def test_regions_say_in_physical_units_where_a_leaf_lies():
-    root = 2**-0.5
     shape = SigmoidTree(
-        jnp.asarray([[1.0, 0.0], [0.0, -3.0], [root, -root]]),
+        jnp.asarray([[1.0, 0.0], [0.0, -3.0], [3.0, -4.0]]),
         jnp.asarray([0.25, -0.5, 0.0]),
         jnp.zeros(3),
         jnp.asarray([[1, 1, 0], [-1, 0, 1], [1, -1, 0], [-1, 0, -1]]),
     )
-    # n = 1000 + 4000/4; q below its middle is above in -q; z1 > z2 is
-    # (n - 1000)/4000 > (q - 5)/20, that is q - n/200 < 0.
-    bend = "-0.005 n[t] + q[t]"
+    # n = 1000 + 4000/4; q below its middle is above in -q; 3 z1 > 4 z2 is
+    # 3 (n - 1000)/4000 > 4 (q - 5)/20, that is q - 0.00375 n < 1.25.
+    bend, at = "-0.00375 n[t] + q[t]", pytest.approx(1.25, rel=1e-12)
     assert shape.regions(NAMES, OFFSET, SPAN) == [
         {"n[t]": {"above": 2000.0}, "q[t]": {"below": 15.0}},
-        {"n[t]": {"below": 2000.0}, bend: {"below": pytest.approx(0.0, abs=1e-12)}},
+        {"n[t]": {"below": 2000.0}, bend: {"below": at}},
         {"n[t]": {"above": 2000.0}, "q[t]": {"above": 15.0}},
-        {"n[t]": {"below": 2000.0}, bend: {"above": pytest.approx(0.0, abs=1e-12)}},
+        {"n[t]": {"below": 2000.0}, bend: {"above": at}},
     ]
 
 

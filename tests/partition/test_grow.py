@@ -1,6 +1,7 @@
 """The verb `grow` beyond LOLIMOT: given partitions, criteria, terms of their own."""
 
 from functools import cache
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +29,7 @@ def data(seed: int = 0, rows: int = ROWS) -> Dataset:
     u[:2] = [[10.0, -1.0], [30.0, 1.0]]
     y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2
     y = y + 0.05 * rng.normal(size=rows)
-    names = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
     return Dataset.from_arrays(u, y, sample_time=1.0, **names)
 
 
@@ -113,7 +114,7 @@ def test_log_sigmoids_take_borders_or_centres_and_a_steepness_per_unit():
 def test_a_region_without_samples_keeps_the_global_model():
     u = np.column_stack([np.linspace(0, 1, 60) ** 3, np.linspace(-1, 1, 60)])
     y = u @ [1.0, 2.0] + 3
-    names = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
     few = Dataset.from_arrays(u, y, sample_time=1.0, **names)
     # The data run along a curve: corners of the grid are empty.
     method = Grid(SCHEDULE, models=(3, 3), validity="boxes")
@@ -186,7 +187,7 @@ def test_the_thesis_splits_the_model_with_the_largest_local_nmse():
     rng = np.random.default_rng(1)
     u = np.column_stack([np.linspace(0, 1, 400), rng.uniform(size=400)])
     y = np.where(u[:, 0] < 0.5, 50 * np.sin(6 * u[:, 0]), 0.1 * rng.normal(size=400))
-    names = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
     two = Dataset.from_arrays(u, y, sample_time=1.0, **names)
     found = {}
     for worst in ("squares", "nmse"):
@@ -264,7 +265,9 @@ def test_a_tree_of_one_leaf_is_the_plain_model():
 @pytest.mark.parametrize("local", [ForwardOLS(max_terms=4), StepwiseF(max_terms=4)])
 @pytest.mark.parametrize("make", [Lolimot, SigmoidTree, Grid])
 def test_every_region_chooses_its_own_terms(make, local):
-    settings = {"models": (2, 1)} if make is Grid else {"max_models": 3}
+    settings: dict[str, Any] = {"max_models": 3}
+    if make is Grid:
+        settings = {"models": (2, 1)}
     solution = grow(pool(3), data(), make(SCHEDULE, local=local, **settings))
     network = solution.value
     phi = phi_of(network, data())
@@ -291,7 +294,7 @@ def test_too_many_candidates_for_local_choice_are_refused(monkeypatch):
 def test_collinear_scheduling_variables_are_no_harm(make):
     u = data().records[0].u
     twice = np.column_stack([u[:, 0], 3 * u[:, 0] + 1])
-    names = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
     both = Dataset.from_arrays(twice, data().records[0].y, sample_time=1.0, **names)
     solution = grow(pool(), both, make(SCHEDULE, max_models=5))
     assert solution.is_okay
@@ -317,8 +320,8 @@ def test_far_outside_the_training_range_a_model_still_answers(make):
 def test_a_constant_scheduling_variable_is_refused_by_name(make):
     u = data().records[0].u
     still = np.column_stack([u[:, 0], np.full(ROWS, 7.0)])
-    names = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
     flat = Dataset.from_arrays(still, data().records[0].y, sample_time=1.0, **names)
-    settings = {"models": (2, 2)} if make is Grid else {}
+    settings: dict[str, Any] = {"models": (2, 2)} if make is Grid else {}
     with pytest.raises(DataError, match=r"u2\[t\] is constant \(7\)"):
         grow(pool(), flat, make(SCHEDULE, **settings))

@@ -5,6 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxnarx.shell import figures, style
+from jaxnarx.shell.tree_figure import branches
 
 EVIL = "<script>alert(1)</script> $x_$ & \x07 転"
 
@@ -18,8 +19,29 @@ def trace(n=400, label="NOx [ppm]"):
     )
 
 
-def models(*centres):
-    return [{"centre": c, "width": np.full(np.shape(c) or 1, 0.2)} for c in centres]
+def entry(label, dims, both=True, kind="centre"):
+    """A partition of two models: `describe_partition` makes the like."""
+    names = [label, "load", "spark"][:dims]
+    extents = {
+        "centre": [{"centre": 0.2, "width": 0.2}, {"centre": 1.4, "width": 0.5}],
+        "box": [{"below": 0.4}, {"above": 0.4, "below": 0.8}],
+    }[kind]
+    side: dict = {"regions": [{name: e for name in names} for e in extents]}
+    if dims < 3:
+        grid = [np.linspace(0, 1, n) for n in (30, 20)[:dims]]
+        first = np.meshgrid(*grid, indexing="ij")[0]
+        side["weights"] = np.stack([first, 1 - first])
+    cloud = np.random.default_rng(1).random((9, dims))
+    out = {"scheduling": names, "ranges": [(0, 1)] * dims, "after": side}
+    return out | {"cloud": cloud} | ({"before": side} if both else {})
+
+
+def gated(label):
+    """A tree of three leaves: below; above, then two sides of a second gate."""
+    gates = [{label: {"above": 0.5}}, {f"{label} - 0.3 load": {"below": 2.0}}]
+    path = [[-1, 0], [1, 1], [1, -1]]
+    side = {"regions": [], "gates": gates, "path": path}
+    return {"scheduling": [label] * 3, "ranges": [(0, 1)] * 3, "after": side}
 
 
 def every(label):
@@ -31,9 +53,6 @@ def every(label):
         | {"validation": None if i == 0 else 2 / (i + 1), "damping": 1.0}
         for i, s in enumerate([0, 0, 1, 1])
     ]
-    one = dict(before=models(0.2, 0.7), after=models([0.3], [0.6]))
-    two = dict(before=models([0.2, 0.3]), after=models([0.2, 0.3], [0.7, 0.6]))
-    cloud = rng.random((9, 2))
     criteria = {"AIC": [3.0, 1.0, None], "BIC": [3.0, 2.0, 2.5]}
     names = [label, "b", "c"]
     return [
@@ -42,13 +61,14 @@ def every(label):
         figures.selection_path(names, [0.9, 0.09, 0.01], criteria=criteria),
         figures.selection_path(names[:1], [1.0]),
         figures.refinement(history),
-        figures.partition([label], [(0, 1)], **one, cloud=y[:, None]),
-        figures.partition([label, "load"], [(0, 1)] * 2, **two, cloud=cloud),
-        figures.partition([label] * 3, [(0, 1)] * 3, after=models([0.1, 0.2, 0.3])),
+        *(figures.partition(entry(label, dims)) for dims in (1, 2, 3)),
+        figures.partition(entry(label, 2, both=False, kind="box")),
+        figures.partition(entry(label, 3, kind="box")),
+        figures.partition(gated(label)),
     ]
 
 
-@pytest.mark.parametrize("i", range(8))
+@pytest.mark.parametrize("i", range(11))
 def test_figures_draw_any_channel_name_as_text(i):
     figure = every(EVIL)[i]
     assert isinstance(figure, Figure)
@@ -87,14 +107,29 @@ def test_a_long_record_stays_a_small_figure():
     assert len(style.inline_svg(trace(200_000), "f", "t")) < 250_000
 
 
-def test_validity_sums_to_one_however_far():
-    from jaxnarx.shell.partition_figure import validity
+def test_a_tree_lists_both_sides_of_every_gate():
+    value = gated("speed")["after"]
+    rows = branches(value["gates"], np.array(value["path"]))
+    assert [(r.text, r.depth, r.parent, r.leaf) for r in rows] == [
+        ("speed < 0.5", 0, -1, 0),
+        ("speed > 0.5", 0, -1, -1),
+        # The second gate opens below: its first model lies there.
+        ("speed - 0.3 load < 2", 1, 1, 1),
+        ("speed - 0.3 load > 2", 1, 1, 2),
+    ]
 
-    z = np.array([[0.2], [0.5], [0.9], [1e6]])
-    phi = validity(z, np.array([[0.2], [0.5]]), np.array([[0.2], [0.05]]))
-    np.testing.assert_allclose(phi.sum(1), 1, rtol=1e-12)
-    # DESIGN section 5: Gaussians of unequal width reactivate far away.
-    np.testing.assert_allclose(phi[:3, 0], [1.0, 0.245085, 1.0], atol=5e-7)
+
+def test_models_are_named_at_their_centre_or_inside_their_region():
+    def numbers(figure):
+        texts = [t for t in figure.axes[-1].texts if t.get_text() in ("1", "2")]
+        return {t.get_text(): (getattr(t, "xy", t.get_position())) for t in texts}
+
+    named = numbers(figures.partition(entry("a", 2)))
+    assert named["1"] == (0.2, 0.2)
+    # The other's centre is out of sight: where it leads, below 0.5 of the first.
+    assert named["2"][0] < 0.5
+    named = numbers(figures.partition(entry("a", 2, kind="box")))
+    assert named["1"][0] > 0.6 and named["2"][0] < 0.4
 
 
 def test_save_writes_whole_files(tmp_path):

@@ -59,8 +59,12 @@ def make(name="NOx", record="r1", samples=50):
         partition={
             "scheduling": [name],
             "ranges": [(0.0, 1.0)],
-            "after": [{"centre": [0.2], "width": [0.1]}],
+            "after": {
+                "regions": [{name: {"below": 0.4}}, {name: {"above": 0.4}}],
+                "weights": np.array([[1.0, 0.9, 0.0], [0.0, 0.1, 1.0]]),
+            },
         },
+        cost={name: {"models": 2, "multiplications": 123456}},
         stability=stability(name, record),
         provenance={"command": name, "versions": {"numpy": np.__version__}},
     )
@@ -117,6 +121,7 @@ def test_every_section_is_there_and_optional_ones_may_be_absent():
             selection=None,
             history=None,
             partition=None,
+            cost=None,
             stability=None,
             equations=(),
             notes=(),
@@ -129,6 +134,7 @@ def test_every_section_is_there_and_optional_ones_may_be_absent():
         "How the terms",
         "Refinement of",
         "Operating",
+        "What a sample costs",
         "Stability",
     ):
         assert title in full and title not in bare
@@ -153,6 +159,39 @@ def test_numbers_and_terms_are_set_for_people():
     assert figure_text(float("-inf")) == "−∞" and figure_text(None) == "–"
     got = term_html("a<b[t-1]^2*u[t]")
     assert got == "a&lt;b<sub>t−1</sub><sup>2</sup> · u<sub>t</sub>"
+
+
+def test_regions_read_as_sentences():
+    regions = [
+        {"speed[t]": {"above": 1250.0, "below": 1450.0}},
+        {"speed[t] - 0.3 load[t-1]": {"above": 2.0}, "load[t]": {"below": 1.0}},
+        {"load[t]": {"centre": 3.0, "width": 0.5}},
+    ]
+    equations = tuple(
+        {"output": "NOx", "model": m, "region": region, "terms": [("1", 1.0)]}
+        for m, region in enumerate(regions)
+    )
+    page = render(dataclasses.replace(make(), equations=equations))
+    speed, load = "speed<sub>t</sub>", "load<sub>t</sub>"
+    assert re.findall(r"<dd>(.*?)</dd>", page)[:3] == [
+        f"{speed} from 1250 to 1450",
+        f"{speed} - 0.3 load<sub>t−1</sub> above 2, {load} below 1",
+        f"{load} about 3 ± 0.5",
+    ]
+
+
+def test_a_tree_has_its_map_and_its_list_of_gates():
+    regions = [{EVIL: {"below": 0.4}}, {EVIL: {"above": 0.4}}]
+    side = {"regions": regions, "gates": [{EVIL: {"above": 0.4}}], "path": [[-1], [1]]}
+    entry = {"scheduling": [EVIL], "ranges": [(0.0, 1.0)], "after": side}
+    listed = render(dataclasses.replace(make(), partition={"NOx": entry}))
+    drawn = side | {"weights": np.array([[1.0, 0.2], [0.0, 0.8]])}
+    both = entry | {"after": drawn, "before": drawn}
+    page = render(dataclasses.replace(make(), partition={"NOx": both}))
+    assert "<script" not in page and "NOx tree" in page and "NOx tree" not in listed
+    for condition in ("&lt; 0.4", "&gt; 0.4"):
+        gate = "&lt;script&gt;alert(1)&lt;/script&gt; " + condition
+        assert listed.count(gate) == 1 and page.count(gate) == 2
 
 
 def test_the_file_is_whole_small_and_the_same_each_time(tmp_path):
