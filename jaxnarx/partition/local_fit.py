@@ -15,6 +15,16 @@ TAU = 1e-8
 passed over: normal equations hold no more digits."""
 
 
+TOGETHER = 2**16
+"""Numbers that several local models' weighted columns may have when they are treated at
+once: short loops cost more than their work, long columns more memory."""
+
+
+def at_once(p: Float[Array, "terms rows"], most: int) -> int:
+    """How many local models, `most` of them, to treat at once."""
+    return max(1, min(most, TOGETHER // p.size))
+
+
 def local_fit(
     p: Float[Array, "terms rows"],
     y: Float[Array, " rows"],
@@ -104,4 +114,4 @@ def effective(
         solve = jax.vmap(cholesky_solve, in_axes=(None, 1, None), out_axes=1)
         return jnp.trace(solve(gram, twice, ridge))
 
-    return jnp.sum(jax.lax.map(one, (phi, used)))
+    return jnp.sum(jax.lax.map(one, (phi, used), batch_size=at_once(p, len(phi))))

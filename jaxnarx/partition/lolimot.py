@@ -13,15 +13,13 @@ models", CDC 1996; thesis section 6.2. The published curves need every detail ab
 weights that enter the squared error once, not twice.
 """
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models import AbstractValidity, Boxes, Compact, Gaussians
-from jaxnarx.partition.local_fit import effective, local_fit
+from jaxnarx.partition.local_fit import at_once, effective, local_fit
 
 
 class Growth(eqx.Module):
@@ -30,6 +28,8 @@ class Growth(eqx.Module):
     low: Float[Array, "models dims"]
     high: Float[Array, "models dims"]
     theta: Float[Array, "models terms"]
+    curves: Float[Array, "models rows"]
+    output: Float[Array, "models rows"]
     locked: Bool[Array, " models"]
     count: Int[Array, ""]
     sse: Float[Array, ""]
@@ -55,6 +55,33 @@ def validity_of_boxes(kind: str, low, high, k_sigma) -> AbstractValidity:
     if kind == "compact":
         return Compact(low, high, jnp.log(k_sigma * extension))
     return Gaussians((low + high) / 2, jnp.log(k_sigma * extension))
+
+
+def _curve(kind: str, low, high, k_sigma, z) -> Float[Array, " rows"]:
+    """Validity of one box before normalisation; zero for an empty one.
+
+    Gaussians are scaled by a common factor: the box that holds a point has at least
+    exp(-B) there, B = sum_d (1/(2 k_sigma))^2/2, which may be too small for a number.
+    """
+    low, high = low[:, None], high[:, None]
+    there = jnp.all(high > low)
+    if kind == "boxes":
+        inside = (z >= low) & ((z < high) | (high >= 1.0))
+        return jnp.where(there, jnp.all(inside, axis=0), False).astype(z.dtype)
+    extension = jnp.where(high > low, high - low, 1.0)
+    if kind == "compact":
+        one = Compact(low.T, high.T, jnp.log(k_sigma * extension).T)
+        return jnp.where(there, one.curves(z)[0], 0.0)
+    away = (z - (low + high) / 2) / (k_sigma * extension)
+    least = z.shape[0] / (8.0 * k_sigma**2)
+    logit = jnp.minimum(least / 2, 300.0) - 0.5 * jnp.sum(away**2, axis=0)
+    return jnp.where(there, jnp.exp(logit), 0.0)
+
+
+def _share(curve, total):
+    """Curves over their sum, zero where there is none."""
+    there = total > 0
+    return jnp.where(there, curve / jnp.where(there, total, 1.0), 0.0)
 
 
 def _local_nmse(phi, weight, e, y):
@@ -93,6 +120,10 @@ def lolimot(
     `least` or more. Once no split is allowed the remaining stages repeat the last.
     `worst` is `"squares"` or `"nmse"`; `ridge`, `picks` and `first` are those of
     `local_fit`.
+
+    Curves and outputs of all local models are carried along. A split changes two of
+    them: what the others add to the numerator and the denominator of the network's
+    output is summed once for the trials in all dimensions.
     """
     terms, dims = p.shape[0], z.shape[0]
     slots = jnp.arange(max_models)
@@ -100,47 +131,71 @@ def lolimot(
     def fit(w, prior, pull):
         return local_fit(p, y, w, prior=prior, ridge=pull, picks=picks, first=first)
 
-    def validity(low, high, count):
-        return validity_of_boxes(kind, low, high, k_sigma)(z, slots < count)
+    def curve(low, high):
+        return _curve(kind, low, high, k_sigma, z)
 
-    def error(phi, theta):
-        return jnp.where(weight > 0, y - jnp.sum(phi * (theta @ p), axis=0), 0.0)
+    def squares(output):
+        return jnp.where(weight > 0, weight * (y - output) ** 2, 0.0)
 
-    def trial(s: Growth, parent, d):
-        middle = (s.low[parent, d] + s.high[parent, d]) / 2
-        low = s.low.at[s.count].set(s.low[parent]).at[s.count, d].set(middle)
-        high = s.high.at[s.count].set(s.high[parent]).at[parent, d].set(middle)
-        phi = validity(low, high, s.count + 1)
-        pair = jnp.stack([parent, s.count])
+    def trial(s: Growth, parent, rest, d):
+        """Two boxes in the parent's place, their models, and the squared error."""
+        bottom, top = s.low[parent], s.high[parent]
+        middle = (bottom[d] + top[d]) / 2
+        low = jnp.stack([bottom, bottom.at[d].set(middle)])
+        high = jnp.stack([top.at[d].set(middle), top])
+        curves = jax.vmap(curve)(low, high)
+        total = rest[0] + jnp.sum(curves, axis=0)
+        phi = _share(curves, total[None])
         own = s.theta[parent]
-        children = jax.lax.map(lambda m: fit(phi[m] * weight, own, ridge), pair)
-        theta = s.theta.at[pair].set(children)
-        sse = jnp.sum(weight * error(phi, theta) ** 2)
-        mass = jnp.sum(jnp.where(weight[None] > 0, phi[pair], 0.0), axis=1)
+        theta = jax.lax.map(
+            lambda f: fit(f * weight, own, ridge), phi, batch_size=at_once(p, 2)
+        )
+        output = theta @ p
+        sse = jnp.sum(squares(_share(rest[1], total) + jnp.sum(phi * output, axis=0)))
+        mass = jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1)
         sse = jnp.where(jnp.all(mass >= least), sse, jnp.inf)
-        return low, high, theta, sse
+        return low, high, theta, curves, output, sse
 
     def attempt(s: Growth):
         """Split the worst unlocked model, or lock it."""
-        phi = validity(s.low, s.high, s.count)
-        e = error(phi, s.theta)
+        total = jnp.sum(s.curves, axis=0)
+        blend = _share(jnp.sum(s.curves * s.output, axis=0), total)
+        phi = _share(s.curves, total[None])
         if worst == "nmse":
+            e = jnp.where(weight > 0, y - blend, 0.0)
             loss = _local_nmse(phi, weight, e, y)
         else:
-            loss = jnp.sum(phi * (weight * e**2)[None], axis=1)
+            loss = phi @ squares(blend)
         free = (slots < s.count) & ~s.locked
         parent = jnp.argmax(jnp.where(free, loss, -jnp.inf))
-        trials = jax.lax.map(lambda d: trial(s, parent, d), jnp.arange(dims))
-        best = jnp.argmin(trials[3])
-        low, high, theta, sse = jax.tree.map(lambda a: a[best], trials)
+        others = jnp.where((slots != parent)[:, None], s.curves, 0.0)
+        rest = jnp.sum(others, axis=0), jnp.sum(others * s.output, axis=0)
+        trials = jax.lax.map(
+            lambda d: trial(s, parent, rest, d),
+            jnp.arange(dims),
+            batch_size=at_once(p, 2 * dims) // 2 or 1,
+        )
+        best = jnp.argmin(trials[-1])
+        low, high, theta, curves, output, sse = jax.tree.map(lambda a: a[best], trials)
         allowed = jnp.any(free) & jnp.isfinite(sse)
-        split = dataclasses.replace(
-            s, low=low, high=high, theta=theta, sse=sse, count=s.count + 1
+        # Past the capacity, where nothing is allowed, the second place is dropped.
+        pair = jnp.stack([parent, s.count])
+        pair = jnp.where(allowed, pair, max_models)
+
+        def placed(old, new):
+            return old.at[pair].set(new, mode="drop")
+
+        return Growth(
+            low=placed(s.low, low),
+            high=placed(s.high, high),
+            theta=placed(s.theta, theta),
+            curves=placed(s.curves, curves),
+            output=placed(s.output, output),
+            locked=s.locked.at[parent].set(s.locked[parent] | ~allowed),
+            count=jnp.where(allowed, s.count + 1, s.count),
+            sse=jnp.where(allowed, sse, s.sse),
+            going=allowed | jnp.any(free),
         )
-        locked = dataclasses.replace(
-            s, locked=s.locked.at[parent].set(True), going=jnp.any(free)
-        )
-        return jax.tree.map(lambda a, b: jnp.where(allowed, a, b), split, locked)
 
     def stage(s: Growth, _):
         target = s.count + 1
@@ -148,20 +203,25 @@ def lolimot(
         return s, keep(s)
 
     def keep(s: Growth) -> Stage:
-        phi = validity(s.low, s.high, s.count)
+        phi = _share(s.curves, jnp.sum(s.curves, axis=0)[None])
         used = (slots < s.count)[:, None]
         used = used & (s.theta != 0) if picks else jnp.broadcast_to(used, s.theta.shape)
         n = effective(p, phi, weight, used, ridge)
         return Stage(s.low, s.high, s.theta, s.count, s.sse, n)
 
     theta = fit(weight, jnp.zeros(terms, p.dtype), jnp.zeros_like(ridge))
+    low = jnp.zeros((max_models, dims), p.dtype)
+    high = low.at[0].set(1.0)
+    output = jnp.zeros((max_models, p.shape[1]), p.dtype).at[0].set(theta @ p)
     start = Growth(
-        low=jnp.zeros((max_models, dims), p.dtype),
-        high=jnp.zeros((max_models, dims), p.dtype).at[0].set(1.0),
+        low=low,
+        high=high,
         theta=jnp.zeros((max_models, terms), p.dtype).at[0].set(theta),
+        curves=jnp.zeros_like(output).at[0].set(curve(low[0], high[0])),
+        output=output,
         locked=jnp.zeros(max_models, bool),
         count=jnp.asarray(1),
-        sse=jnp.sum(weight * (y - theta @ p) ** 2),
+        sse=jnp.sum(squares(output[0])),
         going=jnp.asarray(True),
     )
     _, later = jax.lax.scan(stage, start, None, length=max_models - 1)

@@ -39,18 +39,21 @@ class Compact(AbstractValidity):
     def __call__(
         self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
     ) -> Float[Array, "models *rows"]:
-        tail = z.ndim - 1
         z = jnp.clip(z, 0.0, 1.0)
-        low, high, log_margin = (column(p, tail) for p in self.parameters)
-        margin = jnp.exp(log_margin)
-        rise = _smooth((z[None] - low) / (2 * margin) + 0.5)
-        fall = _smooth((high - z[None]) / (2 * margin) + 0.5)
-        curve = jnp.where(column(active, tail), jnp.prod(rise * fall, axis=1), 0.0)
+        curve = jnp.where(column(active, z.ndim - 1), self.curves(z), 0.0)
         total = jnp.sum(curve, axis=0)
         nearest = Boxes(*map(jax.lax.stop_gradient, (self.low, self.high)))(z, active)
         alone = total <= jnp.finfo(total.dtype).tiny
         share = curve / jnp.where(alone, 1.0, total)[None]
         return jnp.where(alone[None], nearest, share)
+
+    def curves(self, z: Float[Array, "dims *rows"]) -> Float[Array, "models *rows"]:
+        """The curves before normalisation."""
+        low, high, log_margin = (column(p, z.ndim - 1) for p in self.parameters)
+        margin = jnp.exp(log_margin)
+        rise = _smooth((z[None] - low) / (2 * margin) + 0.5)
+        fall = _smooth((high - z[None]) / (2 * margin) + 0.5)
+        return jnp.prod(rise * fall, axis=1)
 
     def limits(
         self, width_band: tuple[float | int, float | int]
@@ -61,10 +64,11 @@ class Compact(AbstractValidity):
         """
         middle = (self.low + self.high) / 2
         narrow, wide = jnp.log(jnp.asarray(width_band, self.low.dtype))
-        kind = Compact
         return (
-            kind(jnp.minimum(self.low - EDGE, 0.0), middle, self.log_margin + narrow),
-            kind(middle, jnp.maximum(self.high + EDGE, 1.0), self.log_margin + wide),
+            Compact(
+                jnp.minimum(self.low - EDGE, 0.0), middle, self.log_margin + narrow
+            ),
+            Compact(middle, jnp.maximum(self.high + EDGE, 1.0), self.log_margin + wide),
         )
 
     def check(self, models: int, dims: int) -> None:

@@ -53,10 +53,9 @@ class Gaussians(AbstractValidity):
         A centre that lies beyond the range, or at its border, has its own limit there.
         """
         low, high = jnp.log(jnp.asarray(width_band, self.log_width.dtype))
-        kind = Gaussians
         return (
-            kind(jnp.minimum(self.centre - EDGE, 0.0), self.log_width + low),
-            kind(jnp.maximum(self.centre + EDGE, 1.0), self.log_width + high),
+            Gaussians(jnp.minimum(self.centre - EDGE, 0.0), self.log_width + low),
+            Gaussians(jnp.maximum(self.centre + EDGE, 1.0), self.log_width + high),
         )
 
     def check(self, models: int, dims: int) -> None:

@@ -55,10 +55,10 @@ class LogSigmoids(AbstractValidity):
         first = jnp.minimum(self.border[:1] - EDGE, 0.0)
         last = jnp.maximum(self.border[-1:] + EDGE, 1.0)
         low, high = jnp.log(jnp.asarray(width_band, self.border.dtype))
-        kind, flat = LogSigmoids, self.log_steepness
+        flat = self.log_steepness
         return (
-            kind(jnp.concatenate([first, middle]), flat - high),
-            kind(jnp.concatenate([middle, last]), flat - low),
+            LogSigmoids(jnp.concatenate([first, middle]), flat - high),
+            LogSigmoids(jnp.concatenate([middle, last]), flat - low),
         )
 
     def check(self, models: int, dims: int) -> None:

@@ -73,15 +73,15 @@ class SigmoidTree(AbstractValidity):
         nearest = jnp.sum(jnp.minimum(unit, 0.0), axis=1)
         farthest = jnp.sum(jnp.maximum(unit, 0.0), axis=1)
         low, high = jnp.log(jnp.asarray(width_band, self.border.dtype))
-        kind, flat = SigmoidTree, self.log_steepness
+        flat = self.log_steepness
         return (
-            kind(
+            SigmoidTree(
                 self.direction - 1.0,
                 jnp.minimum(self.border - EDGE, nearest),
                 flat - high,
                 self.path,
             ),
-            kind(
+            SigmoidTree(
                 self.direction + 1.0,
                 jnp.maximum(self.border + EDGE, farthest),
                 flat - low,
