@@ -150,6 +150,8 @@ class SigmoidTree(_Grown):
     each."""
     steps: int = 15
     """Steps of that optimisation."""
+    prune: bool = False
+    """Merge sibling leaves again, after the growth, while AICc falls."""
 
     def __post_init__(self):
         super().__post_init__()

@@ -16,6 +16,8 @@ from jaxnarx.models import AbstractValidity, OutputModel, assemble
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
+from jaxnarx.partition.prune import prune
+from jaxnarx.partition.split import Rows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 from jaxnarx.regressors import evaluate
@@ -66,8 +68,15 @@ def grow_output(
         score,
     )
     count = int(stages.count[best])
+    if isinstance(method, SigmoidTree) and method.prune:
+        tree = jax.tree.map(lambda a: a[best], stages)
+        tree = prune(tree, _rows_of(ground, output, p, method), oblique=method.oblique)
+        stages, best, count = jax.tree.map(lambda a: a[None], tree), 0, int(tree.count)
+        validity = functools.partial(validity_of_stage, stages)
+        found["pruned_to"] = count
     if not sparse:
-        return at(best, count), found
+        theta = stages.theta[best, :count]
+        return ground.model(output, theta, validity(best, count), count), found
     shape = validity(best, count)
     phi = shape(ground.z, jnp.ones(count, bool))
     assert method.local is not None
@@ -89,20 +98,32 @@ def _affordable(ground: Ground, output: int, method: Lolimot | SigmoidTree) -> N
         )
 
 
+def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method):
+    """How local models are fitted, the same for every growth."""
+    number = functools.partial(jnp.asarray, dtype=p.dtype)
+    picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
+    least = picks or p.shape[0] if method.least is None else method.least
+    return {
+        "ridge": number(method.ridge),
+        "least": number(least),
+        "picks": picks,
+        "first": _constant(ground, output) if picks else None,
+    }
+
+
+def _rows_of(ground: Ground, output: int, p, method: SigmoidTree) -> Rows:
+    smoothness = jnp.asarray(method.smoothness, p.dtype)
+    y, weight = ground.rows.y[output], ground.rows.weight[output]
+    fitting = _fitting(ground, output, p, method)
+    return Rows(p, ground.z, y, weight, smoothness, **fitting)
+
+
 def _run(
     ground: Ground, output: int, p: Float[Array, "terms rows"], method
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(jnp.asarray, dtype=p.dtype)
-    picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
-    least = picks or p.shape[0] if method.least is None else method.least
-    common = {
-        "ridge": number(method.ridge),
-        "least": number(least),
-        "max_models": method.max_models,
-        "picks": picks,
-        "first": _constant(ground, output) if picks else None,
-    }
+    common = _fitting(ground, output, p, method) | {"max_models": method.max_models}
     data = p, ground.z, ground.rows.y[output], ground.rows.weight[output]
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)

@@ -253,6 +253,21 @@ def test_a_sigmoid_tree_by_the_verb(oblique):
     assert all(" " in name for name in first) == oblique or oblique is False
 
 
+def test_a_pruned_tree_has_the_smaller_criterion():
+    method = SigmoidTree("u1[t]", max_models=6, criterion="none", prune=True)
+    # A ramp, and a plane beyond it: some gates of six are not needed.
+    u = data().records[0].u
+    y = np.maximum(u[:, 0], 20.0) + 0.05 * np.random.default_rng(5).normal(size=ROWS)
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    ramp = Dataset.from_arrays(u, y, sample_time=1.0, **names)
+    solution = grow(pool(), ramp, method)
+    count = solution.stats["pruned_to"][0]
+    assert 2 <= count < solution.stats["models"][0][-1] == 6
+    assert int(solution.value.models[0].active.sum()) == count
+    # Noise is 0.05 of a standard deviation of 3.5.
+    assert error(solution.value, ramp) < 0.03
+
+
 def test_a_tree_of_one_leaf_is_the_plain_model():
     one = grow(pool(), data(), SigmoidTree(SCHEDULE, max_models=1)).value
     plain = grow(pool(), data(), jnx.Global()).value
