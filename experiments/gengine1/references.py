@@ -1,0 +1,269 @@
+"""Better than boosted trees and an LSTM? Eight outputs of an engine in free run.
+
+Local quadratic models with common feedback, `output_error.py`, chosen by
+cross-validation over the twenty training records, then everything refined together on
+the free run. The rule was fixed before the test records were scored and is the same for
+all outputs:
+
+1. Fuel cut-off is a region of its own. The rest is halved in speed, load, lambda or
+   ignition angle, one of the worst two regions at a time, by the cross-validated free
+   run of NOx without memory but the feedback; nine regions serve all outputs. The
+   partition is given as `SPLITS`. It was found while exploring; `--grow` finds the
+   first seven splits again and takes speed for ignition in the last (there the
+   exploration had rounded the inputs' ranges). Results are those of `SPLITS`, which
+   were fixed before the test was scored.
+2. Feedback (two time constants) and delay of the products and the scheduling: the best
+   of a short grid, full local models.
+3. Terms of every local model: forward selection among products of two of the four
+   inputs, inputs at four lags, and inputs through four first-order lags; the number of
+   terms and the ridge by cross-validation.
+4. Coefficients from all training records, then `STEPS` steps of everything (local
+   feedback, centres, widths) on whole records with a pull towards the start.
+
+Records are left out in two dealings: one series of ten against the other, and five
+groups in which no record goes with its namesake of the other series. Inputs are limited
+to their training range. Grid and number of steps were explored on training records
+only: on three groups left out (T_exhaust, CO, HC) the refinement was still gaining
+after 8 to 12 steps. Their author had seen the test errors of other configurations
+(`refine_outputs.py`) and of the references.
+
+References are those measured for this project (see the project's data notes): boosted
+trees on input histories up to 12.8 s, and an LSTM of 64 units (42,500 parameters).
+
+    python experiments/gengine1/references.py [--smoke] [--results DIR]
+
+Every row is written as soon as it is there; a second run goes on where the first
+stopped.
+"""
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxnarx as jnx
+from jaxnarx.evaluation.cost import cost
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    record,
+    results_folder,
+)
+from select_terms import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    DESCRIPTION,
+    errors,
+)
+from structure import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    GUIDE,
+    MODELS,
+    SPLITS,
+    Boxes,
+    Search,
+    choose,
+    closed,
+    given,
+    grown,
+)
+
+STEPS, PULL = 20, 1e-3
+REFERENCES = {
+    "trees": dict(
+        zip(
+            ("PN", "CO", "CO2", "HC", "NOx", "O2", "T_exhaust", "T_catalyst"),
+            (0.877, 0.180, 0.088, 0.627, 0.097, 0.289, 0.107, 0.108),
+            strict=True,
+        )
+    ),
+    "LSTM": dict(
+        zip(
+            ("PN", "CO", "CO2", "HC", "NOx", "O2", "T_exhaust", "T_catalyst"),
+            (0.860, 0.177, 0.097, 0.687, 0.132, 0.297, 0.094, 0.106),
+            strict=True,
+        )
+    ),
+}
+"""Pooled test RMSE over records 53 to 58; the trees take 16 MB."""
+BASELINES = ("linear ARX", "LOLIMOT, one step")
+
+
+def fit(
+    train: jnx.Dataset, test: jnx.Dataset, output: str, boxes: Boxes, small: bool
+) -> dict[str, Any]:
+    """One output: choose, fit, refine, score."""
+    begin = time.perf_counter()
+    search = Search(train, output)
+    chosen = choose(search, boxes)
+    start = closed(search, boxes, chosen)
+    chosen_s = time.perf_counter() - begin
+    print(output, chosen, f"{chosen_s:.0f} s", flush=True)
+    method = jnx.SimulationError(
+        horizons=(), max_steps=1 if small else STEPS, ridge=PULL
+    )
+    done = jnx.refine(start, train, method, progress=shown)
+    row = {
+        "output": output,
+        "choice": dataclasses.asdict(chosen),
+        "status": done.status_name,
+        "history": [round(h["loss"], 6) for h in done.stats["history"]],
+        "seconds": {
+            "choice": round(chosen_s, 1),
+            "refinement": round(done.stats["seconds"], 1),
+        },
+        "size": sizes(done.value),
+        "train": {
+            "closed form": errors(start, train),
+            "joint": errors(done.value, train),
+        },
+        "test": {"closed form": errors(start, test), "joint": errors(done.value, test)},
+        "test_joint_without_spikes": without_spikes(done.value, test),
+    }
+    show(row)
+    return row
+
+
+def shown(row: dict) -> None:
+    """A step of the refinement."""
+    print(f"  {row['step']} {row['loss']:.5g} {row['seconds']:.0f} s", flush=True)
+
+
+def sizes(net: jnx.Network) -> dict[str, int]:
+    """Parameters, and multiplications of one sample as a control unit does them."""
+    one = cost(net, shared=True)
+    return {
+        "regions": one.local_models,
+        "parameters": one.parameters,
+        "multiplications": one.multiplications,
+        "exponentials": one.exponentials,
+    }
+
+
+def without_spikes(net: jnx.Network, data: jnx.Dataset, share: float = 1e-3) -> float:
+    """Free-run RMSE without the given share of the samples, those with the largest
+    errors."""
+    (o,), run = net.modelled, jnx.simulate(net, data).value
+    parts = [
+        (one.y[:, o] - y[:, 0])[m[:, 0]]
+        for one, y, m in zip(data, run.outputs, run.scored, strict=True)
+    ]
+    error = np.sort(np.abs(np.concatenate(parts)))
+    kept = error[: len(error) - round(share * len(error))]
+    return float(np.sqrt(np.mean(kept**2)))
+
+
+def baseline(
+    train: jnx.Dataset, test: jnx.Dataset, output: str, kind: str
+) -> dict[str, Any]:
+    """Linear ARX, or six affine models by LOLIMOT, both fitted one step ahead."""
+    pool = jnx.polynomial_pool(
+        train.channels,
+        outputs=[output],
+        input_lags=(0, 1, 2, 4, 8, 16),
+        output_lags=(1, 2),
+        degree=1,
+    )
+    method: jnx.Global | jnx.Lolimot = jnx.Global()
+    if kind != BASELINES[0]:
+        method = jnx.Lolimot(scheduling=["speed[t]", "load[t]"], max_models=6)
+    net = jnx.grow(pool, train, method).value
+    return {
+        "output": output,
+        "kind": kind,
+        "size": sizes(net),
+        "test": errors(net, test),
+    }
+
+
+def limited(data: jnx.Dataset, low: np.ndarray, high: np.ndarray) -> jnx.Dataset:
+    """Inputs held in the training range."""
+    records = [dataclasses.replace(r, u=np.clip(r.u, low, high)) for r in data]
+    return dataclasses.replace(data, records=tuple(records))
+
+
+def show(row: dict[str, Any]) -> None:
+    """One line a row: RMSE on the test records, one step and free run."""
+    parts = []
+    scores = row["test"] if "choice" in row else {row["kind"]: row["test"]}
+    for kind, score in scores.items():
+        bad = len(score["free_run"]["diverged"])
+        free = f"{score['free_run']['rmse']:.3f}" + (f" ({bad} div.)" if bad else "")
+        parts.append(f"{kind} {score['one_step']['rmse']:.4f} {free}")
+    size = row["size"]
+    parts.append(f"{size['parameters']} par. {size['multiplications']} mult.")
+    best = min(REFERENCES, key=lambda k: REFERENCES[k][row["output"]])
+    parts.append(f"[{best} {REFERENCES[best][row['output']]:.3f}]")
+    print(f"{row['output']:10s}", "  ".join(parts), flush=True)
+
+
+def verdict(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Per output the better reference, ours, and whether ours is at most that."""
+    found = {}
+    for row in rows:
+        best = min(one[row["output"]] for one in REFERENCES.values())
+        own = row["test"]["joint"]["free_run"]
+        found[row["output"]] = {
+            "ours": own["rmse"],
+            "reference": best,
+            "met": own["rmse"] <= best and not own["diverged"],
+        }
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fill the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--smoke", action="store_true", help="few records, one output")
+    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
+    parser.add_argument("--grow", action="store_true", help="grow the partition anew")
+    options = parser.parse_args(arguments)
+    jax.config.update("jax_enable_x64", True)
+    split = jnx.read_split(DESCRIPTION)
+    assert split.train is not None and split.test is not None
+    train, test = split.train, split.test
+    outputs = ("NOx", "T_exhaust", "CO", "O2", "HC", "CO2", "T_catalyst", "PN")
+    if options.smoke:
+        # No test record is scored for that.
+        train, test, outputs = train[[9, 18, 19, 8]], train[[9]], ("T_exhaust",)
+    every = np.concatenate([r.u for r in train])
+    test = limited(test, every.min(axis=0), every.max(axis=0))
+    folder = results_folder(options.results, smoke=options.smoke)
+    boxes, stages = given(), [{"split": split} for split in SPLITS]
+    if options.grow or options.smoke:
+        guide = Search(train, GUIDE, memory=False)
+        boxes, stages = grown(guide, 3 if options.smoke else MODELS)
+    path = folder / "gengine1_references.json"
+    figures = json.loads(path.read_text())["figures"] if path.exists() else {}
+    rows, plain = figures.get("rows", []), figures.get("baselines", [])
+
+    def write() -> None:
+        figures = {
+            "partition": stages,
+            "references": REFERENCES,
+            "verdict": verdict(rows),
+            "rows": rows,
+            "baselines": plain,
+        }
+        record("gengine1_references", figures, folder=folder)
+
+    for output in outputs:
+        if output not in [row["output"] for row in rows]:
+            rows.append(fit(train, test, output, boxes, options.smoke))
+            write()
+    for key in [(o, k) for o in outputs for k in BASELINES]:
+        if key not in [(row["output"], row["kind"]) for row in plain]:
+            plain.append(baseline(train, test, *key))
+            write()
+    for row in [*rows, *plain]:
+        show(row)
+    print(json.dumps(verdict(rows)))
+
+
+if __name__ == "__main__":
+    main()
