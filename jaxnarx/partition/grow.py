@@ -35,7 +35,8 @@ def grow(
     keeps the figures of all stages per output (`models`, `sse`, `aicc`, `bic`,
     `effective`, with criterion `"validation"` also the free-run NRMSE on the records of
     `validation`), `best` and why growth `stopped`: `criterion`, `capacity`, or `data`
-    where no split left both sides enough samples. `Grid(...)` takes a partition as it
+    where every further split was refused, as a side's validity would have summed to
+    less than `least`. `Grid(...)` takes a partition as it
     is. A pool stands for all its terms; with `local` every region chooses its own.
 
     Too few rows and constant scheduling variables raise `DataError`. Status
@@ -121,4 +122,19 @@ def _grow_stages(
     stats = {k: [f[k] for f in figures] for k in figures[0]}
     if any(f["stopped"] == "criterion" for f in figures):
         return Solution(network, RESULTS.no_improvement, stats)
-    return Solution(network, RESULTS.ok, stats)
+    return Solution(network, RESULTS.ok, stats, _refused(network, stats))
+
+
+def _refused(network: Network, stats: dict[str, Any]) -> str:
+    """What ended a growth before its capacity, for people."""
+    for name, stopped, models, least in zip(
+        network.output_names,
+        *(stats[k] for k in ("stopped", "models", "least")),
+        strict=True,
+    ):
+        if stopped == "data":
+            return (
+                f"{name}: growth ended at {models[-1]} local models; any further split "
+                f"would leave a side fewer than {least:g} samples by weight"
+            )
+    return ""

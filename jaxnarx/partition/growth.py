@@ -67,6 +67,7 @@ def grow_output(
         method,
         score,
     )
+    found["least"] = float(_fitting(ground, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
         tree = jax.tree.map(lambda a: a[best], stages)

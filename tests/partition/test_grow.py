@@ -236,6 +236,8 @@ def test_a_least_number_of_samples_stops_the_growth():
     method = Lolimot(SCHEDULE, max_models=6, criterion="none", least=50.0)
     solution = grow(pool(), data(), method)
     assert solution.stats["stopped"] == ["data"]
+    assert solution.stats["least"] == [50.0]
+    assert "fewer than 50 samples" in solution.detail
     assert phi_of(solution.value, data()).sum(axis=1).min() >= 50.0
 
 
