@@ -44,7 +44,7 @@ class Sizes:
     samples: tuple[int, ...]
     rounds: int
     repeats: int
-    normal: dict[str, int]
+    normal: dict[str, dict[str, int]]
     search: dict[str, int]
 
 
@@ -52,14 +52,37 @@ FULL = Sizes(
     (1_800, 100_000),
     3,
     15,
-    {"records": 20, "samples": 12_400, "repeats": 3},
+    {
+        "normal_equations": {
+            "models": 10,
+            "terms": 6,
+            "records": 20,
+            "samples": 12_400,
+            "repeats": 3,
+        },
+        "most_parameters": {
+            "models": 32,
+            "terms": 12,
+            "records": 20,
+            "samples": 50_000,
+            "repeats": 1,
+        },
+    },
     {"members": 50, "samples": 1_800},
 )
 SMOKE = Sizes(
     (300,),
     1,
     2,
-    {"records": 2, "samples": 200, "repeats": 1},
+    {
+        "normal_equations": {
+            "models": 10,
+            "terms": 6,
+            "records": 2,
+            "samples": 200,
+            "repeats": 1,
+        }
+    },
     {"members": 3, "samples": 200},
 )
 
@@ -123,7 +146,7 @@ def measure(
         "notes": NOTES,
         "peers": present or "no peer is installed or asked for",
         "lengths": lengths,
-        "normal_equations": _run("normal", **sizes.normal),
+        **{name: _run("normal", **size) for name, size in sizes.normal.items()},
         "search": _run("search", **sizes.search),
     } | _targets(lengths)
 
@@ -197,11 +220,12 @@ def show(figures: dict[str, Any]) -> None:
                 print(f"  {peer:20s}{1e3 * last[peer]['free_run']['best']:12.3f} ms")
         for name, ratio in row["ratios"].items():
             print(f"  {name:30s}{ratio:8.2f}")
-    normal, search = figures["normal_equations"], figures["search"]
-    print(
-        f"J'J of {normal['parameters']} parameters, {normal['samples']} samples: "
-        f"{normal['times']['best']} s, peak {normal['peak_mb']} MB"
-    )
+    for normal in (figures[name] for name in FULL.normal if name in figures):
+        print(
+            f"J'J of {normal['parameters']} parameters, {normal['samples']} samples: "
+            f"{normal['times']['best']} s, peak {normal['peak_mb']} MB"
+        )
+    search = figures["search"]
     print(
         f"{search['networks']} networks: {search['programs']} programs, "
         f"{search['seconds']} s, of which compiling {search['compiling_s']} s"

@@ -200,15 +200,17 @@ def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str
     return found
 
 
-def run_normal(records: int, samples: int, repeats: int) -> dict[str, Any]:
-    """J'J and J'r of 100 parameters: 10 models of 6 terms, 2 centres, 2 widths."""
+def run_normal(
+    models: int, terms: int, records: int, samples: int, repeats: int
+) -> dict[str, Any]:
+    """J'J and J'r; a model has its terms' coefficients, 2 centres and 2 widths."""
     import jax
     import jax.numpy as jnp
 
     from jaxnarx.refinement.layout import make_layout
     from jaxnarx.refinement.normal import normal_equations
 
-    network = make_network(10, 6)
+    network = make_network(models, terms)
     drive, anchor, _ = make_records(network, samples, records)
     layout = make_layout(network, None, (0.1, 10.0))
     point, weight = layout.gather(network), jnp.ones_like(drive.measured)
