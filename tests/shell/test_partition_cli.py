@@ -3,10 +3,8 @@
 import csv
 import json
 
-import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from jaxnarx.models import SigmoidTree, load
 from jaxnarx.shell.cli import run
@@ -28,25 +26,8 @@ def write(path, seed: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with the description; compiled programs stay in it, jax as it was."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
-    folder = tmp_path_factory.mktemp("partition")
-    for k in range(3):
-        write(folder / f"r{k}.csv", k)
-    lines = ["[data]", "sample_time = 0.1", "[channels.inputs]"]
-    lines += ['speed = "rpm"', 'load = "%"', "[channels.outputs]", 'temp = "degC"']
-    lines += ["[records]", 'train = ["r0.csv"]', 'validate = ["r1.csv"]']
-    (folder / "engine.toml").write_text("\n".join([*lines, 'test = ["r2.csv"]']))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.delenv("JAXNARX_DATA", raising=False)
-        patch.chdir(folder)
-        yield folder
-    for name in names:
-        jax.config.update(name, before[name])
-    compilation_cache.reset_cache()
+def place(described):
+    return described(write)
 
 
 def test_an_oblique_tree_with_terms_of_each_region_from_the_command_line(place, capsys):
