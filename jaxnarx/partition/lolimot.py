@@ -206,7 +206,8 @@ def lolimot(
         phi = _share(s.curves, jnp.sum(s.curves, axis=0)[None])
         used = (slots < s.count)[:, None]
         used = used & (s.theta != 0) if picks else jnp.broadcast_to(used, s.theta.shape)
-        n = effective(p, phi, weight, used, ridge)
+        pull = jnp.where(s.count > 1, ridge, 0.0)
+        n = effective(p, phi, weight, used, pull)
         return Stage(s.low, s.high, s.theta, s.count, s.sse, n)
 
     theta = fit(weight, jnp.zeros(terms, p.dtype), jnp.zeros_like(ridge))

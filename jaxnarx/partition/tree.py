@@ -123,7 +123,7 @@ def _root(rows: Rows, max_models: int) -> _Growth:
     free = dataclasses.replace(rows, ridge=jnp.zeros_like(rows.ridge))
     theta = free.fit(one, jnp.zeros(terms, dtype))
     output = theta @ rows.p
-    trace = _trace(rows, one, theta)
+    trace = _trace(free, one, theta)
     stage = TreeStage(
         direction=jnp.zeros((gates, dims), dtype),
         border=jnp.zeros(gates, dtype),

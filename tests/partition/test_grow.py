@@ -226,8 +226,10 @@ def test_a_strong_ridge_leaves_the_model_that_was_split():
         method = Lolimot(SCHEDULE, max_models=3, criterion="none", ridge=ridge)
         return grow(pool(), data(), method).value.models[0].local.coefficient
 
-    parent = grow(pool(), data(), Lolimot(SCHEDULE, max_models=1)).value
-    whole = parent.models[0].local.coefficient[0]
+    parent = grow(pool(), data(), Lolimot(SCHEDULE, max_models=1, ridge=1.0))
+    # The first model has nothing to be pulled to: all three parameters count.
+    assert parent.stats["effective"][0][0] == pytest.approx(3.0, rel=1e-9)
+    whole = parent.value.models[0].local.coefficient[0]
     np.testing.assert_allclose(fitted(1e9) - whole[None], 0.0, atol=1e-6)
     assert np.abs(fitted(0.0) - whole[None]).max() > 0.1
 
