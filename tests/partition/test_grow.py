@@ -202,7 +202,7 @@ def test_the_thesis_splits_the_model_with_the_largest_local_nmse():
 
 
 def test_the_validation_criterion_keeps_the_best_free_run():
-    method = Lolimot(SCHEDULE, max_models=6, criterion="validation", patience=9)
+    method = Lolimot(SCHEDULE, max_models=5, criterion="validation", patience=9)
     fresh = data(seed=1)
     solution = grow(pool(), data(), method, validation=fresh)
     scores = solution.stats["validation"][0]
@@ -215,7 +215,7 @@ def test_the_validation_criterion_keeps_the_best_free_run():
 
 
 def test_bic_asks_more_of_a_model_than_aicc():
-    stats = grow(pool(), data(), Lolimot(SCHEDULE, max_models=6)).stats
+    stats = grow(pool(), data(), Lolimot(SCHEDULE, max_models=5)).stats
     sse, n = stats["sse"][0], stats["effective"][0]
     expected = ROWS * np.log(sse / ROWS) + n * np.log(ROWS)
     np.testing.assert_allclose(stats["bic"][0], expected, rtol=1e-12)
@@ -223,7 +223,7 @@ def test_bic_asks_more_of_a_model_than_aicc():
 
 def test_a_strong_ridge_leaves_the_model_that_was_split():
     def fitted(ridge: float):
-        method = Lolimot(SCHEDULE, max_models=3, criterion="none", ridge=ridge)
+        method = Lolimot(SCHEDULE, max_models=5, criterion="none", ridge=ridge)
         return grow(pool(), data(), method).value.models[0].local.coefficient
 
     parent = grow(pool(), data(), Lolimot(SCHEDULE, max_models=1, ridge=1.0))
@@ -235,7 +235,7 @@ def test_a_strong_ridge_leaves_the_model_that_was_split():
 
 
 def test_a_least_number_of_samples_stops_the_growth():
-    method = Lolimot(SCHEDULE, max_models=6, criterion="none", least=50.0)
+    method = Lolimot(SCHEDULE, max_models=5, criterion="none", least=50.0)
     solution = grow(pool(), data(), method)
     assert solution.stats["stopped"] == ["data"]
     assert solution.stats["least"] == [50.0]
