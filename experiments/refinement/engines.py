@@ -124,7 +124,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     """Fill the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--smoke", action="store_true", help="short records, one seed")
+    parser.add_argument("--smoke", action="store_true", help="one short fit")
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
@@ -134,7 +134,8 @@ def main() -> None:
     rows = json.loads(path.read_text())["figures"]["rows"] if path.exists() else []
     done = {(r["bed"], r["seed"]) for r in rows}
     seeds = range(1 if options.smoke else SEEDS)
-    for bed, seed in ((b, s) for b in BEDS for s in seeds):
+    beds = tuple(BEDS)[:1] if options.smoke else tuple(BEDS)
+    for bed, seed in ((b, s) for b in beds for s in seeds):
         if (bed, seed) not in done:
             rows.append(fit(bed, seed, options.smoke))
             record("engines", {"summary": summary(rows), "rows": rows}, folder=folder)

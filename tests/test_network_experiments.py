@@ -1,0 +1,109 @@
+"""Experiments on multi-model networks run with `--smoke`; see `test_experiments.py`."""
+
+import json
+
+import pytest
+from smoke import assert_target, experiment, run
+
+
+@pytest.mark.slow
+def test_local_models_of_chapter_6(tmp_path):
+    done = experiment("thesis/chapter6_local_models.py", "--results", str(tmp_path))
+    assert "thesis: 5" in done.stdout
+    figures = json.loads((tmp_path / "chapter6_local_models.json").read_text())[
+        "figures"
+    ]
+    for row in figures["rows"]:
+        if row["series"] == "local linear, F":
+            # A linear term is one multiplication in each of four local models.
+            assert len(row["terms"]) == 4
+            assert row["cost"]["multiplications"] == row["cost"]["regressors"]
+        if row["series"] == "MLP NOE":
+            # 27 variables into two units, two out.
+            assert row["cost"]["multiplications"] == 27 * 2 + 2
+            assert row["validation"]["one_step"]["r2"] > 0
+    assert {row["output"] for row in figures["summary"]} == {"TRQ", "AFR"}
+    assert (tmp_path / "chapter6_local_models.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_lolimot_of_chapter_6(tmp_path):
+    experiment("thesis/chapter6_lolimot.py", "--results", str(tmp_path))
+    content = json.loads((tmp_path / "chapter6_lolimot.json").read_text())
+    rows = content["figures"]["rows"]
+    assert [row["models"] for row in rows] == [1, 1, 2, 2]
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        r2 = row["validation"]["free_run"]["r2"]
+        found.setdefault(row["series"], []).append(r2)
+    plain, refined = found["NMSE splits"], found["NMSE splits, refined"]
+    # The validation record guards the refinement.
+    assert all(b >= a - 1e-9 for a, b in zip(plain, refined, strict=True))
+    assert (tmp_path / "chapter6_lolimot.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_forward_model_of_chapter_7(tmp_path):
+    experiment("thesis/chapter7_forward.py", "--results", str(tmp_path))
+    content = json.loads((tmp_path / "chapter7_forward.json").read_text())
+    rows = content["figures"]["rows"]
+    trees = [row for row in rows if "regions" in row]
+    assert {row["series"] for row in trees} == {
+        *("axis tree, ERR", "axis tree, ERR, refined", "given tree, ERR")
+    }
+    assert all(len(row["regions"]) == len(row["terms"]) == 3 for row in trees)
+    assert {row["series"] for row in rows} > {"MLP NARX", "MLP NOE"}
+    assert all(row["validation"]["one_step"]["r2"] > 0 for row in rows)
+    assert (tmp_path / "chapter7_forward.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_trees_without_peers(tmp_path):
+    figures = run("trees.py", results=tmp_path / "results")["trees"]
+    (surface,) = figures["surface"]["runs"]
+    assert {row["models"] for row in surface.values()} == {6}
+    # Cuts across one variable cannot follow the bend, whichever method places them.
+    turned = surface["sigmoid tree"]["nrmse"]
+    straight = min(surface[r]["nrmse"] for r in ("LOLIMOT", "sigmoid tree, straight"))
+    assert surface["sigmoid tree, refined"]["nrmse"] <= turned < 0.040 < straight
+    assert figures["fraction"]["models"] == 4
+    for row in figures["targets"].values():
+        assert_target(row)
+
+
+@pytest.mark.slow
+def test_references_of_a_real_engine(tmp_path, measured):
+    experiment("gengine1/references.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "gengine1_references.json").read_text())["figures"]
+    (row,) = figures["rows"]
+    assert [stage["models"] for stage in figures["partition"]] == [2, 3]
+    assert row["size"]["regions"] in (2, 3)
+    # The training records judge the refinement: never worse than its start.
+    closed, joint = (row["train"][k]["free_run"]["rmse"] for k in row["train"])
+    assert joint <= closed * (1 + 1e-9)
+    verdict = figures["verdict"]["T_exhaust"]
+    tested = row["test"]["joint"]["free_run"]
+    assert verdict["ours"] == tested["rmse"] and verdict["reference"] == 0.094
+    assert verdict["met"] == (tested["rmse"] <= 0.094 and not tested["diverged"])
+    assert {b["kind"] for b in figures["baselines"]} == {
+        *("linear ARX", "LOLIMOT, one step")
+    }
+
+
+@pytest.mark.slow
+def test_growth_without_peers(tmp_path, measured):
+    figures = run("growth.py", results=tmp_path / "results")["growth"]
+    (row,) = figures["growth"].values()
+    assert row["ours"]["models"] == 4
+    assert_target(row["limit_s"])
+    assert {figures["gengine1"][k]["models"] for k in ("LOLIMOT", "sigmoid tree")} == {
+        8
+    }
+
+
+@pytest.mark.slow
+def test_refinement_on_virtual_engines(tmp_path):
+    experiment("refinement/engines.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "engines.json").read_text())["figures"]
+    (found,) = figures["summary"].values()
+    assert found["seeds"] == 1 and found["validation_worse"] == 0
