@@ -142,8 +142,8 @@ class SigmoidTree(_Grown):
     """
 
     smoothness: float | int = 1.0
-    """Width of a gate's transition relative to the distance between the middles of the
-    regions on its sides."""
+    """Width of a gate's transition: its steepness is 16 over this and over the distance
+    between the middles of the regions on its sides."""
     _: dataclasses.KW_ONLY
     oblique: bool = True
     """Optimise the direction and place of every gate; False: gates across one variable
