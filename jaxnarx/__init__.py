@@ -17,21 +17,49 @@ if TYPE_CHECKING:
     from jaxnarx.errors import ModelFileError as ModelFileError
     from jaxnarx.errors import SpecError as SpecError
     from jaxnarx.evaluation import Cost as Cost
+    from jaxnarx.evaluation import Diagnostics as Diagnostics
     from jaxnarx.evaluation import Report as Report
     from jaxnarx.evaluation import cost as cost
+    from jaxnarx.evaluation import diagnose as diagnose
     from jaxnarx.evaluation import pareto as pareto
     from jaxnarx.evaluation import report as report
+    from jaxnarx.inverse import cascade as cascade
+    from jaxnarx.inverse import compensate as compensate
+    from jaxnarx.inverse import inverse_data as inverse_data
+    from jaxnarx.inverse import invertible as invertible
+    from jaxnarx.inverse import reachable as reachable
+    from jaxnarx.inverse import unity_gain as unity_gain
+    from jaxnarx.linear import LinearModel as LinearModel
+    from jaxnarx.linear import Regression as Regression
+    from jaxnarx.linear import TransferFunction as TransferFunction
+    from jaxnarx.linear import adapt as adapt
+    from jaxnarx.linear import extended_least_squares as extended_least_squares
+    from jaxnarx.linear import fit_linear as fit_linear
+    from jaxnarx.linear import least_squares as least_squares
+    from jaxnarx.linear import nonlinearity as nonlinearity
+    from jaxnarx.linear import search_orders as search_orders
+    from jaxnarx.linear import spectra as spectra
+    from jaxnarx.methods import ARMAX as ARMAX
+    from jaxnarx.methods import ARX as ARX
+    from jaxnarx.methods import FIR as FIR
+    from jaxnarx.methods import ActuatorLimits as ActuatorLimits
     from jaxnarx.methods import Anova as Anova
     from jaxnarx.methods import Backward as Backward
+    from jaxnarx.methods import BoxJenkins as BoxJenkins
     from jaxnarx.methods import ForwardOLS as ForwardOLS
+    from jaxnarx.methods import Given as Given
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Grid as Grid
+    from jaxnarx.methods import LeastSquares as LeastSquares
     from jaxnarx.methods import Lolimot as Lolimot
+    from jaxnarx.methods import OutputError as OutputError
     from jaxnarx.methods import PredictionError as PredictionError
+    from jaxnarx.methods import Recursive as Recursive
     from jaxnarx.methods import SigmoidTree as SigmoidTree
     from jaxnarx.methods import SimulationError as SimulationError
     from jaxnarx.methods import SimulationOLS as SimulationOLS
     from jaxnarx.methods import StepwiseF as StepwiseF
+    from jaxnarx.methods import TrackingError as TrackingError
     from jaxnarx.models import Network as Network
     from jaxnarx.models import load as load
     from jaxnarx.models import save as save
@@ -70,9 +98,13 @@ if TYPE_CHECKING:
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
-    "evaluation": "Cost Report cost pareto report",
-    "methods": "Anova Backward ForwardOLS Global Grid Lolimot PredictionError "
-    "SigmoidTree SimulationError SimulationOLS StepwiseF",
+    "evaluation": "Cost Diagnostics Report cost diagnose pareto report",
+    "inverse": "cascade compensate inverse_data invertible reachable unity_gain",
+    "linear": "LinearModel Regression TransferFunction adapt extended_least_squares "
+    "fit_linear least_squares nonlinearity search_orders spectra",
+    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins FIR ForwardOLS "
+    "Given Global Grid LeastSquares Lolimot OutputError PredictionError Recursive "
+    "SigmoidTree SimulationError SimulationOLS StepwiseF TrackingError",
     "models": "Network load save",
     "partition": "grow",
     "refinement": "Bands Stability Uncertainty bands freeze refine stability "

@@ -18,13 +18,13 @@ from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import (
     Network,
+    advance,
     collapse,
     collapsed_step,
     collapses,
     depth,
     general_step,
-    respond,
-    with_history,
+    widened,
 )
 from jaxnarx.solution import NAMES, RESULTS, Solution
 
@@ -145,9 +145,21 @@ def run_record(
 
     The one simulation semantics: a free run has one anchor. Pure and differentiable.
     """
-    bounds = network.lower, network.upper
-    inputs = recursion(network, v, x)
-    return free_run(*inputs, measured, anchor, *bounds, depth=depth(network))
+    return run_states(network, v, x, measured, anchor)[:, : len(network.models)]
+
+
+def run_states(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    measured: Float[Array, "time outputs"],
+    anchor: Bool[Array, " time"],
+) -> Float[Array, "time states"]:
+    """What the loop of a run carries: the outputs, and those of local models that have
+    feedback of their own (`jaxnarx.models.feedback`)."""
+    bounds = widened(network, network.lower), widened(network, network.upper)
+    inputs, start = recursion(network, v, x), widened(network, measured)
+    return free_run(*inputs, start, anchor, *bounds, depth=depth(network))
 
 
 @eqx.filter_jit
@@ -156,6 +168,15 @@ def run(
 ) -> Float[Array, "records time outputs"]:
     """Scaled outputs of all records."""
     one = partial(run_record, network)
+    return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
+
+
+@eqx.filter_jit
+def states(
+    network: Network, drive: Drive, anchor: Bool[Array, "records time"]
+) -> Float[Array, "records time states"]:
+    """All that the loop of a run carries, for all records; see `run_states`."""
+    one = partial(run_states, network)
     return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
 
 
@@ -170,8 +191,11 @@ def run_parallel(
 
     def one(record):
         v, x, measured, anchor = record
-        inputs, bounds = recursion(network, v, x), (network.lower, network.upper)
-        return parallel_run(*inputs, measured, anchor, *bounds, depth=depth(network))
+        bounds = widened(network, network.lower), widened(network, network.upper)
+        inputs, start = recursion(network, v, x), widened(network, measured)
+        lags = depth(network)
+        y, converged = parallel_run(*inputs, start, anchor, *bounds, depth=lags)
+        return y[:, : len(network.models)], converged
 
     return jax.lax.map(one, (drive.v, drive.x, drive.measured, anchor))
 
@@ -185,20 +209,23 @@ def run_steps(
     All starting points advance together: the history of sample t holds measurements up
     to t - k and predictions after that.
     """
+    lower, upper = (widened(network, b) for b in (network.lower, network.upper))
 
     def one(v, x, measured):
+        measured = widened(network, measured)
         past = jnp.moveaxis(history_of(measured, depth(network)), 0, -1)
         past = jnp.roll(past, k - 1, axis=-1)
 
-        def advance(j, carry):
+        def one_on(j, carry):
             past, _ = carry
             shift = k - 1 - j
             inputs = jax.tree.map(lambda a: jnp.roll(a, shift, axis=-1), (v, x))
-            y = respond(network, *with_history(network, inputs[0], inputs[1], past))
-            y = jnp.clip(y, network.lower[:, None], network.upper[:, None])
+            y = advance(network, inputs[0], inputs[1], past)
+            y = jnp.clip(y, lower[:, None], upper[:, None])
             return jnp.concatenate([y[:, None], past[:, :-1]], axis=1), y
 
-        return jax.lax.fori_loop(0, k, advance, (past, past[:, 0]))[1].T
+        y = jax.lax.fori_loop(0, k, one_on, (past, past[:, 0]))[1]
+        return y[: len(network.models)].T
 
     return jax.lax.map(lambda a: one(*a), (drive.v, drive.x, drive.measured))
 

@@ -86,7 +86,8 @@ def test_references_of_a_real_engine(tmp_path, measured):
     assert verdict["ours"] == tested["rmse"] and verdict["reference"] == 0.094
     assert verdict["met"] == (tested["rmse"] <= 0.094 and not tested["diverged"])
     assert {b["kind"] for b in figures["baselines"]} == {
-        *("linear ARX", "LOLIMOT, one step")
+        *("linear ARX", "LOLIMOT, one step", "global polynomial, refined"),
+        *("MLP, NARX", "MLP, NOE"),
     }
 
 

@@ -49,10 +49,14 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.evaluation.cost import cost
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
+from baselines import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    BASELINES,
+    baseline,
+    sizes,
+)
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     record,
     results_folder,
@@ -91,7 +95,6 @@ REFERENCES = {
     ),
 }
 """Pooled test RMSE over records 53 to 58; the trees take 16 MB."""
-BASELINES = ("linear ARX", "LOLIMOT, one step")
 
 
 def fit(
@@ -134,17 +137,6 @@ def shown(row: dict) -> None:
     print(f"  {row['step']} {row['loss']:.5g} {row['seconds']:.0f} s", flush=True)
 
 
-def sizes(net: jnx.Network) -> dict[str, int]:
-    """Parameters, and multiplications of one sample as a control unit does them."""
-    one = cost(net, shared=True)
-    return {
-        "regions": one.local_models,
-        "parameters": one.parameters,
-        "multiplications": one.multiplications,
-        "exponentials": one.exponentials,
-    }
-
-
 def without_spikes(net: jnx.Network, data: jnx.Dataset, share: float = 1e-3) -> float:
     """Free-run RMSE without the given share of the samples, those with the largest
     errors."""
@@ -156,29 +148,6 @@ def without_spikes(net: jnx.Network, data: jnx.Dataset, share: float = 1e-3) -> 
     error = np.sort(np.abs(np.concatenate(parts)))
     kept = error[: len(error) - round(share * len(error))]
     return float(np.sqrt(np.mean(kept**2)))
-
-
-def baseline(
-    train: jnx.Dataset, test: jnx.Dataset, output: str, kind: str
-) -> dict[str, Any]:
-    """Linear ARX, or six affine models by LOLIMOT, both fitted one step ahead."""
-    pool = jnx.polynomial_pool(
-        train.channels,
-        outputs=[output],
-        input_lags=(0, 1, 2, 4, 8, 16),
-        output_lags=(1, 2),
-        degree=1,
-    )
-    method: jnx.Global | jnx.Lolimot = jnx.Global()
-    if kind != BASELINES[0]:
-        method = jnx.Lolimot(scheduling=["speed[t]", "load[t]"], max_models=6)
-    net = jnx.grow(pool, train, method).value
-    return {
-        "output": output,
-        "kind": kind,
-        "size": sizes(net),
-        "test": errors(net, test),
-    }
 
 
 def limited(data: jnx.Dataset, low: np.ndarray, high: np.ndarray) -> jnx.Dataset:
@@ -258,7 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             write()
     for key in [(o, k) for o in outputs for k in BASELINES]:
         if key not in [(row["output"], row["kind"]) for row in plain]:
-            plain.append(baseline(train, test, *key))
+            plain += baseline(train, test, *key, options.smoke)
             write()
     for row in [*rows, *plain]:
         show(row)

@@ -27,6 +27,7 @@ import jaxnarx as jnx
 from jaxnarx.data import Dataset, hold_out
 from jaxnarx.evaluation.metrics import nrmse, rmse
 from jaxnarx.shell.progress import selection_progress
+from jaxnarx.simulation import Trajectories
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -68,19 +69,20 @@ def pool_of(data: Dataset, output: str, memory: dict[str, Any]) -> jnx.Pool:
 def errors(network: jnx.Network, data: Dataset) -> dict[str, Any]:
     """Pooled errors one step ahead and in free run, and the records that diverge."""
     (o,) = network.modelled
-    y = np.concatenate([r.y[:, [o]] for r in data])
-    found: dict[str, Any] = {}
-    for name, verb in (("one_step", jnx.predict), ("free_run", jnx.simulate)):
-        run = verb(network, data).value
-        mask = np.concatenate(run.scored)
-        predicted = np.concatenate(run.outputs)
-        bad = [n for n, d in zip(run.names, run.diverged, strict=True) if d.any()]
-        found[name] = {
-            "rmse": float(rmse(y, predicted, mask)[0]),
-            "nrmse": float(nrmse(y, predicted, mask)[0]),
-            "diverged": bad,
-        }
-    return found
+    verbs = {"one_step": jnx.predict, "free_run": jnx.simulate}
+    return {k: errors_of(f(network, data).value, o, data) for k, f in verbs.items()}
+
+
+def errors_of(run: Trajectories, output: int, data: Dataset) -> dict[str, Any]:
+    """Pooled errors of the run of one output, and the records that diverge."""
+    y = np.concatenate([r.y[:, [output]] for r in data])
+    mask, predicted = np.concatenate(run.scored), np.concatenate(run.outputs)
+    bad = [n for n, d in zip(run.names, run.diverged, strict=True) if d.any()]
+    return {
+        "rmse": float(rmse(y, predicted, mask)[0]),
+        "nrmse": float(nrmse(y, predicted, mask)[0]),
+        "diverged": bad,
+    }
 
 
 def fit(

@@ -63,10 +63,7 @@ from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines import Gtdi, records
 from jaxnarx.engines.events import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
-from jaxnarx.models import SigmoidTree, assemble
-from jaxnarx.partition.ground import make_ground
-from jaxnarx.partition.local_terms import own_terms
-from jaxnarx.partition.scaffold import chosen_terms
+from jaxnarx.models import SigmoidTree
 from jaxnarx.shell.style import save
 
 NAME = "chapter7_forward"
@@ -156,19 +153,16 @@ def network_of(data: jnx.Dataset, tree: str, how: str, models: int) -> jnx.Netwo
 
 def by_hand(pool: jnx.Pool, data: jnx.Dataset, scheduling, local) -> jnx.Network:
     """Regions above 2,000 rpm, and below it for small and for large throttle."""
-    pool, factors = chosen_terms(pool)
-    ground = make_ground(pool, factors, data, scheduling, None, local)
-    border = (np.array(BORDERS) - ground.offset) / ground.span
+    ranges = np.array([SPEEDS, SPANS[2]])
+    low, span = ranges[:, 0], np.diff(ranges)[:, 0]
     tree = SigmoidTree(
         direction=jnp.eye(2),
-        border=jnp.asarray(border),
-        log_steepness=jnp.log(np.array(STEEPNESS) * ground.span),
+        border=jnp.asarray((np.array(BORDERS) - low) / span),
+        log_steepness=jnp.log(np.array(STEEPNESS) * span),
         path=jnp.array([[1, 0], [-1, -1], [-1, 1]]),
     )
-    phi = tree(ground.z, jnp.ones(REGIONS, bool))
-    theta = own_terms(ground, 0, phi, local)
-    model = ground.model(0, theta, tree, REGIONS, sparse=True)
-    return assemble(pool, ground.data, ground.rows.gain, [model])
+    given = jnx.Given(tree, scheduling=scheduling, ranges=ranges.tolist(), local=local)
+    return jnx.grow(pool, data, given).value
 
 
 def made(data: jnx.Dataset, tree: str, how: str, models: int) -> list[dict]:

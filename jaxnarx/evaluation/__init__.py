@@ -9,6 +9,8 @@ from jaxnarx.evaluation.reactivation import reactivation as reactivation
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.report import Report as Report
 from jaxnarx.evaluation.report import report as report
+from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
+from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace

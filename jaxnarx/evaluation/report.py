@@ -13,6 +13,7 @@ from jaxnarx.evaluation.cost import cost
 from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
 from jaxnarx.evaluation.reactivation import range_notes, reactivation_notes
 from jaxnarx.evaluation.regions import describe_partition
+from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.evaluation.rows import (
     FREE_RUN,
     POOLED,
@@ -49,6 +50,8 @@ class Report:
       `Cost.to_dict` gives them;
     - `stability`: the value of the verb `stability` on the main part: poles and a
       contraction bound;
+    - `diagnostics`: the value of the verb `diagnose` on the main part: whether the
+      one-step residuals are what a right model leaves;
     - `provenance`: anything worth stating; versions and data hashes are filled in.
     """
 
@@ -64,6 +67,7 @@ class Report:
     partition: Mapping[str, Any] | None = None
     cost: Mapping[str, Mapping[str, int]] | None = None
     stability: Any = None
+    diagnostics: Diagnostics | None = None
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -99,7 +103,7 @@ class Report:
         A diverged row has null metrics and says so in `status`; an infinite figure is
         the text `"inf"` or `"-inf"`.
         """
-        left_out = {"traces", "residuals", "partition", "stability"}
+        left_out = {"traces", "residuals", "partition", "stability", "diagnostics"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values = {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
@@ -113,6 +117,8 @@ class Report:
         ]
         values["partition"] = strict(_without_points(self.partition))
         values["stability"] = strict(stability_values(self.stability))
+        told = self.diagnostics
+        values["diagnostics"] = None if told is None else told.to_dict()
         return values
 
     def to_html(self, path: str | os.PathLike[str]) -> None:
@@ -135,6 +141,7 @@ def report(
     history: Sequence[Mapping[str, Any]] | None = None,
     partition: Mapping[str, Any] | None = None,
     stability: Any = True,
+    diagnostics: Diagnostics | bool = True,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -147,7 +154,8 @@ def report(
     shows it beside that of the network before refinement.
 
     Stability is assessed on up to 2000 samples of the main part; `stability=False`
-    leaves it out, and a `Stability` at hand already is shown as it is.
+    leaves it out, and a `Stability` at hand already is shown as it is. Likewise
+    `diagnostics`: the tests of the one-step residuals of the main part.
 
     Every figure is in physical units over the samples that are valid and have enough
     history. Divergence is reported as a status, never as a number.
@@ -172,6 +180,8 @@ def report(
     if stability is True:
         stability = assess(network, parts[main], free[main])
     notes += stability_notes(stability or None, main)
+    tested, sentences = _diagnostics(network, parts[main], diagnostics, selection)
+    notes += [f"One-step residuals on {main}: {text}" for text in sentences]
     if partition is None:
         partition = describe_partition(network, data=parts[main])
     return Report(
@@ -187,6 +197,7 @@ def report(
         partition=partition or None,
         cost=cost(network).to_dict() if isinstance(network, Network) else None,
         stability=stability or None,
+        diagnostics=tested,
         provenance=_provenance(parts) | dict(provenance or {}),
     )
 
@@ -203,6 +214,25 @@ def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:
             f"horizons are whole numbers of steps >= 1, got {tuple(horizons)}",
             field="horizons",
         )
+
+
+def _diagnostics(
+    network: Any,
+    data: Dataset,
+    chosen: Diagnostics | bool,
+    selection: Mapping[str, Any] | None,
+) -> tuple[Diagnostics | None, list[str]]:
+    """The residual analysis a report shows, and what it says in sentences.
+
+    None where it is not wanted, and for what is no `Network`.
+    """
+    if isinstance(chosen, Diagnostics):
+        return chosen, list(chosen.summary)
+    if not chosen or not isinstance(network, Network):
+        return None, []
+    found = diagnose(network, data, selection=selection)
+    more = [] if found.status_name == "ok" else [found.detail + "."]
+    return found.value, [*found.value.summary, *more]
 
 
 def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:

@@ -2,22 +2,35 @@
 
 from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
-from jaxnarx.methods.partition import Global, Grid, Lolimot, SigmoidTree
+from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
+from jaxnarx.methods.least_squares import LeastSquares, Recursive
+from jaxnarx.methods.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
+from jaxnarx.methods.partition import Given, Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
 
 __all__ = [
+    "ARMAX",
+    "ARX",
+    "FIR",
+    "ActuatorLimits",
     "Anova",
     "Backward",
+    "BoxJenkins",
     "ForwardOLS",
+    "Given",
     "Global",
     "Grid",
+    "LeastSquares",
     "Lolimot",
     "OptimalDesign",
+    "OutputError",
     "PredictionError",
+    "Recursive",
     "SigmoidTree",
     "SimulationError",
     "SimulationOLS",
     "StepwiseF",
+    "TrackingError",
 ]

@@ -2,13 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from jaxnarx.errors import SpecError
 from jaxnarx.methods.selection import ForwardOLS, StepwiseF
 
 CRITERIA = ("aicc", "bic", "validation", "none")
 CURVES = ("gaussians", "compact", "boxes")
+FEEDBACK = ("network", "own", "choose")
 
 
 def _require(holds: bool, field: str, message: str) -> None:
@@ -26,35 +27,26 @@ class Global:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Scheduled:
-    """What every partition of several models is told."""
+class _Local:
+    """What every partition is told about its local models."""
 
-    scheduling: Sequence[str] = ()
-    """Scheduling variables, such as "speed[t]" or "load[t-1]"."""
     local: ForwardOLS | StepwiseF | None = dataclasses.field(default=None, kw_only=True)
     """How every local model chooses terms of its own, weighted with its validity;
     default: all have the terms that they are given."""
     ridge: float | int = dataclasses.field(default=0.0, kw_only=True)
     """Pull of a local model's coefficients towards the model it was split from (of a
-    grid: towards the global model), as a share of the data's own information about
-    each. Not for local models with terms of their own."""
+    partition that is given: towards the global model), as a share of the data's own
+    information about each. Not for local models with terms of their own."""
+    feedback: Literal["network", "own", "choose"] = dataclasses.field(
+        default="network", kw_only=True
+    )
+    """What a local model is fed back in a free run: the network's output, its own (an
+    output-error model of its region; thesis chapter 8, the fourth item), or, region by
+    region, what gives the smaller free-run error on the validation records, without
+    any on the training records. It makes no difference one step ahead."""
 
     def __post_init__(self):
-        if isinstance(self.scheduling, str):
-            object.__setattr__(self, "scheduling", (self.scheduling,))
-        object.__setattr__(self, "scheduling", tuple(self.scheduling))
-        name = type(self).__name__
-        _require(
-            bool(self.scheduling),
-            "scheduling",
-            f"{name} needs scheduling variables, such as "
-            "scheduling=['speed[t]', 'load[t]']",
-        )
-        _require(
-            len(set(self.scheduling)) == len(self.scheduling),
-            "scheduling",
-            f"a scheduling variable is named twice: {', '.join(self.scheduling)}",
-        )
+        _choice("feedback", self.feedback, FEEDBACK)
         _require(
             0 <= self.ridge < float("inf"),
             "ridge",
@@ -65,6 +57,36 @@ class _Scheduled:
             "ridge",
             "local models with terms of their own take no ridge",
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scheduled(_Local):
+    """What every partition of several models is told."""
+
+    scheduling: Sequence[str] = ()
+    """Scheduling variables, such as "speed[t]" or "load[t-1]"."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = type(self).__name__
+        object.__setattr__(self, "scheduling", _names(self.scheduling))
+        _require(
+            bool(self.scheduling),
+            "scheduling",
+            f"{name} needs scheduling variables, such as "
+            "scheduling=['speed[t]', 'load[t]']",
+        )
+
+
+def _names(scheduling: Sequence[str]) -> tuple[str, ...]:
+    """Scheduling variables as a tuple; one alone may be given as a text."""
+    names = (scheduling,) if isinstance(scheduling, str) else tuple(scheduling)
+    _require(
+        len(set(names)) == len(names),
+        "scheduling",
+        f"a scheduling variable is named twice: {', '.join(names)}",
+    )
+    return names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -268,4 +290,41 @@ class Grid(_Scheduled):
             self.validity != "log-sigmoids" or dims == 1,
             "validity",
             f"log-sigmoids divide one variable, not {dims}",
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Given(_Local):
+    """A partition that is there already: only the local models are made anew.
+
+    So outputs can share the regions that were grown for one of them, an engine those
+    of its sister, and regions can be drawn by hand.
+    """
+
+    partition: Any
+    """A `Network`, whose regions are taken, or a validity function of
+    `jaxnarx.models`."""
+    output: str | None = None
+    """Of a network: the output whose regions serve all; default: each output has those
+    of the output of its name, or those of the network's only output."""
+    scheduling: Sequence[str] = ()
+    """Of a validity function: its scheduling variables."""
+    ranges: Sequence[Numbers] = ()
+    """Of a validity function: what 0 and 1 of each scheduling variable stand for, in
+    its unit; default: the ends of its range in the data."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        object.__setattr__(self, "scheduling", _names(self.scheduling))
+        ranges = tuple(tuple(map(float, row)) for row in self.ranges)
+        object.__setattr__(self, "ranges", ranges)
+        _require(
+            not ranges or len(ranges) == len(self.scheduling),
+            "ranges",
+            f"{len(ranges)} ranges for {len(self.scheduling)} scheduling variables",
+        )
+        _require(
+            all(len(row) == 2 and row[0] < row[1] for row in ranges),
+            "ranges",
+            f"a range is a lower and a higher value, got {self.ranges}",
         )

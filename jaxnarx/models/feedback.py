@@ -7,14 +7,20 @@ over models and terms is done before the time loop,
     G_t[a] = sum_(m,k : h of k is a) phi_m(z_t) theta[m, k] e_k(t) ,
 
 and the loop is only y_t = G_t . h(lags).
+
+Local models that are fed back their own outputs add these to what the loop carries:
+behind the network's outputs come, output by output, those of all its local models. All
+of them start from the measured outputs.
 """
 
 import itertools
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.recurrence import polynomial_step
 from jaxnarx.models.network import Network, OutputModel, scheduling_values
@@ -54,6 +60,8 @@ def monomials(network: Network) -> np.ndarray:
 
 def collapses(network: Network) -> bool:
     """True where the loop can be reduced to feedback monomials."""
+    if network.parallel:
+        return False
     scheduled = any(fed_back(m.scheduling, network.signals) for m in network.models)
     return not scheduled and len(monomials(network)) <= WIDEST
 
@@ -132,14 +140,95 @@ def respond(
     )
 
 
+def sources(network: Network) -> Int[np.ndarray, " states"]:
+    """The output that each entry of the loop's state is a value of.
+
+    The outputs themselves, then the local models of those that have any with feedback
+    of its own.
+    """
+    own = [[o] * len(m.own) for o, m in enumerate(network.models) if m.own is not None]
+    return np.array([*range(len(network.models)), *itertools.chain(*own)], np.int64)
+
+
+def widened(
+    network: Network, values: Float[Array, "*rows outputs"]
+) -> Float[Array, "*rows states"]:
+    """What holds for the outputs, for every entry of the loop's state."""
+    return values[..., sources(network)] if network.parallel else values
+
+
+def folded(
+    network: Network, a: Float[Array, "rows states states depth"]
+) -> Float[Array, "rows states outputs depth"]:
+    """Slopes by the measured past: all entries of one output start from the same."""
+    if not network.parallel:
+        return a
+    of = sources(network)[:, None] == np.arange(len(network.models))[None]
+    return jnp.einsum("tsid,io->tsod", a, jnp.asarray(of, a.dtype))
+
+
+def own_rows(network: Network, output: int) -> list[tuple[int, int]]:
+    """(row, lag - 1) of the variables that are lags of one output."""
+    every = fed_back(network.variables, network.signals)
+    return [(row, d) for row, o, d in every if o == output]
+
+
+def with_own(network: Network, output: int, v: Array, history: Array) -> Array:
+    """The variables as each local model sees them, (models, vars, *rows).
+
+    `history` (models, depth, *rows) are the local models' own past outputs.
+    """
+    own = network.models[output].own
+    assert own is not None
+
+    def one(own, history):
+        mine = v
+        for row, d in own_rows(network, output):
+            mine = mine.at[row + 1].set(jnp.where(own, history[d], v[row + 1]))
+        return mine
+
+    return jax.vmap(one)(own, history)
+
+
+def places(network: Network) -> list[slice]:
+    """Where the local models of every output stand in the loop's state."""
+    size = [0 if m.own is None else len(m.own) for m in network.models]
+    ends = np.cumsum([len(network.models), *size]).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
+def advance(
+    network: Network,
+    v: Float[Array, "vars *rows"],
+    x: tuple[Float[Array, "_ *rows"], ...],
+    history: Float[Array, "states depth *rows"],
+) -> Float[Array, "states *rows"]:
+    """The next entry of the loop's state, not limited: outputs, then local models."""
+    v, x = with_history(network, v, x, history)
+    outputs, alone = [], []
+    parts = zip(network.models, x, places(network), strict=True)
+    for o, (model, x_o, at) in enumerate(parts):
+        z = scheduling_values(model, x_o)
+        if model.own is None:
+            outputs.append(model(v, z))
+            continue
+        terms = jax.vmap(partial(evaluate, model.local.factor))(
+            with_own(network, o, v, history[at])
+        )
+        local = jax.vmap(lambda a, b: jnp.tensordot(a, b, axes=1))(
+            model.local.dense(), terms
+        )
+        outputs.append(jnp.sum(model.validity(z, model.active) * local, axis=0))
+        alone.append(local)
+    return jnp.concatenate([jnp.stack(outputs), *alone])
+
+
 def general_step(network: Network):
     """Step of the recursion that evaluates the network; `params` is its arrays."""
     static = eqx.filter(network, eqx.is_array, inverse=True)
 
     def step(params, drive, history):
-        whole = eqx.combine(params, static)
         v, x = drive
-        v, x = with_history(whole, v, x, history)
-        return respond(whole, v, x)
+        return advance(eqx.combine(params, static), v, x, history)
 
     return step

@@ -47,7 +47,9 @@ class OutputModel(eqx.Module):
     """The part of a network that computes one output: its partition and local models.
 
     Scheduling variables are min-max scaled, z = (x - offset)/span, in physical units of
-    x; `active` is False for unused model slots.
+    x; `active` is False for unused model slots. A local model that is True in `own` is
+    fed back its own past output in a free run, not that of the network: an output-error
+    model of its region. Without `own` there is none.
     """
 
     scheduling: Variables = eqx.field(static=True)
@@ -56,6 +58,7 @@ class OutputModel(eqx.Module):
     validity: AbstractValidity
     active: Bool[Array, " models"]
     local: LocalModels
+    own: Bool[Array, " models"] | None = None
 
     def __call__(
         self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
@@ -73,7 +76,7 @@ class Network(eqx.Module):
     of the modelled outputs among `channels.outputs`. `gain` brings signals to unit
     size. `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are
     the training ranges in physical units. A free run starts from `history` measured
-    samples.
+    samples, those of local models with their own feedback too.
     """
 
     channels: Channels = eqx.field(static=True)
@@ -100,6 +103,11 @@ class Network(eqx.Module):
         """Samples needed before the first prediction."""
         scheduling = (m.scheduling.longest for m in self.models)
         return max(self.variables.longest, *scheduling)
+
+    @property
+    def parallel(self) -> bool:
+        """Whether local models may be fed back their own outputs."""
+        return any(m.own is not None for m in self.models)
 
     @property
     def signals(self) -> tuple[int, ...]:
@@ -147,8 +155,9 @@ class Network(eqx.Module):
 
         One dictionary per output and region: `output`, `model` (count from 1), `region`
         (where it is valid in physical units, by scheduling variable: `centre` and
-        `width`, or `above` and `below`), `terms` (text and coefficient) and the whole
-        as `text` or `latex`.
+        `width`, or `above` and `below`), `feedback` (`"own"` where the model is fed
+        back its own output, `NOx_2` for the second of NOx, else `"network"`),
+        `terms` (text and coefficient) and the whole as `text` or `latex`.
         """
         return [
             self._equation(o, m, style)
@@ -165,15 +174,25 @@ class Network(eqx.Module):
         value = np.asarray(local.coefficient)[m, slots] / np.prod(scale[factor], axis=1)
         value = value * float(self.gain[self.signals[o]])
         output, names = self.output_names[o], self.variable_names
+        own = self.models[o].own
+        alone = own is not None and bool(own[m])
+        left = output
+        if alone:
+            left = f"{output}_{m + 1}"
+            names = [
+                name.replace(output, left, 1) if s == self.signals[o] else name
+                for name, s in zip(names, signal, strict=True)
+            ]
         return {
             "output": output,
             "model": int(m) + 1,
+            "feedback": "own" if alone else "network",
             "region": self.regions(o)[int(m)],
             "terms": [
                 (term_name(names, row), float(c))
                 for row, c in zip(factor.tolist(), value, strict=True)
             ],
-            style: equation(output, names, factor.tolist(), value, style=style),
+            style: equation(left, names, factor.tolist(), value, style=style),
         }
 
     def regions(self, output: int) -> list[dict[str, dict[str, float]]]:

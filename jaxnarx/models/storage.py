@@ -4,8 +4,8 @@ The header (metadata key `jaxnarx`) holds the format version, the package versio
 channels with units and the static tables; the tensors are the network's arrays. A file
 of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
 filtered variables is written as format 2, one with other validity functions than
-Gaussians as format 3, so that older programs say what they lack; any other is still
-written as format 1.
+Gaussians as format 3, one with local models that have feedback of their own as format
+4, so that older programs say what they lack; any other is still written as format 1.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ from jaxnarx.regressors import (
     require_sampled,
 )
 
-FORMAT = 3
+FORMAT = 4
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
@@ -61,6 +61,8 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if network.parallel:
+        return 4
     if not all(isinstance(m.validity, Gaussians) for m in network.models):
         return 3
     tables = (network.variables, *(m.scheduling for m in network.models))
@@ -242,6 +244,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
                 validity(*(get(f"{lead}.validity.{f}") for f in fields)),
                 get(f"{lead}.active"),
                 local,
+                get(f"{lead}.own") if f"{lead}.own" in tensors else None,
             )
         )
     network = Network(
@@ -303,8 +306,13 @@ def _check_model(model: OutputModel, limit: int) -> None:
     )
     _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
     model.validity.check(models[0], dims[0])
-    for mask in (model.active, local.used):
+    masks = (model.active, local.used, *([] if model.own is None else [model.own]))
+    for mask in masks:
         _require(mask.dtype == bool, "a mask is not boolean")
+    _require(
+        model.own is None or model.own.shape == models,
+        "local models and their kinds of feedback differ in number",
+    )
     _require(np.any(np.asarray(model.active)), "no local model is active")
     _require(
         local.index.shape == local.used.shape == local.coefficient.shape,

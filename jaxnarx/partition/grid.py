@@ -1,4 +1,4 @@
-"""Partitions that are given: grids, borders, centres."""
+"""Partitions that are given: grids, borders, centres, and those of a network."""
 
 import itertools
 
@@ -8,8 +8,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Grid
-from jaxnarx.models import AbstractValidity, Gaussians, LogSigmoids, OutputModel
+from jaxnarx.methods import Given, Grid
+from jaxnarx.models import (
+    AbstractValidity,
+    Gaussians,
+    LogSigmoids,
+    OutputModel,
+    SigmoidTree,
+)
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import local_fit
 from jaxnarx.partition.local_terms import own_terms
@@ -26,14 +32,24 @@ _fit = jax.jit(local_fit)
 def grid_output(
     ground: Ground, output: int, method: Grid
 ) -> tuple[OutputModel, list[int]]:
-    """The model of one output, and which local models lack samples.
+    """The model of one output, and which local models lack samples."""
+    validity = given_validity(ground, method)
+    return fitted(ground, output, validity, capacity(validity), method)
+
+
+def fitted(
+    ground: Ground,
+    output: int,
+    validity: AbstractValidity,
+    count: int,
+    method: Grid | Given,
+) -> tuple[OutputModel, list[int]]:
+    """Local models of the first `count` regions, and which of them lack samples.
 
     A local model whose validity sums to less than its number of parameters keeps the
     coefficients of the global model.
     """
-    validity = given_validity(ground, method)
-    count = _models(validity)
-    phi = validity(ground.z, jnp.ones(count, bool))
+    phi = validity(ground.z, jnp.arange(capacity(validity)) < count)[:count]
     y, weight = ground.rows.y[output], ground.rows.weight[output]
     mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))
     p = evaluate(ground.factors[output], ground.rows.v)
@@ -48,13 +64,17 @@ def grid_output(
         theta = np.asarray(jnp.stack(fits))
     poor = np.flatnonzero(mass < need).tolist()
     theta = np.where((mass < need)[:, None], np.asarray(everywhere)[None], theta)
+    theta = np.pad(theta, ((0, capacity(validity) - count), (0, 0)))
     sparse = method.local is not None
     return ground.model(output, theta, validity, count, sparse=sparse), poor
 
 
-def _models(validity: AbstractValidity) -> int:
+def capacity(validity: AbstractValidity) -> int:
+    """Regions that there is room for."""
     if isinstance(validity, LogSigmoids):
         return validity.border.shape[0] + 1
+    if isinstance(validity, SigmoidTree):
+        return validity.path.shape[0]
     return jax.tree.leaves(validity)[0].shape[0]
 
 

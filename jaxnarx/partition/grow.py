@@ -7,17 +7,19 @@ import numpy as np
 from jaxnarx.arrays.least_squares import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Global, Grid, Lolimot, SigmoidTree
+from jaxnarx.methods import Given, Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.models import Network, OutputModel, assemble, global_model
+from jaxnarx.partition.given import Regions, given_output, given_regions
 from jaxnarx.partition.grid import grid_output
 from jaxnarx.partition.ground import Ground, make_ground
 from jaxnarx.partition.growth import grow_output
+from jaxnarx.partition.own_feedback import with_feedback
 from jaxnarx.partition.scaffold import chosen_terms
 from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
 
-Method = Global | Grid | Lolimot | SigmoidTree
+Method = Given | Global | Grid | Lolimot | SigmoidTree
 
 
 def grow(
@@ -36,8 +38,11 @@ def grow(
     `effective`, with criterion `"validation"` also the free-run NRMSE on the records of
     `validation`), `best` and why growth `stopped`: `criterion`, `capacity`, or `data`
     where every further split was refused, as a side's validity would have summed to
-    less than `least`. `Grid(...)` takes a partition as it
-    is. A pool stands for all its terms; with `local` every region chooses its own.
+    less than `least`; and `stages`, every stage of an output as a network of that
+    output alone. `Grid(...)` takes a partition as it is told, `Given(...)` that of a
+    network. A pool stands for all its terms; with `local` every region chooses its own,
+    and with `feedback="choose"` whether it is fed back its own output or the network's
+    (`stats["own"]`, `stats["feedback_nrmse"]`).
 
     Too few rows and constant scheduling variables raise `DataError`. Status
     `no_improvement` where a criterion ended the growth; `unidentifiable` where terms
@@ -46,19 +51,23 @@ def grow(
     """
     pool, factors = chosen_terms(source)
     data, _ = match_channels(data, pool.channels)
-    scheduled = not isinstance(method, Global)
+    regions = given_regions(pool, method) if isinstance(method, Given) else []
     ground = make_ground(
         pool,
         factors,
         data,
-        tuple(method.scheduling) if scheduled else (),
+        _scheduling(method, regions),
         source.gain if isinstance(source, Selection) else None,
-        method.local if scheduled else None,
+        None if isinstance(method, Global) else method.local,
     )
     if isinstance(method, Global):
         return _grow_global(ground)
     if isinstance(method, Grid):
-        return _grow_grid(ground, method)
+        made = [grid_output(ground, o, method) for o in range(len(factors))]
+        return _as_told(ground, made, method, validation)
+    if isinstance(method, Given):
+        made = [given_output(ground, *own, method) for own in enumerate(regions)]
+        return _as_told(ground, made, method, validation)
     if method.criterion == "validation" and validation is None:
         raise SpecError(
             'criterion="validation" needs records: grow(..., validation=...)',
@@ -93,11 +102,33 @@ def _grow_global(ground: Ground) -> Solution[Network]:
     return Solution(network, RESULTS.ok, stats)
 
 
-def _grow_grid(ground: Ground, method: Grid) -> Solution[Network]:
-    outputs = range(len(ground.factors))
-    models, poor = zip(*(grid_output(ground, o, method) for o in outputs), strict=True)
-    network = _assembled(ground, list(models))
-    stats: dict[str, Any] = {"poor": list(poor)}
+def _scheduling(method: Method, regions: list[Regions]) -> tuple[str, ...]:
+    """Every scheduling variable of any output, once."""
+    if isinstance(method, Global):
+        return ()
+    if isinstance(method, Given):
+        return tuple(dict.fromkeys(n for own in regions for n in own.scheduling))
+    return tuple(method.scheduling)
+
+
+def _judges(ground: Ground, validation: Dataset | None) -> Dataset:
+    """The records that decide on the feedback."""
+    return ground.data if validation is None else validation
+
+
+def _as_told(
+    ground: Ground,
+    made: list[tuple[OutputModel, list[int]]],
+    method: Given | Grid,
+    validation: Dataset | None,
+) -> Solution[Network]:
+    """A network on a partition that was not grown."""
+    models, poor = zip(*made, strict=True)
+    outputs = range(len(models))
+    network, found = with_feedback(
+        _assembled(ground, list(models)), _judges(ground, validation), method.feedback
+    )
+    stats: dict[str, Any] = {"poor": list(poor)} | found
     short = [o for o in outputs if poor[o]]
     if not short:
         return Solution(network, RESULTS.ok, stats)
@@ -118,8 +149,10 @@ def _grow_stages(
         model, figure = grow_output(ground, o, method, validation)
         models.append(model)
         figures.append(figure)
-    network = _assembled(ground, models)
-    stats = {k: [f[k] for f in figures] for k in figures[0]}
+    network, found = with_feedback(
+        _assembled(ground, models), _judges(ground, validation), method.feedback
+    )
+    stats = {k: [f[k] for f in figures] for k in figures[0]} | found
     if any(f["stopped"] == "criterion" for f in figures):
         return Solution(network, RESULTS.no_improvement, stats)
     return Solution(network, RESULTS.ok, stats, _refused(network, stats))

@@ -1,5 +1,6 @@
 """Growth in stages: the kernel's run, the choice of a stage, and its network."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +13,13 @@ from jaxtyping import Array, Float
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Lolimot, SigmoidTree
-from jaxnarx.models import AbstractValidity, OutputModel, assemble
+from jaxnarx.models import (
+    AbstractValidity,
+    Network,
+    OutputModel,
+    assemble,
+    global_model,
+)
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
@@ -48,16 +55,23 @@ def grow_output(
     stages, validity = _run(ground, output, p, method)
     sparse = method.local is not None
 
-    def at(stage: int, slots: int) -> OutputModel:
-        """The model of a stage; a fixed number of slots compiles once for all."""
-        theta, count = stages.theta[stage, :slots], int(stages.count[stage])
-        return ground.model(output, theta, validity(stage, slots), count)
+    frame = assemble(
+        ground.pool.of_output(output),
+        ground.data,
+        rows.gain,
+        [global_model(factor, stages.theta[0, 0])],
+    )
+
+    def at(stage: int, sparse: bool = False) -> Network:
+        """The network of a stage; all slots, so that one program serves all stages."""
+        slots, count = method.max_models, int(stages.count[stage])
+        theta, shape = stages.theta[stage], validity(stage, slots)
+        model = ground.model(output, theta, shape, count, sparse=sparse)
+        return dataclasses.replace(frame, models=(model,))
 
     def score(stage: int) -> float:
         assert validation is not None
-        one = ground.pool.of_output(output)
-        network = assemble(one, ground.data, rows.gain, [at(stage, method.max_models)])
-        return free_run_nrmse(network, validation)
+        return free_run_nrmse(at(stage), validation)
 
     best, found = choose_stage(
         np.asarray(stages.count),
@@ -67,6 +81,7 @@ def grow_output(
         method,
         score,
     )
+    found["stages"] = [at(n, sparse) for n in range(len(found["models"]))]
     found["least"] = float(_fitting(ground, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:

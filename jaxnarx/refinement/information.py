@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.recurrence import linear_recurrence
-from jaxnarx.models import Network, depth
+from jaxnarx.models import Network, depth, folded
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.normal import SAMPLES, direct_tangents, linearised, seen_history
-from jaxnarx.simulation import Drive, run
+from jaxnarx.simulation import Drive, states
 
 Consumer = Callable[[Any, Float[Array, "records rows outputs params"], Any], Any]
 
@@ -54,8 +54,9 @@ def _block(network: Network, layout: Layout, block, since, past):
     v, x, history, own = block
     whole = linearised(network, v, x, history, jnp.ones_like(own))
     a, limited, v, x = whole
-    direct = direct_tangents(network, layout, v, x, limited)
-    direct = jnp.concatenate([direct, _by_start(a, own, since)], axis=2)
+    direct = direct_tangents(network, layout, v, x, limited, history)
+    by_start = _by_start(folded(network, a), own, since)
+    direct = jnp.concatenate([direct, by_start], axis=2)
     a = jnp.where(own[:, None, None], a, 0.0)
     return linear_recurrence(a, direct, past)
 
@@ -63,7 +64,7 @@ def _block(network: Network, layout: Layout, block, since, past):
 def stream(
     network: Network,
     layout: Layout,
-    y: Float[Array, "records time outputs"],
+    y: Float[Array, "records time states"],
     drive: Drive,
     anchor: Bool[Array, "records time"],
     start: Int[Array, " records"],
@@ -71,13 +72,15 @@ def stream(
     carry: Any,
     extra: Any,
 ) -> tuple[Any, Any]:
-    """Hand [S, H] of the finished run `y` to `consume(carry, block, extra)`.
+    """Hand [S, H] of a finished run to `consume(carry, block, extra)`.
 
+    `y` is all that the run's loop has carried (`jaxnarx.simulation.states`).
     Blocks follow one another in time. `extra` is a tree of arrays (records, time, ...)
     that are cut alike; padding of the last block is zero there. What `consume` returns
     beside the carry is stacked along a leading axis of blocks.
     """
-    records, time, outputs = y.shape
+    records, time, _ = y.shape
+    outputs = len(network.models)
     lags, params = depth(network), layout.low.shape[0]
     blocks = -(-time // max(16, SAMPLES // records))
     size = -(-time // blocks)
@@ -107,10 +110,10 @@ def stream(
         since = at + jnp.arange(size)[None] - start[:, None]
         one = lambda b, n, s: _block(network, layout, b, n, s)  # noqa: E731
         past, s = jax.vmap(one)(block, since, past)
-        carry, out = consume(carry, s, jax.tree.map(cut, extra))
+        carry, out = consume(carry, s[:, :, :outputs], jax.tree.map(cut, extra))
         return (past, carry), out
 
-    zero = jnp.zeros((records, lags, outputs, params + outputs * lags), y.dtype)
+    zero = jnp.zeros((records, lags, y.shape[2], params + outputs * lags), y.dtype)
     (_, carry), out = jax.lax.scan(body, (zero, carry), jnp.arange(blocks) * size)
     return carry, out
 
@@ -150,9 +153,9 @@ def sums(
     Of `layout` only the choice of parameters counts, not their limits: covariances of a
     parameter are those of its free neighbourhood.
     """
-    y = run(network, drive, anchor)
+    y = states(network, drive, anchor)
     params, order = layout.low.shape[0], shape.shape[1]
-    lags, (records, _, outputs) = depth(network), y.shape
+    lags, records, outputs = depth(network), y.shape[0], len(network.models)
 
     def consume(carry, s, weight):
         # Unscored stretches may be unstable: what overflows there must not count.
@@ -192,7 +195,7 @@ def variances(
     root: Float[Array, "columns rank"],
 ) -> Float[Array, "records time outputs"]:
     """Variance of the free run: squared norms of the rows of [S, H] times `root`."""
-    y = run(network, drive, anchor)
+    y = states(network, drive, anchor)
 
     def consume(carry, s, _):
         return carry, jnp.sum((s @ root) ** 2, axis=3)

@@ -44,11 +44,11 @@ class Initial(eqx.Module):
 
     def direct(
         self,
-        slope: Float[Array, "rows outputs outputs depth"],
+        slope: Float[Array, "rows states outputs depth"],
         own: Bool[Array, "rows depth"],
         time: Int[Array, " rows"],
         record: Int[Array, ""],
-    ) -> Float[Array, "rows outputs offsets"]:
+    ) -> Float[Array, "rows states offsets"]:
         """Derivative of one record's samples by all offsets at fixed simulated past.
 
         Offset k is lag d = t - at + k of sample t, where that lag is measured.
@@ -60,13 +60,14 @@ class Initial(eqx.Module):
         seen = (lag >= 0) & (lag < depth)
         lag = jnp.clip(lag, 0, depth - 1)
         seen &= ~jnp.take_along_axis(own, lag, axis=1)
-        at = jnp.broadcast_to(lag[:, None, None], (rows, outputs, outputs, depth))
+        states = slope.shape[1]
+        at = jnp.broadcast_to(lag[:, None, None], (rows, states, outputs, depth))
         value = jnp.take_along_axis(slope, at, axis=3)
         value = jnp.where(seen[:, None, None], value, 0.0)
         value = jnp.where(self.weight[record].T[None, None] > 0, value, 0.0)
         value = jnp.swapaxes(value, 2, 3)[:, :, None]
         here = (jnp.arange(records) == record)[None, None, :, None, None]
-        return jnp.where(here, value, 0.0).reshape(rows, outputs, -1)
+        return jnp.where(here, value, 0.0).reshape(rows, states, -1)
 
 
 def initial_conditions(network: Network, task: Task) -> Initial | None:

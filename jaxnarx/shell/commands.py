@@ -100,6 +100,10 @@ class Identify:
     criterion: Literal["aicc", "bic", "validation", "none"] = "aicc"
     """What decides on the number of regions up to --models: an information criterion,
     the free run on the validation records, or nothing."""
+    feedback: Literal["network", "own", "choose"] = "network"
+    """What a region's model is fed back in the free run: the network's output, its own
+    (an output-error model), or what serves the validation records better, region by
+    region."""
     k_sigma: Annotated[float, arg(help_behavior_hint="(default: 1/3)")] = 1 / 3
     """Width of a region's Gaussian as a share of its box."""
     horizons: _Ints = (10, 30, 100, 300, 1000)

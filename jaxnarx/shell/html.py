@@ -18,7 +18,8 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import Report, Row
-from jaxnarx.shell import figures
+from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
+from jaxnarx.shell import figures, residual_figure
 from jaxnarx.shell.style import inline_svg
 from jaxnarx.shell.verdict import verdict
 
@@ -56,6 +57,7 @@ def render(report: Report) -> str:
         pictures=_pictures(report),
         provenance=_flat(report.provenance),
         max_records=MAX_RECORDS,
+        fitted=FITTED,
     )
 
 
@@ -150,12 +152,15 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
             for title, item in _by_output(report.selection, "names")
         ],
         "history": [],
+        "diagnostics": [],
         "partition": [
             picture
             for title, item in _by_output(report.partition, "scheduling")
             for picture in _partition(title, item)
         ],
     }
+    if report.diagnostics is not None:
+        drawn["diagnostics"] = residual_figure.figures(report.diagnostics.outputs)
     if report.history:
         drawn["history"] = [("", figures.refinement(list(report.history)))]
     return {

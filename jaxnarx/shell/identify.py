@@ -132,6 +132,8 @@ def _growth(command: Identify) -> Growth:
     if command.models == 1:
         if command.local_terms:
             raise SpecError("--local-terms needs --models above 1")
+        if command.feedback != "network":
+            raise SpecError("--feedback needs --models above 1")
         return Global()
     local = None
     if command.local_terms:
@@ -141,6 +143,7 @@ def _growth(command: Identify) -> Growth:
         "max_models": command.models,
         "criterion": command.criterion,
         "local": local,
+        "feedback": command.feedback,
     }
     if command.partition == "lolimot":
         return Lolimot(k_sigma=command.k_sigma, **common)
@@ -210,7 +213,10 @@ def identify(
     for name, model in zip(plan.outputs, grown.value.models, strict=True):
         terms = count(model.local.index.shape[1], "term")
         of = "of" if model.local.used.all() else "of up to"
-        say(f"{name}: {count(int(model.active.sum()), 'local model')} {of} {terms}")
+        own = 0 if model.own is None else int(model.own.sum())
+        fed = f", {own} with feedback of their own" if own else ""
+        models = count(int(model.active.sum()), "local model")
+        say(f"{name}: {models} {of} {terms}{fed}")
     say("Refining on the free run")
     with refinement_progress() as progress:
         fit = refine(

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.local_models import LocalBehaviour, local_behaviour
 from jaxnarx.models import Network
-from jaxnarx.shell.style import CYCLE, INK, canvas, plain, styled
+from jaxnarx.shell.style import INK, canvas, plain, styled, tone
 
 FEW = 4
 """Panels in a row."""
@@ -73,7 +73,7 @@ def _curve(axes: Axes, models: Sequence[LocalBehaviour], values) -> None:
     top = float(known.max(initial=0.0))
     for m, value in zip(models, values, strict=True):
         fine = np.isfinite(value)
-        look = {"color": CYCLE[(m.model - 1) % len(CYCLE)], "ls": "", "mew": 0}
+        look = {"color": tone(m.model - 1), "ls": "", "mew": 0}
         dots = look | {"marker": "o", "ms": 2.6, "alpha": 0.6}
         axes.plot(m.place[fine, 0], value[fine], label=f"model {m.model}", **dots)
         wild = np.isinf(value)

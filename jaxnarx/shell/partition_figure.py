@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.ndimage import distance_transform_edt
 
-from jaxnarx.shell.style import BLUE, CYCLE, GREY, INK, canvas, plain, styled
+from jaxnarx.shell.style import BLUE, GREY, INK, canvas, plain, styled, tone
 from jaxnarx.shell.tree_figure import tree
 
 CLOUD = 1500
@@ -56,11 +56,6 @@ def titled(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
         ("before refinement", entry["before"]),
         ("after refinement", entry["after"]),
     ]
-
-
-def tone(model: int) -> str:
-    """The colour of a local model, counted from 0, the same in every figure."""
-    return CYCLE[model % len(CYCLE)]
 
 
 def _thinned(cloud: np.ndarray | None) -> np.ndarray | None:

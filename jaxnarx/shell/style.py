@@ -16,6 +16,7 @@ from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 INK = "#24292f"
@@ -25,6 +26,9 @@ BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 PURPLE, SKY = "#cc79a7", "#56b4e9"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 """Okabe and Ito's palette: told apart with any common colour blindness."""
+
+_SHADES = (("#000000", 0.0), ("#000000", 0.45), ("#ffffff", 0.5), ("#000000", 0.7))
+"""What the palette is mixed with, and how much of it, each time it is used up."""
 
 _SETTINGS: dict[Any, Any] = {
     "font.size": 9.0,
@@ -72,6 +76,17 @@ def canvas(
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **grid)
     return figure, list(axes.flat)
+
+
+def tone(number: int) -> str:
+    """The colour of a local model, counted from 0, the same in every figure.
+
+    Behind the palette come its darker and lighter shades: 24 colours, then again.
+    """
+    other, share = _SHADES[number // len(CYCLE) % len(_SHADES)]
+    pairs = zip(to_rgb(CYCLE[number % len(CYCLE)]), to_rgb(other), strict=True)
+    red, green, blue = ((1 - share) * a + share * b for a, b in pairs)
+    return to_hex((red, green, blue))
 
 
 def plain(text: object, width: int = 48) -> str:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.errors import SpecError
-from jaxnarx.shell.partition_figure import titled, tone
-from jaxnarx.shell.style import canvas, plain, styled
+from jaxnarx.shell.partition_figure import titled
+from jaxnarx.shell.style import canvas, plain, styled, tone
 
 FINENESS = 81
 """Points a side, at most: a surface is drawn face by face."""

@@ -209,7 +209,7 @@ def test_a_report_says_whether_the_model_forgets_its_past(network, tmp_path):
     got = report(network, {"train": data, "test": data[:1]}, horizons=())
     values = json.loads(json.dumps(got.to_dict()["stability"], allow_nan=False))
     assert values["contracts"] == got.stability.contracts
-    assert got.notes[-1] == f"Stability on test: {values['summary']}"
+    assert f"Stability on test: {values['summary']}" in got.notes
     assert [p["model"] for p in values["poles"]] == [1, 2, None]
     # The record's samples less the history: of the main part alone.
     assert values["bounds"][-1]["of"] == len(data.records[0]) - network.history

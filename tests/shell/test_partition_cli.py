@@ -53,6 +53,7 @@ def test_an_oblique_tree_with_terms_of_each_region_from_the_command_line(place, 
     ("given", "words"),
     [
         (["--local-terms", "3"], "--local-terms needs --models above 1"),
+        (["--feedback", "own"], "--feedback needs --models above 1"),
         (["--local-terms", "-1"], "--local-terms must not be negative, got -1"),
         (["--partition", "voronoi"], "invalid choice"),
         (

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.data import Dataset
@@ -13,11 +14,14 @@ from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
 from jaxnarx.simulation import (
     Drive,
+    Masks,
     Trajectories,
+    first_anchor,
     fitting,
     make_drive,
     make_masks,
     simulate,
+    states,
 )
 from jaxnarx.solution import RESULTS, Solution
 
@@ -120,8 +124,16 @@ def _cells(row: Poles) -> tuple[str, ...]:
     )
 
 
-def _own_outputs(network: Network, drive: Drive, run: Trajectories) -> np.ndarray:
-    """A finished run's outputs, scaled and padded as the drive is."""
+def _own_outputs(
+    network: Network, drive: Drive, masks: Masks, run: Trajectories
+) -> np.ndarray:
+    """What a finished run has carried, scaled and padded as the drive is.
+
+    No trajectory has the outputs of local models with feedback of their own: these are
+    run again.
+    """
+    if network.parallel:
+        return np.asarray(states(network, drive, jnp.asarray(first_anchor(masks))))
     y = np.array(drive.measured, np.float64)
     gain = np.asarray(network.gain, np.float64)[np.array(network.signals)]
     for n, outputs in enumerate(run.outputs):
@@ -152,7 +164,7 @@ def stability(
     matched = fitting(network, data)
     batch = stack(matched)
     masks, drive = make_masks(network, batch), make_drive(network, batch)
-    own = _own_outputs(network, drive, run.value)
+    own = _own_outputs(network, drive, masks, run.value)
     visited = points_of(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(
         network,

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from jaxnarx.errors import DataError
-from jaxnarx.models import Network, depth
+from jaxnarx.models import Network, depth, sources
 from jaxnarx.refinement.normal import linearised
 from jaxnarx.simulation import Drive, Masks
 
@@ -60,11 +60,12 @@ def points_of(
     masks: Masks,
     *,
     count: int | None = None,
-    outputs: Float[np.ndarray, "records time outputs"] | None = None,
+    outputs: Float[np.ndarray, "records time states"] | None = None,
 ) -> Points:
     """Samples with a complete measured window, evenly thinned to `count`.
 
-    Their history is the measured one, or that of `outputs`, a run's own (scaled).
+    Their history is the measured one, or that of `outputs`, all that a run's loop has
+    carried (scaled).
     Without any such sample: `DataError`.
     """
     record, step = np.nonzero(masks.anchors)
@@ -75,7 +76,9 @@ def points_of(
         )
     at = thin(len(record), count)
     record, step = record[at], step[at]
-    y = np.asarray(drive.measured if outputs is None else outputs)
+    y = np.asarray(drive.measured)[..., sources(network)]
+    if outputs is not None:
+        y = np.asarray(outputs)
     lag = np.arange(depth(network))[None]
     history = np.swapaxes(y[record[:, None], step[:, None] - 1 - lag], 1, 2)
 

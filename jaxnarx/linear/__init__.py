@@ -1,0 +1,35 @@
+"""Linear models: order search, fits, transfer functions, spectra, extended least
+squares.
+"""
+
+from jaxnarx.linear.adapt import adapt
+from jaxnarx.linear.extended import ExtendedFit, extended_least_squares
+from jaxnarx.linear.fit import fit_linear
+from jaxnarx.linear.innovations import Innovations, innovations
+from jaxnarx.linear.model import LinearModel
+from jaxnarx.linear.nonlinearity import NonlinearityCheck, nonlinearity
+from jaxnarx.linear.order_table import OrderSearch
+from jaxnarx.linear.orders import search_orders
+from jaxnarx.linear.regression import Regression, least_squares
+from jaxnarx.linear.spectra import Spectra, spectra
+from jaxnarx.linear.transfer_function import Bode, TransferFunction
+
+__all__ = [
+    "Bode",
+    "ExtendedFit",
+    "Innovations",
+    "LinearModel",
+    "NonlinearityCheck",
+    "OrderSearch",
+    "Regression",
+    "Spectra",
+    "TransferFunction",
+    "adapt",
+    "extended_least_squares",
+    "fit_linear",
+    "innovations",
+    "least_squares",
+    "nonlinearity",
+    "search_orders",
+    "spectra",
+]

@@ -1,0 +1,216 @@
+"""The loop of adaptation: windows of samples, and what keeps each of them safe.
+
+One window is a loop over samples; between windows the error is judged, and what is to
+be undone is undone.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.arrays.recursive_least_squares import Recursion, update
+from jaxnarx.linear.adapt_parts import Plan, Rows, coefficients, output_rows
+from jaxnarx.models import Network, with_history
+
+FLOOR = 1e-4
+"""Root mean square error, as a share of an output's gain, below which no window is
+undone: a start that is exact has no error to compare with."""
+
+
+class Samples(NamedTuple):
+    """All samples behind one another, cut into windows."""
+
+    v: Float[Array, "windows window vars"]
+    x: tuple[Float[Array, "windows window _"], ...]
+    y: Float[Array, "windows window outputs"]
+    past: Float[Array, "windows window outputs depth"]
+    weight: Float[Array, "windows window outputs"]
+    anchor: Bool[Array, "windows window"]
+    start: Float[Array, "windows window outputs"]
+
+
+class Limits(NamedTuple):
+    """Settings of `Recursive` that are traced."""
+
+    forgetting: Float[Array, ""]
+    start: Float[Array, ""]
+    dead_zone: Float[Array, ""]
+    excitation: Float[Array, ""]
+    largest_trace: Float[Array, ""]
+    growth: Float[Array, ""]
+
+
+class Output(eqx.Module):
+    """One output on its way: its groups' recursions, and coefficients to go back to.
+
+    `packed` is that of a `Recursion` for every group.
+    """
+
+    packed: Float[Array, "groups terms_and_one terms"]
+    good: Float[Array, "models slots"]
+    first: Float[Array, "models slots"]
+
+
+class Record(NamedTuple):
+    """What one window leaves behind, per output."""
+
+    theta: tuple[Float[Array, "_ _"], ...]
+    mse: Float[Array, " outputs"]
+    mse_start: Float[Array, " outputs"]
+    samples: Int[Array, " outputs"]
+    frozen: Int[Array, " outputs"]
+    held: Int[Array, " outputs"]
+    undone: Bool[Array, " outputs"]
+
+
+def _groups(theta: Float[Array, "models slots"], joint: bool) -> Array:
+    return theta.reshape(1, -1) if joint else theta
+
+
+def _estimate(output: Output) -> Float[Array, "models slots"]:
+    """Coefficients of the chosen models as they are now."""
+    return output.packed[:, -1].reshape(output.good.shape)
+
+
+def _fresh(theta, joint: bool, start) -> Float[Array, "groups terms_and_one terms"]:
+    """Recursions of every group at `theta`, P = start times the unit matrix."""
+    groups = _groups(theta, joint)
+    root = jnp.sqrt(start) * jnp.eye(groups.shape[1], dtype=theta.dtype)
+    root = jnp.broadcast_to(root, (len(groups), *root.shape))
+    return jnp.concatenate([root, groups[:, None]], axis=1)
+
+
+def _updated(packed, columns, target, weight, fade, least):
+    state, _, used = update(Recursion(packed), columns, target, weight, fade, least)
+    return state.packed, used
+
+
+def _learn(
+    output: Output, rows: Rows, y, weight, limits: Limits, joint: bool
+) -> tuple[Output, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+    """One sample: the output, its prediction, whether it rested, and held its memory.
+
+    A local model sees the whole target with its validity as the weight, all of them
+    together what the others leave.
+    """
+    predicted = rows.predict(_estimate(output))
+    awake = jnp.abs(y - predicted) > limits.dead_zone
+    weight = jnp.where(awake, weight, 0.0)
+    if joint:
+        columns = (rows.columns * rows.phi[:, None]).reshape(1, -1)
+        target, share = (y - rows.fixed)[None], jnp.ones(1, y.dtype)
+    else:
+        columns, share = rows.columns, rows.phi
+        target = jnp.broadcast_to(y, share.shape)
+    fade = 1.0 - (1.0 - limits.forgetting) * share
+    packed = output.packed
+    trace = jnp.sum(packed[:, :-1] ** 2, axis=(1, 2))
+    most = limits.largest_trace * limits.start * packed.shape[2]
+    full = trace > most * fade
+    fade = jnp.where(full, 1.0, fade)
+    least = limits.excitation * (1.0 - limits.forgetting)
+    now = (packed, columns, target, weight * share, fade)
+    packed, used = jax.vmap(partial(_updated, least=least))(*now)
+    rested = (weight > 0) & ~jnp.any(used) | ~awake
+    held = jnp.any(used & full & (limits.forgetting < 1))
+    return Output(packed, output.good, output.first), predicted, rested, held
+
+
+def _judge(
+    output: Output, mse, mse_start, limits: Limits, joint: bool
+) -> tuple[Output, Bool[Array, ""]]:
+    """Keep the window's coefficients, or go back and begin anew.
+
+    Back means to the last good coefficients, and from there, should the next window
+    fail as well, to those of the start.
+    """
+    most = limits.growth**2 * jnp.maximum(mse_start, FLOOR**2)
+    finite = jnp.all(jnp.isfinite(output.packed))
+    undone = ~((mse <= most) & finite)
+    again = _fresh(output.good, joint, limits.start)
+    packed = jnp.where(undone, again, output.packed)
+    good = jnp.where(undone, output.first, _estimate(output))
+    return Output(packed, good, output.first), undone
+
+
+def _bounded(network: Network, y):
+    return jnp.clip(y, network.lower, network.upper)
+
+
+def _mean(total, count):
+    return total / jnp.maximum(count, 1).astype(total.dtype)
+
+
+@eqx.filter_jit
+def adapt_windows(
+    network: Network, plan: Plan, samples: Samples, limits: Limits, simulated: bool
+) -> tuple[tuple[Float[Array, "_ _"], ...], Record]:
+    """Final coefficients of the chosen models, and a record of every window."""
+    joint = plan.joint
+
+    def rows_of(v, x):
+        parts = zip(network.models, plan.chosen, x, strict=True)
+        return [output_rows(m, c, v, x_o) for m, c, x_o in parts]
+
+    def sample(carry, now):
+        outputs, past, lost = carry
+        rows, v, x, y, measured, weight, anchor, start = now
+        if simulated:
+            past = jnp.where(anchor | lost, measured, past)
+            rows = rows_of(*with_history(network, v, x, past))
+        learnt = [
+            _learn(output, row, y[o], weight[o], limits, joint)
+            for o, (output, row) in enumerate(zip(outputs, rows, strict=True))
+        ]
+        outputs, predicted, rested, held = zip(*learnt, strict=True)
+        predicted = _bounded(network, jnp.stack(predicted))
+        past = jnp.concatenate([predicted[:, None], past[:, :-1]], axis=1)
+        counted = weight > 0
+        figures = (
+            jnp.where(counted, (y - predicted) ** 2, 0.0),
+            jnp.where(counted, (y - start) ** 2, 0.0),
+            counted,
+            jnp.stack(rested) & counted,
+            jnp.stack(held) & counted,
+        )
+        return (outputs, past, jnp.zeros_like(lost)), figures
+
+    def window(carry, block: Samples):
+        v, x = block.v, block.x
+        rows = None
+        if not simulated:
+            rows = rows_of(v.T, tuple(x_o.T for x_o in x))
+        inner = (rows, v, x, *block[2:])
+        (outputs, past, _), figures = jax.lax.scan(sample, carry, inner)
+        error, error_start, counted, rested, held = figures
+        count = jnp.sum(counted, axis=0)
+        mse = _mean(jnp.sum(error, axis=0), count)
+        mse_start = _mean(jnp.sum(error_start, axis=0), count)
+        judged = [
+            _judge(output, mse[o], mse_start[o], limits, joint)
+            for o, output in enumerate(outputs)
+        ]
+        outputs = tuple(output for output, _ in judged)
+        undone = jnp.stack([flag for _, flag in judged])
+        record = Record(
+            tuple(_estimate(o) for o in outputs),
+            mse,
+            mse_start,
+            count,
+            jnp.sum(rested, axis=0),
+            jnp.sum(held, axis=0),
+            undone,
+        )
+        return (outputs, past, jnp.any(undone)), record
+
+    first = [
+        coefficients(m, c) for m, c in zip(network.models, plan.chosen, strict=True)
+    ]
+    outputs = tuple(Output(_fresh(f, joint, limits.start), f, f) for f in first)
+    carry = outputs, samples.past[0, 0], jnp.asarray(False)
+    _, record = jax.lax.scan(window, carry, samples)
+    return tuple(theta[-1] for theta in record.theta), record

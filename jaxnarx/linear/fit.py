@@ -1,0 +1,218 @@
+"""Fit a linear model: least squares where that is all, else prediction error."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.data import Dataset
+from jaxnarx.data.batch import Batch, stack
+from jaxnarx.errors import DataError
+from jaxnarx.linear.model import LinearModel
+from jaxnarx.linear.orders import output_place, require_varying
+from jaxnarx.linear.prediction_error import Found, minimise
+from jaxnarx.linear.recursion import signals, window_start
+from jaxnarx.linear.scaled import Scale
+from jaxnarx.linear.starts import starts
+from jaxnarx.linear.structure import Structure, structure_of
+from jaxnarx.linear.triangle import triangle
+from jaxnarx.methods.linear import LinearMethod
+from jaxnarx.models.assemble import ranges
+from jaxnarx.regressors.rows import enough
+from jaxnarx.solution import RESULTS, Solution
+
+WORST = 1 / np.sqrt(np.finfo(float).eps)
+"""Condition of the unit-norm columns, or of the information, from which on parameters
+are not told apart."""
+
+
+def fit_linear(
+    data: Dataset, method: LinearMethod, *, output: str | None = None
+) -> Solution[LinearModel]:
+    """Fit `FIR`, `ARX`, `ARMAX`, `OutputError` or `BoxJenkins` to all records together.
+
+    `output` names the output where there are several; others take no part. Windows
+    never cross a record's border; samples whose window holds a missing one are not
+    scored. The constant term stands for the operating point, see
+    `jaxnarx.methods.linear`.
+
+    FIR and ARX are solved by one QR factorisation. The others minimise the squared
+    innovations (`prediction_error`), with the initial states of B/F of every record as
+    further parameters. Standard errors hold if the noise model is right: those of an
+    output-error fit under coloured noise are too small.
+
+    Status `unidentifiable` where columns are dependent (a constant input, say) or
+    nearly so; `detail` names the group. Parameters are then those of smallest norm from
+    least squares, any of the best ones from a search. `budget_spent`, `stalled` as
+    elsewhere. An unstable model is no failure of the fit:
+    `detail` says so, `simulate` will report `diverged`. Fewer usable samples than
+    parameters, a delay beyond the records, and a constant output raise `DataError`.
+
+    `stats`: `loss` (sum of squared innovations, physical units), `samples`,
+    `parameters`, `fit` (4.43, one step ahead, per cent), `cond`, `rank`, `steps`,
+    `pole`, the largest modulus of the model's poles, and after a search `initial`, the
+    states of every record as deviations from the mean.
+    """
+    place = output_place(data, output)
+    structure = structure_of(method, data.channels)
+    if structure.is_linear:
+        return _least_squares(data, structure, place)
+    return _searched(data, structure, place, method)
+
+
+def _least_squares(data: Dataset, structure: Structure, output: int) -> Solution:
+    own = len(data.channels.inputs) + output
+    rows = [(own, k) for k in range(1, structure.na + 1)]
+    for i, signal in enumerate(structure.inputs):
+        rows += [(signal, k) for k in structure.input_lags(i)]
+    table = triangle(
+        data,
+        output,
+        rows,
+        history=structure.longest,
+        constant=structure.constant,
+        need=structure.size + 1,
+    )
+    require_varying(table, data.channels.output_names[output])
+    use = range(len(rows))
+    fit = table.solve(use)
+    variance = fit.sse / (table.samples - structure.size)
+    theta, inverse = _with_constant(table, fit, structure)
+    # The regression has -a on the past outputs.
+    sign = np.where(np.arange(structure.size) < structure.na, -1.0, 1.0)
+    model = _model(
+        data, structure, output, sign * theta, variance * inverse * np.outer(sign, sign)
+    )
+    stats = {
+        "cond": fit.condition,
+        "rank": fit.rank + int(structure.constant),
+        "steps": 0,
+    }
+    weak = ()
+    if fit.condition > WORST:
+        names = structure.names(data.channels.input_names)
+        weak = tuple(names[n] for n in fit.weak)
+    figures = (fit.sse, table.samples, table.total)
+    return _solution(model, variance, RESULTS.ok, stats, weak, figures)
+
+
+def _with_constant(table, fit, structure: Structure):
+    """Coefficients and (X'X)^-1 with the constant behind them."""
+    if not structure.constant:
+        return fit.theta, fit.inverse
+    use = range(len(fit.theta))
+    mean = table.mean[:-1]
+    across = -fit.inverse @ mean
+    corner = 1 / table.samples + mean @ fit.inverse @ mean
+    inverse = np.block([[fit.inverse, across[:, None]], [across[None], corner]])
+    return np.append(fit.theta, table.intercept(use, fit.theta)), inverse
+
+
+def _searched(data: Dataset, structure: Structure, output: int, method) -> Solution:
+    batch, inputs = stack(data), len(data.channels.inputs)
+    whole = signals(structure, batch, inputs, output)
+    known = np.asarray(whole.known)
+    count = structure.size + int(np.any(known, axis=1).sum()) * sum(structure.nf)
+    enough(data, known[..., None], history=window_start(structure), need=count + 1)
+    valid = _valid(structure, batch, inputs + output)
+    scale = Scale.of(whole, valid, constant=structure.constant)
+    scaled = scale.apply(whole)
+    _require_motion(np.asarray(scaled.y)[valid], data, output)
+    begin = starts(structure, np.asarray(scaled.u), np.asarray(scaled.y), valid)
+    found = minimise(
+        structure,
+        begin,
+        scaled,
+        max_steps=method.max_steps,
+        tolerance=method.tolerance,
+    )
+    model, variance, stats, weak = _physical(data, structure, output, found, scale)
+    unit = float(scale.spread[-1]) ** 2
+    y = np.asarray(whole.y)[known]
+    total = float(np.sum((y - y.mean() * structure.constant) ** 2))
+    figures = (found.loss * unit, found.samples, total)
+    return _solution(model, variance, found.status, stats, weak, figures)
+
+
+def _physical(data, structure: Structure, output: int, found: Found, scale: Scale):
+    """The model in physical units, and what its information says."""
+    size = np.sqrt(np.diagonal(found.information))
+    unit = np.where(size > 0, size, 1.0)
+    scaled = found.information / np.outer(unit, unit)
+    value, vector = np.linalg.eigh(scaled)
+    cut = value.max() * np.finfo(float).eps * len(value)
+    keep = value > cut
+    inverse = np.where(keep, 1 / np.where(keep, value, 1.0), 0.0)
+    covariance = (vector * inverse[None]) @ vector.T / np.outer(unit, unit)
+    variance = found.loss / max(found.freedom, 1)
+    theta, covariance = scale.physical(
+        structure, found.parameters, variance * covariance
+    )
+    condition = float(np.sqrt(value[-1] / value[0])) if keep.all() else float("inf")
+    weak = ()
+    if condition > WORST:
+        names = structure.names(data.channels.input_names)
+        weak = tuple(names[int(n)] for n in np.flatnonzero(np.abs(vector[:, 0]) > 0.2))
+    model = _model(data, structure, output, theta, covariance)
+    stats = {"cond": condition, "rank": int(keep.sum()), "steps": found.steps}
+    stats["initial"] = found.initial * float(scale.spread[-1])
+    return model, variance * float(scale.spread[-1]) ** 2, stats, weak
+
+
+def _valid(structure: Structure, batch: Batch, own: int) -> np.ndarray:
+    """Where all signals in use are measured."""
+    return np.all(batch.valid[:, :, [*structure.inputs, own]], axis=2)
+
+
+def _require_motion(y: np.ndarray, data: Dataset, output: int) -> None:
+    if np.all(y == y[:1]):
+        name = data.channels.output_names[output]
+        raise DataError(
+            f"{name} is constant over all usable samples: there is nothing to model",
+            channel=name,
+        )
+
+
+def _model(
+    data: Dataset,
+    structure: Structure,
+    output: int,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+) -> LinearModel:
+    low, high = ranges(data)
+    dtype = low.dtype
+    return LinearModel(
+        structure,
+        data.channels,
+        output,
+        jnp.asarray(theta, dtype),
+        jnp.asarray(covariance, dtype),
+        jnp.zeros((), dtype),
+        jnp.asarray(data.sample_time, dtype),
+        jnp.asarray(low),
+        jnp.asarray(high),
+    )
+
+
+def _solution(model: LinearModel, variance, status, stats, weak, figures) -> Solution:
+    loss, samples, total = figures
+    noise = jnp.asarray(variance, model.parameters.dtype)
+    model = eqx.tree_at(lambda m: m.noise_variance, model, noise)
+    pole = float(np.abs(model.poles).max(initial=0.0))
+    stats = stats | {
+        "loss": float(loss),
+        "samples": samples,
+        "parameters": model.structure.size,
+        "fit": 100 * (1 - float(np.sqrt(loss / total))) if total > 0 else 0.0,
+        "pole": pole,
+    }
+    notes = []
+    if weak and status in (RESULTS.ok, RESULTS.budget_spent, RESULTS.stalled):
+        status = RESULTS.unidentifiable
+        notes.append(f"the data do not tell {', '.join(weak)} apart")
+    if pole >= 1:
+        notes.append(
+            f"the model is unstable (largest pole modulus {pole:.6g}); simulate will "
+            "diverge"
+        )
+    return Solution(model, status, stats, "; ".join(notes))

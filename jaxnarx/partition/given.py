@@ -1,0 +1,119 @@
+"""The partition of a network, or a validity function, for local models made anew."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.methods import Given
+from jaxnarx.models import AbstractValidity, Network, OutputModel
+from jaxnarx.partition.grid import capacity, fitted
+from jaxnarx.partition.ground import Ground
+from jaxnarx.regressors import Pool, Variables, variable_names
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Regions:
+    """Where the local models of one output are to be valid.
+
+    `ranges` (dims, 2) are what 0 and 1 of the scheduling variables stand for, None
+    where the data tell.
+    """
+
+    scheduling: tuple[str, ...]
+    ranges: np.ndarray | None
+    validity: AbstractValidity
+    count: int
+
+
+def given_regions(pool: Pool, method: Given) -> list[Regions]:
+    """The regions of every output of the pool."""
+    names = [pool.channels.output_names[o] for o in pool.outputs]
+    partition = method.partition
+    if isinstance(partition, Network):
+        _only_of_validity(method)
+        return [_of_output(partition, _source(partition, n, method)) for n in names]
+    if not isinstance(partition, AbstractValidity):
+        raise SpecError(
+            "a partition is a Network or a validity function of jaxnarx.models, got "
+            f"{type(partition).__name__}",
+            field="partition",
+        )
+    return [_of_validity(partition, method)] * len(names)
+
+
+def _only_of_validity(method: Given) -> None:
+    if method.scheduling:
+        raise SpecError(
+            "a network has its scheduling variables; leave `scheduling` out",
+            field="scheduling",
+        )
+
+
+def _source(network: Network, name: str, method: Given) -> int:
+    """Which output's regions an output gets."""
+    names = network.output_names
+    wanted = method.output or (names[0] if len(names) == 1 else name)
+    if wanted not in names:
+        raise SpecError(
+            f"the network whose partition is given has no output {wanted!r}; name one "
+            f"with `output`. {suggest(wanted, names)}",
+            field="output",
+        )
+    return names.index(wanted)
+
+
+def _of_output(network: Network, output: int) -> Regions:
+    model: OutputModel = network.models[output]
+    names = tuple(variable_names(network.channels, model.scheduling))
+    if not names:
+        raise SpecError(
+            f"{network.output_names[output]} has one local model that is valid "
+            "everywhere; there is no partition to take",
+            field="partition",
+        )
+    low, span = np.asarray(model.offset), np.asarray(model.span)
+    count = int(np.sum(np.asarray(model.active)))
+    return Regions(names, np.stack([low, low + span], axis=1), model.validity, count)
+
+
+def _of_validity(validity: AbstractValidity, method: Given) -> Regions:
+    if not method.scheduling:
+        raise SpecError(
+            "a validity function needs its scheduling variables, such as "
+            "scheduling=['speed[t]', 'load[t]']",
+            field="scheduling",
+        )
+    count = capacity(validity)
+    try:
+        validity.check(count, len(method.scheduling))
+    except ValueError as error:
+        raise SpecError(str(error), field="partition") from error
+    ranges = np.array(method.ranges) if method.ranges else None
+    return Regions(tuple(method.scheduling), ranges, validity, count)
+
+
+def given_output(
+    ground: Ground, output: int, regions: Regions, method: Given
+) -> tuple[OutputModel, list[int]]:
+    """The model of one output, and which local models lack samples."""
+    own = _narrowed(ground, regions)
+    return fitted(own, output, regions.validity, regions.count, method)
+
+
+def _narrowed(ground: Ground, regions: Regions) -> Ground:
+    """The ground with these scheduling variables only, on the scale of the regions."""
+    at = np.array([ground.names.index(name) for name in regions.scheduling])
+    low, span = ground.offset[at], ground.span[at]
+    z = ground.z[at]
+    if regions.ranges is not None:
+        x = low[:, None] + span[:, None] * z
+        low, span = regions.ranges[:, 0], np.diff(regions.ranges, axis=1)[:, 0]
+        low, span = low.astype(z.dtype), span.astype(z.dtype)
+        z = (x - low[:, None]) / span[:, None]
+    entries = ground.scheduling.entries
+    table = Variables.of([entries[n] for n in at])
+    return dataclasses.replace(
+        ground, scheduling=table, offset=low, span=span, z=jnp.asarray(z)
+    )

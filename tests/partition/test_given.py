@@ -1,0 +1,150 @@
+"""Partitions that are there already, and the stages that a growth keeps."""
+
+from functools import cache
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxnarx as jnx
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import ForwardOLS, Given, Global, Grid, Lolimot
+from jaxnarx.models import SigmoidTree
+from jaxnarx.partition import grow
+
+ROWS, SCHEDULE = 240, ("u1[t]", "u2[t]")
+LOLIMOT = Lolimot(SCHEDULE, max_models=4, criterion="none")
+
+
+@cache
+def data(outputs: int = 1) -> jnx.Dataset:
+    """A bent surface and, as a second output, its square; u1 from 10 to 30."""
+    rng = np.random.default_rng(3)
+    u = np.column_stack([rng.uniform(10, 30, ROWS), rng.uniform(-1, 1, ROWS)])
+    u[:2] = [[10.0, -1.0], [30.0, 1.0]]
+    y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2 + 0.05 * rng.normal(size=ROWS)
+    both = np.column_stack([y, y**2])[:, :outputs]
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y", "w"][:outputs]}
+    return jnx.Dataset.from_arrays(u, both, sample_time=1.0, **names)
+
+
+@cache
+def pool(outputs: int = 1) -> jnx.Pool:
+    lags: dict[str, Any] = {"input_lags": (0,), "output_lags": (), "degree": 1}
+    return jnx.polynomial_pool(data(outputs).channels, **lags)
+
+
+@cache
+def grown() -> jnx.Solution:
+    return grow(pool(), data(), LOLIMOT)
+
+
+def same_regions(a: jnx.Network, b: jnx.Network, output: int = 0) -> bool:
+    pairs = zip(a.regions(0), b.regions(output), strict=False)
+    return all(
+        np.isclose(one[name][key], two[name][key], rtol=1e-12)
+        for one, two in pairs
+        for name in one
+        for key in one[name]
+    )
+
+
+def test_the_stages_of_a_growth_are_networks_with_the_errors_it_reports():
+    """Every stage's one-step squared error is the one in the figures."""
+    (stages,), (sse,) = (grown().stats[k] for k in ("stages", "sse"))
+    assert [int(n.models[0].active.sum()) for n in stages] == [1, 2, 3, 4]
+    gain = float(grown().value.gain[2])
+    for network, expected in zip(stages, sse, strict=True):
+        run = jnx.predict(network, data()).value[0]
+        found = np.sum(((run - data().records[0].y) / gain) ** 2)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)  # sums in another order
+
+
+def test_a_partition_that_is_handed_on_keeps_its_regions_and_is_fitted_anew():
+    """A local model's least squares do not depend on the others: those that were made
+    last, the children of the last split, come out as they were grown."""
+    network = grown().value
+    again = grow(pool(), data(), Given(network)).value
+    assert same_regions(network, again)
+    last = grown().stats["stages"][0][-1].models[0].local.coefficient
+    changed = np.abs(last - again.models[0].local.coefficient).max(axis=1) > 1e-8
+    assert not changed[-1] and np.sum(~changed) >= 2
+
+
+def test_outputs_share_the_regions_of_one():
+    network = grown().value
+    both = grow(pool(2), data(2), Given(network)).value
+    assert both.output_names == ["y", "w"]
+    assert same_regions(network, both, 0) and same_regions(network, both, 1)
+    named = grow(pool(2), data(2), Given(both, output="w")).value
+    assert same_regions(both, named, 1)
+
+
+def test_regions_of_their_own_for_every_output():
+    """Each output keeps those of the output of its name, also over other variables."""
+    first = grow(pool(), data(), Lolimot(("u1[t]",), max_models=2)).value
+    both = grow(pool(2), data(2), Given(first)).value
+    mixed = grow(pool(2), data(2), Given(both)).value
+    assert [list(mixed.regions(o)[0]) for o in (0, 1)] == [["u1[t]"], ["u1[t]"]]
+    assert same_regions(first, mixed, 0)
+
+
+def test_a_gate_drawn_by_hand_in_physical_units():
+    """One gate at u1 = 15 of a range from 10 to 30 that the caller names."""
+    tree = SigmoidTree(
+        direction=jnp.array([[1.0, 0.0]]),
+        border=jnp.array([0.25]),
+        log_steepness=jnp.log(jnp.array([40.0])),
+        path=jnp.array([[1], [-1]]),
+    )
+    method = Given(tree, scheduling=SCHEDULE, ranges=((10, 30), (-1, 1)))
+    network = grow(pool(), data(), method).value
+    above, below = network.regions(0)
+    assert above == {"u1[t]": {"above": 15.0}} and below == {"u1[t]": {"below": 15.0}}
+    data_range = grow(pool(), data(), Given(tree, scheduling=SCHEDULE)).value
+    np.testing.assert_allclose(
+        data_range.models[0].local.coefficient,
+        network.models[0].local.coefficient,
+        rtol=1e-9,  # the data span that range
+    )
+
+
+def test_terms_of_their_own_in_given_regions():
+    local = ForwardOLS(max_terms=2)
+    network = grow(pool(), data(), Given(grown().value, local=local)).value
+    used = np.asarray(network.models[0].local.used).sum(axis=1)
+    assert np.all(used <= 2) and used.max() == 2
+
+
+def test_a_region_without_samples_is_named():
+    """A grid drawn for the whole range, data of its lower half."""
+    whole = grow(pool(), data(), Grid(("u1[t]",), models=(4,), k_sigma=0.1)).value
+    kept = data().records[0].u[:, 0] < 16
+    record = data().records[0]
+    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
+    part = jnx.Dataset.from_arrays(
+        record.u[kept], record.y[kept], sample_time=1.0, **names
+    )
+    solution = grow(pool(), part, Given(whole))
+    assert solution.status_name == "unidentifiable" and solution.stats["poor"] == [
+        [2, 3]
+    ]
+    assert same_regions(whole, solution.value)
+
+
+def test_wrong_use_says_what_to_do():
+    network = grown().value
+    with pytest.raises(SpecError, match="has no output 'z'"):
+        grow(pool(), data(), Given(network, output="z"))
+    with pytest.raises(SpecError, match="leave `scheduling` out"):
+        grow(pool(), data(), Given(network, scheduling=SCHEDULE))
+    with pytest.raises(SpecError, match="needs its scheduling"):
+        grow(pool(), data(), Given(network.models[0].validity))
+    with pytest.raises(SpecError, match="do not fit"):
+        validity = network.models[0].validity
+        grow(pool(), data(), Given(validity, scheduling=("u1[t]",)))
+    with pytest.raises(SpecError, match="no partition to take"):
+        grow(pool(), data(), Given(grow(pool(), data(), Global()).value))
+    with pytest.raises(SpecError, match="got str"):
+        grow(pool(), data(), Given("speed"))
