@@ -1,5 +1,6 @@
 """Settings of every test: float64, strict promotion, run-time shape checks."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -16,6 +17,21 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 install_import_hook("jaxnarx", "beartype.beartype")
+
+
+MAPS = 30_000
+"""Memory maps of a process beyond which compiled programs are let go. Every program
+takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Let compiled programs go after a file that has left too many of them."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_text().count("\n") > MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

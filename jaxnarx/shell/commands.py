@@ -6,7 +6,7 @@ The work is done by `jaxnarx.shell.work`, imported when a command runs.
 
 import dataclasses
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import Positional, arg
 
@@ -20,6 +20,7 @@ _Description = Annotated[str, arg(metavar="DESCRIPTION")]
 _Model = Annotated[str, arg(metavar="MODEL")]
 _Folder = Annotated[str | None, _optional("FOLDER")]
 _Names = Annotated[tuple[str, ...], _optional("NAME [NAME ...]")]
+_Needed = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")]
 _Lags = Annotated[tuple[int, ...], arg(metavar="[LAG ...]")]
 _Seconds = Annotated[tuple[float, ...], _optional("SECONDS [SECONDS ...]")]
 _Flag = Annotated[bool, arg(help_behavior_hint="")]
@@ -155,10 +156,78 @@ class Simulate:
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
     """Folder for the CSV files."""
+    through: Annotated[str | None, _optional("MODEL")] = None
+    """MODEL is an inverse: run this model of the engine under its commands. The columns
+    of its outputs are then what they shall be; commands are needed in the first rows
+    only."""
     prepare: _Flag = False
     """Prepare raw files first as the model's training records were prepared."""
     force: _Flag = False
     """Overwrite files of an earlier run."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Invert:
+    """Identify the inverse of a model: from wanted outputs to the commands for them.
+
+    Reads the described records backwards for a first inverse, says where the model
+    cannot be inverted, and trains the inverse through the model on what the two of them
+    do to a reference (thesis section 7.3). FOLDER receives inverse.safetensors,
+    report.html about the inverse by itself, and tracking.json and tracking.png about
+    the two in a row. Targets are seen ahead by the model's dead time.
+
+    Example:
+        jaxnarx invert runs/car/model.safetensors car.toml --command THR SA --target TRQ
+
+    Then run both:
+        jaxnarx simulate runs/inverse/inverse.safetensors wanted.csv
+        --through runs/car/model.safetensors
+    """
+
+    model: Positional[_Model]
+    """Model file of the engine."""
+    description: Positional[_Description]
+    """TOML description of the records."""
+    command: _Needed
+    """Inputs of the model that the inverse computes."""
+    target: _Names = ()
+    """Outputs of the model that shall be followed; default: all."""
+    state: _Names = ()
+    """Further measured outputs that the inverse may use, at lags of 1 or more."""
+    lead: _Whole = None
+    """Samples by which targets are seen ahead; default: the model's dead times."""
+    input_lags: _Lags = (0, 1, 2, 4)
+    """Lags of everything the inverse sees, in samples."""
+    output_lags: _Lags = (1,)
+    """Lags of its own commands; none: it cannot run away."""
+    degree: int = 2
+    """Largest number of factors of a term."""
+    terms: int = 20
+    """Number of terms of every local model."""
+    models: int = 1
+    """Largest number of local models."""
+    schedule: _Names = ()
+    """Variables that divide the operating space, as "MAP[t-1]"; for --models > 1."""
+    partition: Literal["lolimot", "tree", "axis-tree"] = "axis-tree"
+    """How it is divided, as for `jaxnarx identify`."""
+    direct_steps: int = 20
+    """Refinement steps of the inverse by itself, on its free run; 0 for none."""
+    steps: int = 40
+    """Training steps through the model; 0 keeps the direct inverse."""
+    effort: float = 1e-3
+    """Price of moving the commands beside the tracking error."""
+    range: Annotated[tuple[str, ...], _optional("NAME=LOW:HIGH [...]")] = ()
+    """Limits of commands; default: their ranges in training, a little widened."""
+    rate: Annotated[tuple[str, ...], _optional("NAME=RATE [...]")] = ()
+    """Largest change of commands, in their unit per second."""
+    hold_out: float = 0.2
+    """Share of the training samples that validates, where no record is named for it."""
+    root: _Folder = None
+    """Folder of the data; default JAXNARX_DATA, else the description's folder."""
+    out: _Folder = None
+    """Folder for the files; default: a new one under runs/."""
+    force: _Flag = False
+    """Write into a folder that already holds an inverse."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -305,8 +374,7 @@ def _kebab(name: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
 
 
-Command = Demo | Identify | Simulate | Report | Check | Prepare | SimulateEngine
-COMMANDS: dict[str, type] = {
-    _kebab(c.__name__): c
-    for c in (Demo, Identify, Simulate, Report, Check, Prepare, SimulateEngine)
-}
+Command = (
+    Demo | Identify | Simulate | Invert | Report | Check | Prepare | SimulateEngine
+)
+COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

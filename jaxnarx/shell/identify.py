@@ -29,11 +29,10 @@ from jaxnarx.refinement import refine
 from jaxnarx.regressors import LowPass, parse_variable, polynomial_pool
 from jaxnarx.selection import Selection, select
 from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import write_report, written_together
 from jaxnarx.shell.progress import (
-    count,
     refinement_progress,
-    say,
     selection_progress,
 )
 from jaxnarx.solution import Solution

@@ -21,6 +21,7 @@ from jaxnarx.errors import DataFileError, SpecError
 
 if TYPE_CHECKING:
     from jaxnarx.evaluation import Report
+    from jaxnarx.inverse import Tracking
     from jaxnarx.simulation import Trajectories
 
 
@@ -158,6 +159,31 @@ def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> s
         columns += [c.tolist() for c in (value.outputs[n][:, o], measured, limited)]
     header.append("extrapolated")
     columns.append(value.extrapolated[n].astype(int).tolist())
+    return _csv(header, columns)
+
+
+def tracking_csv(value: "Tracking", sample_time: float, n: int) -> str:
+    """Record `n` of a cascade: commands and where a limit held them, references,
+    outputs, and where the model's bound held those."""
+    length = len(value.commands[n])
+    header = ["time [s]"]
+    columns = [(np.arange(length) * sample_time).tolist()]
+    held = value.at_range[n] | value.at_rate[n]
+    for c, name in enumerate(value.command_names):
+        header += [f"{name} commanded", f"{name} at limit"]
+        columns += [value.commands[n][:, c].tolist(), held[:, c].astype(int).tolist()]
+    for o, name in enumerate(value.output_names):
+        if o in value.targets:
+            header.append(f"{name} reference")
+            reference = value.references[n][:, value.targets.index(o)]
+            columns.append(reference.tolist())
+        header += [f"{name} simulated", f"{name} limited"]
+        columns.append(value.outputs[n][:, o].tolist())
+        columns.append(value.limited[n][:, o].astype(int).tolist())
+    return _csv(header, columns)
+
+
+def _csv(header: list[str], columns: list[list]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([cell(h) for h in header])

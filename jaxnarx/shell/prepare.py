@@ -26,13 +26,13 @@ from jaxnarx.data import (
 from jaxnarx.data.preparation import AbstractStep
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.shell.commands import Prepare
+from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import (
     file_names,
     run_folder,
     write_text,
     written_together,
 )
-from jaxnarx.shell.progress import count, say
 from jaxnarx.shell.record_files import describe, record_csv
 
 DESCRIPTION, PREPARATION = "prepared.toml", "preparation.json"

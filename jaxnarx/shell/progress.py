@@ -1,29 +1,12 @@
 """Progress of long work: a bar on a terminal, a line per stage otherwise."""
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from jaxnarx.refinement.refine import Progress
-
-
-def say(text: str = "") -> None:
-    """One line to the user, at once.
-
-    Where nobody reads any longer (`jaxnarx ... | head`), the work goes on in silence,
-    so that its files and its exit code do not depend on who watches.
-    """
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def count(number: int, noun: str) -> str:
-    """`"1 record"`, `"2 records"`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+from jaxnarx.shell.messages import count, say
 
 
 def selection_progress(row: dict[str, Any]) -> None:

@@ -14,8 +14,8 @@ from jaxnarx.data import excitation as signals
 from jaxnarx.engines import BEDS, AbstractEngine
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import SimulateEngine
+from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import run_folder, write_text, written_together
-from jaxnarx.shell.progress import count, say
 from jaxnarx.shell.record_files import describe, record_csv
 
 DESCRIPTION, FIGURE = "engine.toml", "excitation.png"

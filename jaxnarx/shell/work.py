@@ -2,23 +2,17 @@
 
 import math
 import os
-import shlex
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from jaxnarx.errors import DataError, DataFileError, SpecError
+from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
-from jaxnarx.shell.progress import count, say
+from jaxnarx.shell.description import read_description
+from jaxnarx.shell.messages import about, next_command, say, size, warn
 
 if TYPE_CHECKING:
-    from jaxnarx.data import Channels, Dataset, LagSuggestion, Split
+    from jaxnarx.data import Dataset, LagSuggestion, Split
     from jaxnarx.evaluation import Report as Scores
-    from jaxnarx.models import Network
 
 RUN = ("model.safetensors", "report.json", "report.html")
 """Files of a run; one that is there already is not overwritten without --force."""
@@ -37,6 +31,8 @@ def run(command: commands.Command, *, typed: str) -> int:
         return _simulate_engine(command, typed)
     if isinstance(command, commands.Identify):
         return _identify(command, typed)
+    if isinstance(command, commands.Invert):
+        return _invert(command, typed)
     if isinstance(command, commands.Simulate):
         return _simulate(command)
     return _report(command, typed)
@@ -57,39 +53,12 @@ def _configure() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
-def _next(*words: str, then: str = "") -> None:
-    """The next sensible command, quoted for the shell."""
-    say(f"\nNext: {shlex.join(words)}{then}")
-
-
-@contextmanager
-def _about(source: str) -> Iterator[None]:
-    """What is wrong with the contents of a file is not wrong usage."""
-    try:
-        yield
-    except SpecError as error:
-        lead = "" if source in str(error) else f"{source}: "
-        raise DataFileError(f"{lead}{error}", path=source) from error
-
-
-def _read(path: str, root: str | None) -> "Split":
-    from jaxnarx.data import read_split
-
-    if not path.lower().endswith(".toml"):
-        raise SpecError(
-            f"{path} is not a TOML description. Write one that names channels, units, "
-            "sample time and files; `jaxnarx check --help` shows the smallest."
-        )
-    with _about(path):
-        return read_split(path, root=root)
-
-
 def _check(command: commands.Check) -> int:
     import json
 
     from jaxnarx.data import check, suggest_lags
 
-    split = _read(command.description, command.root)
+    split = read_description(command.description, command.root)
     data = split.train if split.train is not None else split.all
     findings, lags = check(data), suggest_lags(data)
     status = 0 if findings.is_okay else 3
@@ -98,16 +67,18 @@ def _check(command: commands.Check) -> int:
         say(json.dumps(found, allow_nan=False, indent=1))
         return status
     which = "" if split.train is None else " for training"
-    say(f"{_size(data)}{which}")
+    say(f"{size(data)}{which}")
     say(f"{findings}\n\n{lags}")
     root = () if command.root is None else ("--root", command.root)
     if status:
-        _next("jaxnarx", "check", command.description, *root, then=", errors corrected")
+        next_command(
+            "jaxnarx", "check", command.description, *root, then=", errors corrected"
+        )
         return status
     words = ["jaxnarx", "identify", command.description, *root]
     words += ["--output", data.channels.output_names[0]]
     words += ["--input-lags", *map(str, lags.input_lags)]
-    _next(*words, "--output-lags", *map(str, lags.output_lags))
+    next_command(*words, "--output-lags", *map(str, lags.output_lags))
     return status
 
 
@@ -115,7 +86,7 @@ def _prepare(command: commands.Prepare) -> int:
     from jaxnarx.shell.prepare import make_steps, write_prepared
 
     steps = make_steps(command)
-    split = _read(command.description, command.root)
+    split = read_description(command.description, command.root)
     _next_check(write_prepared(split, steps, command.out, force=command.force))
     return 0
 
@@ -132,14 +103,7 @@ def _next_check(file: Path) -> None:
     # the variable would send the reader of the new files to the old ones
     elsewhere = os.environ.get("JAXNARX_DATA")
     root = ("--root", str(file.parent)) if elsewhere else ()
-    _next("jaxnarx", "check", str(file), *root)
-
-
-def _size(data: "Dataset") -> str:
-    return (
-        f"{count(len(data), 'record')}, {count(data.samples, 'sample')} at "
-        f"{data.sample_time:g} s"
-    )
+    next_command("jaxnarx", "check", str(file), *root)
 
 
 def _lags(lags: "LagSuggestion") -> dict[str, Any]:
@@ -189,9 +153,11 @@ def _demo(command: commands.Demo, typed: str) -> int:
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
         _, runs = identify(plan, parts, folder)
     if not runs:
-        _warn("the model does not stay within its bounds; give it more --events")
+        warn("the model does not stay within its bounds; give it more --events")
     say(f"\nOpen {folder / 'report.html'}")
-    _next("jaxnarx", "check", "engine.toml", then="  (a description of your records)")
+    next_command(
+        "jaxnarx", "check", "engine.toml", then="  (a description of your records)"
+    )
     return 0
 
 
@@ -201,7 +167,7 @@ def _identify(command: commands.Identify, typed: str) -> int:
 
     _require_finite("require_fit", command.require_fit)
     plan = make_plan(command, typed)
-    split = _read(command.description, command.root)
+    split = read_description(command.description, command.root)
     plan = prepared_by(split.preparation, plan.on(split.all.channels))
     name = f"{Path(command.description).stem}-{'-'.join(plan.outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
@@ -210,13 +176,13 @@ def _identify(command: commands.Identify, typed: str) -> int:
     say(f"\nOpen {folder / 'report.html'}")
     model = str(folder / "model.safetensors")
     if runs:
-        _next("jaxnarx", "simulate", model, "new_run.csv")
+        next_command("jaxnarx", "simulate", model, "new_run.csv")
     else:
-        _warn(
+        warn(
             "the model does not stay within its bounds when it runs freely. Try fewer "
             "terms, a lower degree, other lags or more data."
         )
-        _next("jaxnarx", "check", command.description)
+        next_command("jaxnarx", "check", command.description)
     return _verdict(result, command.require_fit)
 
 
@@ -225,7 +191,7 @@ def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
 
     train = split.train if split.train is not None else split.all
     validate = split.validate
-    say(f"{_size(train)} for training")
+    say(f"{size(train)} for training")
     if validate is None:
         train, validate = hold_out(train, share=share)
         say("Held out for validation: " + ", ".join(validate.names))
@@ -238,10 +204,6 @@ def _require_finite(option: str, value: float | None) -> None:
         raise SpecError(f"--{option.replace('_', '-')} must be a number, got {value}")
 
 
-def _warn(text: str) -> None:
-    print(f"jaxnarx: {text}", file=sys.stderr)
-
-
 def _verdict(report: "Scores", required: float | None) -> int:
     if required is None:
         return 0
@@ -250,7 +212,7 @@ def _verdict(report: "Scores", required: float | None) -> int:
         fit = report.pooled(channel.name).fit
         if fit is None or not fit >= required:
             got = "no figure (it diverges)" if fit is None else f"{fit:.1f} %"
-            _warn(
+            warn(
                 f"the free-run fit of {channel.name} on {report.main} is {got}, below "
                 f"the required {required:g} %"
             )
@@ -259,111 +221,36 @@ def _verdict(report: "Scores", required: float | None) -> int:
 
 
 def _simulate(command: commands.Simulate) -> int:
+    from jaxnarx.shell.simulate_files import follow, simulate_files
+
+    if command.through is None:
+        return simulate_files(command)
+    return follow(command, command.through)
+
+
+def _invert(command: commands.Invert, typed: str) -> int:
     from jaxnarx.models import load
-    from jaxnarx.shell import output
-    from jaxnarx.simulation import predict, simulate
+    from jaxnarx.shell.invert import FILES, check_command, invert, limits_of
+    from jaxnarx.shell.output import run_folder
 
-    steps = command.steps
-    if not command.files:
-        raise SpecError("give data files or one TOML description")
-    if steps is not None and steps < 1:
-        raise SpecError(f"--steps must be at least 1, got {steps}")
-    network = load(command.model)
-    data = _new_data(command, network)
-    if steps is not None and steps + network.history > max(map(len, data)):
-        raise SpecError(
-            f"--steps {steps} is beyond the longest record, of "
-            f"{count(max(map(len, data)), 'sample')}"
+    forward = load(command.model)
+    check_command(command, forward)
+    limits_of(command.range, command.rate)
+    split = read_description(command.description, command.root)
+    name = f"{Path(command.description).stem}-inverse"
+    with run_folder(command.out, name, force=command.force, marks=FILES) as folder:
+        with about(command.description):
+            parts = _parts(split, command.hold_out)
+            solution = invert(command, typed, forward, parts, folder)
+    say(f"\nwrote {', '.join(FILES)} to {folder}")
+    if not solution.is_okay:
+        warn(
+            f"{solution.status_name}: {solution.detail}. Try fewer --terms, a lower "
+            "--degree or other lags."
         )
-    files = output.file_names(data.names)
-    with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
-        with _about(command.files[0]):
-            if steps is None:
-                solution = simulate(network, data)
-            else:
-                solution = predict(network, data, steps)
-        kind = "simulated" if steps is None else "predicted"
-        with output.written_together(folder) as place:
-            for n, file in enumerate(files):
-                text = output.trajectory_csv(solution.value, data, n, kind)
-                output.write_text(place / file, text)
-    for file in files:
-        say(f"wrote {folder / file}")
-    if solution.detail:
-        _warn(f"{solution.status_name}: {solution.detail}")
-    _next("jaxnarx", "report", command.model, "engine.toml", then="  (to score it)")
+    model = str(folder / FILES[0])
+    next_command("jaxnarx", "simulate", model, "wanted.csv", "--through", command.model)
     return 0
-
-
-def _new_data(command: commands.Simulate, network: "Network") -> "Dataset":
-    """The records, with the model's channels in its order; prepared if asked to be."""
-    from jaxnarx.shell.prepare import as_trained, raw_channels, stored
-
-    known = stored(command.model)
-    if not command.prepare:
-        if known is not None:
-            say(
-                "The model was identified from prepared records; files must be "
-                "prepared likewise (--prepare does it to raw ones):\n"
-                f"{known.describe()}"
-            )
-        return _records(command, network.channels, float(network.sample_time))
-    if known is None:
-        raise SpecError(
-            f"{command.model} was not identified from prepared records; leave out "
-            "--prepare"
-        )
-    wanted = raw_channels(known, network.channels)
-    raw = _records(command, wanted, known.sample_time)
-    with _about(command.files[0]):
-        return as_trained(known, raw, network.channels)
-
-
-def _records(
-    command: commands.Simulate, channels: "Channels", sample_time: float
-) -> "Dataset":
-    """The records of a description or of files, with these channels in their order."""
-    from jaxnarx.data import match_channels, read_files
-
-    first = command.files[0]
-    if any(f.lower().endswith(".toml") for f in command.files):
-        if len(command.files) > 1:
-            raise SpecError("give one description, or data files, not both")
-        split = _read(first, command.root)
-        if command.prepare and split.preparation is not None:
-            raise SpecError(f"{first} describes prepared records; leave out --prepare")
-        with _about(first):
-            data, extra = match_channels(split.all, channels)
-        say(_size(data) + (f"; ignored: {', '.join(extra)}" if extra else ""))
-        return data
-    data = read_files(command.files, channels, sample_time=sample_time, missing="mask")
-    _require_measured(data, command)
-    whose = "raw" if command.prepare else "model's"
-    say(
-        f"{_size(data)}, the {whose} sample time; read "
-        f"{', '.join(data.channels.names)}, ignored any other column"
-    )
-    return data
-
-
-def _require_measured(data: "Dataset", command: commands.Simulate) -> None:
-    """Inputs must be there always, outputs only where a free run starts."""
-    inputs = len(data.channels.inputs)
-    needed = inputs if command.steps is None else len(data.channels.names)
-    for path, record in zip(command.files, data, strict=True):
-        missing = ~record.valid[:, :needed]
-        if missing.any():
-            s = int(np.argmax(missing.any(axis=0)))
-            row = int(np.argmax(missing[:, s]))
-            name, gaps = data.channels.names[s], int(missing[:, s].sum())
-            why = "a free run needs every input" if s < inputs else "--steps needs it"
-            raise DataError(
-                f"{path}: {name} has {count(gaps, 'empty or invalid cell')}, first in "
-                f"row {record.start_row + row} (t = {row * data.sample_time:g} s); "
-                f"{why} in every row. Fill the gap, or cut the file there.",
-                channel=name,
-                row=row,
-            )
 
 
 def _report(command: commands.Report, typed: str) -> int:
@@ -376,7 +263,7 @@ def _report(command: commands.Report, typed: str) -> int:
 
     _require_finite("require_fit", command.require_fit)
     network = load(command.model)
-    split = _read(command.description, command.root)
+    split = read_description(command.description, command.root)
     named = {"train": split.train, "validate": split.validate, "test": split.test}
     parts = {k: v for k, v in named.items() if v is not None} or {"data": split.all}
     require_rows(parts, network.history)
@@ -386,7 +273,7 @@ def _report(command: commands.Report, typed: str) -> int:
             folder = stack.enter_context(
                 run_folder(command.out, "", force=command.force, marks=RUN[1:])
             )
-        with _about(command.description):
+        with about(command.description):
             result = report(network, parts, provenance={"command": typed})
         say(str(result))
         if folder is not None:
@@ -394,9 +281,9 @@ def _report(command: commands.Report, typed: str) -> int:
                 write_report(result, place)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
-        _next("jaxnarx", "simulate", command.model, "new_run.csv")
+        next_command("jaxnarx", "simulate", command.model, "new_run.csv")
     else:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]
-        _next(*words, "--out", "FOLDER", then="  (writes the page with figures)")
+        next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
     return _verdict(result, command.require_fit)

@@ -1,0 +1,22 @@
+"""Descriptions of records as commands are given them."""
+
+from typing import TYPE_CHECKING
+
+from jaxnarx.errors import SpecError
+from jaxnarx.shell.messages import about
+
+if TYPE_CHECKING:
+    from jaxnarx.data import Split
+
+
+def read_description(path: str, root: str | None) -> "Split":
+    """The records of a TOML description, by what they are for."""
+    from jaxnarx.data import read_split
+
+    if not path.lower().endswith(".toml"):
+        raise SpecError(
+            f"{path} is not a TOML description. Write one that names channels, units, "
+            "sample time and files; `jaxnarx check --help` shows the smallest."
+        )
+    with about(path):
+        return read_split(path, root=root)

@@ -1,0 +1,257 @@
+"""An inverse for the command line: identify, train through the model, judge, save."""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.data import Dataset, match_channels
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.evaluation import report
+from jaxnarx.inverse import (
+    Tracking,
+    cascade,
+    compensate,
+    inverse_data,
+    invertible,
+    unity_gain,
+)
+from jaxnarx.methods import (
+    ActuatorLimits,
+    ForwardOLS,
+    Global,
+    Lolimot,
+    SigmoidTree,
+    SimulationError,
+    TrackingError,
+)
+from jaxnarx.models import Network, save
+from jaxnarx.partition import grow
+from jaxnarx.refinement import refine
+from jaxnarx.regressors import polynomial_pool
+from jaxnarx.selection import select
+from jaxnarx.shell.commands import Invert
+from jaxnarx.shell.messages import count, say
+from jaxnarx.shell.output import write_report, write_text, written_together
+from jaxnarx.shell.progress import refinement_progress
+from jaxnarx.shell.style import save as save_figure
+from jaxnarx.shell.tracking_figure import draw_tracking
+from jaxnarx.solution import Solution
+
+MODEL, TRACKING, FIGURE = "inverse.safetensors", "tracking.json", "tracking.png"
+FILES = (MODEL, "report.json", "report.html", TRACKING, FIGURE)
+
+
+def limits_of(ranges: Sequence[str], rates: Sequence[str]) -> ActuatorLimits:
+    """`THR=4:90` and `THR=200` as limits."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in ranges:
+        name, low, high = _numbers(text, "--range", "NAME=LOW:HIGH", 2)
+        found[name] = low, high
+    speed = {n: x for n, x in (_numbers(t, "--rate", "NAME=RATE", 1) for t in rates)}
+    return ActuatorLimits(range=found, rate=speed)
+
+
+def _numbers(text: str, option: str, form: str, wanted: int) -> tuple[Any, ...]:
+    name, _, values = text.rpartition("=")
+    try:
+        numbers = [float(x) for x in values.split(":")]
+    except ValueError:
+        numbers = []
+    if not name or len(numbers) != wanted or not all(map(math.isfinite, numbers)):
+        raise SpecError(f"{option} must be {form}, got {text!r}")
+    return name, *numbers
+
+
+def check_command(command: Invert, forward: Network) -> tuple[str, ...]:
+    """The targets; `SpecError` where the flags do not fit each other or the model."""
+    if command.models < 1:
+        raise SpecError(f"--models must be at least 1, got {command.models}")
+    if (command.models > 1) != bool(command.schedule):
+        raise SpecError("--models above 1 and --schedule belong together")
+    if not 0 < command.hold_out < 1:
+        raise SpecError(f"--hold-out must lie between 0 and 1, got {command.hold_out}")
+    targets = command.target or tuple(forward.output_names)
+    known = forward.channels.input_names, forward.output_names
+    for option, names, own in zip(
+        ("--command", "--target"), (command.command, targets), known, strict=True
+    ):
+        for name in names:
+            if name not in own:
+                raise SpecError(
+                    f"{option}: the model has no {name!r}. {suggest(name, own)}"
+                )
+    return tuple(dict.fromkeys(targets))
+
+
+def invert(
+    command: Invert, typed: str, forward: Network, parts: dict[str, Dataset], out: Path
+) -> Solution[Tracking]:
+    """Identify on `parts["train"]`, guard on "validate", follow references of the last.
+
+    Writes `FILES` into `out`, all or none; returns the cascade on the last part.
+    """
+    targets = check_command(command, forward)
+    limits = limits_of(command.range, command.rate)
+    parts = {n: match_channels(d, forward.channels)[0] for n, d in parts.items()}
+    found = invertible(
+        forward,
+        parts["train"],
+        commands=command.command,
+        targets=targets,
+        lead=command.lead,
+        limits=limits,
+    )
+    say(f"{found.value.findings}")
+    backwards = {
+        name: inverse_data(
+            data,
+            commands=command.command,
+            targets=targets,
+            lead=command.lead,
+            forward=forward,
+            states=command.state,
+        )
+        for name, data in parts.items()
+    }
+    direct = _direct(command, backwards)
+    trained = _trained(command, direct, forward, parts, limits)
+    last = list(parts)[-1]
+    ways = {"direct": direct, "trained": trained}
+    followed = {
+        name: cascade(network, forward, parts[last], limits)
+        for name, network in ways.items()
+    }
+    gain = unity_gain(trained, forward, parts["train"], limits=limits)
+    _tell(followed, last, gain.value.worst())
+    text = {
+        "command": typed,
+        "findings": found.value.findings.to_dict(),
+        "lead": found.value.lead,
+        "part": last,
+        "tracking": {name: _figures(s) for name, s in followed.items()},
+        "static_gain_off_one": _finite(gain.value.worst()),
+    }
+    with written_together(out) as place:
+        save(trained, place / MODEL, about={"command": typed})
+        write_report(report(trained, backwards, provenance={"command": typed}), place)
+        write_text(place / TRACKING, json.dumps(text, allow_nan=False, indent=1))
+        save_figure(
+            draw_tracking(
+                {name: s.value for name, s in followed.items()},
+                float(forward.sample_time),
+            ),
+            place / FIGURE,
+        )
+    return followed["trained"]
+
+
+def _direct(command: Invert, data: dict[str, Dataset]) -> Network:
+    """The inverse by itself: terms, regions, and its own free run."""
+    train = data["train"]
+    references = {name: command.input_lags for name in train.channels.input_names}
+    for name in command.state:
+        references[name] = tuple(k for k in command.input_lags if k) or (1,)
+    pool = polynomial_pool(
+        train.channels,
+        input_lags=references,
+        output_lags=command.output_lags,
+        degree=command.degree,
+    )
+    say(f"Choosing {min(command.terms, len(pool))} of {len(pool)} terms of the inverse")
+    chosen = select(pool, train, ForwardOLS(max_terms=command.terms)).value
+    network = grow(chosen, train, _growth(command)).value
+    for name, model in zip(network.output_names, network.models, strict=True):
+        say(f"{name}: {count(int(model.active.sum()), 'local model')}")
+    if not command.direct_steps:
+        return network
+    say("Refining the inverse by itself, on its free run")
+    method = SimulationError(
+        horizons=(10, 30, 100), max_steps=command.direct_steps, window_steps=10
+    )
+    with refinement_progress() as progress:
+        fit = refine(
+            network, train, method, validation=data["validate"], progress=progress
+        )
+    say(f"  {fit.status_name}: {fit.detail}")
+    return fit.value
+
+
+def _growth(command: Invert) -> Global | Lolimot | SigmoidTree:
+    if command.models == 1:
+        return Global()
+    if command.partition == "lolimot":
+        return Lolimot(scheduling=command.schedule, max_models=command.models)
+    return SigmoidTree(
+        scheduling=command.schedule,
+        max_models=command.models,
+        oblique=command.partition == "tree",
+    )
+
+
+def _trained(
+    command: Invert,
+    direct: Network,
+    forward: Network,
+    parts: dict[str, Dataset],
+    limits: ActuatorLimits,
+) -> Network:
+    if not command.steps:
+        return direct
+    say("Training the inverse through the model, on the tracking error")
+    method = TrackingError(effort=command.effort, max_steps=command.steps)
+    fit = compensate(
+        direct,
+        forward,
+        parts["train"],
+        method,
+        validation=parts["validate"],
+        limits=limits,
+    )
+    say(f"  {fit.status_name}: {fit.detail}, {count(fit.stats['steps'], 'step')}")
+    return fit.value
+
+
+def _tell(followed: dict[str, Solution[Tracking]], part: str, worst: float) -> None:
+    """Tracking errors of both inverses, and how near the cascade comes to one."""
+    say(f"\nThe model under the inverse's commands, references of {part}: NRMSE")
+    names = followed["trained"].value.target_names
+    say(f"{'':10s}" + "".join(f"{name[:12]:>13s}" for name in names))
+    for way, solution in followed.items():
+        cells = "".join(f"{_shown(x):>13s}" for x in _errors(solution))
+        say(
+            f"{way:10s}{cells}" + (f"  {solution.status_name}" * (not solution.is_okay))
+        )
+    if math.isfinite(worst):
+        say(f"Static gain from reference to output: within {worst:.1%} of one")
+    share = np.mean(np.concatenate(followed["trained"].value.at_range), axis=0)
+    for name, held in zip(followed["trained"].value.command_names, share, strict=True):
+        if held >= 0.01:
+            say(f"{name} rests at a limit of its range {held:.0%} of the time")
+
+
+def _errors(solution: Solution[Tracking]) -> list[float | None]:
+    """Tracking error of every target; None where the cascade diverges."""
+    if not solution.is_okay:
+        return [None] * len(solution.value.targets)
+    return [_finite(float(x)) for x in solution.value.nrmse()]
+
+
+def _figures(solution: Solution[Tracking]) -> dict[str, Any]:
+    value = solution.value
+    return {
+        "status": solution.status_name,
+        "detail": solution.detail,
+        "nrmse": dict(zip(value.target_names, _errors(solution), strict=True)),
+    }
+
+
+def _finite(x: float) -> float | None:
+    return x if math.isfinite(x) else None
+
+
+def _shown(x: float | None) -> str:
+    return "-" if x is None else f"{x:.4f}"

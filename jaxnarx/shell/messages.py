@@ -1,0 +1,58 @@
+"""What commands tell people: lines, warnings, the next step, whose fault it is."""
+
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from jaxnarx.errors import DataFileError, SpecError
+
+if TYPE_CHECKING:
+    from jaxnarx.data import Dataset
+
+
+def say(text: str = "") -> None:
+    """One line to the user, at once.
+
+    Where nobody reads any longer (`jaxnarx ... | head`), the work goes on in silence,
+    so that its files and its exit code do not depend on who watches.
+    """
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def count(number: int, noun: str) -> str:
+    """`"1 record"`, `"2 records"`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def warn(text: str) -> None:
+    """One line to standard error."""
+    print(f"jaxnarx: {text}", file=sys.stderr)
+
+
+def next_command(*words: str, then: str = "") -> None:
+    """The next sensible command, quoted for the shell."""
+    say(f"\nNext: {shlex.join(words)}{then}")
+
+
+@contextmanager
+def about(source: str) -> Iterator[None]:
+    """What is wrong with the contents of a file is not wrong usage."""
+    try:
+        yield
+    except SpecError as error:
+        lead = "" if source in str(error) else f"{source}: "
+        raise DataFileError(f"{lead}{error}", path=source) from error
+
+
+def size(data: "Dataset") -> str:
+    """How many records and samples, and their distance."""
+    return (
+        f"{count(len(data), 'record')}, {count(data.samples, 'sample')} at "
+        f"{data.sample_time:g} s"
+    )

@@ -1,0 +1,160 @@
+"""A model, or an inverse in front of a model, on new files."""
+
+import math
+
+import numpy as np
+
+from jaxnarx.data import Channels, Dataset, match_channels, read_files
+from jaxnarx.errors import DataError, SpecError
+from jaxnarx.inverse import cascade
+from jaxnarx.models import Network, load
+from jaxnarx.shell import output
+from jaxnarx.shell.commands import Simulate
+from jaxnarx.shell.description import read_description
+from jaxnarx.shell.messages import about, count, next_command, say, size, warn
+from jaxnarx.shell.prepare import as_trained, raw_channels, stored
+from jaxnarx.simulation import predict, simulate
+
+
+def simulate_files(command: Simulate) -> int:
+    """Run freely, or so many steps ahead; returns the exit code."""
+    steps = command.steps
+    if not command.files:
+        raise SpecError("give data files or one TOML description")
+    if steps is not None and steps < 1:
+        raise SpecError(f"--steps must be at least 1, got {steps}")
+    network = load(command.model)
+    data = _new_data(command, network)
+    if steps is not None and steps + network.history > max(map(len, data)):
+        raise SpecError(
+            f"--steps {steps} is beyond the longest record, of "
+            f"{count(max(map(len, data)), 'sample')}"
+        )
+    files = output.file_names(data.names)
+    with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
+        with about(command.files[0]):
+            if steps is None:
+                solution = simulate(network, data)
+            else:
+                solution = predict(network, data, steps)
+        kind = "simulated" if steps is None else "predicted"
+        with output.written_together(folder) as place:
+            for n, file in enumerate(files):
+                text = output.trajectory_csv(solution.value, data, n, kind)
+                output.write_text(place / file, text)
+    for file in files:
+        say(f"wrote {folder / file}")
+    if solution.detail:
+        warn(f"{solution.status_name}: {solution.detail}")
+    next_command(
+        "jaxnarx", "report", command.model, "engine.toml", then="  (to score it)"
+    )
+    return 0
+
+
+def follow(command: Simulate, through: str) -> int:
+    """The cascade of an inverse and a model over files of references."""
+    for option, given in (("--steps", command.steps), ("--prepare", command.prepare)):
+        if given:
+            raise SpecError(f"{option} and --through do not go together")
+    inverse, forward = load(command.model), load(through)
+    data = _records(command, forward.channels, float(forward.sample_time), inverse)
+    files = output.file_names(data.names)
+    with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
+        with about(command.model):
+            solution = cascade(inverse, forward, data)
+        with output.written_together(folder) as place:
+            for n, file in enumerate(files):
+                text = output.tracking_csv(solution.value, data.sample_time, n)
+                output.write_text(place / file, text)
+    for file in files:
+        say(f"wrote {folder / file}")
+    for name, error in zip(
+        solution.value.target_names, solution.value.nrmse(), strict=True
+    ):
+        if math.isfinite(error):
+            say(f"{name} follows its reference with an NRMSE of {error:.4f}")
+    if solution.detail:
+        warn(f"{solution.status_name}: {solution.detail}")
+    return 0
+
+
+def _new_data(command: Simulate, network: Network) -> Dataset:
+    """The records, with the model's channels in its order; prepared if asked to be."""
+    known = stored(command.model)
+    if not command.prepare:
+        if known is not None:
+            say(
+                "The model was identified from prepared records; files must be "
+                "prepared likewise (--prepare does it to raw ones):\n"
+                f"{known.describe()}"
+            )
+        return _records(command, network.channels, float(network.sample_time))
+    if known is None:
+        raise SpecError(
+            f"{command.model} was not identified from prepared records; leave out "
+            "--prepare"
+        )
+    wanted = raw_channels(known, network.channels)
+    raw = _records(command, wanted, known.sample_time)
+    with about(command.files[0]):
+        return as_trained(known, raw, network.channels)
+
+
+def _records(
+    command: Simulate,
+    channels: Channels,
+    sample_time: float,
+    inverse: Network | None = None,
+) -> Dataset:
+    """The records of a description or of files, with these channels in their order.
+
+    An `inverse` computes some of the inputs; its references are needed throughout.
+    """
+    first = command.files[0]
+    if any(f.lower().endswith(".toml") for f in command.files):
+        if len(command.files) > 1:
+            raise SpecError("give one description, or data files, not both")
+        split = read_description(first, command.root)
+        if command.prepare and split.preparation is not None:
+            raise SpecError(f"{first} describes prepared records; leave out --prepare")
+        with about(first):
+            data, extra = match_channels(split.all, channels)
+        say(size(data) + (f"; ignored: {', '.join(extra)}" if extra else ""))
+        return data
+    data = read_files(command.files, channels, sample_time=sample_time, missing="mask")
+    _require_measured(data, command, inverse)
+    whose = "raw" if command.prepare else "model's"
+    say(
+        f"{size(data)}, the {whose} sample time; read "
+        f"{', '.join(data.channels.names)}, ignored any other column"
+    )
+    return data
+
+
+def _require_measured(
+    data: Dataset, command: Simulate, inverse: Network | None
+) -> None:
+    """Inputs must be there always, outputs only where a free run starts."""
+    names = data.channels.names
+    needed = names if command.steps is not None else data.channels.input_names
+    why = (
+        "a free run needs every input" if command.steps is None else "--steps needs it"
+    )
+    if inverse is not None:
+        needed = [n for n in data.channels.input_names if n not in inverse.output_names]
+        why = "the inverse needs it"
+    at = [names.index(n) for n in needed]
+    for path, record in zip(command.files, data, strict=True):
+        missing = ~record.valid[:, at]
+        if missing.any():
+            s = int(np.argmax(missing.any(axis=0)))
+            row = int(np.argmax(missing[:, s]))
+            raise DataError(
+                f"{path}: {needed[s]} has "
+                f"{count(int(missing[:, s].sum()), 'empty or invalid cell')}, first in "
+                f"row {record.start_row + row} (t = {row * data.sample_time:g} s); "
+                f"{why} in every row. Fill the gap, or cut the file there.",
+                channel=needed[s],
+                row=row,
+            )
