@@ -46,10 +46,12 @@ if TYPE_CHECKING:
     from jaxnarx.methods import Anova as Anova
     from jaxnarx.methods import Backward as Backward
     from jaxnarx.methods import BoxJenkins as BoxJenkins
+    from jaxnarx.methods import Case as Case
     from jaxnarx.methods import ForwardOLS as ForwardOLS
     from jaxnarx.methods import Given as Given
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Grid as Grid
+    from jaxnarx.methods import Identification as Identification
     from jaxnarx.methods import LeastSquares as LeastSquares
     from jaxnarx.methods import Lolimot as Lolimot
     from jaxnarx.methods import OutputError as OutputError
@@ -94,6 +96,19 @@ if TYPE_CHECKING:
     from jaxnarx.simulation import simulate as simulate
     from jaxnarx.solution import RESULTS as RESULTS
     from jaxnarx.solution import Solution as Solution
+    from jaxnarx.sweep import Fleet as Fleet
+    from jaxnarx.sweep import IdentificationWork as IdentificationWork
+    from jaxnarx.sweep import OverDevices as OverDevices
+    from jaxnarx.sweep import SweepTable as SweepTable
+    from jaxnarx.sweep import best_per_group as best_per_group
+    from jaxnarx.sweep import grid_cases as grid_cases
+    from jaxnarx.sweep import identify_each as identify_each
+    from jaxnarx.sweep import network_of as network_of
+    from jaxnarx.sweep import paired_comparison as paired_comparison
+    from jaxnarx.sweep import pareto_front as pareto_front
+    from jaxnarx.sweep import random_cases as random_cases
+    from jaxnarx.sweep import read_sweep as read_sweep
+    from jaxnarx.sweep import run_sweep as run_sweep
 
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
@@ -102,9 +117,10 @@ _HOME = {
     "inverse": "cascade compensate inverse_data invertible reachable unity_gain",
     "linear": "LinearModel Regression TransferFunction adapt extended_least_squares "
     "fit_linear least_squares nonlinearity search_orders spectra",
-    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins FIR ForwardOLS "
-    "Given Global Grid LeastSquares Lolimot OutputError PredictionError Recursive "
-    "SigmoidTree SimulationError SimulationOLS StepwiseF TrackingError",
+    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins Case FIR "
+    "ForwardOLS Given Global Grid Identification LeastSquares Lolimot OutputError "
+    "PredictionError Recursive SigmoidTree SimulationError SimulationOLS StepwiseF "
+    "TrackingError",
     "models": "Network load save",
     "partition": "grow",
     "refinement": "Bands Stability Uncertainty bands freeze refine stability "
@@ -117,6 +133,9 @@ _HOME = {
     "select_weighted selection_frequency",
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
+    "sweep": "Fleet IdentificationWork OverDevices SweepTable best_per_group "
+    "grid_cases identify_each network_of paired_comparison pareto_front random_cases "
+    "read_sweep run_sweep",
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
 

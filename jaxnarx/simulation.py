@@ -98,6 +98,15 @@ def tables(network: Network) -> tuple[tuple[int, int], ...]:
 @eqx.filter_jit
 def make_drive(network: Network, batch: Batch) -> Drive:
     """Lagged and scheduling variables of every record."""
+    return drive_of(network, batch.signals, jnp.asarray(batch.valid))
+
+
+def drive_of(
+    network: Network,
+    signals: Float[Array, "records time signals"],
+    valid: Bool[Array, "records time signals"],
+) -> Drive:
+    """The same inside a program, from the arrays of a batch."""
 
     def one(record):
         signals, valid = record
@@ -105,7 +114,7 @@ def make_drive(network: Network, batch: Batch) -> Drive:
         scaled = signals / network.gain[None]
         return v, x, scaled[:, np.array(network.signals)]
 
-    return Drive(*jax.lax.map(one, (batch.signals, batch.valid)))
+    return Drive(*jax.lax.map(one, (signals, valid)))
 
 
 def make_masks(network: Network, batch: Batch) -> Masks:

@@ -58,6 +58,26 @@ def test_forward_model_of_chapter_7(tmp_path):
 
 
 @pytest.mark.slow
+def test_inverse_of_chapter_7(tmp_path):
+    done = experiment("thesis/chapter7_inverse.py", "--results", str(tmp_path))
+    assert "refined lower by" in done.stdout
+    content = json.loads((tmp_path / "chapter7_inverse.json").read_text())
+    (row,) = content["figures"]["rows"]
+    assert set(row["inverse"]["direct"]["test"]["free_run"]) == {"SA", "THR"}
+    # What knows more cannot be told worse: the bound has all but the spark exactly.
+    spark = row["spark"]
+    assert spark["bound"]["fit"] > spark["bound_with_our_torque_error"]["fit"]
+    assert spark["sensitivity"]["far"] > 3 * spark["sensitivity"]["near"]
+    # Feedforward by the model is guarded on the model.
+    assert row["compensate"]["end"] <= row["compensate"]["start"] * (1 + 1e-9)
+    assert set(row["bed"]) == set(row["mismatch"][0])
+    assert {one["target"] for one in content["figures"]["diesel"]} == {"W_c", "p_im"}
+    for name in ("data", "fits", "spark", "tracking", "unity", "diesel"):
+        figure = tmp_path / f"chapter7_inverse_{name}.png"
+        assert figure.stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_trees_without_peers(tmp_path):
     figures = run("trees.py", results=tmp_path / "results")["trees"]
     (surface,) = figures["surface"]["runs"]

@@ -36,7 +36,10 @@ def compensate(
     What is minimised is the tracking error of `cascade` plus the price of moving the
     commands, with the limits inside the loop; see `TrackingError`. Coefficients and
     partition of the inverse move, or what is True in `trainable` (`jaxnarx.freeze`).
-    `references` and `validation` are as for `cascade`.
+    `references` and `validation` are as for `cascade`. Outputs that the model itself
+    gives (`simulate` under recorded commands) are better references than the recorded
+    ones where the model misses more than the inverse: with the recorded ones, the
+    inverse is trained to make good an error of the model that the plant does not have.
 
     After every accepted step the cascade over whole records of `validation` (default:
     of `references`) is scored by the same loss; the best inverse by that score is

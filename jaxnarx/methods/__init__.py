@@ -9,6 +9,7 @@ from jaxnarx.methods.partition import Given, Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
+from jaxnarx.methods.sweep import Case, Identification
 
 __all__ = [
     "ARMAX",
@@ -18,10 +19,12 @@ __all__ = [
     "Anova",
     "Backward",
     "BoxJenkins",
+    "Case",
     "ForwardOLS",
     "Given",
     "Global",
     "Grid",
+    "Identification",
     "LeastSquares",
     "Lolimot",
     "OptimalDesign",

@@ -44,6 +44,7 @@ _WORDS = (
         "[data] of a description.",
     ),
     ("root=...", "--root"),
+    ("new=True (--new-run)", "--new-run"),
 )
 """What messages of the library advise in Python, and how a description says it."""
 

@@ -369,12 +369,60 @@ class SimulateEngine:
     """Overwrite files of an earlier run."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """Identify many engines under many settings, in a folder that can be continued.
+
+    The description (TOML) names engines, the identification and the cases. Every
+    finished chunk is a file of the run folder: give the same command again to continue
+    a sweep that was stopped, or run it in several terminals at once to share the work.
+    A fit that fails is a row with its status. The rows are table.parquet and table.csv.
+
+    Example:
+        jaxnarx sweep ridge.toml --folder runs/ridge --workers 2
+
+    A small description, ridge.toml:
+        [data]
+        bed = "pfi-dyno"
+        count = 16
+        spread = 0.05
+        [identification]
+        output = "MAP"
+        scheduling = ["speed[t]"]
+        [cases]
+        ridge = [1e-6, 1e-4]
+        train = ["coefficients", "joint"]
+
+    In place of bed: engines = ["engines/*.toml"], descriptions of measured ones. In
+    place of [cases]: [random] with count, seed and ranges as ["log", 1e-6, 1e-2].
+    """
+
+    description: Positional[_Description]
+    """TOML description of the sweep."""
+    folder: _Folder = None
+    """Run folder; default: runs/ and the description's name."""
+    workers: int = 1
+    """Processes, each on a core of its own."""
+    chunk: int = 32
+    """Fits of a chunk; what is in flight when the sweep stops is lost."""
+    new_run: _Flag = False
+    """Begin anew; an earlier sweep in the folder is set aside, not removed."""
+
+
 def _kebab(name: str) -> str:
     """A class name as it is typed: `SimulateEngine` is `simulate-engine`."""
     return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
 
 
 Command = (
-    Demo | Identify | Simulate | Invert | Report | Check | Prepare | SimulateEngine
+    Demo
+    | Identify
+    | Simulate
+    | Invert
+    | Report
+    | Check
+    | Prepare
+    | SimulateEngine
+    | Sweep
 )
 COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

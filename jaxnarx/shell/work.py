@@ -33,6 +33,8 @@ def run(command: commands.Command, *, typed: str) -> int:
         return _identify(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
+    if isinstance(command, commands.Sweep):
+        return _sweep(command)
     if isinstance(command, commands.Simulate):
         return _simulate(command)
     return _report(command, typed)
@@ -250,6 +252,13 @@ def _invert(command: commands.Invert, typed: str) -> int:
         )
     model = str(folder / FILES[0])
     next_command("jaxnarx", "simulate", model, "wanted.csv", "--through", command.model)
+    return 0
+
+
+def _sweep(command: commands.Sweep) -> int:
+    from jaxnarx.shell.sweep import sweep
+
+    sweep(command)
     return 0
 
 

@@ -1,0 +1,114 @@
+"""A structure found on one engine, refitted on another: work for a sweep's folder."""
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import jaxnarx as jnx
+from jaxnarx.refinement import freeze
+
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RefitWork:
+    """Terms and regions of a donor; coefficients made anew on every engine.
+
+    `pairs` are (engine, structure, donor): the name of the engine to fit, what the
+    table calls the structure, and the engine in whose row of `rows` it was found. The
+    regions are the donor's refined ones, in physical units. Local least squares, then
+    the coefficients alone by `refinement`, judged by the validation record. Structure
+    `"as it is"` is the donor's network without any fit.
+    """
+
+    fleet: jnx.Fleet
+    method: jnx.Identification
+    rows: dict[str, Row]
+    pairs: Sequence[tuple[str, str, str]]
+    refinement: jnx.SimulationError
+
+    @property
+    def members(self) -> list[Row]:
+        """Engine, structure and donor of every fit."""
+        names = ("engine", "structure", "donor")
+        return [dict(zip(names, pair, strict=True)) for pair in self.pairs]
+
+    def describe(self) -> dict[str, Any]:
+        """The settings, and digests of fleet and donors."""
+        donors = sorted({donor for _, _, donor in self.pairs})
+        keys = ("term_index", "partition", "coefficient")
+        told = repr([[self.rows[d][key] for key in keys] for d in donors])
+        return {
+            "kind": "refitted structures",
+            "fleet": self.fleet.digest(),
+            "donors": hashlib.sha256(told.encode()).hexdigest(),
+            "method": repr(self.method),
+            "refinement": repr(self.refinement),
+        }
+
+    def run(self, indices: Sequence[int]) -> list[Row]:
+        """A row for each pair."""
+        return [self._one(*self.pairs[n]) for n in indices]
+
+    @functools.cached_property
+    def pool(self) -> jnx.Pool:
+        """The candidates of the sweep that found the structures."""
+        return jnx.IdentificationWork(self.fleet, self.method).pool_of_all
+
+    def _one(self, engine: str, structure: str, donor: str) -> Row:
+        own = self.fleet.index(engine)
+        if self.fleet.status[own] != "ok":
+            return {"status": self.fleet.status[own]} | _figures({})
+        data = {p: self.fleet.dataset(own, p) for p in self.fleet.parts}
+        row = self.rows[donor]
+        network = jnx.network_of(self.fleet, row, self.method)
+        status = "ok"
+        if structure != "as it is":
+            terms = terms_of(self.pool, row["term_index"])
+            start = jnx.grow(terms, data["train"], jnx.Given(network)).value
+            solution = jnx.refine(
+                *(start, data["train"], self.refinement),
+                validation=data["validation"],
+                trainable=freeze(start, partition=False),
+            )
+            network, status = solution.value, solution.status_name
+        found = {p: free_run(network, d) for p, d in data.items()}
+        if not all(np.isfinite(list(found.values()))):
+            status = "diverged"
+        return {"status": status} | _figures(found)
+
+
+def _figures(found: dict[str, float]) -> Row:
+    parts = ("train", "validation", "test")
+    return {f"{part}_free_run": found.get(part) for part in parts}
+
+
+def terms_of(pool: jnx.Pool, index: Sequence[int]) -> jnx.Pool:
+    """The pool of some terms alone."""
+    return dataclasses.replace(pool, factor=pool.factor[np.asarray(index)])
+
+
+def free_run(network: jnx.Network, data: jnx.Dataset) -> float:
+    """NRMSE of the free run of a record, infinite where it has diverged."""
+    solution = jnx.simulate(network, data)
+    if solution.status_name != "ok":
+        return float("inf")
+    first = network.history
+    y = np.concatenate([r.y[first:, 0] for r in data])
+    value = solution.value
+    run = np.concatenate([value[n][first:, 0] for n in range(len(value))])
+    return float(np.sqrt(np.mean((y - run) ** 2)) / np.std(y))
+
+
+def restricted(
+    fleet: jnx.Fleet, method: jnx.Identification, row: Row, lanes: int
+) -> jnx.IdentificationWork:
+    """Every engine with the terms of a row, and regions of its own."""
+    pool = jnx.IdentificationWork(fleet, method).pool_of_all
+    few = dataclasses.replace(method, max_terms=len(row["term_index"]))
+    terms = terms_of(pool, row["term_index"])
+    return jnx.IdentificationWork(fleet, few, pool=terms, lanes=lanes)

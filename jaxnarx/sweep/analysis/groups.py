@@ -1,0 +1,64 @@
+"""Best member of every group, the front of several scores, counts of statuses."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.evaluation import pareto
+from jaxnarx.solution import NAMES
+from jaxnarx.sweep.analysis.table import SweepTable
+
+
+def best_per_group(
+    table: SweepTable, group: str | Sequence[str], by: str, *, smallest: bool = True
+) -> SweepTable:
+    """The row of every group with the best score, in the order the groups appear.
+
+    `group` names the columns whose values make a group, `by` the score. Rows that
+    failed and scores that are not finite do not compete; a group without another row is
+    left out. Of equal rows the first wins.
+    """
+    score = _scores(table, by) * (1.0 if smallest else -1.0)
+    best: dict[tuple[Any, ...], int] = {}
+    for i, label in enumerate(labels(table, group)):
+        if np.isfinite(score[i]) and score[i] < score[best.setdefault(label, i)]:
+            best[label] = i
+    kept = [i for i in best.values() if np.isfinite(score[i])]
+    return table.take(np.array(kept, np.int64))
+
+
+def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
+    """The rows that no other beats in all objectives, each to be made small.
+
+    Rows that failed and values that are not finite do not compete. The rows come in the
+    order of the first objective. See `jaxnarx.pareto`.
+    """
+    points = np.stack([_scores(table, name) for name in objectives], axis=1)
+    points[~np.isfinite(points).all(axis=1)] = np.nan
+    chosen = np.flatnonzero(pareto(points))
+    return table.take(chosen[np.argsort(points[chosen, 0], kind="stable")])
+
+
+def summary(table: SweepTable) -> dict[str, int]:
+    """How many rows have which status, in the order of the table of statuses."""
+    found = table.column("status").tolist()
+    names = [*NAMES, *sorted(set(found) - set(NAMES))]
+    return {name: found.count(name) for name in names if name in found}
+
+
+def labels(table: SweepTable, names: str | Sequence[str]) -> list[tuple[Any, ...]]:
+    """The values of some columns, row by row; lists become tuples."""
+    names = [names] if isinstance(names, str) else list(names)
+    columns = [table.column(name).tolist() for name in names]
+    return [tuple(map(_fixed, row)) for row in zip(*columns, strict=True)]
+
+
+def _fixed(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _scores(table: SweepTable, name: str) -> Float[np.ndarray, " rows"]:
+    """A score of every row, NaN where the row failed."""
+    return np.where(table.okay, table.numbers(name), np.nan)

@@ -1,0 +1,101 @@
+"""The rows of a sweep as a value."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Bool, Shaped
+
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.solution import NAMES, OKAY
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepTable:
+    """One row per member of a sweep: index, labels, status, scores, seconds, message.
+
+    `arrow` is the table as it is kept in `folder`; `where` and `take` make smaller
+    ones. A score that a failed member does not have is null there and NaN in `column`.
+    """
+
+    arrow: pa.Table
+    folder: Path | None = None
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[dict[str, Any]]) -> "SweepTable":
+        """A table of dictionaries; keys that a row lacks are null there."""
+        from jaxnarx.sweep.folder.chunks import arrow_table
+
+        return cls(arrow_table(rows))
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return self.arrow.num_rows
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns."""
+        return list(self.arrow.column_names)
+
+    def column(self, name: str) -> Shaped[np.ndarray, " rows"]:
+        """A column as an array; numbers that are not there are NaN, lists objects."""
+        if name not in self.names:
+            raise SpecError(
+                f"the table has no column {name!r}. {suggest(name, self.names)}",
+                field="name",
+            )
+        column = self.arrow.column(name)
+        if pa.types.is_nested(column.type):
+            values = np.empty(len(self), object)
+            values[:] = column.to_pylist()
+            return values
+        if pa.types.is_null(column.type):
+            return np.full(len(self), np.nan)
+        return column.to_numpy(zero_copy_only=False)
+
+    def numbers(self, name: str) -> Shaped[np.ndarray, " rows"]:
+        """A column as float64; SpecError where it is not of numbers."""
+        values = self.column(name)
+        if values.dtype.kind in "biuf":
+            return values.astype(float)
+        if not any(isinstance(v, str | list) for v in values):
+            return np.array([np.nan if v is None else float(v) for v in values])
+        raise SpecError(f"column {name!r} does not hold numbers", field="name")
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows as dictionaries."""
+        return iter(self.arrow.to_pylist())
+
+    def take(self, which: Shaped[np.ndarray, " chosen"]) -> "SweepTable":
+        """The rows a mask or array of positions picks."""
+        if which.dtype.kind == "b" and len(which) != len(self):
+            raise SpecError(
+                f"a mask of {len(which)} for {len(self)} rows", field="which"
+            )
+        kept = np.flatnonzero(which) if which.dtype.kind == "b" else which
+        return SweepTable(self.arrow.take(pa.array(kept, pa.int64())), self.folder)
+
+    def where(self, **labels: Any) -> "SweepTable":
+        """The rows whose columns have these values, or one of them for a list."""
+        mask = np.ones(len(self), bool)
+        for name, wanted in labels.items():
+            choice = wanted if isinstance(wanted, list | tuple | set) else [wanted]
+            mask &= np.array([value in choice for value in self.column(name)], bool)
+        return self.take(mask)
+
+    @property
+    def okay(self) -> Bool[np.ndarray, " rows"]:
+        """Where the status is an informative end rather than a failure."""
+        return np.array([s in NAMES[:OKAY] for s in self.column("status")], bool)
+
+    def to_pandas(self) -> Any:
+        """The table as a pandas frame; pandas must be installed."""
+        try:
+            return self.arrow.to_pandas()
+        except ImportError as error:
+            raise ImportError(
+                "to_pandas needs pandas: pip install pandas, or use column and rows"
+            ) from error

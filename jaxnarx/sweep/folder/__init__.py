@@ -1,0 +1,1 @@
+"""The folder of a sweep: what it is, which chunks are done, who works on which."""

@@ -1,0 +1,231 @@
+"""Select, grow, refine and score as one function of arrays, and that for many lanes."""
+
+import dataclasses
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
+from jaxnarx.refinement import Layout, make_layout
+from jaxnarx.regressors import evaluate
+from jaxnarx.simulation import Drive, drive_of
+from jaxnarx.solution import NAMES
+from jaxnarx.sweep.identify.choose import Chosen, choose
+from jaxnarx.sweep.identify.divide import Divided, Rows, divide, fitted
+from jaxnarx.sweep.identify.frame import Frame
+from jaxnarx.sweep.identify.member import Member, Part
+from jaxnarx.sweep.identify.score import Score, score
+from jaxnarx.sweep.identify.settings import Settings
+from jaxnarx.sweep.identify.train import Ground, Trained, schedule, train
+
+
+class Outcome(eqx.Module):
+    """What becomes of one engine under one case.
+
+    `scores` are by part, of shape (start and end, one step and free run); coefficients
+    and validity those of the end. `history` holds the training loss after every turn of
+    the refinement, `guard` the best loss of the records that judge.
+    """
+
+    status: Int[Array, "*lanes"]
+    chosen: Chosen
+    models: Int[Array, "*lanes"]
+    theta: Float[Array, "*lanes models terms"]
+    validity: AbstractValidity
+    scores: dict[str, Score]
+    steps: Int[Array, "*lanes"]
+    history: Float[Array, "*lanes turns"]
+    guard: Float[Array, "*lanes turns"]
+
+
+@eqx.filter_jit
+def identify_lanes(
+    frame: Frame, members: Member, settings: Settings, *, at_once: int
+) -> Outcome:
+    """Every lane of stacked members and settings, `at_once` of them side by side.
+
+    One compiled program for every frame and shape; 1 takes one lane after the other.
+    """
+    lane = partial(identify_lane, frame)
+    size = None if at_once == 1 else at_once
+    return jax.lax.map(lambda a: lane(*a), (members, settings), batch_size=size)
+
+
+def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
+    """One engine under one case."""
+    drive = _drive(member, member.train)
+    v = jnp.moveaxis(drive.v, 1, 0).reshape(drive.v.shape[1], -1)
+    y = drive.measured.reshape(-1)
+    weight = jnp.asarray(member.weight).reshape(-1)
+    variables = jnp.asarray(member.variables) & jnp.asarray(settings.variables)
+    chosen = choose(frame, v, y, weight, variables, settings)
+    p = jnp.where(chosen.used[:, None], evaluate(chosen.factor, v), 0.0)
+    rows = Rows(p, _scheduling(member.network, drive), y, weight)
+    least = jnp.sum(chosen.used)
+    divided = divide(frame.method, rows, least, settings)
+    network = _network(member.network, chosen, divided)
+    trained, start, layout = _refined(frame, member, network, drive, rows, settings)
+    ends = jnp.stack([start, trained.u])
+    scores = _scores(member, layout, drive, ends)
+    model = layout.place(trained.u).models[0]
+    return Outcome(
+        _status(chosen, trained, scores, settings),
+        chosen,
+        divided.count,
+        model.local.coefficient,
+        model.validity,
+        scores,
+        trained.accepted,
+        trained.loss,
+        trained.judged,
+    )
+
+
+def _drive(member: Member, part: Part) -> Drive:
+    return drive_of(member.network, jnp.asarray(part.signals), jnp.asarray(part.valid))
+
+
+def _scheduling(network: Network, drive: Drive) -> Float[Array, "dims rows"]:
+    """Scaled scheduling variables of all rows."""
+    model = network.models[0]
+    dims, rows = len(model.offset), drive.measured.size
+    x = jnp.moveaxis(drive.x[0], 1, 0).reshape(dims, rows)
+    return (x - model.offset[:, None]) / model.span[:, None]
+
+
+def _network(network: Network, chosen: Chosen, divided: Divided) -> Network:
+    """The member's network with the model that was grown."""
+    models, slots = divided.theta.shape
+    local = LocalModels(
+        chosen.factor,
+        jnp.broadcast_to(jnp.arange(slots), (models, slots)),
+        jnp.broadcast_to(chosen.used, (models, slots)),
+        divided.theta,
+    )
+    active = jnp.arange(models) < divided.count
+    frame = network.models[0]
+    model = OutputModel(
+        frame.scheduling, frame.offset, frame.span, divided.validity, active, local
+    )
+    return dataclasses.replace(network, models=(model,))
+
+
+def trainable(network: Network) -> Network:
+    """Coefficients and partition, whatever the count of active models."""
+    tree = jax.tree.map(lambda _: False, network)
+
+    def where(n: Network) -> list:
+        return [n.models[0].local.coefficient, *n.models[0].validity.parameters]
+
+    return eqx.tree_at(where, tree, [True] * len(where(network)))
+
+
+def _refined(
+    frame: Frame,
+    member: Member,
+    network: Network,
+    drive: Drive,
+    rows: Rows,
+    settings: Settings,
+) -> tuple[Trained, Float[Array, " params"], Layout]:
+    """The end and the start of the refinement, as vectors of its layout."""
+    layout = make_layout(network, trainable(network), frame.method.width_band)
+    u = _scattered(layout, network, rows, settings)
+    weight, spread = _weight(member.train, drive, None)
+    if frame.method.objective == "prediction":
+        weight = jnp.where(jnp.asarray(member.train.anchors)[..., None], weight, 0.0)
+    judging = member.train if member.validation is None else member.validation
+    guard = drive if member.validation is None else _drive(member, judging)
+    ground = Ground(
+        layout,
+        drive,
+        member.train,
+        weight,
+        guard,
+        judging,
+        _weight(judging, guard, spread)[0],
+        *_moving(layout, settings),
+    )
+    return train(ground, u, settings, schedule(frame.method)), u, layout
+
+
+def _moving(
+    layout: Layout, settings: Settings
+) -> tuple[Bool[Array, " params"], Bool[Array, " params"]]:
+    """Which parameters the case trains on full records, and which in windows."""
+    at = jnp.arange(layout.parameters)
+    own = at < layout.coefficients().size
+    moving = jnp.where(
+        own, jnp.asarray(settings.coefficients), jnp.asarray(settings.partition)
+    )
+    return moving, moving & (own | ~jnp.asarray(settings.staged))
+
+
+def _weight(part: Part, drive: Drive, spread: Float[Array, ""] | None):
+    """Weights that make mean squared NRMSE, and the output's standard deviation."""
+    counted = jnp.asarray(part.scored)
+    own = counted.astype(drive.measured.dtype)
+    total = jnp.maximum(jnp.sum(own), 1.0)
+    if spread is None:
+        mean = jnp.sum(own * drive.measured) / total
+        square = jnp.sum(own * (drive.measured - mean) ** 2) / total
+        spread = jnp.sqrt(jnp.where(square > 0, square, 1.0))
+    return own / (total * spread**2), spread
+
+
+def _scattered(
+    layout: Layout, network: Network, rows: Rows, settings: Settings
+) -> Float[Array, " params"]:
+    """The start: as grown, or with the partition moved and the models fitted anew."""
+    u = layout.gather(network)
+    scatter = jnp.asarray(settings.scatter)
+    key = jax.random.fold_in(jax.random.key(settings.seed), 1)
+    noise = scatter * jax.random.normal(key, u.shape, u.dtype)
+    moved = jnp.where(jnp.isfinite(layout.low), u + noise, u)
+    placed = layout.place(jnp.clip(moved, -layout.wall, layout.wall))
+    model = placed.models[0]
+    theta = fitted(rows, model.validity, model.active, settings)
+    placed = eqx.tree_at(lambda n: n.models[0].local.coefficient, placed, theta)
+    return jnp.where(scatter > 0, layout.gather(placed), u)
+
+
+def _scores(
+    member: Member, layout: Layout, drive: Drive, ends: Float[Array, "2 params"]
+) -> dict[str, Score]:
+    """Of every part: start and end, one step and free run."""
+    parts = {"train": (member.train, drive)}
+    for name, part in (("validation", member.validation), ("test", member.test)):
+        if part is not None:
+            parts[name] = part, _drive(member, part)
+
+    def of(part: Part, drive: Drive) -> Score:
+        def one(turn):
+            u, free = turn
+            return score(layout.place(u), drive, part, free)
+
+        turns = jnp.repeat(ends, 2, axis=0), jnp.asarray([False, True, False, True])
+        found = jax.lax.map(one, turns)
+        return jax.tree.map(lambda a: a.reshape(2, 2), found)
+
+    return {name: of(*both) for name, both in parts.items()}
+
+
+def _status(
+    chosen: Chosen, trained: Trained, scores: dict[str, Score], settings: Settings
+) -> Int[Array, ""]:
+    """The worst that can be said, as the code of a status."""
+    code = {name: jnp.asarray(n) for n, name in enumerate(NAMES)}
+    limit = float(jnp.finfo(chosen.condition.dtype).eps) ** -0.5
+    lost = jnp.any(jnp.stack([s.diverged[1, 1] for s in scores.values()]))
+    asked = jnp.asarray(settings.steps) > 0
+    asked &= jnp.asarray(settings.coefficients) | jnp.asarray(settings.partition)
+    same = ~trained.best.better(trained.start)
+    status = jnp.where(asked & same, code["no_improvement"], code["ok"])
+    collinear = ~(chosen.condition <= limit) | ~jnp.any(chosen.used)
+    status = jnp.where(collinear, code["unidentifiable"], status)
+    status = jnp.where(lost, code["diverged"], status)
+    never = trained.start.diverged & trained.best.diverged
+    return jnp.where(never, code["start_diverged"], status)

@@ -1,0 +1,172 @@
+"""Outcomes as rows of a table, and a row as a network again."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Identification
+from jaxnarx.models import (
+    AbstractValidity,
+    Boxes,
+    Compact,
+    Gaussians,
+    Network,
+    SigmoidTree,
+    local_models,
+    output_model,
+)
+from jaxnarx.regressors import Pool
+from jaxnarx.solution import NAMES
+from jaxnarx.sweep.fleet import PARTS, Fleet
+from jaxnarx.sweep.identify.frame import make_pool
+from jaxnarx.sweep.identify.member import Prepared, prepare
+from jaxnarx.sweep.identify.program import Outcome
+
+Row = dict[str, Any]
+
+WHEN = ("_start", "")
+MODES = ("one_step", "free_run")
+LISTS = (
+    "term_names",
+    "term_index",
+    "term_err",
+    "coefficient",
+    "centre",
+    "width",
+    "partition",
+    "loss_history",
+    "guard_history",
+)
+
+
+def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
+    """`train_one_step_start`, ..., `test_free_run`: before and after the refinement."""
+    return [f"{p}_{mode}{when}" for p in parts for when in WHEN for mode in MODES]
+
+
+def empty_row(fleet: Fleet, prepared: Prepared) -> Row:
+    """Of a member whose data cannot be used."""
+    scores = score_names(tuple(fleet.parts))
+    return (
+        {"status": prepared.status, "detail": prepared.detail}
+        | dict.fromkeys(scores)
+        | {f"{name}_diverged": None for name in scores}
+        | {"term_count": 0, "model_count": 0, "steps_taken": 0, "condition": None}
+        | {name: [] for name in LISTS}
+    )
+
+
+def row_of(pool: Pool, outcome: Outcome) -> Row:
+    """Plain Python from the arrays of one lane.
+
+    A score is the pooled NRMSE, infinite where a record has diverged. `coefficient`
+    lists the terms of the first model, then of the second; `centre` and `width` the
+    dimensions, scaled to the training range (empty where the validity functions are not
+    Gaussian); `partition` all that the validity functions hold, for `network_of`.
+    """
+    count, used = int(outcome.models), np.asarray(outcome.chosen.used)
+    index = np.asarray(outcome.chosen.index)[used].tolist()
+    shape = trimmed(outcome.validity, count)
+    scores: Row = {}
+    lost: Row = {}
+    for part in (p for p in PARTS if p in outcome.scores):
+        score = outcome.scores[part]
+        for w, when in enumerate(WHEN):
+            for m, mode in enumerate(MODES):
+                name = f"{part}_{mode}{when}"
+                scores[name] = float(score.nrmse[w, m])
+                lost[f"{name}_diverged"] = bool(score.diverged[w, m])
+    gaussian = isinstance(shape, Gaussians)
+    row: Row = {"status": NAMES[int(outcome.status)], "detail": ""}
+    row |= scores | lost
+    row |= {
+        "term_count": len(index),
+        "model_count": count,
+        "steps_taken": int(outcome.steps),
+        "condition": float(outcome.chosen.condition),
+        "term_names": [pool.name(t) for t in index],
+        "term_index": index,
+        "term_err": _flat(outcome.chosen.err[used]),
+        "coefficient": _flat(outcome.theta[:count][:, used]),
+        "centre": _flat(shape.centre) if gaussian else [],
+        "width": _flat(np.exp(shape.log_width)) if gaussian else [],
+        "partition": [x for leaf in jax.tree.leaves(shape) for x in _flat(leaf)],
+        "loss_history": _flat(outcome.history),
+        "guard_history": _flat(outcome.guard),
+    }
+    return row
+
+
+def _flat(values: Any) -> list[float]:
+    return np.asarray(values, float).reshape(-1).tolist()
+
+
+def trimmed(validity: AbstractValidity, count: int) -> AbstractValidity:
+    """The validity functions of the first `count` models alone."""
+    if isinstance(validity, SigmoidTree):
+        gates = max(count - 1, 0)
+        cut = (
+            *(getattr(validity, name)[:gates] for name in validity.trained),
+            validity.path[:count, :gates],
+        )
+        return eqx.tree_at(lambda v: (*v.parameters, v.path), validity, cut)
+    return jax.tree.map(lambda a: a[:count], validity)
+
+
+def _like(method: Identification, count: int, dims: int, dtype) -> AbstractValidity:
+    """Validity functions of the right kind and size."""
+    each = jnp.zeros((count, dims), dtype)
+    if method.partition == "tree" and dims:
+        gates = jnp.zeros(count - 1, dtype)
+        path = jnp.zeros((count, count - 1), int)
+        return SigmoidTree(each[1:], gates, gates, path)
+    if method.validity == "boxes" and dims:
+        return Boxes(each, each)
+    if method.validity == "compact" and dims:
+        return Compact(each, each, each)
+    return Gaussians(each, each)
+
+
+def network_of(
+    fleet: Fleet, row: Row, method: Identification, *, pool: Pool | None = None
+) -> Network:
+    """The refined network of a row; `row["engine"]` names the member.
+
+    Fleet, method and pool are those of the sweep: gains and ranges come from the data.
+    """
+    pool = make_pool(method, fleet.channels) if pool is None else pool
+    prepared = prepare(fleet, fleet.index(row["engine"]), method, pool)
+    if prepared.member is None or not row["term_index"]:
+        raise SpecError(
+            f"engine {row['engine']!r} has no network: {row['status']}", field="row"
+        )
+    frame = jax.tree.map(jnp.asarray, prepared.member.network)
+    old, count = frame.models[0], int(row["model_count"])
+    dtype = old.offset.dtype
+    like = _like(method, count, old.offset.shape[0], dtype)
+    theta = np.asarray(row["coefficient"], dtype).reshape(count, -1)
+    factor = pool.factor[np.asarray(row["term_index"])]
+    model = output_model(
+        local_models(factor, theta),
+        _filled(like, row["partition"]),
+        old.scheduling,
+        np.asarray(old.offset),
+        np.asarray(old.span),
+    )
+    return dataclasses.replace(frame, models=(model,))
+
+
+def _filled(like: AbstractValidity, values: list[float]) -> AbstractValidity:
+    leaves, shape = jax.tree.flatten(like)
+    ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
+    pieces = np.split(np.asarray(values, float), ends)
+    new = [
+        jnp.asarray(piece.reshape(leaf.shape).astype(leaf.dtype))
+        for piece, leaf in zip(pieces, leaves, strict=True)
+    ]
+    return jax.tree.unflatten(shape, new)

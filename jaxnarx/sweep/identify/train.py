@@ -1,0 +1,253 @@
+"""The refinement inside the program: Levenberg-Marquardt of a fixed number of steps.
+
+A step raises the damping until the training loss with the pull of the ridge falls, and
+then takes the normal equations there; what a step has reached is judged by the free run
+of the validation records. The best by that judgement is the result: it is never worse
+there than the start. Steps, damping, ridge and limits are those of
+`jaxnarx.refinement`, and so are the results; only that a quiet search does not stop
+before its last step is not.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.arrays.least_squares import cholesky_solve
+from jaxnarx.methods import Identification
+from jaxnarx.refinement import Layout, loss, normal_equations
+from jaxnarx.refinement.levenberg import (
+    DAMPING_LIMIT,
+    DAMPING_START,
+    GROW,
+    REACH,
+    SHRINK,
+)
+from jaxnarx.simulation import Drive, run
+from jaxnarx.sweep.identify.member import Part
+from jaxnarx.sweep.identify.score import free_anchors, held
+from jaxnarx.sweep.identify.settings import Settings
+
+FULL = 2**30
+"""A window longer than any record."""
+
+
+class Ground(eqx.Module):
+    """What a refinement reads and never changes.
+
+    `weight` makes mean squared NRMSE of the training errors, `guard_weight` of those of
+    the records that judge; `moving` marks the parameters trained on full records,
+    `early` those trained in windows.
+    """
+
+    layout: Layout
+    drive: Drive
+    part: Part
+    weight: Float[Array, "records time outputs"]
+    guard: Drive
+    guard_part: Part
+    guard_weight: Float[Array, "_ _ outputs"]
+    moving: Bool[Array, " params"]
+    early: Bool[Array, " params"]
+
+
+class Judged(eqx.Module):
+    """Whether a free run diverges, and its loss."""
+
+    diverged: Bool[Array, ""]
+    loss: Float[Array, ""]
+
+    def better(self, other: "Judged") -> Bool[Array, ""]:
+        """Whether this is the better one: a network that runs beats one that does
+        not."""
+        same = self.diverged == other.diverged
+        return jnp.where(same, self.loss < other.loss, other.diverged)
+
+
+class State(eqx.Module):
+    """Where the search stands, and the best so far by judgement."""
+
+    u: Float[Array, " params"]
+    loss: Float[Array, ""]
+    gradient: Float[Array, " params"]
+    gram: Float[Array, "params params"]
+    damping: Float[Array, ""]
+    origin: Float[Array, " params"]
+    pull: Float[Array, " params"]
+    best: Float[Array, " params"]
+    judged: Judged
+    accepted: Int[Array, ""]
+
+
+class Turn(eqx.Module):
+    """What one turn of the loop does: window length, and its place in the stage."""
+
+    horizon: Int[Array, "*turns"]
+    step: Int[Array, "*turns"]
+    full: Bool[Array, "*turns"]
+
+
+class Trained(eqx.Module):
+    """The best parameters, whether they are the start's, and the way there.
+
+    `loss` and `judged` hold where the search stood after every turn.
+    """
+
+    u: Float[Array, " params"]
+    start: Judged
+    best: Judged
+    accepted: Int[Array, ""]
+    loss: Float[Array, " turns"]
+    judged: Float[Array, " turns"]
+
+
+def schedule(method: Identification) -> Turn:
+    """Stages of growing windows, then full records; a stage begins with step zero."""
+    if method.objective == "prediction":
+        stages = [(1, method.steps, True)]
+    else:
+        stages = [(h, method.window_steps, False) for h in method.horizons]
+        stages.append((FULL, method.steps, True))
+    rows = [(h, n, full) for h, steps, full in stages for n in range(steps + 1)]
+    horizon, step, full = (jnp.asarray(np.array(c)) for c in zip(*rows, strict=True))
+    return Turn(horizon, step, full)
+
+
+def train(
+    ground: Ground, u: Float[Array, " params"], settings: Settings, turns: Turn
+) -> Trained:
+    """Run the whole schedule from `u`."""
+    zero = jnp.zeros_like(u)
+    begin = State(
+        u,
+        jnp.asarray(jnp.inf, u.dtype),
+        zero,
+        jnp.zeros((u.size, u.size), u.dtype),
+        jnp.asarray(DAMPING_START, u.dtype),
+        u,
+        zero,
+        u,
+        judge(ground, u),
+        jnp.asarray(0),
+    )
+    ridge = jnp.asarray(settings.ridge)
+    room = jnp.asarray(settings.steps)
+    # Windows are no use to a case without any step on full records.
+    anything = jnp.any(ground.moving) & (room > 0)
+
+    def body(s: State, turn: Turn):
+        active = anything & (~turn.full | (turn.step <= room))
+        s = jax.lax.cond(
+            active, lambda s: advanced(ground, s, turn, ridge), lambda s: s, s
+        )
+        return s, (s.loss, s.judged.loss)
+
+    end, (loss, judged) = jax.lax.scan(body, begin, turns)
+    return Trained(end.best, begin.judged, end.judged, end.accepted, loss, judged)
+
+
+def judge(ground: Ground, u: Float[Array, " params"]) -> Judged:
+    """The free run of the records that judge."""
+    network = ground.layout.place(u)
+    y = run(network, ground.guard, free_anchors(ground.guard_part))
+    error = y - ground.guard.measured
+    weight = ground.guard_weight
+    loss = jnp.sum(jnp.where(weight > 0, weight * error**2, 0.0))
+    return Judged(held(network, y, ground.guard_part), loss)
+
+
+class Trial(eqx.Module):
+    """A point that may be taken, and whether the loss is lower there."""
+
+    u: Float[Array, " params"]
+    damping: Float[Array, ""]
+    lower: Bool[Array, ""]
+
+
+def advanced(ground: Ground, s: State, turn: Turn, ridge: Float[Array, ""]) -> State:
+    """One turn: the first of a stage takes stock, the others make a step."""
+    fresh = turn.step == 0
+    anchor = anchors(ground.part, turn.horizon)
+    moving = jnp.where(turn.full, ground.moving, ground.early)
+    ground = eqx.tree_at(lambda g: g.moving, ground, moving)
+    found = _step(ground, s, anchor, fresh)
+    s = eqx.tree_at(lambda s: s.damping, s, found.damping)
+
+    def reach(s: State) -> State:
+        return _reached(ground, s, found, anchor, fresh, ridge)
+
+    return jax.lax.cond(found.lower, reach, lambda s: s, s)
+
+
+def anchors(part: Part, horizon: Int[Array, ""]) -> Bool[Array, "records time"]:
+    """Restarts every `horizon` samples where the measured history is complete."""
+    at = jnp.arange(part.anchors.shape[1])[None] - jnp.asarray(part.start)[:, None]
+    return free_anchors(part) | ((at % horizon == 0) & jnp.asarray(part.anchors))
+
+
+def _step(ground: Ground, s: State, anchor, fresh: Bool[Array, ""]) -> Trial:
+    """Raise the damping until the penalised loss falls, or no more."""
+    here = s.loss + _penalty(s, s.u)
+
+    def attempt(t: Trial) -> Trial:
+        u = _damped(ground.layout, s, t.damping)
+        safe = jnp.where(jnp.all(jnp.isfinite(u)), u, s.u)
+        value = loss(ground.layout, safe, ground.drive, anchor, ground.weight)
+        lower = jnp.isfinite(value) & (value + _penalty(s, safe) < here)
+        return Trial(safe, jnp.where(lower, t.damping, t.damping * GROW), lower)
+
+    start = jnp.where(fresh, DAMPING_START, s.damping).astype(s.u.dtype)
+    return jax.lax.while_loop(
+        lambda t: ~t.lower & (t.damping <= DAMPING_LIMIT),
+        attempt,
+        Trial(s.u, start, fresh),
+    )
+
+
+def _reached(
+    ground: Ground, s: State, found: Trial, anchor, fresh, ridge: Float[Array, ""]
+) -> State:
+    """Linearise where the step has led, and judge it."""
+    value, gradient, gram = _linear(ground, found.u, anchor)
+    judged = judge(ground, found.u)
+    better = judged.better(s.judged)
+    eased = jnp.maximum(found.damping / SHRINK, 1e-12)
+    return State(
+        u=found.u,
+        loss=value,
+        gradient=gradient,
+        gram=gram,
+        damping=jnp.where(fresh, found.damping, eased),
+        origin=jnp.where(fresh, found.u, s.origin),
+        pull=jnp.where(fresh, ridge * jnp.diagonal(gram), s.pull),
+        best=jnp.where(better, found.u, s.best),
+        judged=jax.tree.map(lambda a, b: jnp.where(better, a, b), judged, s.judged),
+        accepted=s.accepted + (~fresh).astype(s.accepted.dtype),
+    )
+
+
+def _linear(ground: Ground, u: Float[Array, " params"], anchor):
+    """Loss, J'r and J'J at `u`; zero where parameters rest, or where they overflow."""
+    value, gradient, gram = normal_equations(
+        ground.layout, u, ground.drive, anchor, ground.weight
+    )
+    finite = jnp.all(jnp.isfinite(gradient)) & jnp.all(jnp.isfinite(gram))
+    keep = ground.moving & finite
+    gradient = jnp.where(keep, gradient, 0.0)
+    return value, gradient, jnp.where(keep[:, None] & keep[None], gram, 0.0)
+
+
+def _penalty(s: State, u: Float[Array, " params"]) -> Float[Array, ""]:
+    return s.pull @ (u - s.origin) ** 2
+
+
+def _damped(
+    layout: Layout, s: State, damping: Float[Array, ""]
+) -> Float[Array, " params"]:
+    """Where a damped step leads; not finite where the equations have no solution."""
+    slope = s.gradient + s.pull * (s.u - s.origin)
+    delta = -cholesky_solve(s.gram + jnp.diag(s.pull), slope, damping, least=0.0)
+    wall = layout.wall
+    reach = jnp.where(jnp.isfinite(wall), REACH, jnp.inf)
+    return jnp.clip(s.u + jnp.clip(delta, -reach, reach), -wall, wall)

@@ -1,0 +1,158 @@
+"""A sweep of identifications as work for the run folder."""
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import Case, Identification
+from jaxnarx.regressors import Pool
+from jaxnarx.sweep.fleet import Fleet
+from jaxnarx.sweep.identify.frame import Frame, make_frame, make_pool
+from jaxnarx.sweep.identify.member import Prepared, prepare, stacked
+from jaxnarx.sweep.identify.program import identify_lanes
+from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
+from jaxnarx.sweep.identify.settings import make_settings, within
+
+LANES = 16
+"""Fits in one call of the program."""
+KEPT = 64
+"""Prepared members that are kept for further cases."""
+MADE = ("pool_of_all", "frame", "prepared", "labels")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class IdentificationWork:
+    """Every engine of a fleet under every case.
+
+    `pool` takes the place of the polynomial pool that `method` describes. A call of the
+    program has `lanes` fits, the last one filled up, `at_once` of them side by side: on
+    a CPU one after the other is the fastest.
+    """
+
+    fleet: Fleet
+    method: Identification
+    cases: Sequence[Case] = (Case(),)
+    _: dataclasses.KW_ONLY
+    pool: Pool | None = None
+    lanes: int = LANES
+    at_once: int = 1
+
+    def __post_init__(self):
+        object.__setattr__(self, "cases", tuple(self.cases))
+        if not self.cases:
+            raise SpecError("a sweep needs at least one case", field="cases")
+        for field in ("lanes", "at_once"):
+            value = getattr(self, field)
+            if value < 1:
+                raise SpecError(f"{field} must be at least 1, got {value}", field=field)
+        for case in self.cases:
+            make_settings(case, self.method, self.pool_of_all, np.dtype(float))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in MADE}
+
+    @property
+    def members(self) -> list[dict[str, Any]]:
+        """Engine and settings of every fit: all cases of the first engine, and so on.
+
+        Capacities stand in place of None.
+        """
+        return self.labels
+
+    @functools.cached_property
+    def labels(self) -> list[dict[str, Any]]:
+        """The same, made once."""
+        labels = [within(case, self.method).labels() for case in self.cases]
+        return [
+            {"engine": name, "case": n} | label
+            for name in self.fleet.names
+            for n, label in enumerate(labels)
+        ]
+
+    @functools.cached_property
+    def pool_of_all(self) -> Pool:
+        """The candidate terms."""
+        if self.pool is None:
+            return make_pool(self.method, self.fleet.channels)
+        if self.pool.channels != self.fleet.channels:
+            raise SpecError(
+                "the pool belongs to other channels than the fleet; make it with "
+                "polynomial_pool(fleet.channels, ...)",
+                field="pool",
+            )
+        return self.pool
+
+    @functools.cached_property
+    def frame(self) -> Frame:
+        """What all fits share."""
+        return make_frame(self.method, self.pool_of_all)
+
+    @functools.cached_property
+    def prepared(self) -> Callable[[int], Prepared]:
+        """One engine's records as the program takes them; the last ones are kept."""
+
+        def make(engine: int) -> Prepared:
+            return prepare(self.fleet, engine, self.method, self.pool_of_all)
+
+        return functools.lru_cache(maxsize=KEPT)(make)
+
+    def describe(self) -> dict[str, Any]:
+        """Settings, cases, and digests of the data and the pool."""
+        pool = self.pool_of_all
+        table = hashlib.sha256(np.ascontiguousarray(pool.factor, np.int64).tobytes())
+        table.update(repr((pool.variables, pool.outputs)).encode())
+        return {
+            "kind": "identification",
+            "method": _plain(dataclasses.asdict(self.method)),
+            "cases": [_plain(dataclasses.asdict(case)) for case in self.cases],
+            "pool": {"terms": len(pool), "sha256": table.hexdigest()},
+            "fleet": {"engines": len(self.fleet), "sha256": self.fleet.digest()},
+            "lanes": self.lanes,
+            "at_once": self.at_once,
+        }
+
+    def run(self, indices: Sequence[int]) -> list[Row]:
+        """One row per index, see `row_of`; engines that cannot be used are rows too."""
+        pairs = [divmod(int(n), len(self.cases)) for n in indices]
+        rows: dict[int, Row] = {}
+        good = []
+        for place, (engine, _) in enumerate(pairs):
+            if self.prepared(engine).member is None:
+                rows[place] = empty_row(self.fleet, self.prepared(engine))
+            else:
+                good.append(place)
+        for first in range(0, len(good), self.lanes):
+            part = good[first : first + self.lanes]
+            found = self._call([pairs[place] for place in part])
+            rows |= dict(zip(part, found, strict=True))
+        return [rows[place] for place in range(len(pairs))]
+
+    def _call(self, pairs: list[tuple[int, int]]) -> list[Row]:
+        """One call of the program; what is missing in the last one is repeated."""
+        full = pairs + [pairs[-1]] * (self.lanes - len(pairs))
+        pool, dtype = self.pool_of_all, self.fleet.train.signals.dtype
+        members = stacked([self.prepared(engine).member for engine, _ in full])
+        settings = stacked(
+            [make_settings(self.cases[c], self.method, pool, dtype) for _, c in full]
+        )
+        outcome = identify_lanes(self.frame, members, settings, at_once=self.at_once)
+        host = jax.tree.map(np.asarray, jax.device_get(outcome))
+        return [
+            row_of(pool, jax.tree.map(lambda a, n=n: a[n], host))
+            for n in range(len(pairs))
+        ]
+
+
+def _plain(value: Any) -> Any:
+    """Lists in place of tuples, as JSON gives them back."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value

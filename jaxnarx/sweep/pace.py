@@ -1,0 +1,52 @@
+"""Progress of a sweep, read off its folder: whoever computes, all see the same."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from jaxnarx.sweep.folder.run_folder import RunFolder
+
+Progress = Callable[[dict[str, Any]], object]
+"""Called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in members per
+second and seconds `left`. The rate counts from this call's first chunk, which came with
+the compilation, to the latest; it and `left` are None until two have come."""
+
+
+class Pace:
+    """Tells a callback when chunks have been added to the folder."""
+
+    def __init__(self, run: RunFolder, progress: Progress | None):
+        self.run, self.progress = run, progress
+        self.begin = self._done()
+        self.first: tuple[float, int] | None = None
+        self.told: int | None = None
+
+    def __call__(self) -> None:
+        """Count, and tell if there is news."""
+        done = self._done()
+        if self.progress is None or done == self.told:
+            return
+        self.told, of = done, self.run.manifest.members
+        rate = self._rate(done)
+        self.progress(
+            {
+                "done": done,
+                "of": of,
+                "chunks": len(self.run.finished()),
+                "of_chunks": self.run.chunks,
+                "rate": rate,
+                "left": (of - done) / rate if rate else None,
+            }
+        )
+
+    def _rate(self, done: int) -> float | None:
+        now = time.perf_counter()
+        if self.first is None and done > self.begin:
+            self.first = (now, done)
+        if self.first is None or done == self.first[1]:
+            return None
+        since, first = self.first
+        return (done - first) / (now - since)
+
+    def _done(self) -> int:
+        return sum(len(self.run.members(n)) for n in self.run.finished())

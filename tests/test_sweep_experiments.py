@@ -1,0 +1,65 @@
+"""Experiments on sweeps run with `--smoke`; see `test_experiments.py`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from smoke import ROOT, experiment
+
+
+def figures_of(script: str, results: Path) -> dict:
+    """Run an experiment small, check what all of them write, and give its figures."""
+    experiment(f"{script}/run.py", "--results", str(results))
+    path = results / f"{script}.json"
+    assert str(ROOT) not in path.read_text() and str(results) not in path.read_text()
+    pictures = list(results.glob("*.png"))
+    assert pictures and all(10_000 < p.stat().st_size < 150_000 for p in pictures)
+    return json.loads(path.read_text())["figures"]
+
+
+@pytest.mark.slow
+def test_lolimot_refinement_and_going_on(tmp_path):
+    figures = figures_of("lolimot_refinement", tmp_path)
+    found = {row["how"]: row for row in figures["summary"]}
+    assert set(found) == {"LOLIMOT", "coefficients, to full", "staged, to full"}
+    assert all(row["free_run"]["members"] == 2 for row in found.values())
+    rows = parquet.read_table(tmp_path / "lolimot_refinement.parquet").to_pylist()
+    error = {(r["how"], r["engine"]): r["validation_free_run"] for r in rows}
+    for (_, engine), value in error.items():
+        # The validation record judges; infinity where it diverges.
+        assert value <= error["LOLIMOT", engine] * (1 + 1e-9)
+    chunks = sorted((tmp_path / "runs").glob("*/chunks/*"))
+    times = [chunk.stat().st_mtime_ns for chunk in chunks]
+    assert chunks and figures_of("lolimot_refinement", tmp_path) == figures
+    assert [chunk.stat().st_mtime_ns for chunk in chunks] == times
+
+
+@pytest.mark.slow
+def test_partition_optimisation(tmp_path):
+    figures = figures_of("partition_optimisation", tmp_path)
+    rows = parquet.read_table(tmp_path / "partition_optimisation.parquet").to_pylist()
+    drawn = {"random", "scattered"}
+    assert {r["partition"] for r in rows} == drawn | {"lolimot"}
+    ended = [r for r in rows if r["train"] == "staged"]
+    (best,) = [r for r in figures["starts"] if r["partition"] == "best found"]
+    chosen = []
+    for engine in sorted({r["engine"] for r in ended}):
+        own = [r for r in ended if r["engine"] == engine]
+        chosen.append(min(own, key=lambda r: r["validation_free_run"]))
+    test = [r["test_free_run"] for r in chosen]
+    # Figures in the record have four digits.
+    np.testing.assert_allclose(best["free_run"]["median"], np.median(test), rtol=1e-3)
+    assert sum(best["from"].values()) == len(chosen) == 2
+    (greedy,) = [
+        r
+        for r in figures["starts"]
+        if r["partition"] == "lolimot" and r["train"] == "staged"
+    ]
+    for part, share in greedy["share of drawn starts that end better"].items():
+        score = f"{part}_free_run"
+        own = {r["engine"]: r[score] for r in ended if r["partition"] == "lolimot"}
+        others = [r for r in ended if r["partition"] in drawn]
+        wins = [r[score] < own[r["engine"]] for r in others]
+        np.testing.assert_allclose(share, np.mean(wins), rtol=1e-3)
