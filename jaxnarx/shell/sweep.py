@@ -66,6 +66,11 @@ def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
     say("\nMembers by status")
     for line in status_lines(table):
         say(line)
+    crashed = [row for row in table.rows() if row["status"] == "crashed"]
+    if crashed:
+        say(f"  the first crash, {crashed[0]['engine']}: {crashed[0]['message']}")
+    if len(crashed) == len(table):
+        return
     judge = "validation" if fleet.validation is not None else "train"
     scores = [f"{part}_free_run" for part in fleet.parts]
     best = best_per_group(table, "engine", f"{judge}_free_run")

@@ -115,6 +115,16 @@ def test_an_interrupt_is_told_with_what_is_finished(jaxnarx, monkeypatch):
     assert "interrupted" in err
 
 
+def test_a_sweep_without_any_result_says_why(jaxnarx, monkeypatch):
+    def broken(self, indices):
+        raise ValueError("the moon is full")
+
+    monkeypatch.setattr(IdentificationWork, "run", broken)
+    code, out, err = jaxnarx("bed.toml --folder broken")
+    assert code == 0, err
+    assert "the first crash, pfi-cc-0000: " in out and "the moon is full" in out
+
+
 def test_engines_that_stall_are_rows(jaxnarx, monkeypatch):
     from jaxnarx.engines import CrossleyCook
     from jaxnarx.errors import DataError

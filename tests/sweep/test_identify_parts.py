@@ -111,3 +111,5 @@ def test_work_refuses_what_does_not_fit():
         IdentificationWork(fleet, METHOD, [])
     with pytest.raises(SpecError, match="lanes"):
         IdentificationWork(fleet, METHOD, lanes=0)
+    with pytest.raises(SpecError, match="'aa'.*Did you mean 'a'"):
+        IdentificationWork(fleet, Identification(["aa[t]"]))

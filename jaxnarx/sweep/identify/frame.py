@@ -9,6 +9,7 @@ from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Identification
+from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool, polynomial_pool
 
 
@@ -41,13 +42,15 @@ def make_pool(method: Identification, channels: Channels) -> Pool:
 
 
 def make_frame(method: Identification, pool: Pool) -> Frame:
-    """Tables of a pool; `SpecError` unless it models one output."""
+    """Tables of a pool; `SpecError` unless it models one output and has the scheduling
+    variables."""
     if len(pool.outputs) != 1:
         raise SpecError(
             "a sweep identifies one output; name it, with output='...', or give a pool "
             "of one, with outputs=['...']",
             field="output",
         )
+    scheduling_table(pool, tuple(method.scheduling))
     place = positions(pool.factor, len(pool.variables) + 1)
     constant = np.flatnonzero(~pool.factor.any(axis=1))
     return Frame(

@@ -51,6 +51,7 @@ class IdentificationWork:
             value = getattr(self, field)
             if value < 1:
                 raise SpecError(f"{field} must be at least 1, got {value}", field=field)
+        _ = self.frame  # what does not fit is said now, not by every member
         for case in self.cases:
             make_settings(case, self.method, self.pool_of_all, np.dtype(float))
 
@@ -134,13 +135,15 @@ class IdentificationWork:
         return [rows[place] for place in range(len(pairs))]
 
     def _call(self, pairs: list[tuple[int, int]]) -> list[Row]:
-        """One call of the program; what is missing in the last one is repeated."""
-        full = pairs + [pairs[-1]] * (self.lanes - len(pairs))
+        """One call of the program, filled up with the shortest fits there are."""
         pool, dtype = self.pool_of_all, self.fleet.train.signals.dtype
-        members = stacked([self.prepared(engine).member for engine, _ in full])
-        settings = stacked(
-            [make_settings(self.cases[c], self.method, pool, dtype) for _, c in full]
-        )
+        cases = [self.cases[case] for _, case in pairs]
+        engines = [engine for engine, _ in pairs]
+        spare = self.lanes - len(pairs)
+        cases += [Case(terms=1, models=1, steps=0, train="none")] * spare
+        engines += engines[-1:] * spare
+        members = stacked([self.prepared(engine).member for engine in engines])
+        settings = stacked([make_settings(c, self.method, pool, dtype) for c in cases])
         outcome = identify_lanes(self.frame, members, settings, at_once=self.at_once)
         host = jax.tree.map(np.asarray, jax.device_get(outcome))
         return [
