@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pyarrow import parquet
-from smoke import ROOT, experiment
+from smoke import ROOT, experiment, run
 
 
 def figures_of(script: str, results: Path) -> dict:
@@ -63,3 +63,39 @@ def test_partition_optimisation(tmp_path):
         others = [r for r in ended if r["partition"] in drawn]
         wins = [r[score] < own[r["engine"]] for r in others]
         np.testing.assert_allclose(share, np.mean(wins), rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_engine_sweep(tmp_path):
+    found = figures_of("engine_sweep", tmp_path)["beds"]["pfi"]
+    rows = parquet.read_table(tmp_path / "engine_sweep.parquet").to_pylist()
+    by = {(r["structure"], r["engine"]): r for r in rows}
+    assert len(by) == len(rows) == 4 * (6 + 3 + 3) + 4 * 6
+    # On the engine they come from, its terms make the network that it has: the
+    # same numbers but for the rounding of sums over pools of other sizes.
+    own, again = (by[s, "noise 0"] for s in ("refined", "nominal terms"))
+    assert own["term_names"] == again["term_names"]
+    for part in ("train", "validation", "test"):
+        figures = [row[f"{part}_free_run"] for row in (own, again)]
+        np.testing.assert_allclose(*figures, rtol=1e-4)  # five digits are kept
+    engines = [r for (s, e), r in by.items() if s == "refined" and "engine" in e]
+    share = found["terms"]["share"]["speed[t-1]"]["engine"]
+    assert share == np.mean(["speed[t-1]" in r["term_names"] for r in engines])
+    assert sum(found["status"]["refined"].values()) == 12
+    # A network of another engine is no match for one fitted to the engine itself.
+    for n in range(6):
+        figures = [by[s, f"engine {n}"]["train_free_run"] for s in ("own", "as it is")]
+        assert figures[0] < figures[1]
+    assert found["comparisons"]["sister against own"]["pairs"] == 6
+
+
+@pytest.mark.slow
+def test_sweep_benchmark(tmp_path):
+    figures = run("sweep.py", results=tmp_path / "out")["sweep"]
+    one, side_by_side = figures["chunks"]
+    assert [one["batch"], side_by_side["batch"]] == ["map", "vmap"]
+    assert one["pool"] == 200 and one["compile_s"] > 0
+    # The same fits, whatever the chunk.
+    scores = [row["median_nrmse"] for row in (one, side_by_side)]
+    np.testing.assert_allclose(*scores, rtol=1e-3)  # four digits are kept
+    assert 0 < one["median_nrmse"] < one["median_start"] < 1

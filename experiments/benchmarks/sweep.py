@@ -1,21 +1,21 @@
-"""Fits per second of a sweep: select, grow and refine fused into one program.
+"""Fits per second of a sweep: chunks, a Python loop, two processes, and fastcan.
 
-One fit is a pool of 220 cubic terms on a record of 1,000 samples, 8 terms, 4 local
-models, 10 Levenberg-Marquardt steps on the free run, judged on 500 further samples and
-scored on 500 more. Chunks of fits by the program, one after the other and side by side,
-stand beside a Python loop over the same compiled fit; what compilation takes is told
-apart. Two processes on a core each are compared with one. With `--peers`, fastcan fits
-as many given terms on the same records by its multi-step objective, in ten evaluations
-of its Jacobian: no choice of terms, one model, no validation.
+1,000 fits of 1,000 samples: eight of 200 terms by forward orthogonal least squares,
+four local models by LOLIMOT, ten Levenberg-Marquardt steps on the free run, scores.
+Every measurement is a fresh process on one processor; compilation is told apart, and
+the time per fit includes what the host does to records and rows.
+
+Chunks of 1 to 256 fits in one call, one after the other (`map`) or side by side
+(`vmap`); a chunk of one is the Python loop over the same compiled fit. Two processes
+at the same time, each on a processor of its own, against one of them. With `--peers`
+fastcan chooses as many terms from its own pool of that size and trains them on the free
+run of the same records: eight, which is one local model, and 32, which is as many
+coefficients; its fit has no local models, and goes on to its own end.
 
     python experiments/benchmarks/sweep.py [--smoke] [--peers PYTHON] [--results DIR]
 """
 
-import importlib
-import importlib.metadata
-import importlib.util
 import json
-import os
 import sys
 import tempfile
 import time
@@ -24,152 +24,20 @@ from pathlib import Path
 from typing import Any
 
 from common import benchmark_parser, record, results_folder, target, worker
+from sweep_workers import WORKERS
 
-LENGTHS = (1000, 500, 500)
-"""Samples to train on, to judge by, and to test with."""
-SIZES = (1, 16, 32, 64, 256)
-"""Fits in one call of the program."""
-SIDE = (1, 16, 32, 64)
-"""... and how many of them run side by side where not all go one after the other."""
-ENGINES = 32
-SECONDS = 10.0
-"""Least time over which a rate is measured."""
-READY = 150.0
-"""Time [s] in which two processes must have compiled before they start together."""
-PAIR_LIMIT = 1.7
-SMOKE = {"lengths": (120, 60, 60), "sizes": (1, 2), "side": (2,), "seconds": 0.2}
-
-
-def records(seed: int, lengths: tuple[int, ...]):
-    """Inputs and outputs of a second-order process with a bent gain."""
-    import numpy as np
-
-    rng = np.random.default_rng(seed)
-    pole = 0.6 + 0.1 * rng.uniform()
-    us, ys = [], []
-    for length in lengths:
-        u = np.repeat(rng.uniform(-1, 1, (length // 10 + 1, 2)), 10, axis=0)[:length]
-        y = np.zeros(length)
-        for t in range(2, length):
-            y[t] = pole * y[t - 1] + 0.15 * y[t - 2] * u[t - 1, 0]
-            y[t] += np.tanh(2 * u[t - 1, 0]) + 0.3 * u[t - 2, 1] ** 2
-        us.append(u)
-        ys.append((y + 0.02 * rng.normal(size=length))[:, None])
-    return us, ys
-
-
-def make_work(lengths: tuple[int, ...], engines: int, lanes: int, at_once: int):
-    """The sweep of `engines` under one case."""
-    import jax
-
-    import jaxnarx as jnx
-
-    jax.config.update("jax_enable_x64", True)
-    made = {
-        f"engine {n}": jnx.Dataset.from_arrays(
-            *records(n, lengths), inputs=["a", "b"], outputs=["y"], sample_time=0.1
-        )
-        for n in range(engines)
-    }
-    fleet = jnx.Fleet.from_datasets(made, train=[0], validation=[1], test=[2])
-    method = jnx.Identification(
-        ["a[t-1]", "b[t-1]"], input_lags=(0, 1, 2), output_lags=(1, 2, 3), degree=3
-    )
-    return jnx.IdentificationWork(fleet, method, lanes=lanes, at_once=at_once)
-
-
-def rate(
-    lengths: tuple[int, ...], lanes: int, at_once: int, seconds: float
-) -> dict[str, Any]:
-    """Seconds of the first call, and fits per second of the following ones.
-
-    With one lane to a call this is the Python loop over the same compiled fit.
-    """
-    work = make_work(tuple(lengths), min(ENGINES, max(lanes, 4)), lanes, at_once)
-    count = len(work.members)
-    begin = time.perf_counter()
-    rows = work.run([n % count for n in range(lanes)])
-    first = time.perf_counter() - begin
-    # Members are prepared once; here they are, all of them.
-    for n in range(count):
-        work.prepared(n)
-    fits, begin, taken = 0, time.perf_counter(), 0.0
-    while taken < seconds:
-        work.run([(fits + n) % count for n in range(lanes)])
-        fits += lanes
-        taken = time.perf_counter() - begin
-    return {
-        "lanes": lanes,
-        "at_once": at_once,
-        "first_call_s": round(first, 2),
-        "fits_per_s": float(f"{fits / taken:.4g}"),
-        "fits": fits,
-        "okay": sum(row["status"] in ("ok", "no_improvement") for row in rows),
-        "load": round(os.getloadavg()[0], 1),
-    }
-
-
-def pinned(
-    lengths: tuple[int, ...], core: int, start: float, seconds: float
-) -> dict[str, Any]:
-    """Fits per second on one core, measured from the time `start` on."""
-    os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[core]})
-    work = make_work(tuple(lengths), 4, 16, 1)
-    work.run(range(4))
-    late = time.time() > start
-    time.sleep(max(0.0, start - time.time()))
-    fits, begin, taken = 0, time.perf_counter(), 0.0
-    while taken < seconds:
-        work.run([n % 4 for n in range(16)])
-        fits += 16
-        taken = time.perf_counter() - begin
-    return {"fits_per_s": float(f"{fits / taken:.4g}"), "late": late}
-
-
-def factors(lengths: tuple[int, ...]) -> list[list[tuple[int, int]]]:
-    """(signal, lag) of the factors of every term that the first engine is given."""
-    work = make_work(tuple(lengths), 1, 1, 1)
-    pool = work.pool_of_all
-    (row,) = work.run([0])
-    table = [(s, d) for s, d in pool.variables]
-    return [[table[i - 1] for i in pool.factor[t] if i] for t in row["term_index"]]
-
-
-def fastcan(
-    lengths: tuple[int, ...], terms: list[list[tuple[int, int]]], seconds: float
-) -> dict[str, Any]:
-    """Fits per second of given terms by its multi-step objective."""
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    narx = importlib.import_module("fastcan.narx")
-    us, ys = zip(*(records(n, tuple(lengths)) for n in range(4)), strict=True)
-    degree = max(len(row) for row in terms)
-    rows = [[*row, *([(-1, -1)] * (degree - len(row)))] for row in terms if row]
-
-    def fit(n: int):
-        model = narx.NARX(
-            feat_ids=[[s for s, _ in row] for row in rows],
-            delay_ids=[[d for _, d in row] for row in rows],
-            fit_intercept=[] in terms,
-        )
-        u, y = us[n][0], ys[n][0][:, 0]
-        return model.fit(u, y, coef_init="one_step_ahead", max_nfev=10)
-
-    fit(0)
-    fits, begin, taken = 0, time.perf_counter(), 0.0
-    while taken < seconds:
-        fit(fits % 4)
-        fits += 1
-        taken = time.perf_counter() - begin
-    return {"terms": len(terms), "fits_per_s": float(f"{fits / taken:.4g}")}
-
-
-def versions() -> dict[str, str]:
-    """Of the peer, where this interpreter has it."""
-    found = importlib.util.find_spec("fastcan")
-    return {"fastcan": importlib.metadata.version("fastcan")} if found else {}
-
-
-WORKERS = {f.__name__: f for f in (rate, pinned, factors, fastcan, versions)}
+FITS, SAMPLES = 1000, 1000
+FEW = 128
+"""Fits of any other measurement, or one chunk if that is more."""
+CHUNKS = (
+    *((size, "map") for size in (1, 16, 32, 64, 256)),
+    *((size, "vmap") for size in (16, 64, 256)),
+)
+MAIN = 32
+"""The chunk that is given all fits, as `map`."""
+PEER_FITS = {8: 10, 32: 2}
+"""Terms that fastcan chooses, and how many records it is given."""
+LIMITS = {"two_over_one": 1.7}
 
 
 def call(name: str, *arguments: Any, python: str = sys.executable) -> Any:
@@ -180,74 +48,88 @@ def call(name: str, *arguments: Any, python: str = sys.executable) -> Any:
         script = str(Path(__file__).resolve())
         answer, done = worker(script, "--worker", name, file.name, python=python)
     if answer is None:
-        print(done.stderr[-600:], file=sys.stderr)
+        print(done.stderr[-800:], file=sys.stderr)
     return answer
 
 
-def pairs(lengths: tuple[int, ...], seconds: float, ready: float) -> dict[str, Any]:
-    """One process on one core, then two on two."""
-    if len(os.sched_getaffinity(0)) < 2:
-        return {"skipped": "one core"}
-    one = call("pinned", lengths, 0, 0.0, seconds)
-    start = time.time() + ready
-    with ThreadPoolExecutor(2) as pool:
-        both = [pool.submit(call, "pinned", lengths, n, start, seconds) for n in (0, 1)]
-        two = [run.result() for run in both]
-    if one is None or None in two:
-        return {"failed": True}
-    ratio = sum(r["fits_per_s"] for r in two) / one["fits_per_s"]
-    return {
-        "one": one["fits_per_s"],
-        "two": [r["fits_per_s"] for r in two],
-        "together": not any(r["late"] for r in two),
-        "times": round(ratio, 2),
-        "at_least": PAIR_LIMIT,
-        "met": ratio >= PAIR_LIMIT,
-    }
+def chunk_table(samples: int, few: int, chunks) -> list[dict[str, Any]]:
+    """Every chunk size in a process of its own."""
+    rows = []
+    for lanes, batch in chunks:
+        at_once = lanes if batch == "vmap" else 1
+        main = (lanes, batch) == (MAIN, "map")
+        fits = FITS if main else lanes * max(1, few // lanes)
+        found = call("sweep", samples, fits, lanes, at_once)
+        rows.append({"chunk": lanes, "batch": batch} | (found or {}))
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
 
 
-def measure(smoke: bool, peers: str | None) -> dict[str, Any]:
-    """All figures, every one by a process of its own."""
-    lengths = SMOKE["lengths"] if smoke else LENGTHS
-    seconds = SMOKE["seconds"] if smoke else SECONDS
-    sizes, side = (SMOKE["sizes"], SMOKE["side"]) if smoke else (SIZES, SIDE)
-    found: dict[str, Any] = {
-        "lengths": list(lengths),
-        "in turn": [],
-        "side by side": [],
-    }
-    for lanes in sizes:
-        found["in turn"].append(call("rate", lengths, lanes, 1, seconds))
-        print(json.dumps(found["in turn"][-1]), flush=True)
-    for lanes in side:
-        if lanes > 1:
-            found["side by side"].append(call("rate", lengths, lanes, lanes, seconds))
-            print(json.dumps(found["side by side"][-1]), flush=True)
-    loop, *chunks = [r["fits_per_s"] for r in found["in turn"] if r]
-    if chunks:
-        found["seconds_for_1000"] = target(round(1000 / max(chunks), 1), 60.0)
-        found["times_the_loop"] = round(max(chunks) / loop, 2)
-    found["processes"] = pairs(lengths, seconds, 60.0 if smoke else READY)
-    print(json.dumps(found["processes"]), flush=True)
-    if peers:
-        terms = call("factors", lengths)
-        found["fastcan"] = call("fastcan", lengths, terms, seconds, python=peers)
-        print(json.dumps(found["fastcan"]), flush=True)
-    return found
+def processes(samples: int, fits: int, lanes: int) -> dict[str, Any]:
+    """The rate of two processes that run at the same time over that of one."""
+    rates = []
+    for count in (1, 2):
+        with tempfile.TemporaryDirectory() as folder:
+            asked = [
+                (samples, fits, lanes, 1, number, count, folder)
+                for number in range(count)
+            ]
+            with ThreadPoolExecutor(count) as threads:
+                found = list(threads.map(lambda a: call("sweep", *a), asked))
+        if None in found:
+            return {}
+        # Both begin together; the slower one ends the work.
+        rates.append(count * fits / max(row["seconds"] for row in found))
+    ratio = rates[1] / rates[0]
+    # `target` wants what is small to be good.
+    limit = target(round(1 / ratio, 4), round(1 / LIMITS["two_over_one"], 4))
+    found = {"one": rates[0], "two": rates[1], "ratio": ratio}
+    return {k: round(v, 2) for k, v in found.items()} | {"one_over_two": limit}
+
+
+def measure(options: Any) -> dict[str, Any]:
+    """All figures; a smaller set for `--smoke`."""
+    small = options.smoke
+    samples, few = (150, 2) if small else (SAMPLES, FEW)
+    chunks = ((1, "map"), (2, "vmap")) if small else CHUNKS
+    begin = time.perf_counter()
+    table = chunk_table(samples, few, chunks)
+    figures: dict[str, Any] = {"chunks": table}
+    rates = {(r["chunk"], r["batch"]): r.get("fits_per_second") for r in table}
+    rate, loop = rates.get((MAIN, "map"), 0.0), rates.get((1, "map"), 0.0)
+    if not small:
+        figures["processes"] = processes(samples, 2 * few, MAIN)
+        print(json.dumps(figures["processes"]), flush=True)
+    if rate and loop:
+        figures["over_python_loop"] = round(rate / loop, 2)
+    if options.peers:
+        peers = {8: 1} if small else PEER_FITS
+        figures["fastcan"] = {
+            f"{terms} terms": call(
+                "fastcan", samples, count, terms, python=options.peers
+            )
+            for terms, count in peers.items()
+        }
+        for row in figures["fastcan"].values():
+            if row and rate:
+                row["times_faster"] = round(rate / row["fits_per_second"], 1)
+        print(json.dumps(figures["fastcan"]), flush=True)
+    figures["seconds"] = round(time.perf_counter() - begin, 1)
+    return figures
 
 
 def main() -> None:
     """Measure and record."""
-    parser = benchmark_parser(__doc__ or "", "short records, two chunk sizes")
+    parser = benchmark_parser(__doc__ or "", "two short fits")
     options = parser.parse_args()
     if options.worker:
         name, path = options.worker
         print(json.dumps(WORKERS[name](*json.loads(Path(path).read_text()))))
         return
-    found = call("versions", python=options.peers) if options.peers else {}
-    figures = measure(options.smoke, options.peers)
+    versions = call("versions", python=options.peers) if options.peers else {}
+    figures = measure(options)
     folder = results_folder(options.results, smoke=options.smoke)
-    record("sweep", figures, folder=folder, versions=found, note=options.note)
+    record("sweep", figures, folder=folder, versions=versions, note=options.note)
 
 
 if __name__ == "__main__":

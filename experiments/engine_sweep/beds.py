@@ -107,7 +107,7 @@ def records_of(name: str, size: Size, folder: Path) -> Records:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp.npz")
-        np.savez_compressed(temporary, **_simulated(name, size))
+        np.savez_compressed(temporary, **_simulated(name, size))  # pyright: ignore
         os.replace(temporary, path)
     with np.load(path) as kept:
         held = {key: kept[key] for key in kept.files}

@@ -15,19 +15,23 @@ SAID = {
     "noise": "nominal, other noise",
     "excitation": "nominal, other excitation",
 }
-SHOWN = 12
-STRUCTURES = ("nominal terms", "own", "nominal", "sister", "as it is")
+SHOWN, DOTS = 9, 48
+"""Terms of a panel, and members of one."""
+STRUCTURES = {
+    "nominal terms": "nominal terms,\nown regions",
+    "own": "own, refitted",
+    "nominal": "nominal, refitted",
+    "sister": "sister's, refitted",
+    "as it is": "nominal network",
+}
 
 
 def draw_terms(found: dict[str, Any]) -> Figure:
     """Shares of the terms chosen most often."""
+    count = len(found)
+    lines, columns = -(-count // 2), min(2, count)
     with styled():
-        figure, axes = canvas(
-            9.5,
-            3.0 * -(-len(found) // 2),
-            rows=-(-len(found) // 2),
-            columns=min(2, len(found)),
-        )
+        figure, axes = canvas(8.0, 2.3 * lines + 0.4, rows=lines, columns=columns)
         for axis, (bed, answers) in zip(axes, found.items(), strict=False):
             share = dict(list(answers["terms"]["share"].items())[:SHOWN])
             at = np.arange(len(share))
@@ -39,42 +43,34 @@ def draw_terms(found: dict[str, Any]) -> Figure:
             axis.set_xlim(-3, 103)
             axis.set_title(f"{bed}: {BEDS[bed].output}")
             axis.set_xlabel("members with the term [%]")
-        axes[0].legend(loc="lower right", fontsize=7)
+        figure.legend(
+            *axes[0].get_legend_handles_labels(),
+            **{"loc": "outside lower center", "ncols": len(COLOURS), "fontsize": 8},
+        )
     return figure
 
 
-def draw_partitions(rows: list[Row], found: dict[str, Any]) -> Figure:
-    """Refined centres of all members, one panel for each bed and group."""
+def draw_partitions(rows: list[Row], beds: list[str]) -> Figure:
+    """Refined centres, one panel for each group and bed, as many members in each."""
+    shared = {"sharex": True, "sharey": True}
     with styled():
-        figure, axes = canvas(
-            9.5,
-            2.4 * len(found),
-            rows=len(found),
-            columns=3,
-            sharex="row",
-            sharey="row",
-        )
-        for line, bed in enumerate(found):
-            names = BEDS[bed].settings["scheduling"]
-            for axis, (group, colour) in zip(
-                axes[3 * line :], COLOURS.items(), strict=False
-            ):
+        figure, axes = canvas(8.0, 5.6, rows=3, columns=len(beds), **shared)
+        for n, (group, colour) in enumerate(COLOURS.items()):
+            for axis, bed in zip(axes[n * len(beds) :], beds, strict=False):
+                names = BEDS[bed].settings["scheduling"]
                 own = [
                     np.reshape(r["centre"], (-1, len(names)))
                     for r in rows
-                    if r["bed"] == bed
-                    and r["structure"] == "refined"
+                    if (r["bed"], r["structure"]) == (bed, "refined")
                     and r["engine"].startswith(group)
                     and r["centre"]
                 ]
-                points = np.concatenate(own)
-                size = 4 if group == "engine" else 8
-                axis.scatter(
-                    *points.T, s=size, color=colour, alpha=0.5, lw=0, rasterized=True
-                )
-                axis.set_title(f"{bed}, {SAID[group]}: {len(own)}")
-                axis.set_xlabel(plain(names[0]))
-            axes[3 * line].set_ylabel(plain(names[1]))
+                points = np.concatenate(own[:DOTS]).T
+                axis.scatter(*points, s=5, color=colour, alpha=0.6, lw=0)
+                axis.set_title(f"{bed}, {SAID[group]}", fontsize=7)
+                axis.set_ylabel(plain(names[1]), fontsize=7)
+                axis.set_xlabel(plain(names[0]), fontsize=7)
+                axis.grid(False)
     return figure
 
 
@@ -82,7 +78,7 @@ def draw_transfer(rows: list[Row]) -> Figure:
     """Test error with another's structure over that with the own one."""
     beds = list(dict.fromkeys(r["bed"] for r in rows))
     with styled():
-        figure, axes = canvas(9.5, 3.2, columns=len(beds), sharey=True)
+        figure, axes = canvas(8.0, 3.2, columns=len(beds), sharey=True)
         for axis, bed in zip(axes, beds, strict=True):
             score = {
                 (r["structure"], r["engine"]): r["test_free_run"]
@@ -93,9 +89,10 @@ def draw_transfer(rows: list[Row]) -> Figure:
             axis.axhline(1.0, color=GREY, lw=0.8)
             axis.boxplot(ratios, showfliers=False, whis=(5, 95), widths=0.6)
             labels = [
-                f"{s} ({len(r)})" for s, r in zip(STRUCTURES, ratios, strict=True)
+                f"{s} ({len(r)})"
+                for s, r in zip(STRUCTURES.values(), ratios, strict=True)
             ]
-            axis.set_xticks(np.arange(len(labels)) + 1, labels, rotation=60, fontsize=7)
+            axis.set_xticks(np.arange(len(labels)) + 1, labels, rotation=90, fontsize=7)
             axis.set_yscale("log")
             axis.set_title(f"{bed}: {BEDS[bed].output}")
         axes[0].set_ylabel("test NRMSE over that of\nown terms and regions, refined")
@@ -107,6 +104,6 @@ def _ratios(score: dict[tuple[str, str], Any], structure: str) -> list[float]:
     found = []
     for (name, engine), value in score.items():
         own = score.get(("refined", engine))
-        if name == structure and None not in (value, own):
-            found.append(value / own if np.isfinite([value, own]).all() else np.nan)
+        if name == structure and value is not None and own is not None:
+            found.append(value / own if np.isfinite(own) else np.nan)
     return [x for x in found if np.isfinite(x)]

@@ -25,7 +25,6 @@ results. Writes engine_sweep.json, engine_sweep.parquet and three figures.
 import argparse
 import json
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,7 @@ from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
 
 NAME = "engine_sweep"
 FULL = Size(engines=256, repetitions=48, lengths=(1000, 500, 500), spread=0.1)
-SMALL = Size(engines=6, repetitions=3, lengths=(300, 200, 200), spread=0.1)
+SMALL = Size(engines=6, repetitions=3, lengths=(600, 600, 600), spread=0.1)
 SETTINGS: dict[str, Any] = {
     **{"output_lags": (1, 2), "degree": 2, "max_terms": 10, "max_models": 4},
     **{"steps": 10, "horizons": (10, 50)},
@@ -68,18 +67,16 @@ CASES = {
 CHUNK, LANES, REFITTED = 32, 16, 128
 """Members of a chunk, fits of one call, and engines on which structures are refitted:
 those go through the verbs one by one."""
-KEPT = (
-    *("bed", "engine", "structure", "donor", "status", "term_names", "centre", "width"),
-    *("train_free_run", "validation_free_run", "test_free_run", "test_one_step"),
+KEPT = ("bed", "engine", "structure", "donor", "status", "term_names", "centre") + (
+    *("train_free_run", "validation_free_run", "test_free_run"),
 )
+"""Columns of the table that is kept; the run folders have them all."""
 Row = dict[str, Any]
 
 
 def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row], Row]:
     """Everything that is computed for a bed, and what is known of its engines."""
-    begin = time.perf_counter()
     records = records_of(bed, size, folder)
-    simulated = time.perf_counter()
     fleet = fleet_of(records, size.seed)
     method = jnx.Identification(**(settings | BEDS[bed].settings))
     work = jnx.IdentificationWork(fleet, method, list(CASES.values()), lanes=LANES)
@@ -96,16 +93,13 @@ def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row
         window_steps=method.window_steps,
         max_steps=method.steps,
     )
-    pairs = pairs_of(chosen, min(REFITTED, size.engines))
+    pairs = pairs_of(chosen, min(REFITTED, size.engines), size.repetitions)
     refit = RefitWork(fleet, method, chosen, pairs, refinement)
     rows += swept(refit, folder / f"{bed}_refitted")
     known = {
         "records": records,
         "pool": len(work.pool_of_all),
-        "seconds": {
-            "simulation": round(simulated - begin, 1),
-            "everything": round(time.perf_counter() - begin, 1),
-        },
+        "seconds": round(sum(row["seconds"] for row in rows), 1),
     }
     return [row | {"bed": bed} for row in rows], known
 
@@ -119,15 +113,24 @@ def swept(work: jnx.sweep.Work, folder: Path) -> list[Row]:
     return list(jnx.run_sweep(work, folder, chunk=CHUNK, progress=tell).value.rows())
 
 
-def pairs_of(chosen: dict[str, Row], count: int) -> list[tuple[str, str, str]]:
-    """Engine, structure and donor; the sister is half a family away."""
-    engines = [f"engine {n}" for n in range(count)]
+def pairs_of(
+    chosen: dict[str, Row], count: int, repetitions: int
+) -> list[tuple[str, str, str]]:
+    """Engine, structure and donor.
+
+    The sister is half a family away. The nominal engine is measured anew for every
+    engine, as long as there are repetitions: a single measurement of it is one draw.
+    """
     found = []
-    for n, engine in enumerate(engines):
-        sister = engines[(n + count // 2) % count]
-        donors = {"own": engine, "sister": sister}
-        donors |= {"nominal": "noise 0", "as it is": "noise 0"}
-        found += [(engine, s, d) for s, d in donors.items() if chosen[d]["term_index"]]
+    for n in range(count):
+        nominal = f"noise {n % repetitions}"
+        donors = {"own": f"engine {n}", "sister": f"engine {(n + count // 2) % count}"}
+        donors |= {"nominal": nominal, "as it is": nominal}
+        found += [
+            (f"engine {n}", structure, donor)
+            for structure, donor in donors.items()
+            if chosen[donor]["term_index"]
+        ]
     return found
 
 
@@ -173,13 +176,25 @@ def figures_of(rows: list[Row], records: Records, seed: int) -> dict[str, Any]:
     return found
 
 
+def kept(row: Row) -> Row:
+    """What is kept of a row; terms do not change between the cases."""
+    found = {key: row.get(key) for key in KEPT}
+    if row["structure"] not in ("refined", "nominal terms"):
+        found["term_names"] = None
+    if row["structure"] not in ("LOLIMOT", "refined"):
+        found["centre"] = None
+    centre = found["centre"]
+    scores = {k: v and float(f"{v:.5g}") for k, v in found.items() if "_run" in k}
+    return found | scores | {"centre": centre and [round(x, 3) for x in centre]}
+
+
 def _counts(rows: list[Row]) -> dict[str, int]:
     return jnx.sweep.summary(jnx.SweepTable.from_rows(rows))
 
 
 def main() -> None:
     """Simulate, sweep, answer, draw."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--smoke", action="store_true", help="six engines of one bed")
     parser.add_argument("--results", metavar="DIR", help="folder for the results")
     parser.add_argument("--bed", nargs="+", choices=list(BEDS), help="only these")
@@ -197,10 +212,11 @@ def main() -> None:
         found[bed] = known | figures_of(own_rows, records, size.seed)
         record(NAME, {"size": vars(size), "beds": found}, folder=folder)
         print(bed, json.dumps(found[bed]["comparisons"], indent=1), flush=True)
-    table = jnx.SweepTable.from_rows([{k: r.get(k) for k in KEPT} for r in rows])
-    parquet.write_table(table.arrow, folder / f"{NAME}.parquet", compression="zstd")
+    table = jnx.SweepTable.from_rows([kept(row) for row in rows])
+    written = {"compression": "zstd", "compression_level": 19}
+    parquet.write_table(table.arrow, folder / f"{NAME}.parquet", **written)
     save(draw_terms(found), folder / "terms.png")
-    save(draw_partitions(rows, found), folder / "partitions.png")
+    save(draw_partitions(rows, list(found)), folder / "partitions.png")
     save(draw_transfer(rows), folder / "transfer.png")
 
 

@@ -136,7 +136,8 @@ def beaten(rows: list[Row], greedy: list[Row]) -> dict[str, float]:
 def comparisons(rows: list[Row]) -> list[dict[str, Any]]:
     """Pairs over all problems and members, resampled by member."""
     ways = [r | {"how": f"{r['partition']}, {r['train']}"} for r in rows]
-    table = table_of(ways)
+    # A single model has no partition: it would count as a tie.
+    table = table_of([r for r in ways if r["models"] > 1])
     sizes = {r["models"] for r in rows if r["partition"] in STARTS}
     asked = [
         *((f"{g}, coefficients", f"{g}, staged", ["models"]) for g in GREEDY),

@@ -42,17 +42,13 @@ UNIT = np.array([1.0, 1 / STOICHIOMETRIC, 1.0])
 """From the bed's outputs to ours."""
 
 
-def excite(key: Any, length: int, authority: float = 0.0) -> np.ndarray:
-    """Inputs per event of `length` samples: random steps, fuel follows the air.
-
-    `authority` retards the spark by that many degrees more, away from the best one.
-    """
+def excite(key: Any, length: int) -> np.ndarray:
+    """Inputs per event of `length` samples: random steps, fuel follows the air."""
     keys = jax.random.split(key, 4)
     signals = [
         jnp.repeat(aprbs(k, length, hold=HOLD, amplitude=span), DOWN)
         for k, span in zip(keys[:3], SPANS, strict=True)
     ]
-    signals[1] -= authority
     target = aprbs(keys[3], length, hold=SPEED_HOLD, amplitude=SPEEDS)
     speed = lagging_speed(
         jnp.repeat(target, DOWN), degrees=180.0, slowest=SPEEDS[0], lag=0.5
@@ -63,14 +59,12 @@ def excite(key: Any, length: int, authority: float = 0.0) -> np.ndarray:
 
 
 def recorded(
-    seed: int, length: int, parts: Sequence[str], authority: float = 0.0
+    seed: int, length: int, parts: Sequence[str]
 ) -> tuple[jnx.Dataset, list[np.ndarray], list[np.ndarray]]:
     """Measured records at the controller's rate; the bed's inputs per event of each;
     and its outputs without noise at the controller's rate."""
     key, noise = jax.random.split(jax.random.key(seed))
-    u = [
-        excite(jax.random.fold_in(key, i), length, authority) for i in range(len(parts))
-    ]
+    u = [excite(jax.random.fold_in(key, i), length) for i in range(len(parts))]
     bed = Gtdi().simulate(u, noise, names=parts)
     clean = Gtdi().simulate(u, noise, names=parts, noise=0)
     return sampled(bed), u, [r.y[::DOWN] * UNIT[None] for r in clean]

@@ -28,17 +28,19 @@ LAGS = (1, 2, 3, 5, 8, 13, 21)
 STEPS = jnx.SimulationError(
     horizons=(30, 100), window_steps=8, max_steps=15, patience=6
 )
-BRIEF = jnx.SimulationError(horizons=(30,), window_steps=1, max_steps=1)
 
 
 def network_of(train: jnx.Dataset, guard: jnx.Dataset, smoke: bool) -> jnx.Network:
     """Flow or pressure by cubic terms of ERR, refined."""
     pool = jnx.polynomial_pool(
-        train.channels, input_lags=LAGS, output_lags=(1, 2), degree=3
+        train.channels, input_lags=LAGS, output_lags=(1, 2), degree=2 if smoke else 3
     )
-    terms = jnx.select(pool, train, jnx.ForwardOLS(max_terms=TERMS)).value
+    few = 10 if smoke else TERMS
+    terms = jnx.select(pool, train, jnx.ForwardOLS(max_terms=few)).value
     start = jnx.grow(terms, train, jnx.Global()).value
-    return jnx.refine(start, train, BRIEF if smoke else STEPS, validation=guard).value
+    if smoke:
+        return start
+    return jnx.refine(start, train, STEPS, validation=guard).value
 
 
 @eqx.filter_jit
@@ -134,4 +136,5 @@ def described(region: Region) -> dict[str, Any]:
         "above": region.above,
         "border": region.border,
         "agreement": region.agreement,
+        "also": None if region.also is None else described(region.also),
     }

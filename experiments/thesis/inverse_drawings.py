@@ -16,7 +16,7 @@ from jaxnarx.shell.partition_figure import partition
 from jaxnarx.shell.style import save
 from jaxnarx.shell.tree_figure import tree
 
-SHOWN = 500
+SHOWN = 250
 """Samples drawn."""
 
 

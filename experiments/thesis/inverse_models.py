@@ -27,13 +27,21 @@ INVERSE_STEPS = jnx.SimulationError(
 )
 
 
-def forward_of(train: jnx.Dataset, guard: jnx.Dataset) -> jnx.Network:
+def forward_of(
+    train: jnx.Dataset, guard: jnx.Dataset, *, brief: bool = False
+) -> jnx.Network:
     """Torque, lambda and manifold pressure by cubic terms of ERR, refined."""
     pool = jnx.polynomial_pool(
-        train.channels, input_lags=FORWARD_LAGS, output_lags=(1, 2), degree=3
+        train.channels,
+        input_lags=FORWARD_LAGS,
+        output_lags=(1, 2),
+        degree=2 if brief else 3,
     )
-    terms = jnx.select(pool, train, jnx.ForwardOLS(max_terms=FORWARD_TERMS)).value
+    method = jnx.ForwardOLS(max_terms=15 if brief else FORWARD_TERMS)
+    terms = jnx.select(pool, train, method).value
     start = jnx.grow(terms, train, jnx.Global()).value
+    if brief:
+        return start
     return jnx.refine(start, train, FORWARD_STEPS, validation=guard).value
 
 
@@ -58,7 +66,11 @@ def inverse_pool(channels: jnx.Channels) -> jnx.Pool:
 
 
 def inverse_of(
-    train: jnx.Dataset, guard: jnx.Dataset, forced: Sequence[str] = ()
+    train: jnx.Dataset,
+    guard: jnx.Dataset,
+    forced: Sequence[str] = (),
+    *,
+    brief: bool = False,
 ) -> tuple[jnx.Network, jnx.Network]:
     """The direct inverse: its tree as grown, and with its borders optimised."""
     data = turned(train)
@@ -69,6 +81,8 @@ def inverse_of(
         SCHEDULING, max_models=REGIONS, oblique=False, criterion="none"
     )
     grown = jnx.grow(terms, data, tree).value
+    if brief:
+        return grown, grown
     refined = jnx.refine(grown, data, INVERSE_STEPS, validation=turned(guard))
     return grown, refined.value
 

@@ -29,6 +29,8 @@ LIMITS = jnx.ActuatorLimits(
 )
 CLOSED = (0.03, 0.3, 1.0)
 """Time constants of the closed loops [s] from which validation chooses."""
+REST = 250
+"""Samples in which a cascade comes to rest."""
 MISMATCH, RELATIVES = 0.1, 1
 """Spread of the engine's parameters, and how many such engines a seed has."""
 
@@ -45,6 +47,8 @@ class Size:
     """Records it is trained on."""
     relatives: int = RELATIVES
     points: int = 20
+    brief: bool = False
+    """Small models, hardly refined."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,9 +71,9 @@ def seed_of(seed: int, size: Size) -> tuple[dict[str, Any], Case]:
     begin = time.perf_counter()
     data, u, clean = recorded(seed, size.length, PARTS)
     train, guard, test = data[TRAIN], data[GUARD : GUARD + 1], data[TEST : TEST + 1]
-    forward = forward_of(train, guard)
-    grown, direct = inverse_of(train, guard)
-    airy = inverse_of(train, guard, FORCED)[1]
+    forward = forward_of(train, guard, brief=size.brief)
+    grown, direct = inverse_of(train, guard, brief=size.brief)
+    airy = inverse_of(train, guard, FORCED, brief=size.brief)[1]
     row: dict[str, Any] = {
         "forward": {"validation": judged(forward, guard), "test": judged(forward, test)}
     }
@@ -112,9 +116,12 @@ def seed_of(seed: int, size: Size) -> tuple[dict[str, Any], Case]:
         name: unity_of(net, forward, guard, size.points)
         for name, net in inverses.items()
     }
+    rest = resting(forward, guard, 2 * size.points)
+    row["at_rest"] = {n: rest_of(net, forward, rest) for n, net in inverses.items()}
+    print(seed, "judged on the model", round(time.perf_counter() - begin), "s")
     asked_for = asked(data, clean)
     benches = Benches(seed, inverses, forward, asked_for, u, mean_of(train))
-    row["closed"], tracks = benches.nominal(row)
+    row["closed"], tracks = benches.nominal(row, size.brief)
     benches.mismatched(row, size.relatives)
     row["seconds"] = round(time.perf_counter() - begin)
     history = max(forward.history, direct.history)
@@ -172,13 +179,54 @@ def unity_of(inverse, forward, data, points: int) -> dict[str, Any]:
     }
 
 
+def resting(forward: jnx.Network, data: jnx.Dataset, points: int) -> jnx.Dataset:
+    """References at rest that the model holds under recorded inputs, a record each.
+
+    Fuel and speed belong to the reference here; `unity_of` moves one reference at a
+    time under a fuel that stays.
+    """
+    (record,) = data
+    at = np.linspace(0, len(record) - 1, points).astype(int)
+    held = jnx.Dataset.from_arrays(
+        [np.tile(record.u[t], (REST, 1)) for t in at],
+        [np.tile(record.y[t], (REST, 1)) for t in at],
+        inputs=list(data.channels.inputs),
+        outputs=list(data.channels.outputs),
+        sample_time=data.sample_time,
+    )
+    found = jnx.simulate(forward, held).value
+    ends = [np.tile(y[-1], (REST, 1)) for y in found.outputs]
+    still = [
+        np.all(np.abs(y[-1] - y[-REST // 4]) < 1e-3 * np.abs(y[-1])) and not m[-1].any()
+        for y, m in zip(found.outputs, found.limited, strict=True)
+    ]
+    everything = asked(held, ends)
+    return everything[[n for n, good in enumerate(still) if good]]
+
+
+def rest_of(inverse, forward, references: jnx.Dataset) -> dict[str, Any]:
+    """Where the cascade comes to rest: slope over the references, and errors left."""
+    if len(references) < 3:
+        return {"points": len(references)}
+    found = jnx.cascade(inverse, forward, references, LIMITS).value
+    wanted = np.array([r[-1] for r in found.references])
+    reached = np.array([y[-1, list(found.targets)] for y in found.outputs])
+    slope = [np.polyfit(*pair, 1)[0] for pair in zip(wanted.T, reached.T, strict=True)]
+    left = np.sqrt(np.mean((reached - wanted) ** 2, axis=0)) / wanted.std(axis=0)
+    return {
+        "points": len(wanted),
+        "slope": {n: float(f"{g:.5g}") for n, g in zip(TARGETS, slope, strict=True)},
+        "nrmse": {n: float(f"{e:.5g}") for n, e in zip(TARGETS, left, strict=True)},
+    }
+
+
 def spark_of(seed: int, direct: jnx.Network, test: jnx.Dataset, u: np.ndarray):
     """The bound of any inverse, and what ours misses beside it."""
-    bound = oracle(u, 0.0, seed)
+    bound = oracle(u, seed)
     estimated = jnx.simulate(direct, turned(test)).value.outputs[0][:, 0]
     short = {k: v[: len(estimated)] for k, v in bound.items()}
     ours = authority_of(short, estimated)
-    model = oracle(u, 0.0, seed, more=ours["torque_rmse"])
+    model = oracle(u, seed, more=ours["torque_rmse"])
     found = {
         "sensitivity": sensitivities(bound),
         "bound": authority_of(bound, bound["mean"]),
@@ -227,8 +275,10 @@ class Benches:
         nrmse = np.sqrt((left**2).mean(axis=0)) / y.std(axis=0)
         return {n: float(f"{e:.5g}") for n, e in zip(TARGETS, nrmse, strict=True)}
 
-    def closed(self, name: str, forward: bool) -> float:
+    def closed(self, name: str, forward: bool, brief: bool) -> float:
         """The best time constant on the validation record."""
+        if brief:
+            return CLOSED[1]
         cases = [case(self.mean, forward, closed) for closed in CLOSED]
         runs = [self.errors(t, GUARD) for t in self.run(name, cases, GUARD)]
         score = [sum(e**2 for e in run.values()) for run in runs]
@@ -255,10 +305,12 @@ class Benches:
             found |= dict(zip([n for n, _ in named], tracks, strict=True))
         return found
 
-    def nominal(self, row: dict[str, Any]) -> tuple[dict[str, float], dict[str, Track]]:
+    def nominal(
+        self, row: dict[str, Any], brief: bool
+    ) -> tuple[dict[str, float], dict[str, Track]]:
         """Choose the PI's speed by validation, then run unseen references."""
-        chosen = {"PI": self.closed("refined", False)}
-        chosen["refined"] = self.closed("refined", True)
+        chosen = {"PI": self.closed("refined", False, brief)}
+        chosen["refined"] = self.closed("refined", True, brief)
         self.chosen, tracks = chosen, self.all(chosen)
         row["bed"] = {n: self.scored(t) for n, t in tracks.items()}
         return chosen, tracks

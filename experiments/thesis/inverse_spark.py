@@ -25,7 +25,7 @@ STRONG = 8.0
 """Distance from the best spark from which on its effect counts as strong [deg]."""
 
 
-def oracle(u: np.ndarray, authority: float, seed: int, more: float = 0.0) -> Any:
+def oracle(u: np.ndarray, seed: int, more: float = 0.0) -> Any:
     """Mean spark by the measured torque, and what is true.
 
     `u` are the bed's inputs per event. `more` widens the noise of 0.4 Nm by an error of
@@ -40,7 +40,7 @@ def oracle(u: np.ndarray, authority: float, seed: int, more: float = 0.0) -> Any
     ]
     schedule = knock_limited(best, np.asarray(q.pressure)[::DOWN])
     low, high = SPANS[1]
-    tried = schedule[:, None] + np.linspace(low, high, LEVELS)[None] - authority
+    tried = schedule[:, None] + np.linspace(low, high, LEVELS)[None]
     expected = full[:, None] * efficiency(tried - best[:, None])
     noise = np.random.default_rng([seed, 11]).normal(size=len(true)) * spread
     seen = full * efficiency(true - best) + noise

@@ -223,7 +223,10 @@ class _Notes:
                 f"the determinant of the static gains of {', '.join(self.commands)} on "
                 f"{', '.join(self.targets)}"
             )
-            self._reversal(np.linalg.det(gain), what, ", ".join(self.commands))
+            known = np.isfinite(gain).all(axis=(1, 2))
+            value = np.full(len(gain), np.nan)
+            value[known] = np.linalg.det(gain[known])
+            self._reversal(value, what, ", ".join(self.commands))
 
     def _reversal(self, value: Float[np.ndarray, " points"], what: str, channel: str):
         known = np.isfinite(value)

@@ -58,7 +58,8 @@ def _panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
         ax.plot(time, values, color=color, lw=wide, label=plain(name))
     ax.set_ylabel(plain(panel.label, 24))
     if several:
-        ax.legend(ncols=4, loc="upper right", fontsize=7.5)
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97)}
+        ax.legend(ncols=4, fontsize=7.5, borderpad=0.0, **place)
 
 
 def unity(found: Mapping[str, Any]) -> Figure:

@@ -16,7 +16,7 @@ def test_traces_draw_every_curve():
     figure = traces(time, panels, "cascade")
     top, low = figure.axes
     assert [line.get_label() for line in top.lines] == ["asked for", "direct"]
-    np.testing.assert_array_equal(top.lines[1].get_ydata(), 2 * time)
+    np.testing.assert_array_equal(np.asarray(top.lines[1].get_ydata()), 2 * time)
     # One curve needs no legend.
     assert top.get_legend() is not None and low.get_legend() is None
     assert low.get_xlabel() == "time [s]" and top.get_title("left") == "cascade"
@@ -34,21 +34,21 @@ def test_unity_leaves_out_points_that_do_not_rest():
         response=np.tile(gain[:, None], (1, 2, 1, 1)) + 0j,
     )
     top, low = unity({"direct": value}).axes
-    np.testing.assert_array_equal(top.lines[0].get_ydata(), [0.9, 1.1])
-    np.testing.assert_allclose(low.lines[0].get_ydata(), 1.0)
+    np.testing.assert_array_equal(np.asarray(top.lines[0].get_ydata()), [0.9, 1.1])
+    np.testing.assert_allclose(np.asarray(low.lines[0].get_ydata()), 1.0)
 
 
 def test_signs_stand_where_they_are():
     place = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
     gains = {"model": np.array([-1.0, 1.0, 2.0]), "bed": np.array([-1.0, -1.0, 1.0])}
     left, right = gain_signs(place, gains, ("EGR", "VGT")).axes
-    assert [len(line.get_xdata()) for line in left.lines] == [1, 2]
-    np.testing.assert_array_equal(right.lines[1].get_xdata(), [4.0])
+    assert [np.size(line.get_xdata()) for line in left.lines] == [1, 2]
+    np.testing.assert_array_equal(np.asarray(right.lines[1].get_xdata()), [4.0])
 
 
 def test_errors_of_the_spark_by_distance():
     late = np.repeat([-10.0, 0.5], 20)
     wrong = np.repeat([1.0, 3.0], 20)
     _, right = authority(late, -0.05 * late, {"inverse": wrong}).axes
-    np.testing.assert_allclose(right.lines[0].get_ydata(), [1.0, 3.0])
-    np.testing.assert_allclose(right.lines[0].get_xdata(), [-10.0, 0.5])
+    np.testing.assert_allclose(np.asarray(right.lines[0].get_ydata()), [1.0, 3.0])
+    np.testing.assert_allclose(np.asarray(right.lines[0].get_xdata()), [-10.0, 0.5])
