@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from jaxnarx.shell.style import BLUE, GREY, INK, RED, canvas, styled
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
-from ticks import plain_ticks  # noqa: E402 # pyright: ignore[reportMissingImports]
+from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    plain_ticks,
+)
 
 
 def draw(rows: list[dict[str, Any]], start: str) -> Figure:

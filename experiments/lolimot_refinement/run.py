@@ -26,7 +26,6 @@ from typing import Any
 import jax
 
 from jaxnarx.methods import Case, Identification
-from jaxnarx.shell.style import save
 from jaxnarx.sweep import SweepTable, paired_comparison
 
 HERE = Path(__file__).resolve().parent
@@ -34,6 +33,9 @@ for folder in ("fleets", "benchmarks"):
     sys.path.insert(0, str(HERE.parent / folder))
 sys.path.insert(0, str(HERE))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
+from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    save_small,
+)
 from problems import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     ENGINES,
     PROBLEMS,
@@ -57,7 +59,7 @@ SHORT, LONG = "to 100", "to full"
 SCHEDULES: dict[str, dict[str, Any]] = {
     LONG: {"horizons": (10, 30, 100, 1000), "window_steps": 8, "steps": 30},
     "one step": {"objective": "prediction", "steps": 30},
-    "none": {"horizons": (), "steps": 60},
+    "at once": {"horizons": (), "steps": 60},
     SHORT: {"horizons": (10, 30, 100), "window_steps": 8, "steps": 30},
 }
 """How the refinement gets to its end; `to full`: windows up to the whole record."""
@@ -66,7 +68,7 @@ PLAN = [
     *((LONG, name, (4,), (*MOVED, "staged")) for name in PROCESSES),
     *(("one step", name, (4,), MOVED) for name in PROCESSES),
     *((LONG, name, (4, 8), (*MOVED, "staged")) for name in ENGINES),
-    *(("none", name, (4,), MOVED) for name in PROCESSES),
+    *(("at once", name, (4,), MOVED) for name in PROCESSES),
     *((LONG, name, (8,), (*MOVED, "staged")) for name in PROCESSES),
     *(("one step", name, (4, 8), MOVED) for name in ENGINES),
     *(
@@ -87,8 +89,8 @@ PAIRS = [
     (f"partition, {LONG}", f"coefficients, {LONG}"),
     ("coefficients, one step", f"coefficients, {LONG}"),
     ("joint, one step", f"joint, {LONG}"),
-    ("coefficients, none", f"coefficients, {LONG}"),
-    ("joint, none", f"joint, {LONG}"),
+    ("coefficients, at once", f"coefficients, {LONG}"),
+    ("joint, at once", f"joint, {LONG}"),
     (f"staged, {SHORT}", f"staged, {LONG}"),
 ]
 """What is compared beside everything with the start: the first against the second."""
@@ -190,7 +192,7 @@ def main() -> None:
         figures = {"summary": summary(every), "contrasts": contrasts(every)}
         record(NAME, figures, folder=folder)
         write_table(table_of(every), folder / f"{NAME}.parquet")
-        save(draw(every, START), folder / f"{NAME}.png")
+        save_small(draw(every, START), folder / f"{NAME}.png")
     show(summary(ways(rows)))
 
 

@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from jaxnarx.shell.style import BLUE, GREEN, GREY, INK, ORANGE, RED, canvas, styled
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
-from ticks import plain_ticks  # noqa: E402 # pyright: ignore[reportMissingImports]
+from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    plain_ticks,
+)
 
 LINES = {
     ("lolimot", "none"): (GREY, ":"),
@@ -49,7 +51,7 @@ def draw_curves(curves: list[dict[str, Any]]) -> Figure:
                 text = f"{WORDS[partition]}, {WORDS[train]}"
                 x = [c["models"] for c in own]
                 y = [c["free_run"]["median"] for c in own]
-                ax.plot(x, y, line, color=color, marker="o", ms=3, label=text)
+                ax.plot(x, y, line, color=color, marker="o", ms=2, lw=0.9, label=text)
             ax.set_title(problem)
             ax.set_yscale("log")
             plain_ticks(ax.yaxis)
@@ -57,7 +59,7 @@ def draw_curves(curves: list[dict[str, Any]]) -> Figure:
             ax.set_xlabel("local models")
         handles, names = axes[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=3)
-        figure.supylabel("free-run NRMSE, test, median", fontsize=9)
+        figure.supylabel("free-run NRMSE, test, median", fontsize=8)
     return figure
 
 
@@ -68,7 +70,7 @@ def draw_starts(rows: list[dict[str, Any]], best: str) -> Figure:
     own = [r for r in rows if r["train"] == "staged" and r["models"] in sizes]
     problems = list(dict.fromkeys(r["problem"] for r in own))
     with styled():
-        figure, axes = _panels(problems)
+        figure, axes = _panels(problems, sharey=True)
         for ax, problem in zip(axes, problems, strict=False):
             here = [r for r in own if r["problem"] == problem]
             for place, kind in enumerate(KINDS):
@@ -77,12 +79,12 @@ def draw_starts(rows: list[dict[str, Any]], best: str) -> Figure:
                 at = (r["test_free_run"], KINDS.index(r["from"]))
                 ax.plot(*at, "o", ms=7, mfc="none", mec=GREEN, mew=1.2)
             ax.set_yticks(range(len(KINDS)), [WORDS.get(k, k) for k in KINDS])
-            ax.invert_yaxis()
             ax.set_title(problem)
             ax.set_xscale("log")
             plain_ticks(ax.xaxis)
+        axes[0].invert_yaxis()
         text = "free-run NRMSE, test; ring: chosen by validation; red: diverged"
-        figure.supxlabel(text, fontsize=9)
+        figure.supxlabel(text, fontsize=8)
     return figure
 
 
@@ -97,11 +99,11 @@ def _dots(ax: Axes, place: int, rows: list[dict[str, Any]]) -> None:
         ax.annotate(lost, (1, place), xycoords=("axes fraction", "data"), color=RED)
 
 
-def _panels(problems: list[str]) -> tuple[Figure, list[Axes]]:
+def _panels(problems: list[str], **grid: Any) -> tuple[Figure, list[Axes]]:
     columns = min(4, len(problems))
     deep = -(-len(problems) // columns)
-    size = (max(6.0, 3.0 * columns), 1.0 + 2.3 * deep)
-    figure, axes = canvas(*size, rows=deep, columns=columns)
+    size = (max(6.0, 2.2 * columns), 1.0 + 1.7 * deep)
+    figure, axes = canvas(*size, rows=deep, columns=columns, **grid)
     for ax in axes[len(problems) :]:
         ax.set_axis_off()
     return figure, axes

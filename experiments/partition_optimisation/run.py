@@ -27,13 +27,15 @@ from pathlib import Path
 import jax
 
 from jaxnarx.methods import Case, Identification
-from jaxnarx.shell.style import save
 
 HERE = Path(__file__).resolve().parent
 for folder in ("fleets", "benchmarks"):
     sys.path.insert(0, str(HERE.parent / folder))
 sys.path.insert(0, str(HERE))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
+from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    save_small,
+)
 from partition_figures import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     draw_curves,
     draw_starts,
@@ -144,8 +146,8 @@ def main() -> None:
         }
         record(NAME, figures, folder=folder)
         write_table(table_of(rows), folder / f"{NAME}.parquet")
-        save(draw_curves(curves(rows)), folder / f"{NAME}_curves.png")
-        save(draw_starts(every, BEST), folder / f"{NAME}_starts.png")
+        save_small(draw_curves(curves(rows)), folder / f"{NAME}_curves.png")
+        save_small(draw_starts(every, BEST), folder / f"{NAME}_starts.png")
         for row in starts(every):
             if row["problem"] == name:
                 print(row, flush=True)

@@ -48,7 +48,7 @@ class Size:
     relatives: int = RELATIVES
     points: int = 20
     brief: bool = False
-    """Small models, hardly refined."""
+    """Small models, not refined by themselves."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """An inverse for the command line: identify, train through the model, judge, save."""
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -39,6 +40,7 @@ from jaxnarx.shell.output import write_report, write_text, written_together
 from jaxnarx.shell.progress import refinement_progress
 from jaxnarx.shell.style import save as save_figure
 from jaxnarx.shell.tracking_figure import draw_tracking
+from jaxnarx.simulation import simulate
 from jaxnarx.solution import Solution
 
 MODEL, TRACKING, FIGURE = "inverse.safetensors", "tracking.json", "tracking.png"
@@ -201,18 +203,36 @@ def _trained(
 ) -> Network:
     if not command.steps:
         return direct
-    say("Training the inverse through the model, on the tracking error")
+    say("Training the inverse through the model, on what the model itself can do")
+    own = {name: _reached(forward, parts[name]) for name in ("train", "validate")}
     method = TrackingError(effort=command.effort, max_steps=command.steps)
     fit = compensate(
         direct,
         forward,
-        parts["train"],
+        own["train"],
         method,
-        validation=parts["validate"],
+        validation=own["validate"],
         limits=limits,
     )
     say(f"  {fit.status_name}: {fit.detail}, {count(fit.stats['steps'], 'step')}")
     return fit.value
+
+
+def _reached(forward: Network, data: Dataset) -> Dataset:
+    """The records with the outputs that the model computes under their commands.
+
+    With the measured ones the inverse would learn to make good the model's error, which
+    the engine does not have. A record on which the model diverges stays as it is.
+    """
+    found = simulate(forward, data).value
+    at = [data.channels.output_names.index(n) for n in found.output_names]
+    records = []
+    for n, record in enumerate(data):
+        y = np.array(record.y)
+        if not found.diverged[n].any():
+            y[:, at] = found.outputs[n]
+        records.append(dataclasses.replace(record, y=y))
+    return dataclasses.replace(data, records=tuple(records))
 
 
 def _tell(followed: dict[str, Solution[Tracking]], part: str, worst: float) -> None:
@@ -227,6 +247,8 @@ def _tell(followed: dict[str, Solution[Tracking]], part: str, worst: float) -> N
         )
     if math.isfinite(worst):
         say(f"Static gain from reference to output: within {worst:.1%} of one")
+    else:
+        say("Static gain from reference to output: no point comes to rest off a limit")
     share = np.mean(np.concatenate(followed["trained"].value.at_range), axis=0)
     for name, held in zip(followed["trained"].value.command_names, share, strict=True):
         if held >= 0.01:
