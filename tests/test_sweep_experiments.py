@@ -15,7 +15,7 @@ def figures_of(script: str, results: Path) -> dict:
     path = results / f"{script}.json"
     assert str(ROOT) not in path.read_text() and str(results) not in path.read_text()
     pictures = list(results.glob("*.png"))
-    assert pictures and all(10_000 < p.stat().st_size < 150_000 for p in pictures)
+    assert pictures and all(4_000 < p.stat().st_size < 150_000 for p in pictures)
     return json.loads(path.read_text())["figures"]
 
 

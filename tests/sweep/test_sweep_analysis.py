@@ -82,12 +82,13 @@ def test_the_best_of_each_group(table):
     assert worst.column("error").tolist() == [2.0, 1.0, 8.0, 6.0, 3.0, 3.0]
 
 
-def test_failed_and_infinite_rows_are_never_the_best():
+def test_infinite_rows_are_never_the_best_and_a_status_is_no_score():
+    """It may tell of the test records, of which a choice by validation must not know."""
     table = SweepTable.from_rows(
         [
-            {"engine": "a", "status": "diverged", "error": 0.1},
+            {"engine": "a", "status": "ok", "error": 2.5},
             {"engine": "a", "status": "ok", "error": float("inf")},
-            {"engine": "a", "status": "ok", "error": 2.0},
+            {"engine": "a", "status": "diverged", "error": 2.0},
             {"engine": "b", "status": "crashed", "error": None},
         ]
     )

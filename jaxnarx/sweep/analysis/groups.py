@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxnarx.evaluation import pareto
 from jaxnarx.solution import NAMES
@@ -16,11 +15,12 @@ def best_per_group(
 ) -> SweepTable:
     """The row of every group with the best score, in the order the groups appear.
 
-    `group` names the columns whose values make a group, `by` the score. Rows that
-    failed and scores that are not finite do not compete; a group without another row is
-    left out. Of equal rows the first wins.
+    `group` names the columns whose values make a group, `by` the score. Scores that are
+    not finite do not compete; a group without another row is left out. Of equal rows
+    the first wins. The status does not count: it may come from the test records, which
+    must have no part in a choice by validation.
     """
-    score = _scores(table, by) * (1.0 if smallest else -1.0)
+    score = table.numbers(by) * (1.0 if smallest else -1.0)
     best: dict[tuple[Any, ...], int] = {}
     for i, label in enumerate(labels(table, group)):
         if np.isfinite(score[i]) and score[i] < score[best.setdefault(label, i)]:
@@ -32,10 +32,11 @@ def best_per_group(
 def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
     """The rows that no other beats in all objectives, each to be made small.
 
-    Rows that failed and values that are not finite do not compete. The rows come in the
-    order of the first objective. See `jaxnarx.pareto`.
+    Values that are not finite do not compete; the status does not count, as for
+    `best_per_group`. The rows come in the order of the first objective. See
+    `jaxnarx.pareto`.
     """
-    points = np.stack([_scores(table, name) for name in objectives], axis=1)
+    points = np.stack([table.numbers(name) for name in objectives], axis=1)
     points[~np.isfinite(points).all(axis=1)] = np.nan
     chosen = np.flatnonzero(pareto(points))
     return table.take(chosen[np.argsort(points[chosen, 0], kind="stable")])
@@ -57,8 +58,3 @@ def labels(table: SweepTable, names: str | Sequence[str]) -> list[tuple[Any, ...
 
 def _fixed(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
-
-
-def _scores(table: SweepTable, name: str) -> Float[np.ndarray, " rows"]:
-    """A score of every row, NaN where the row failed."""
-    return np.where(table.okay, table.numbers(name), np.nan)
