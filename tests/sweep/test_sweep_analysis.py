@@ -83,7 +83,7 @@ def test_the_best_of_each_group(table):
 
 
 def test_infinite_rows_are_never_the_best_and_a_status_is_no_score():
-    """It may tell of the test records, of which a choice by validation must not know."""
+    """A status may tell of test records, which a choice by validation must not know."""
     table = SweepTable.from_rows(
         [
             {"engine": "a", "status": "ok", "error": 2.5},
