@@ -141,13 +141,7 @@ def invert(
         save(trained, place / MODEL, about={"command": typed})
         write_report(report(trained, backwards, provenance={"command": typed}), place)
         write_text(place / TRACKING, json.dumps(text, allow_nan=False, indent=1))
-        save_figure(
-            draw_tracking(
-                {name: s.value for name, s in followed.items()},
-                float(forward.sample_time),
-            ),
-            place / FIGURE,
-        )
+        save_figure(draw_tracking(followed, float(forward.sample_time)), place / FIGURE)
     return followed["trained"]
 
 

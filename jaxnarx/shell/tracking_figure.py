@@ -8,21 +8,23 @@ from matplotlib.figure import Figure
 
 from jaxnarx.inverse import Tracking
 from jaxnarx.shell.style import CYCLE, INK, canvas, plain, styled
+from jaxnarx.solution import Solution
 
 SHOWN = 600
 """Samples shown of a record; longer ones are cut, not thinned."""
 
 
 def draw_tracking(
-    ways: Mapping[str, Tracking], sample_time: float, *, record: int = 0
+    ways: Mapping[str, Solution[Tracking]], sample_time: float, *, record: int = 0
 ) -> Figure:
     """One record of cascades that follow the same references, one panel a signal.
 
     `ways` are cascades by name, such as the direct and the trained inverse. Targets
-    first, with the reference in ink and the NRMSE over all records in the legend, then
-    commands, the samples marked at which a limit holds them.
+    first, with the reference in ink and the NRMSE over all records in the legend (or
+    that the cascade diverges), then commands, the samples marked at which a limit holds
+    them.
     """
-    first = next(iter(ways.values()))
+    first = next(iter(ways.values())).value
     panels = len(first.targets) + len(first.command_names)
     length = min(SHOWN, len(first.commands[record]))
     time = np.arange(length) * sample_time
@@ -32,15 +34,16 @@ def draw_tracking(
             ax = axes[i]
             wanted = first.references[record][:length, i]
             ax.plot(time, wanted, color=INK, linewidth=0.8, label="reference")
-            for (way, value), colour in zip(ways.items(), CYCLE, strict=False):
-                followed = value.outputs[record][:length, value.targets[i]]
-                label = f"{way}, NRMSE {value.nrmse()[i]:.3g}"
-                ax.plot(time, followed, color=colour, label=label)
+            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+                followed = found.value.outputs[record][:length, first.targets[i]]
+                error = f"NRMSE {found.value.nrmse()[i]:.3g}"
+                end = error if found.is_okay else found.status_name
+                ax.plot(time, followed, color=colour, label=f"{way}, {end}")
             _finished(ax, name)
         for c, name in enumerate(first.command_names):
             ax = axes[len(first.targets) + c]
-            for (way, value), colour in zip(ways.items(), CYCLE, strict=False):
-                _command(ax, time, value, record, c, colour, way)
+            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+                _command(ax, time, found.value, record, c, colour, way)
             _finished(ax, name)
         axes[-1].set_xlabel("time [s]")
     return figure
@@ -59,5 +62,5 @@ def _command(
 
 def _finished(ax: Axes, name: str) -> None:
     ax.set_ylabel(plain(name, 16))
-    ax.legend(loc="upper right", ncols=4)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderaxespad=0)
     ax.margins(x=0)
