@@ -5,11 +5,13 @@ process lives. The claim of a process that is gone, or of another machine's proc
 has not renewed it for `STALE` seconds, is taken over.
 """
 
+import contextlib
 import dataclasses
 import json
 import os
 import tempfile
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -100,24 +102,36 @@ def _create(path: Path) -> bool:
 def _clear_dead(path: Path) -> bool:
     """Remove the claim if its owner is dead.
 
-    It is moved aside and looked at again, because another process may have replaced
-    it in the meantime; then it is put back.
+    One process at a time does so and looks again first: another may have taken the
+    claim over in the meantime. While a dead claim stands, nobody can make a new one.
     """
     if not _is_dead(path):
         return False
-    aside = path.with_name(f"{path.name}.{this_process().token}.tmp")
-    try:
-        os.rename(path, aside)
-    except FileNotFoundError:
-        return True
-    dead = _is_dead(aside)
-    try:
-        if not dead:
-            os.link(aside, path)
-    except OSError:
-        pass
-    aside.unlink(missing_ok=True)
+    with _alone(path.parent):
+        dead = _is_dead(path)
+        if dead:
+            path.unlink(missing_ok=True)
     return dead
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep others out who ask the same; a lock on the folder ends with its process.
+
+    Where the system has no such lock, nobody is kept out: then two may compute the same
+    chunk, of which the first that is written stays.
+    """
+    handle = None
+    try:
+        with contextlib.suppress(OSError, ImportError):
+            import fcntl
+
+            handle = os.open(folder, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
 
 
 def _is_dead(path: Path) -> bool:
