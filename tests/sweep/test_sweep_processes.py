@@ -49,14 +49,15 @@ def test_a_killed_sweep_continues_and_equals_the_uninterrupted_one(
     tmp_path, start, sound, same_rows
 ):
     folder, diary = tmp_path / "x", tmp_path / "diary"
-    toy = f"Toy(24, pause=0.05, diary={str(diary)!r})"
+    # Long enough that a busy machine is not done before the signal comes.
+    toy = f"Toy(24, pause=0.5, diary={str(diary)!r})"
     first = start(folder, toy, "dict(chunk=2)")
     wait_for(lambda: len(chunks(folder)) >= 3 or first.poll() is not None)
     first.send_signal(signal.SIGKILL)
     first.wait()
     before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in chunks(folder)}
     assert 3 <= len(before) < 12, first.communicate()
-    again = start(folder, toy, "dict(chunk=2)")
+    again = start(folder, toy.replace("0.5", "0.0"), "dict(chunk=2)")
     _, errors = again.communicate(timeout=LIMIT)
     assert again.returncode == 0, errors
     assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in before} == before
@@ -70,7 +71,8 @@ def test_a_killed_sweep_continues_and_equals_the_uninterrupted_one(
 
 def test_two_processes_share_a_folder(tmp_path, start, sound, same_rows):
     folder, diary = tmp_path / "x", tmp_path / "diary"
-    toy = f"Toy(24, pause=0.1, diary={str(diary)!r})"
+    # Long enough for the second to come before the first is done.
+    toy = f"Toy(24, pause=0.4, diary={str(diary)!r})"
     both = [start(folder, toy, "dict(chunk=2)") for _ in range(2)]
     for process in both:
         _, errors = process.communicate(timeout=LIMIT)
@@ -84,7 +86,7 @@ def test_two_processes_share_a_folder(tmp_path, start, sound, same_rows):
 @pytest.mark.slow
 def test_workers_share_the_chunks_each_on_a_core_of_its_own(tmp_path, sound, same_rows):
     diary, told = tmp_path / "diary", []
-    toy = Toy(24, pause=0.1, diary=str(diary))
+    toy = Toy(24, pause=0.3, diary=str(diary))
     options = {"chunk": 2, "workers": 2, "progress": told.append}
     solution = run_sweep(toy, tmp_path / "x", **options)
     same_rows(solution.value, sound)
@@ -119,7 +121,7 @@ def test_when_a_worker_is_killed_the_others_finish(tmp_path, sound, same_rows):
             killed.append(min(pages(diary)))
             os.kill(killed[0], signal.SIGKILL)
 
-    toy = Toy(24, pause=0.1, diary=str(diary))
+    toy = Toy(24, pause=0.3, diary=str(diary))
     options = {"chunk": 2, "workers": 2, "progress": kill}
     solution = run_sweep(toy, tmp_path / "x", **options)
     assert killed
@@ -146,7 +148,8 @@ def test_an_error_in_a_worker_is_raised_here(tmp_path):
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ctrl_c_keeps_what_is_finished(tmp_path, start, sound, same_rows, workers):
     folder, diary = tmp_path / "x", tmp_path / "diary"
-    toy = f"Toy(24, pause=0.1, diary={str(diary)!r})"
+    # Long enough that a busy machine is not done before the signal comes.
+    toy = f"Toy(24, pause=0.5, diary={str(diary)!r})"
     process = start(folder, toy, f"dict(chunk=2, workers={workers})")
     wait_for(lambda: len(chunks(folder)) >= 2 or process.poll() is not None)
     process.send_signal(signal.SIGINT)
@@ -204,7 +207,7 @@ def cluster():
 @pytest.mark.slow
 def test_a_cluster_computes_the_same_rows(tmp_path, cluster, sound, same_rows):
     diary = tmp_path / "diary"
-    toy = Toy(24, pause=0.1, diary=str(diary))
+    toy = Toy(24, pause=0.3, diary=str(diary))
     table = run_sweep(toy, tmp_path / "x", chunk=2, client=cluster).value
     same_rows(table, sound)
     computed = pages(diary)
@@ -223,7 +226,7 @@ def test_a_worker_of_the_cluster_is_killed_and_its_chunks_made_by_the_other(
             killed.append(min(pages(diary)))
             os.kill(killed[0], signal.SIGKILL)
 
-    toy = Toy(24, pause=0.1, diary=str(diary))
+    toy = Toy(24, pause=0.3, diary=str(diary))
     options = {"chunk": 2, "client": cluster, "progress": kill}
     table = run_sweep(toy, tmp_path / "x", **options).value
     assert killed
