@@ -73,12 +73,12 @@ def processes(samples: int, fits: int, lanes: int, rounds: int) -> dict[str, Any
     Taken in turns, and the median ratio is the figure: on a shared machine one
     round says little.
     """
-    pairs = [
-        [rate_of(count, samples, fits, lanes) for count in (1, 2)]
-        for _ in range(rounds)
-    ]
-    if None in sum(pairs, []):
-        return {}
+    pairs: list[tuple[float, float]] = []
+    for _ in range(rounds):
+        one, two = (rate_of(count, samples, fits, lanes) for count in (1, 2))
+        if one is None or two is None:
+            return {}
+        pairs.append((one, two))
     ratios = sorted(round(two / one, 2) for one, two in pairs)
     ratio = ratios[len(ratios) // 2]
     # `target` wants what is small to be good.
