@@ -36,13 +36,7 @@ from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
 from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     save_small,
 )
-from problems import (  # noqa: E402 # pyright: ignore[reportMissingImports]
-    ENGINES,
-    PROBLEMS,
-    PROCESSES,
-)
-from refinement_figure import draw  # noqa: E402 # pyright: ignore[reportMissingImports]
-from runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+from fleet_runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     Row,
     compared,
     identified,
@@ -52,6 +46,12 @@ from runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     table_of,
     write_table,
 )
+from problems import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    ENGINES,
+    PROBLEMS,
+    PROCESSES,
+)
+from refinement_figure import draw  # noqa: E402 # pyright: ignore[reportMissingImports]
 
 NAME = "lolimot_refinement"
 SEEDS = dict.fromkeys(PROCESSES, 20) | dict.fromkeys(ENGINES, 8)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.sweep import paired_comparison
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
-from runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+from fleet_runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     Row,
     compared,
     rounded,

@@ -36,6 +36,14 @@ from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]
 from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     save_small,
 )
+from fleet_runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    Row,
+    identified,
+    options,
+    start_row,
+    table_of,
+    write_table,
+)
 from partition_figures import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     draw_curves,
     draw_starts,
@@ -51,14 +59,6 @@ from partition_tables import (  # noqa: E402 # pyright: ignore[reportMissingImpo
 from problems import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     PROBLEMS,
     missing,
-)
-from runs import (  # noqa: E402 # pyright: ignore[reportMissingImports]
-    Row,
-    identified,
-    options,
-    start_row,
-    table_of,
-    write_table,
 )
 
 NAME = "partition_optimisation"
