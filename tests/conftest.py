@@ -2,11 +2,19 @@
 
 import gc
 import os
+import shutil
 from pathlib import Path
 
 # Compilation is nearly all of the tests' time, and here nothing is compiled to be run
 # often: a third of the time is saved. Child processes inherit it.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# What one process has compiled the others and later runs load. Two may write one file
+# at once: who reads half of it compiles (the warning is let through in pyproject.toml).
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR",
+    str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"),
+)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import jax
 import pytest
@@ -19,9 +27,21 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 install_import_hook("jaxnarx", "beartype.beartype")
 
 
+COMPILED = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+COMPILED_MB = 2_000
+"""What is kept for later runs is thrown away beyond this."""
+
 MAPS = 30_000
 """Memory maps of a process beyond which compiled programs are let go. Every program
 takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
+
+
+def pytest_sessionstart(session):
+    ours = COMPILED.is_dir() and COMPILED.parent.name == ".pytest_cache"
+    if hasattr(session.config, "workerinput") or not ours:
+        return
+    if sum(file.stat().st_size for file in COMPILED.iterdir()) > COMPILED_MB * 1e6:
+        shutil.rmtree(COMPILED)
 
 
 @pytest.fixture(scope="module", autouse=True)

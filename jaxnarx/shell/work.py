@@ -41,10 +41,15 @@ def run(command: commands.Command, *, typed: str) -> int:
 
 
 def _configure() -> None:
-    """float64 and a compilation cache: set here, never by the library."""
+    """float64 and a compilation cache: set here, never by the library.
+
+    Who names a cache by JAX_COMPILATION_CACHE_DIR gets that one.
+    """
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     cache = Path(home) / "jaxnarx" / "compiled"
     try:

@@ -19,7 +19,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
@@ -87,22 +86,12 @@ def files(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """Compiled programs go to a folder of this module; jax is left as it was."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    names += ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
-    before = {name: getattr(jax.config, name) for name in names}
-    place = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(place))
-        patch.delenv("JAXNARX_DATA", raising=False)
-        yield place
-    after = {name: getattr(jax.config, name) for name in names}
-    for name in names[:2]:
-        jax.config.update(name, before[name])
-    compilation_cache.reset_cache()
-    assert {n: after[n] for n in names[2:]} == {n: before[n] for n in names[2:]}
-    assert after["jax_compilation_cache_dir"].startswith(str(place))
+def settings():
+    """Strict promotion, set by the tests, is not changed by any command."""
+    names = ("jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
+    before = [getattr(jax.config, name) for name in names]
+    yield
+    assert [getattr(jax.config, name) for name in names] == before
 
 
 @pytest.fixture(autouse=True)
@@ -114,7 +103,7 @@ def place(files, tmp_path, monkeypatch) -> Path:
 
 
 @pytest.fixture(scope="module")
-def both(files, tmp_path_factory, cache) -> Path:
+def both(files, tmp_path_factory) -> Path:
     """A model of both outputs."""
     out = tmp_path_factory.mktemp("both") / "run"
     description = str(files / "engine.toml")
@@ -123,7 +112,7 @@ def both(files, tmp_path_factory, cache) -> Path:
 
 
 @pytest.fixture(scope="module")
-def one(files, tmp_path_factory, cache) -> Path:
+def one(files, tmp_path_factory) -> Path:
     """A model of the first output only."""
     out = tmp_path_factory.mktemp("one") / "run"
     assert run(["identify", str(files / "engine.toml"), *PART, "--out", str(out)]) == 0
@@ -880,6 +869,22 @@ def test_nobody_reading_is_no_fault(arguments, code):
     assert process.stderr.read() == ""
     process.stderr.close()
     assert process.wait() == code
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
+    names = ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
+    environment = {k: v for k, v in os.environ.items() if k not in names}
+    environment["XDG_CACHE_HOME"] = str(tmp_path / "home")
+    if own:
+        environment[names[0]] = str(tmp_path / "own")
+    words = "from jaxnarx.shell import work; work._configure(); import jax; "
+    words += "print(jax.config.jax_compilation_cache_dir)"
+    found = subprocess.run(
+        [sys.executable, "-c", words], env=environment, text=True, capture_output=True
+    )
+    wanted = tmp_path / ("own" if own else "home/jaxnarx/compiled")
+    assert found.stdout.strip() == str(wanted)
 
 
 @pytest.mark.slow

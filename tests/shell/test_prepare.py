@@ -71,11 +71,8 @@ def write(path: Path, columns: np.ndarray) -> None:
         writer.writerows(columns.T.tolist())
 
 
-pytestmark = pytest.mark.usefixtures("own_settings")
-
-
 @pytest.fixture(scope="module")
-def files(tmp_path_factory, own_settings) -> Path:
+def files(tmp_path_factory) -> Path:
     """Raw records, prepared ones, and a model of the prepared ones."""
     folder = tmp_path_factory.mktemp("engine")
     for k in range(4):

@@ -13,8 +13,6 @@ from jaxnarx.engines import BEDS, Pfi
 from jaxnarx.shell import commands, simulate_engine
 from jaxnarx.shell.cli import run
 
-pytestmark = pytest.mark.usefixtures("own_settings")
-
 
 @pytest.fixture
 def simulate(monkeypatch, tmp_path, capsys):

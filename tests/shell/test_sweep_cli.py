@@ -14,8 +14,6 @@ from jaxnarx.shell.cli import run
 from jaxnarx.shell.sweep_description import Measured, Relatives, load_sweep
 from jaxnarx.sweep import IdentificationWork, read_sweep
 
-pytestmark = pytest.mark.usefixtures("own_settings")
-
 BED = """
 [data]
 bed = "pfi-cc"
@@ -35,7 +33,7 @@ ridge = [1e-6, 1e-4]
 
 
 @pytest.fixture(scope="module")
-def place(own_settings, tmp_path_factory):
+def place(tmp_path_factory):
     """A working folder with a description, and the lines of its first run."""
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "bed.toml").write_text(BED)
