@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.errors import JaxnarxError
+from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.shell.commands import Sweep
 from jaxnarx.shell.messages import about
 from jaxnarx.shell.output import slug, write_text, written_together
@@ -31,7 +31,10 @@ EVERY = 0.1
 
 
 def sweep(command: Sweep) -> None:
-    """Run or continue the sweep, and tell what came out."""
+    """Run or continue the sweep, and tell what came out.
+
+    DataError where every member crashed; the table is written all the same.
+    """
     description = load_sweep(Path(command.description))
     folder = Path(command.folder or Path("runs") / slug(Path(command.description).stem))
     with about(command.description):
@@ -60,17 +63,28 @@ def sweep(command: Sweep) -> None:
     with written_together(folder) as place:
         write_text(place / CSV, sweep_csv(solution.value))
     say(f"\nwrote table.parquet and {CSV} to {folder}")
+    crashed = _crashed(solution.value)
+    if len(crashed) == len(solution.value):
+        first = crashed[0]
+        raise DataError(
+            f"every member crashed; once that is mended, begin anew with --new-run. "
+            f"The first was {first['engine']}: {first['message']}"
+        )
+
+
+def _crashed(table: SweepTable) -> list[dict[str, Any]]:
+    return [row for row in table.rows() if row["status"] == "crashed"]
 
 
 def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
     say("\nMembers by status")
     for line in status_lines(table):
         say(line)
-    crashed = [row for row in table.rows() if row["status"] == "crashed"]
-    if crashed:
-        say(f"  the first crash, {crashed[0]['engine']}: {crashed[0]['message']}")
+    crashed = _crashed(table)
     if len(crashed) == len(table):
         return
+    if crashed:
+        say(f"  the first crash, {crashed[0]['engine']}: {crashed[0]['message']}")
     judge = "validation" if fleet.validation is not None else "train"
     scores = [f"{part}_free_run" for part in fleet.parts]
     best = best_per_group(table, "engine", f"{judge}_free_run")

@@ -43,10 +43,14 @@ def run(command: commands.Command, *, typed: str) -> int:
 def _configure() -> None:
     """float64 and a compilation cache: set here, never by the library.
 
-    Who names a cache by JAX_COMPILATION_CACHE_DIR gets that one.
+    Who names a cache by JAX_COMPILATION_CACHE_DIR gets that one. A program in it that a
+    killed process has half written is compiled anew, and nobody need hear of it.
     """
+    import warnings
+
     import jax
 
+    warnings.filterwarnings("ignore", "Error reading persistent compilation cache")
     jax.config.update("jax_enable_x64", True)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         return

@@ -887,6 +887,24 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
     assert found.stdout.strip() == str(wanted)
 
 
+def test_half_written_programs_are_compiled_anew(tmp_path):
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    words = "from jaxnarx.shell import work; work._configure(); import jax; "
+    words += "print(jax.jit(lambda x: x * 3)(2.0))"
+    for _ in range(2):
+        found = subprocess.run(
+            [sys.executable, "-c", words],
+            env=environment,
+            text=True,
+            capture_output=True,
+        )
+        assert (found.stdout, found.stderr) == ("6.0\n", "")
+        programs = list(tmp_path.glob("*-cache"))
+        assert programs
+        for program in programs:
+            program.write_bytes(program.read_bytes()[:20])
+
+
 @pytest.mark.slow
 def test_ctrl_c_during_refinement():
     long = ["--steps", "400", "--window-steps", "400", "--horizons", "10", "30", "100"]

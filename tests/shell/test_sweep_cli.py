@@ -121,8 +121,13 @@ def test_a_sweep_without_any_result_says_why(jaxnarx, monkeypatch):
 
     monkeypatch.setattr(IdentificationWork, "run", broken)
     code, out, err = jaxnarx("bed.toml --folder broken")
-    assert code == 0, err
-    assert "the first crash, pfi-cc-0000: " in out and "the moon is full" in out
+    assert code == 3 and "crashed" in out
+    assert "every member crashed" in err and "--new-run" in err
+    assert "The first was pfi-cc-0000: " in err
+    assert "the moon is full" in err and err.count("\n") == 1
+    assert len(read_sweep("broken")) == 4
+    code, out, err = jaxnarx("bed.toml --folder broken")
+    assert code == 3 and "the moon is full" in err
 
 
 def test_engines_that_stall_are_rows(jaxnarx, monkeypatch):
