@@ -96,7 +96,7 @@ def test_references_of_a_real_engine(tmp_path, measured):
     experiment("gengine1/references.py", "--results", str(tmp_path))
     figures = json.loads((tmp_path / "gengine1_references.json").read_text())["figures"]
     (row,) = figures["rows"]
-    assert [stage["models"] for stage in figures["partition"]] == [2, 3]
+    assert [stage["models"] for stage in row["growth"]] == [2, 3]
     assert row["size"]["regions"] in (2, 3)
     # The training records judge the refinement: never worse than its start.
     closed, joint = (row["train"][k]["free_run"]["rmse"] for k in row["train"])

@@ -7,7 +7,9 @@ left out, which the closed form of `output_error.py` makes cheap.
 
 import dataclasses
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -27,15 +29,16 @@ from output_error import (  # noqa: E402 # pyright: ignore[reportMissingImports]
 )
 
 INPUTS = ("speed", "load", "lambda", "ignition", "fuel_cutoff")
-LAGS, TIME_CONSTANTS = (0, 4, 8, 16), (1.0, 4.0, 16.0, 60.0)
+LAGS, TIME_CONSTANTS = (0, 4, 8, 12, 16, 24, 32), (1.0, 4.0, 16.0, 60.0)
 FEEDBACK = ((0.5, 0.3), (0.7, 0.3), (1.2, 0.5), (2.0, 0.5), (6.0, 0.5), (8.0, 1.0))
 """Pairs of time constants of the common feedback [s]."""
-DELAYS = (4, 0, 8)
+DELAYS = (4, 0, 8, 12, 16)
 """Of products and scheduling [samples]; the first while the feedback is chosen."""
-SIZES, RIDGES = (80, 110, 140, 180, 220), (1e-4, 1e-3, 1e-2)
-GUIDE, GUIDE_FEEDBACK, MODELS = "NOx", (0.7, 0.3), 9
-SPLITS = ((0, 4), (0, 1), (0, 0), (0, 1), (0, 1), (3, 1), (0, 1), (2, 3))
-"""Region and input of every halving; the upper half becomes the last region."""
+SIZES, RIDGES = (40, 60, 80, 110, 140, 180, 220, 260), (1e-4, 1e-3, 1e-2)
+MODELS = 10
+START = ((0, 4), (0, 1), (0, 0), (0, 1), (0, 1), (3, 1), (0, 1), (2, 3))
+"""Region and input of every halving (the upper half becomes the last region) of the
+partition that serves while feedback and delay are chosen. Found while exploring NOx."""
 WIDTH, CUT_WIDTH = 0.5, 1 / 3
 """Width of a Gaussian as a share of its box: of inputs, and of fuel cut-off."""
 THIN, FINE = 20, 5
@@ -48,6 +51,7 @@ class Choice:
 
     feedback: tuple[float, float]
     delay: int
+    splits: tuple[tuple[int, int], ...]
     size: int
     ridge: float
     score: float
@@ -60,16 +64,16 @@ def dealings(records: int) -> list[np.ndarray]:
     return [np.minimum(series, 1), (place + 2 * series) % min(5, max(half, 2))]
 
 
-def pool_of(data: jnx.Dataset, output: str, delay: int, memory: bool) -> jnx.Pool:
+def pool_of(data: jnx.Dataset, output: str, delay: int) -> jnx.Pool:
     """Linear terms of all variables, products of the four continuous inputs at a
-    delay; the output's lags last. Without `memory` the inputs at the delay alone."""
+    delay; the output's lags last."""
     pool = jnx.polynomial_pool(
         data.channels,
         outputs=[output],
-        input_lags=LAGS if memory else (delay,),
+        input_lags=LAGS,
         output_lags=(1, 2),
         degree=2,
-        filters=[jnx.LowPass(tau) for tau in TIME_CONSTANTS] if memory else (),
+        filters=[jnx.LowPass(tau) for tau in TIME_CONSTANTS],
     )
     entries = pool.variables.entries
     free = [
@@ -98,17 +102,14 @@ def validity(boxes: Boxes):
 class Search:
     """Choices for one output; columns of a delay are formed once."""
 
-    def __init__(
-        self, train: jnx.Dataset, output: str, *, memory: bool = True, thin: int = THIN
-    ):
+    def __init__(self, train: jnx.Dataset, output: str, *, thin: int = THIN):
         self.train, self.output, self.thin = train, output, thin
-        self.memory = memory
         self.dealings = dealings(len(train))
         self.kept: dict[int, Prepared] = {}
 
     def empty(self, boxes: Boxes, feedback, delay: int) -> jnx.Network:
         """The structure, all coefficients but the feedback zero."""
-        pool = pool_of(self.train, self.output, delay, self.memory)
+        pool = pool_of(self.train, self.output, delay)
         a = denominator(feedback, self.train.sample_time)
         return network(pool, self.train, scheduling(delay), validity(boxes), a)
 
@@ -126,43 +127,65 @@ class Search:
         return min(float(cross_validated(found, self.dealings, r)[0]) for r in RIDGES)
 
 
-def given() -> Boxes:
-    """The partition of `SPLITS`."""
+def divided(splits: Sequence[tuple[int, int]]) -> Boxes:
+    """The partition that these halvings make."""
     boxes = whole(len(INPUTS))
-    for model, dim in SPLITS:
+    for model, dim in splits:
         boxes = boxes.halved(model, dim)
     return boxes
 
 
-def grown(search: Search, models: int) -> tuple[Boxes, list[dict]]:
-    """The partition that the rule of step 1 finds, and its history."""
-    boxes = whole(len(INPUTS)).halved(*SPLITS[0])
-    stages = [(search.full(boxes, GUIDE_FEEDBACK, DELAYS[0]), boxes, SPLITS[0])]
-    while len(stages[-1][1].low) < models:
-        boxes = stages[-1][1]
+def choose(search: Search, models: int = MODELS) -> tuple[Choice, list[dict[str, Any]]]:
+    """Steps 1 to 3: the best structure, and the history of the growth."""
+    feedback, delay = memory(search, divided(START))
+    stages = grown(search, feedback, delay, models)
+    tried = [
+        choice
+        for stage in stages
+        for choice in sized(search, stage["splits"], feedback, delay)
+    ]
+    return min(tried, key=lambda one: one.score), stages
+
+
+def memory(search: Search, boxes: Boxes) -> tuple[tuple[float, float], int]:
+    """Feedback and delay, one after the other."""
+    delay = DELAYS[0]
+    scores = {f: search.full(boxes, f, delay) for f in FEEDBACK}
+    feedback = min(scores, key=scores.__getitem__)
+    by_delay = {d: search.full(boxes, feedback, d) for d in DELAYS[1:]}
+    by_delay[delay] = scores[feedback]
+    return feedback, min(by_delay, key=by_delay.__getitem__)
+
+
+def grown(search: Search, feedback, delay: int, models: int) -> list[dict[str, Any]]:
+    """The stages of the growth: the splits so far and what they score."""
+    splits = START[:1]
+    score = search.full(divided(splits), feedback, delay)
+    stages = [{"models": 2, "score": score, "splits": splits}]
+    while stages[-1]["models"] < models:
+        splits = stages[-1]["splits"]
         tried = []
-        for model in worst(search, boxes):
+        for model in worst(search, divided(splits), feedback, delay):
             for dim in range(len(INPUTS) - 1):
-                new = boxes.halved(model, dim)
-                score = search.full(new, GUIDE_FEEDBACK, DELAYS[0])
-                tried.append((score, new, (model, dim)))
-        stages.append(min(tried, key=lambda one: one[0]))
-        print(len(stages[-1][1].low), f"{stages[-1][0]:.4f}", stages[-1][2], flush=True)
-    best = min(stages, key=lambda one: one[0])
-    rows = [{"models": len(b.low), "score": s, "split": w} for s, b, w in stages]
-    return best[1], rows
+                new = (*splits, (model, dim))
+                tried.append((search.full(divided(new), feedback, delay), new))
+        score, splits = min(tried)
+        stages.append({"models": len(splits) + 1, "score": score, "splits": splits})
+        print(search.output, len(splits) + 1, f"{score:.4f}", splits[-1], flush=True)
+    return stages
 
 
-def worst(search: Search, boxes: Boxes, count: int = 2) -> list[int]:
+def worst(
+    search: Search, boxes: Boxes, feedback, delay: int, count: int = 2
+) -> list[int]:
     """Regions with the largest sum of squared errors, weighted by validity.
 
     The cut-off region is not divided.
     """
-    found = search.equations(boxes, GUIDE_FEEDBACK, DELAYS[0])
-    rows = np.ones(len(search.train), bool)
-    theta = found.solve(rows, RIDGES[0])
-    net = filled(search, boxes, GUIDE_FEEDBACK, DELAYS[0], theta)
-    loss = region_losses(net, search.train, search.kept[DELAYS[0]], search.thin)
+    found = search.equations(boxes, feedback, delay)
+    theta = found.solve(np.ones(len(search.train), bool), RIDGES[0])
+    net = filled(search, boxes, feedback, delay, theta)
+    loss = region_losses(net, search.train, search.kept[delay], search.thin)
     loss[boxes.low[:, -1] > 0] = -np.inf
     return np.argsort(-loss)[:count].tolist()
 
@@ -184,7 +207,7 @@ def region_losses(
 
 def filled(search: Search, boxes: Boxes, feedback, delay: int, theta) -> jnx.Network:
     """The network with these coefficients; terms without one are left out."""
-    pool = pool_of(search.train, search.output, delay, search.memory)
+    pool = pool_of(search.train, search.output, delay)
     a = denominator(feedback, search.train.sample_time)
     table = theta.reshape(len(boxes.low), -1)
     return network(
@@ -192,22 +215,16 @@ def filled(search: Search, boxes: Boxes, feedback, delay: int, theta) -> jnx.Net
     )
 
 
-def choose(search: Search, boxes: Boxes) -> Choice:
-    """Steps 2 and 3."""
-    delay = DELAYS[0]
-    scores = {f: search.full(boxes, f, delay) for f in FEEDBACK}
-    feedback = min(scores, key=scores.__getitem__)
-    by_delay = {d: search.full(boxes, feedback, d) for d in DELAYS[1:]}
-    by_delay[delay] = scores[feedback]
-    delay = min(by_delay, key=by_delay.__getitem__)
+def sized(search: Search, splits, feedback, delay: int) -> list[Choice]:
+    """All numbers of terms and ridges on this partition."""
+    boxes, tried = divided(splits), []
     found = search.equations(boxes, feedback, delay)
-    tried = []
+    first = constants(found, boxes)
     for ridge in RIDGES:
-        first = constants(found, boxes)
         figures = cross_validated(found, search.dealings, ridge, SIZES, first)
         for size, score in zip(SIZES, figures.tolist(), strict=True):
-            tried.append(Choice(feedback, delay, size, ridge, score))
-    return min(tried, key=lambda one: one.score)
+            tried.append(Choice(feedback, delay, splits, size, ridge, score))
+    return tried
 
 
 def constants(found, boxes: Boxes) -> list[int]:
@@ -216,8 +233,9 @@ def constants(found, boxes: Boxes) -> list[int]:
     return [m * (found.right.shape[1] // models) for m in range(models)]
 
 
-def closed(search: Search, boxes: Boxes, chosen: Choice) -> jnx.Network:
+def closed(search: Search, chosen: Choice) -> jnx.Network:
     """Step 4 before the refinement: coefficients from all training records."""
+    boxes = divided(chosen.splits)
     found = search.equations(boxes, chosen.feedback, chosen.delay, FINE)
     rows = np.ones(len(search.train), bool)
     first = constants(found, boxes)
