@@ -3,8 +3,9 @@
 Jax-free, so that the command line can report bad input without importing jax.
 """
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 
 class JaxnarxError(ValueError):
@@ -56,6 +57,35 @@ class ModelFileError(JaxnarxError):
     def __init__(self, message: str, *, path: object = None):
         super().__init__(message)
         self.path = path
+
+
+@contextlib.contextmanager
+def reading(
+    path: object,
+    kind: str = "a data file",
+    *,
+    error: type[DataFileError] | type[ModelFileError] = DataFileError,
+    advice: str = "Export it anew, or restore it from a copy.",
+) -> Iterator[None]:
+    """The guard at the edge of every reader: nothing but this package's own errors.
+
+    Whatever a parser trips over inside (damaged files raise all kinds of exceptions, in
+    places that nobody foresees) becomes an `error` that names `path`, says what was to
+    be read and gives `advice`. It is the net below the messages that know better: our
+    own errors pass as they are, and so do interrupts and a lack of memory.
+    """
+    try:
+        yield
+    except (JaxnarxError, MemoryError):
+        raise
+    except Exception as cause:
+        if isinstance(cause, OSError) and cause.strerror:
+            what = f"cannot be opened ({cause.strerror})."
+        else:
+            said = " ".join(f"{type(cause).__name__}: {cause}".split())
+            said = said if len(said) <= 200 else said[:197] + "..."
+            what = f"cannot be read as {kind} ({said}). {advice}"
+        raise error(f"{path}: {what}", path=path) from cause
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
