@@ -36,6 +36,14 @@ MAPS = 30_000
 takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
 
 
+def pytest_addoption(parser):
+    # of tests/robustness; options of conftest files further down are not known in time
+    group = parser.getgroup("robustness", "batteries of damaged input")
+    group.addoption("--robustness-seed", type=int, default=0, help="another set")
+    group.addoption("--robustness-cases", type=int, default=300, help="of each kind")
+    group.addoption("--robustness-first", type=int, default=0, help="first case")
+
+
 def pytest_sessionstart(session):
     ours = COMPILED.is_dir() and COMPILED.parent.name == ".pytest_cache"
     if hasattr(session.config, "workerinput") or not ours:
