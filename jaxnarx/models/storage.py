@@ -8,7 +8,6 @@ Gaussians as format 3, one with local models that have feedback of their own as 
 4, so that older programs say what they lack; any other is still written as format 1.
 """
 
-import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -24,6 +23,7 @@ import numpy as np
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import check_precision
 from jaxnarx.errors import ModelFileError
+from jaxnarx.files import write_whole
 from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import KINDS, Gaussians
 from jaxnarx.regressors import (
@@ -110,14 +110,14 @@ def save(
             )
     header = json.dumps(_header(network, about), allow_nan=False)
     path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
     try:
-        temporary.write_bytes(to_bytes(tensors, metadata={"jaxnarx": header}))
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
+        write_whole(path, to_bytes(tensors, metadata={"jaxnarx": header}))
+    except OSError as error:
+        raise ModelFileError(
+            f"{path}: cannot be written ({error.strerror or error}); what was there "
+            "before is kept. Name another place.",
+            path=path,
+        ) from error
 
 
 def load(path: str | os.PathLike[str]) -> Network:

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
+from jaxnarx.files import write_whole
 from jaxnarx.shell import figures, residual_figure
 from jaxnarx.shell.style import inline_svg
 from jaxnarx.shell.verdict import verdict
@@ -32,10 +33,7 @@ POINT_BUDGET = 100_000
 
 def write_report(report: Report, path: str | os.PathLike[str]) -> None:
     """Write the page to `path`, whole or not at all. The folder must exist."""
-    path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(render(report), encoding="utf-8")
-    os.replace(temporary, path)
+    write_whole(Path(path), render(report).encode("utf-8"))
 
 
 def render(report: Report) -> str:

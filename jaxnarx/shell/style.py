@@ -19,6 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
+from jaxnarx.files import write_whole
+
 INK = "#24292f"
 GRID = "#d5dae0"
 GREY = "#7a828c"
@@ -132,15 +134,16 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> str:
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write PNG (160 dpi, white) or SVG, told by the suffix; whole or not at all."""
     path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
     if path.suffix.lower() == ".svg":
-        temporary.write_text(svg(figure), encoding="utf-8")
+        data = svg(figure).encode("utf-8")
     elif path.suffix.lower() == ".png":
+        picture = io.BytesIO()
         with styled():
-            figure.savefig(temporary, format="png", dpi=160, facecolor="white")
+            figure.savefig(picture, format="png", dpi=160, facecolor="white")
+        data = picture.getvalue()
     else:
         raise ValueError(f"figures are saved as .svg or .png, got {path.name!r}")
-    os.replace(temporary, path)
+    write_whole(path, data)
 
 
 def _value(name: str, value: str, prefix: str) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import common
 import equinox as eqx
@@ -149,15 +150,32 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(ModelFileError, match="No space") as caught:
         save(build("one model"), path)
+    assert caught.value.path == path
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == [path.name]
 
 
 def test_the_folder_must_exist(tmp_path):
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(ModelFileError, match="nowhere.*No such file"):
         save(build("one model"), tmp_path / "nowhere" / "m")
+
+
+def test_savers_to_one_path_leave_one_of_their_models(tmp_path):
+    path, models = tmp_path / "m", [build(kind) for kind in ("one model", "by inputs")]
+    save(models[0], path)
+
+    def write(network):
+        for _ in range(20):
+            save(network, path)
+
+    with ThreadPoolExecutor(4) as pool:
+        writers = [pool.submit(write, network) for network in models * 2]
+        while not all(w.done() for w in writers):
+            load(path)
+        assert [w.result() for w in writers] == [None] * 4
+    assert os.listdir(tmp_path) == ["m"]
 
 
 # files that are no model files ----------------------------------------------------

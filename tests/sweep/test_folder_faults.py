@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from sweep_toys import Toy
 
+from jaxnarx import files
 from jaxnarx.errors import DataFileError
 from jaxnarx.sweep import run_sweep
-from jaxnarx.sweep.folder import files
 
 
 @pytest.fixture
@@ -155,15 +155,15 @@ def test_odd_labels_name_no_file(tmp_path, monkeypatch):
 def test_a_full_disk_is_said_and_earlier_chunks_are_kept(
     tmp_path, monkeypatch, same_rows
 ):
-    write = files._write
+    move = files._move
 
-    def full(path, data):
-        if path.name.startswith("00002"):
-            path.write_bytes(data[:100])
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        write(path, data)
+    def full(source, target, replace):
+        if target.name.startswith("00002"):
+            os.truncate(source, 100)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(source))
+        return move(source, target, replace)
 
-    monkeypatch.setattr(files, "_write", full)
+    monkeypatch.setattr(files, "_move", full)
     with pytest.raises(DataFileError, match="No space left on device") as error:
         run_sweep(Toy(), tmp_path / "x", chunk=4)
     assert "00002.parquet" in str(error.value.path)
@@ -174,7 +174,7 @@ def test_a_full_disk_is_said_and_earlier_chunks_are_kept(
         "00001.parquet",
     ]
     assert not list((tmp_path / "x" / "claims").iterdir())
-    monkeypatch.setattr(files, "_write", write)
+    monkeypatch.setattr(files, "_move", move)
     before = {p: p.stat().st_mtime_ns for p in chunks.iterdir()}
     table = run_sweep(Toy(), tmp_path / "x", chunk=4).value
     assert {p: p.stat().st_mtime_ns for p in before} == before

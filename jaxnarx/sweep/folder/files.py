@@ -1,32 +1,23 @@
 """Files of a run folder: whole or not at all, and never outside the folder."""
 
 import errno
-import os
 from pathlib import Path
 
 from jaxnarx.errors import DataFileError
-from jaxnarx.sweep.folder.owner import this_process
+from jaxnarx.files import UNFINISHED, write_whole
 
 
 def put(path: Path, data: bytes, *, replace: bool = False) -> bool:
     """Write a file so that it appears at once, complete and on the disk.
 
-    The bytes go to a `.tmp` file of this process beside it, which then takes its
-    place. Without `replace` a file that is there already stays as it is and the answer
-    is False. An error of the file system becomes a `DataFileError`, and nothing is
-    left of the attempt.
+    Without `replace` a file that is there already stays as it is and the answer is
+    False. An error of the file system becomes a `DataFileError`, and nothing is left
+    of the attempt (`jaxnarx.files`).
     """
-    temporary = path.with_name(f"{path.name}.{this_process().token}.tmp")
     try:
-        try:
-            _write(temporary, data)
-            placed = _move(temporary, path, replace)
-        finally:
-            temporary.unlink(missing_ok=True)
-        _settle(path.parent)
+        return write_whole(path, data, replace=replace)
     except OSError as error:
         raise unwritable(path, error) from error
-    return placed
 
 
 def unwritable(path: Path, error: OSError) -> DataFileError:
@@ -64,45 +55,9 @@ def clear_leftovers(path: Path) -> None:
 
     Only for the owner of the claim on `path`: no one else is then writing it.
     """
-    for leftover in path.parent.glob(f"{path.name}.*.tmp"):
+    for leftover in path.parent.glob(f"{path.name}.*{UNFINISHED}"):
         leftover.unlink(missing_ok=True)
 
 
 def _is_full(error: OSError) -> bool:
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-def _write(path: Path, data: bytes) -> None:
-    with open(path, "xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _move(source: Path, target: Path, replace: bool) -> bool:
-    if replace:
-        os.replace(source, target)
-        return True
-    try:
-        os.link(source, target)  # unlike a renaming, refuses where something is
-    except FileExistsError:
-        return False
-    except OSError:  # a file system without links
-        if target.exists():
-            return False
-        os.replace(source, target)
-    return True
-
-
-def _settle(folder: Path) -> None:
-    """Have the folder's own list of names written, where the system can."""
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)

@@ -1,0 +1,55 @@
+"""Files appear whole or not at all, whatever else writes to the same place."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from jaxnarx.files import write_whole
+
+
+def test_writers_to_one_place_do_not_meet(tmp_path):
+    # every reader finds all of one writer's bytes, and no writer fails
+    path, size, times = tmp_path / "file", 200_000, 40
+
+    def write(mark):
+        for _ in range(times):
+            assert write_whole(path, mark * size)
+
+    def read(_):
+        return {path.read_bytes() for _ in range(times)}
+
+    write_whole(path, b"x" * size)
+    with ThreadPoolExecutor(6) as pool:
+        writers = [pool.submit(write, mark) for mark in (b"a", b"b", b"c")]
+        found = set().union(*pool.map(read, range(3)))
+        assert [w.result() for w in writers] == [None] * 3
+    assert found <= {mark * size for mark in (b"x", b"a", b"b", b"c")}
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_what_is_there_stays_unless_it_is_to_be_replaced(tmp_path):
+    path = tmp_path / "file"
+    assert write_whole(path, b"one", replace=False)
+    assert not write_whole(path, b"two", replace=False)
+    assert path.read_bytes() == b"one"
+    assert write_whole(path, b"three")
+    assert path.read_bytes() == b"three"
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
+    monkeypatch.setattr("secrets.token_hex", lambda _: "foreseen")
+    target = tmp_path / "precious"
+    target.write_bytes(b"kept")
+    (tmp_path / "file.foreseen.tmp").symlink_to(target)
+    with pytest.raises(FileExistsError):
+        write_whole(tmp_path / "file", b"new")
+    assert target.read_bytes() == b"kept"
+    assert (tmp_path / "file.foreseen.tmp").is_symlink()
+    # nor is one in the place itself: it is replaced, not written through
+    (tmp_path / "link").symlink_to(target)
+    monkeypatch.undo()
+    write_whole(tmp_path / "link", b"new")
+    assert target.read_bytes() == b"kept"
+    assert (tmp_path / "link").read_bytes() == b"new"
