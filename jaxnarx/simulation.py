@@ -69,9 +69,11 @@ class Trajectories:
     """Outputs of a run, one array per record, in physical units.
 
     Samples before the first prediction repeat the measurement. `scored` marks predicted
-    samples whose measurement is valid, `limited` those held by the feedback bound,
-    `extrapolated` those with an input outside its training range; `diverged` tells per
-    output whether the record counts as diverged.
+    samples whose measurement is valid, `limited` those held by the feedback bound (of a
+    k-step prediction: those that the bound held on the way, for k = 1 none; or that are
+    beyond all numbers), `extrapolated` those with an input outside its training range,
+    or in a prediction a measured or predicted output; `diverged` tells per output
+    whether the record counts as diverged.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
@@ -212,11 +214,13 @@ def run_parallel(
 @eqx.filter_jit
 def run_steps(
     network: Network, drive: Drive, k: Int[Array, ""]
-) -> Float[Array, "records time outputs"]:
+) -> tuple[Float[Array, "records time outputs"], Bool[Array, "records time outputs"]]:
     """Scaled k-step-ahead prediction of every sample; `k` may be traced.
 
     All starting points advance together: the history of sample t holds measurements up
-    to t - k and predictions after that.
+    to t - k and predictions after that. The bound is one of the feedback: it holds the
+    predictions on the way, and says where it did, but not the last one, which nothing
+    is computed from.
     """
     lower, upper = (widened(network, b) for b in (network.lower, network.upper))
 
@@ -226,15 +230,18 @@ def run_steps(
         past = jnp.roll(past, k - 1, axis=-1)
 
         def one_on(j, carry):
-            past, _ = carry
+            past, _, held = carry
             shift = k - 1 - j
             inputs = jax.tree.map(lambda a: jnp.roll(a, shift, axis=-1), (v, x))
             y = advance(network, inputs[0], inputs[1], past)
-            y = jnp.clip(y, lower[:, None], upper[:, None])
-            return jnp.concatenate([y[:, None], past[:, :-1]], axis=1), y
+            fed = jnp.clip(y, lower[:, None], upper[:, None])
+            held |= (shift > 0) & ((fed <= lower[:, None]) | (fed >= upper[:, None]))
+            return jnp.concatenate([fed[:, None], past[:, :-1]], axis=1), y, held
 
-        y = jax.lax.fori_loop(0, k, one_on, (past, past[:, 0]))[1]
-        return y[: len(network.models)].T
+        start = past, past[:, 0], jnp.zeros(past[:, 0].shape, bool)
+        _, y, held = jax.lax.fori_loop(0, k, one_on, start)
+        outputs = len(network.models)
+        return y[:outputs].T, held[:outputs].T
 
     return jax.lax.map(lambda a: one(*a), (drive.v, drive.x, drive.measured))
 
@@ -306,7 +313,11 @@ def has_diverged(limited: Bool[np.ndarray, " time"]) -> bool:
     return bool(limited.mean() > SHARE) or longest_run(limited) >= IN_A_ROW
 
 
-def _extrapolated(network: Network, batch: Batch) -> Bool[np.ndarray, "records time"]:
+def _extrapolated(
+    network: Network, batch: Batch, k: int | None
+) -> Bool[np.ndarray, "records time"]:
+    """Where an input leaves its range; with `k` a measured output too, which the
+    prediction starts from that many steps before."""
     signals = np.asarray(batch.signals)
     slack = 1e-9 * (np.asarray(network.high) - np.asarray(network.low))
     outside = (signals < np.asarray(network.low) - slack) | (
@@ -315,22 +326,37 @@ def _extrapolated(network: Network, batch: Batch) -> Bool[np.ndarray, "records t
     records, time, _ = signals.shape
     mask = np.zeros((records, time), bool)
     for s, d in tables(network):
-        if s not in network.signals:
-            mask[:, d:] |= outside[:, : time - d, s]
+        if s in network.signals:
+            if k is None:
+                continue
+            d += k - 1
+        mask[:, d:] |= outside[:, : max(time - d, 0), s]
     return mask
 
 
-def _trajectories(network, data, batch, scaled, scored, start) -> Trajectories:
-    scaled = np.asarray(scaled)
-    gain = np.asarray(network.gain)[np.array(network.signals)]
+def _trajectories(
+    network, data, batch, scaled, scored, start, ahead=None
+) -> Trajectories:
+    """Of a free run, or of a prediction so many steps `ahead` = (k, limited)."""
+    own = np.array(network.signals)
+    ranges = network.gain, network.low, network.high
+    gain, low, high = (np.asarray(a)[own] for a in ranges)
     lower, upper = np.asarray(network.lower), np.asarray(network.upper)
-    limited = (scaled <= lower) | (scaled >= upper)
-    extrapolated = _extrapolated(network, batch)
+    with np.errstate(over="ignore", invalid="ignore"):
+        outputs = np.asarray(scaled) * gain
+    lost = ~np.isfinite(outputs)
+    outputs = np.where(lost, lower * gain, outputs)
+    extrapolated = _extrapolated(network, batch, ahead and ahead[0])
+    if ahead is None:
+        limited = lost | (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
+    else:
+        limited = lost | np.asarray(ahead[1])
+        extrapolated |= np.any((outputs < low) | (outputs > high), axis=2)
     columns: tuple[list, ...] = ([], [], [], [], [])
     for n, record in enumerate(data):
         length = len(record)
         first = min(int(start[n]), length)
-        y = scaled[n, :length] * gain
+        y = outputs[n, :length]
         y[:first] = record.y[:first, np.array(network.modelled)]
         hold = limited[n, :length].copy()
         hold[:first] = False
@@ -349,7 +375,19 @@ def _trajectories(network, data, batch, scaled, scored, start) -> Trajectories:
     )
 
 
-def _solution(network: Network, data: Dataset, value: Trajectories, start) -> Solution:
+def _ignored(network: Network, data: Dataset) -> list[str]:
+    """Channels of the data that the model does not know."""
+    return [n for n in data.channels.names if n not in network.channels.names]
+
+
+def _solution(
+    network: Network,
+    data: Dataset,
+    value: Trajectories,
+    start,
+    ignored: list[str],
+    k: int = 1,
+) -> Solution:
     too_short = np.array([s >= len(r) for s, r in zip(start, data, strict=True)])
     bad = np.array([d.any() for d in value.diverged])
     codes = np.where(too_short, NAMES.index("too_short"), 0)
@@ -381,10 +419,19 @@ def _solution(network: Network, data: Dataset, value: Trajectories, start) -> So
     elif too_short.any():
         n = int(np.argmax(too_short))
         status = RESULTS.too_short
+        record = data.records[n]
         detail = (
-            f"record {data.records[n].name!r} has no {network.history} valid samples "
-            "in a row to start from"
+            f"record {record.name!r} has no {network.history} valid samples in a row "
+            "to start from"
         )
+        if k > 1:
+            detail += f" {k} steps before the end of its {len(record)}"
+    if ignored:
+        stats["ignored"] = tuple(ignored)
+        said = "channels that the model does not know are ignored: " + ", ".join(
+            ignored
+        )
+        detail = f"{detail}; {said}" if detail else said
     return Solution(value, status, stats, detail)
 
 
@@ -415,23 +462,26 @@ def simulate(
     else:
         scaled = run(network, drive, anchor)
     value = _trajectories(network, matched, batch, scaled, masks.scored, masks.start)
-    solution = _solution(network, matched, value, masks.start)
+    solution = _solution(network, matched, value, masks.start, _ignored(network, data))
     return dataclasses.replace(solution, stats=solution.stats | stats)
 
 
 def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectories]:
     """k-step-ahead prediction of every sample from measured history k samples before.
 
-    Samples whose start has no complete valid history are not scored. Same bounds,
-    channels and statuses as `simulate`.
+    Samples whose start has no complete valid history are not scored, and a record
+    without any other is `too_short`. Same bounds, channels and statuses as `simulate`,
+    but the bound acts on what is fed back alone: the k - 1 predictions on the way. One
+    step ahead nothing is limited and nothing diverges; `extrapolated` tells where
+    outputs leave the range of the training.
     """
     if k < 1:
         raise SpecError(f"k must be at least 1, got {k}", field="k")
     matched, batch, masks, drive = _prepare(network, data)
-    scaled = run_steps(network, drive, jnp.asarray(k))
+    scaled, held = run_steps(network, drive, jnp.asarray(k))
     ready = np.zeros_like(masks.anchors)
     ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
     scored = masks.scored & ready[:, :, None]
     start = masks.start + k - 1
-    value = _trajectories(network, matched, batch, scaled, scored, start)
-    return _solution(network, matched, value, masks.start)
+    value = _trajectories(network, matched, batch, scaled, scored, start, (k, held))
+    return _solution(network, matched, value, start, _ignored(network, data), k)

@@ -12,7 +12,7 @@ Conventions shared by all functions:
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -297,8 +297,9 @@ def free_run(signals: Float[np.ndarray, "time signals"], network: Network) -> Ru
 def k_step(signals: Float[np.ndarray, "time signals"], network: Network, k: int) -> Run:
     """Predict y(t) from outputs measured up to t - k and inputs up to t.
 
-    The loop restarts for every t at sample t - k + 1 and its last sample is kept
-    (`limited` too: that of the last sample only). k = 1 is the one-step prediction.
+    The loop restarts for every t at sample t - k + 1 and its last sample is kept, not
+    clipped as nothing is computed from it; `limited` tells whether one before it was.
+    k = 1 is the one-step prediction.
     Samples t < max_lag + k - 1 have no full history k steps back: they hold the
     measured outputs and are not usable.
     """
@@ -306,9 +307,14 @@ def k_step(signals: Float[np.ndarray, "time signals"], network: Network, k: int)
     columns = [output.signal for output in network.outputs]
     outputs = np.array(signals[:, columns], dtype=float)
     limited = np.zeros(outputs.shape, bool)
+    free = [replace(o, lower=-np.inf, upper=np.inf) for o in network.outputs]
     for t in range(first, len(signals)):
-        path, cut = run_from(signals, network, t - k + 1, t + 1)
-        outputs[t], limited[t] = path[-1], cut[-1]
+        state = np.array(signals, dtype=float)
+        path, cut = run_from(signals, network, t - k + 1, t)
+        state[t - k + 1 : t, columns] = path
+        state[t:, columns] = np.nan
+        outputs[t] = [evaluate_output(o, state, network.gain, t)[0] for o in free]
+        limited[t] = cut.any(axis=0)
     return Run(outputs, limited, np.arange(len(signals)) >= first)
 
 

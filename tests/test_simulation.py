@@ -4,9 +4,10 @@ Networks and data come from `common`; the records differ in length, so every tes
 several records is one of padding too.
 """
 
+import dataclasses
 import subprocess
 import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import common
@@ -141,6 +142,43 @@ def test_a_horizon_longer_than_a_record_scores_nothing_there(k):
         assert np.all(np.isfinite(value[n]))
 
 
+@pytest.mark.parametrize(("k", "rows"), [(10, 5), (2, 3), (43, 44)])
+def test_a_record_shorter_than_the_horizon_is_too_short(k, rows):
+    net = common.named("one model")
+    solution = predict(net, common.from_rows([common.rows_of(data(), 0)[:rows]]), k)
+    assert solution.status_name == "too_short" and not solution.is_okay
+    assert f"{k} steps before the end of its {rows}" in solution.detail
+    assert not solution.value.scored[0].any()
+    enough = common.from_rows([common.rows_of(data(), 0)[: net.history + k]])
+    assert predict(net, enough, k).status_name == "ok"
+
+
+def test_right_predictions_outside_the_trained_range_are_no_divergence():
+    # y doubles the input, which leaves the range that the bound was made of
+    part = common.Part([[((1,), 2.0)]])
+    net = common.network([part], variables=((A, 1), (Y, 1)), bound=1.0)
+    rows = common.rows_of(data(), 0)
+    rows[:, A] = 30.0 + np.arange(len(rows)) % 7
+    rows[1:, Y] = 2.0 * common.GAIN[Y] / common.GAIN[A] * rows[:-1, A]
+    solution = predict(net, common.from_rows([rows]))
+    assert solution.status_name == "ok"
+    assert not solution.value.limited[0].any()
+    assert solution.value.extrapolated[0][1:].all()
+    np.testing.assert_allclose(solution.value[0][1:], rows[1:, Y:][:, :1], rtol=1e-12)
+    # what is fed back is bounded as in a free run, and said to be
+    assert predict(net, common.from_rows([rows]), 2).value.limited[0][2:].all()
+
+
+def test_a_measured_output_outside_its_range_is_extrapolated_from():
+    net = common.named("one model")
+    rows = common.rows_of(data(), 0)
+    rows[20, Y] = 1e3  # seen at lags 1 and 2
+    for k in (1, 3):
+        found = predict(net, common.from_rows([rows]), k).value.extrapolated[0]
+        lags = [d for s, d in net.variables if s == Y]
+        assert found[[19 + k + d for d in lags]].all() and not found[:20].any()
+
+
 def test_a_horizon_must_be_positive():
     with pytest.raises(SpecError, match="at least 1, got 0"):
         predict(common.named("one model"), data(), 0)
@@ -237,6 +275,32 @@ def test_inputs_outside_the_training_range_are_marked():
     assert not simulated("by inputs").value.extrapolated[0].any()
 
 
+# beyond all numbers ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["one model", "by inputs", "coupled, by own output"])
+@pytest.mark.parametrize("part", ["coefficient", "gain", "offset", "span"])
+def test_absurd_parameters_give_finite_outputs_that_are_flagged(kind, part):
+    def absurd(n):
+        return {
+            "coefficient": n.models[0].local.coefficient,
+            "gain": n.gain,
+            "offset": n.models[0].offset,
+            "span": n.models[0].span,
+        }[part]
+
+    if kind == "one model" and part in ("offset", "span"):
+        pytest.skip("no scheduling")
+    value = {"coefficient": 1e308, "gain": 5e-324, "offset": 1e200, "span": 5e-324}
+    net = eqx.tree_at(
+        absurd, common.named(kind), replace_fn=lambda x: jnp.full_like(x, value[part])
+    )
+    for verb in (simulate, predict, partial(predict, k=3)):
+        solution = verb(net, data())
+        assert all(np.all(np.isfinite(y)) for y in solution.value.outputs)
+        assert solution.status_name == "diverged"
+
+
 # masked samples -------------------------------------------------------------------
 
 
@@ -331,6 +395,28 @@ def test_channels_are_matched_by_name(inputs, outputs, columns):
     np.testing.assert_array_equal(
         found.value[0], simulate(common.named("coupled"), data()[0]).value[0]
     )
+
+
+def test_channels_that_the_model_does_not_know_are_said():
+    net = common.named("one model")
+    known = data().channels
+    more = Channels((*known.inputs, Channel("spare")), known.outputs)
+    records = [
+        dataclasses.replace(
+            r,
+            u=np.c_[r.u, r.u[:, :1]],
+            valid=np.c_[r.valid[:, :2], r.valid[:, :1], r.valid[:, 2:]],
+        )
+        for r in data()
+    ]
+    wide = Dataset(tuple(records), more, data().sample_time)
+    for verb in (simulate, predict):
+        solution = verb(net, wide)
+        assert solution.status_name == "ok"
+        assert solution.stats["ignored"] == ("spare",)
+        assert solution.detail.endswith("are ignored: spare")
+        assert "ignored" not in verb(net, data()).stats
+        np.testing.assert_array_equal(solution.value[0], verb(net, data()).value[0])
 
 
 def test_a_missing_channel_is_named_with_the_nearest():

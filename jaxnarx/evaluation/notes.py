@@ -64,7 +64,9 @@ def score_notes(rows: Iterable[Row]) -> list[str]:
     rows = list(rows)
     notes = [_divergence(row, rows) for row in rows if _is_pooled_loss(row)]
     for row in rows:
-        if row.mode == rows[-1].mode and row.record != POOLED:
+        if row.record != POOLED and (
+            row.mode == rows[-1].mode or row.status == "too short"
+        ):
             notes += _edge(row)
     return notes
 
@@ -128,6 +130,11 @@ def _edge(row: Row) -> list[str]:
         return [
             f"{row.output} is constant in {where}: NRMSE, R2, fit and NMSE have "
             "nothing to compare with and are infinite unless the error is zero."
+        ]
+    if row.status == "too short":
+        return [
+            f"{where} is too short for {row.output}, {row.mode}: no sample has a "
+            "complete valid history to be predicted from."
         ]
     if row.status == "no samples":
         return [f"{row.output} has no valid sample to score in {where}."]

@@ -58,6 +58,8 @@ class Samples:
     limited: Bool[np.ndarray, "time 1"]
     extrapolated: Bool[np.ndarray, " time"]
     diverged: bool
+    short: bool
+    """Measured, but without a sample that is predicted from complete history."""
 
 
 def mode_name(k: int) -> str:
@@ -128,7 +130,7 @@ def _column(data: Dataset, name: str) -> int:
 
 
 def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
-    record = data.records[r]
+    record, inputs = data.records[r], len(data.channels.inputs)
     predicted = np.asarray(run.outputs[r])[:, o, None]
     if len(predicted) != len(record):
         raise SpecError(
@@ -146,6 +148,7 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
         limited=np.asarray(run.limited[r])[:, o, None],
         extrapolated=np.asarray(run.extrapolated[r]),
         diverged=lost,
+        short=not scored.any() and bool(record.valid[:, inputs + column].any()),
     )
 
 
@@ -167,5 +170,5 @@ def _status(samples: list[Samples]) -> str:
     if any(s.diverged for s in samples):
         return "diverged"
     if not scored.any():
-        return "no samples"
+        return "too short" if any(s.short for s in samples) else "no samples"
     return "constant output" if metrics.is_constant(measured, scored)[0] else "ok"

@@ -86,7 +86,7 @@ def _samples(network: Network, data: Dataset, window: int, simulated: bool) -> S
     if simulated:
         start = run(network, drive, jnp.asarray(anchor))
     else:
-        start = run_steps(network, drive, jnp.asarray(1))
+        start = run_steps(network, drive, jnp.asarray(1))[0]
     past = jax.vmap(partial(history_of, depth=depth(network)))(drive.measured)
     dtype = drive.measured.dtype
     every = (

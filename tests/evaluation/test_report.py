@@ -186,6 +186,21 @@ def test_constant_output_is_infinite_and_noted():
     assert row.rmse is not None and row.rmse < 1
 
 
+def test_a_record_too_short_to_predict_is_said_in_every_mode():
+    long, short = make(1), make(2, records=1)
+    rows = dataclasses.replace(
+        short.records[0],
+        **{k: getattr(short.records[0], k)[:2] for k in ("u", "y", "valid")},
+    )
+    data = Dataset((*long.records, rows), CHANNELS, 0.1)
+    found = report(Network(), data, diagnostics=False, stability=False)
+    row = [r for r in found.rows if r.record == "r20"]
+    assert {r.status for r in row} == {"too short"} and all(r.samples == 0 for r in row)
+    told = [n for n in found.notes if "record r20 is too short" in n]
+    assert len(told) == len(row)
+    assert found.pooled("NOx").status == "ok"
+
+
 def test_other_units_and_extra_channels_are_noted():
     other = Channels(
         (Channel("speed", "1/s"), Channel("gear")),

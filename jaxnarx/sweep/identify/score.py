@@ -1,5 +1,7 @@
 """Figures of a network on one part of a member's records, inside the program."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -54,8 +56,14 @@ def held(network: Network, y: Float[Array, "records time 1"], part: Part):
 def score(network: Network, drive: Drive, part: Part, free: Bool[Array, ""]) -> Score:
     """NRMSE of the free run, or of one step from measured history.
 
-    One step counts the samples with a complete measured history alone.
+    One step counts the samples with a complete measured history alone, and as nothing
+    is fed back no bound acts.
     """
+    network = dataclasses.replace(
+        network,
+        lower=jnp.where(free, network.lower, -jnp.inf),
+        upper=jnp.where(free, network.upper, jnp.inf),
+    )
     ready, counted = jnp.asarray(part.anchors), jnp.asarray(part.scored)
     anchor = jnp.where(free, free_anchors(part), True)
     y = run(network, drive, anchor)
