@@ -3,7 +3,7 @@
 import collections
 import pickle
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxnarx.errors import SpecError
@@ -17,7 +17,7 @@ from jaxnarx.sweep.work import Work
 AHEAD = 2
 """Chunks in flight for every thread of the cluster."""
 
-Part = tuple[int, list[int]]
+Part = tuple[int, Sequence[int]]
 """Number of a chunk and some of its members."""
 
 
@@ -87,7 +87,7 @@ class _Crew:
         busy = len(self.tasks) >= AHEAD * max(threads, 1)
         return busy or self.on_trial or bool(self.suspects)
 
-    def submit(self, number: int, members: list[int]) -> None:
+    def submit(self, number: int, members: Sequence[int]) -> None:
         """Send off a chunk."""
         self.awaited[number] += 1
         self._submit(number, members)
@@ -113,13 +113,13 @@ class _Crew:
         """Give up what is still in flight."""
         self.client.cancel([*self.tasks, self.load])
 
-    def _submit(self, number: int, members: list[int]) -> None:
+    def _submit(self, number: int, members: Sequence[int]) -> None:
         labels = [self.labels[i] for i in members]
         arguments = (self.load, members, labels, self.size, is_float64())
         task = self.client.submit(_compute, *arguments, pure=False)
         self.tasks[task] = (number, members)
 
-    def _receive(self, task: Any, number: int, members: list[int]) -> None:
+    def _receive(self, task: Any, number: int, members: Sequence[int]) -> None:
         from distributed import KilledWorker
 
         rows = self.rows.setdefault(number, [])
@@ -162,7 +162,7 @@ def _killed(index: int, label: dict[str, Any], error: Exception) -> Row:
 
 def _compute(
     load: bytes,
-    members: list[int],
+    members: Sequence[int],
     labels: list[dict[str, Any]],
     size: int,
     float64: bool,

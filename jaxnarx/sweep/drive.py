@@ -35,7 +35,8 @@ def run_sweep(
 
     Members are computed `chunk` by chunk. Each finished chunk is a file in the folder,
     so that the same call continues a sweep that was stopped, at the loss of the chunks
-    in flight; a folder with other settings, data or chunk size is refused. Several
+    in flight; a folder with other settings or data is refused, and one with chunks of
+    another size keeps them. Several
     calls, of other processes or machines too, may share the folder: each chunk is
     computed by one of them. `workers` processes, each with a core of its own, compute
     instead of this one where it is more than 1; a script that asks for them needs the
@@ -56,6 +57,8 @@ def run_sweep(
     asked = make_manifest(work, chunk=chunk, float64=is_float64())
     run = open_run(Path(folder), asked, new=new)
     notes = other_versions(run.manifest)
+    if run.manifest.chunk != chunk:
+        notes.append(f"chunks are of {run.manifest.chunk} members, as they were begun")
     redone = run.discard_damaged()
     pace = Pace(run, progress)
     pace()
@@ -111,7 +114,7 @@ def _require(work: Work, chunk: int, workers: int, client) -> None:
 def _solution(
     run: RunFolder, redone: list[int], notes: list[str]
 ) -> Solution[SweepTable]:
-    table = SweepTable(run.table(), run.path)
+    table = SweepTable(run.table(keep=True), run.path)
     statuses = dict(Counter(table.column("status").tolist()).most_common())
     said = [f"{len(table)} members: " + _listed(statuses)]
     if redone:

@@ -98,7 +98,7 @@ def test_a_finished_sweep_is_read_not_computed(tmp_path, same_rows):
     [
         (Toy(scale=2.0), 4, "settings.scale was 1.0, is 2.0"),
         (Toy(count=11), 4, "members was 12, is 11"),
-        (Toy(), 5, "chunk was 4, is 5"),
+        (Toy(scale=2.0), 5, "settings.scale was 1.0, is 2.0. Continue"),
     ],
 )
 def test_another_sweep_is_refused_by_name_and_nothing_changes(
@@ -110,6 +110,17 @@ def test_another_sweep_is_refused_by_name_and_nothing_changes(
         run_sweep(toy, tmp_path / "x", chunk=chunk)
     assert words in str(error.value)
     assert {p: p.read_bytes() for p in files(tmp_path)} == before
+
+
+def test_chunks_of_another_size_are_the_same_sweep(tmp_path, same_rows):
+    folder = tmp_path / "x"
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(Toy(bad=(7,), trouble="interrupt"), folder, chunk=3)
+    before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in files(folder)}
+    solution = run_sweep(Toy(), folder, chunk=5)
+    assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in before} == before
+    assert "chunks are of 3 members, as they were begun" in solution.detail
+    same_rows(solution.value, run_sweep(Toy(), tmp_path / "y", chunk=5).value)
 
 
 def test_a_new_run_sets_the_old_one_aside(tmp_path, same_rows):

@@ -5,7 +5,10 @@ import json
 import os
 import resource
 import signal
+import subprocess
+import sys
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -13,7 +16,12 @@ from sweep_toys import Toy
 
 from jaxnarx import files
 from jaxnarx.errors import DataFileError
-from jaxnarx.sweep import run_sweep
+from jaxnarx.sweep import find_run, read_sweep, run_sweep
+from jaxnarx.sweep.folder.chunks import Damaged, read_results
+from jaxnarx.sweep.folder.manifest import sha256
+from jaxnarx.sweep.folder.owner import machine
+
+OWN = json.dumps({"machine": machine(), "pid": 10**30, "started": ""})
 
 
 @pytest.fixture
@@ -49,7 +57,11 @@ def link_out(path):
     path.symlink_to(outside)
 
 
-@pytest.mark.parametrize("damage", [cut, flip, empty, link_out])
+def copy_another(path):
+    path.write_bytes(path.with_name("00002.parquet").read_bytes())
+
+
+@pytest.mark.parametrize("damage", [cut, flip, empty, link_out, copy_another])
 def test_a_damaged_chunk_is_computed_again_and_said(done, sound, same_rows, damage):
     damage(done / "chunks" / "00001.parquet")
     others = {n: (done / "chunks" / n).stat().st_mtime_ns for n in kept(done)}
@@ -71,6 +83,55 @@ def test_a_damaged_table_is_gathered_again(done, sound, same_rows, damage):
     damage(done / "table.parquet")
     same_rows(run_sweep(Toy(), done, chunk=4).value, sound)
     assert pq.read_table(done / "table.parquet").num_rows == 12
+
+
+def test_no_bit_of_a_chunk_changes_unseen(done):
+    path, rng = done / "chunks" / "00001.parquet", np.random.default_rng(3)
+    data, run = path.read_bytes(), find_run(done)
+    for bit in rng.choice(8 * len(data), 400, replace=False):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises((Damaged, DataFileError)):
+            read_results(path, run.manifest.digest, run.members(1))
+
+
+def test_a_chunk_in_place_of_the_table_is_no_table(done, sound, same_rows):
+    run_sweep(Toy(), done, chunk=4)
+    (done / "table.parquet").write_bytes((done / "chunks/00001.parquet").read_bytes())
+    same_rows(read_sweep(done), sound)
+
+
+def test_a_folder_of_the_first_format_is_continued(done, sound, same_rows):
+    for path in sorted((done / "chunks").glob("*"))[:2]:
+        as_format_1(path, find_run(done).manifest.digest)
+    copy = done / "chunks" / "00002.parquet"
+    copy.write_bytes((done / "chunks" / "00000.parquet").read_bytes())
+    solution = run_sweep(Toy(), done, chunk=4)
+    same_rows(solution.value, sound)
+    assert solution.stats["redone"] == [2]
+
+
+def as_format_1(path, digest):
+    mark = json.dumps({"format": 1, "sweep": digest})
+    table = pq.ParquetFile(path).read()
+    pq.write_table(table.replace_schema_metadata({"jaxnarx": mark}), path)
+
+
+def test_reading_a_sweep_leaves_no_thread_of_arrow(done):
+    # Such a thread may hold Python's memory when Python ends, and then aborts it.
+    code = f"""
+import os
+from jaxnarx.sweep import read_sweep
+def threads():
+    tasks = [f"/proc/self/task/{{t}}/comm" for t in os.listdir("/proc/self/task")]
+    return sum("jemalloc" not in open(name).read() for name in tasks)
+before = threads()
+assert read_sweep({str(done)!r}).column("status").tolist().count("ok") == 11
+print(threads() - before if os.path.isdir("/proc/self/task") else 0)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (0, "0\n"), ended.stderr
 
 
 def test_leftovers_of_a_killed_process_are_ignored_and_cleared(done, sound, same_rows):
@@ -100,7 +161,7 @@ def test_files_that_are_no_results_are_refused(done):
         run_sweep(Toy(), done, chunk=4)
     mark = {"jaxnarx": json.dumps({"format": 99, "sweep": ""})}
     pq.write_table(table.replace_schema_metadata(mark), path)
-    with pytest.raises(DataFileError, match="has format 99, not 1"):
+    with pytest.raises(DataFileError, match="has format 99, not 2"):
         run_sweep(Toy(), done, chunk=4)
     assert isinstance(table, pa.Table)
 
@@ -122,6 +183,64 @@ def test_a_changed_manifest_is_refused(done, change, words):
     assert error.value.path == path and "--new-run" in str(error.value)
     run_sweep(Toy(scale=2.0), done, chunk=4, new=True)
     assert (done.parent / "x-1" / "chunks" / "00002.parquet").exists()
+
+
+def edited(**changes):
+    """A manifest with other contents and the digest that fits them."""
+
+    def change(text):
+        value = json.loads(text)
+        value["sweep"] = changes.pop("sweep", value["sweep"] | changes)
+        return json.dumps(value | {"sha256": sha256(value["sweep"])})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        edited(chunk=0),
+        edited(chunk=True),
+        edited(members="x"),
+        edited(members=10**30),
+        edited(sweep={}),
+        edited(sweep=[1]),
+        lambda text: text.replace('"about": {', '"about": null, "more": {'),
+        lambda text: "[" * 100_000 + "]" * 100_000,
+        lambda text: "5",
+    ],
+)
+def test_a_manifest_that_is_none_is_refused(done, change):
+    path = done / "manifest.json"
+    path.write_text(change(path.read_text()))
+    for use in (lambda: read_sweep(done), lambda: run_sweep(Toy(), done, chunk=4)):
+        with pytest.raises(DataFileError, match="manifest.json.*--new-run") as error:
+            use()
+        assert error.value.path == path
+
+
+def test_odd_things_in_place_of_files_are_said(done):
+    chunk = done / "chunks" / "00001.parquet"
+    chunk.unlink()
+    os.mkfifo(chunk)  # reading it would never end
+    with pytest.raises(DataFileError, match="00001.parquet: it is no file"):
+        read_sweep(done)
+    assert run_sweep(Toy(), done, chunk=4).stats["redone"] == [1]
+    (done / "table.parquet").unlink()
+    chunk.unlink()
+    chunk.mkdir()
+    with pytest.raises(DataFileError, match="00001.parquet: cannot be"):
+        run_sweep(Toy(), done, chunk=4)
+
+
+@pytest.mark.parametrize("text", ["5", "[" * 100_000, '{"pid": "x"}', "\xff", OWN])
+def test_a_claim_that_is_none_holds_nobody_up(done, sound, same_rows, text):
+    (done / "chunks" / "00001.parquet").unlink()
+    claim = done / "claims" / "00001.json"
+    claim.write_text(text)
+    os.utime(claim, (1, 1))
+    same_rows(run_sweep(Toy(), done, chunk=4).value, sound)
+    assert not claim.exists()
 
 
 def test_results_without_a_manifest_are_refused(done):

@@ -1,5 +1,6 @@
 """Files of results: one Parquet file for every chunk of members, and all of them."""
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,11 +9,14 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.errors import DataFileError, SpecError, reading
 from jaxnarx.sweep.folder.files import put
-from jaxnarx.sweep.folder.manifest import FORMAT
 
 KEY = b"jaxnarx"
+FORMAT = 2
+"""Of files of results; those of format 1 have no digest."""
+SEAL = b'"sha256": "'
+"""What stands before the digest in the mark."""
 
 
 class Damaged(Exception):
@@ -24,6 +28,13 @@ def chunk_name(number: int) -> str:
     return f"{number:05d}.parquet"
 
 
+def chunk_number(name: str) -> int | None:
+    """The chunk whose file has that name; None for other files."""
+    stem = name.removesuffix(".parquet")
+    number = int(stem) if stem.isascii() and stem.isdigit() and len(stem) < 19 else -1
+    return number if chunk_name(number) == name else None
+
+
 def arrow_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Rows as a table with every key that any of them has; absent ones are null."""
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -33,38 +44,90 @@ def arrow_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 
 def joined(tables: Sequence[pa.Table]) -> pa.Table:
     """Tables below one another, their columns united by name."""
-    return pa.concat_tables(tables, promote_options="permissive")
+    try:
+        return pa.concat_tables(tables, promote_options="permissive")
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise Damaged(f"its columns do not fit together: {error}") from error
 
 
 def write_results(
     path: Path, table: pa.Table, digest: str, *, replace: bool = False
 ) -> bool:
-    """Write a file of results of the sweep with that digest, whole or not at all."""
-    mark = json.dumps({"format": FORMAT, "sweep": digest}).encode()
-    table = table.replace_schema_metadata({KEY: mark})
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    return put(path, sink.getvalue().to_pybytes(), replace=replace)
+    """Write a file of results of the sweep with that digest, whole or not at all.
 
-
-def read_results(path: Path, digest: str) -> pa.Table:
-    """Read a file of results. `Damaged` where it is; DataFileError where it is of
-    another sweep.
+    Its mark holds the SHA-256 of the file in which that very place is filled with
+    zeros, so that no bit of it can change unseen.
     """
+    mark = json.dumps({"format": FORMAT, "sweep": digest, "sha256": "0" * 64})
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({KEY: mark.encode()})
+    data = sink.getvalue().to_pybytes()
+    place = _place(data)
+    seal = hashlib.sha256(data).hexdigest().encode()
+    return put(path, data[: place.start] + seal + data[place.stop :], replace=replace)
+
+
+def read_results(path: Path, digest: str, members: Sequence[int]) -> pa.Table:
+    """Read the file of results of these members. `Damaged` where it is; DataFileError
+    where it is of another sweep.
+    """
+    if path.is_symlink() or not path.is_file():
+        raise Damaged(f"{path}: it is no file of this folder")
     try:
-        data = path.read_bytes()
-        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
+        with reading(path, "results of a sweep"):
+            data = path.read_bytes()
+            mark, table = _parse(data)
+    except DataFileError as error:
         raise Damaged(str(error)) from error
-    try:
-        mark = json.loads((table.schema.metadata or {})[KEY])
-    except (KeyError, ValueError) as error:
-        raise _foreign(path, "is no result of a sweep") from error
-    if mark.get("format") != FORMAT:
+    if mark is None:
+        raise _foreign(path, "is no result of a sweep")
+    if mark.get("format") not in (1, FORMAT):
         raise _foreign(path, f"has format {mark.get('format')}, not {FORMAT}")
+    if mark != {"format": 1, "sweep": mark.get("sweep")} and not _is_sealed(data):
+        raise Damaged(f"{path}: it is not as it was written")
     if mark.get("sweep") != digest:
         raise _foreign(path, "belongs to another sweep than the folder's manifest")
-    return table.replace_schema_metadata(None)
+    if not _are_of(table, members):
+        raise Damaged(f"{path}: its rows are of other members than its name says")
+    return table
+
+
+def _parse(data: bytes) -> tuple[dict[str, Any] | None, pa.Table]:
+    """Mark (None where there is none) and rows of a file.
+
+    In this thread alone: threads of Arrow that still hold the bytes, which are Python's
+    own, when Python ends, abort it ("terminate called without an active exception").
+    """
+    source = pa.BufferReader(data)
+    with pq.ParquetFile(source, page_checksum_verification=True) as file:
+        try:
+            mark = json.loads((file.metadata.metadata or {})[KEY])
+        except (KeyError, ValueError, RecursionError):
+            mark = None
+        table = file.read(use_threads=False).replace_schema_metadata(None)
+    return mark if isinstance(mark, dict) else None, table
+
+
+def _is_sealed(data: bytes) -> bool:
+    """Whether every bit is as it was written."""
+    place = _place(data)
+    blank = data[: place.start] + b"0" * 64 + data[place.stop :]
+    return hashlib.sha256(blank).hexdigest().encode() == data[place]
+
+
+def _place(data: bytes) -> slice:
+    """Where the digest stands: the mark comes after all rows and their statistics."""
+    start = data.rfind(SEAL) + len(SEAL)
+    return slice(start, start + 64)
+
+
+def _are_of(table: pa.Table, members: Sequence[int]) -> bool:
+    """Whether these are the rows of those members, in order."""
+    if "index" not in table.column_names or len(table) != len(members):
+        return False
+    return table.column("index").to_pylist() == list(members)
 
 
 def _foreign(path: Path, what: str) -> DataFileError:

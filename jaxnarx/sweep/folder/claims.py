@@ -143,9 +143,10 @@ def _is_dead(path: Path) -> bool:
 def _owner(path: Path) -> Owner | None:
     """Who made the claim; None where that cannot be read."""
     try:
-        return Owner(**json.loads(path.read_text()))
-    except (OSError, ValueError, TypeError):
+        owner = Owner(**json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError, RecursionError):
         return None
+    return owner if type(owner.pid) is int and 0 < owner.pid < 2**31 else None
 
 
 def _age(path: Path) -> float:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.errors import DataFileError, SpecError, reading
 from jaxnarx.sweep.folder.files import put
 from jaxnarx.sweep.work import Work
 
@@ -20,6 +20,9 @@ FORMAT = 1
 PACKAGES = ("jaxnarx", "jax", "jaxlib", "equinox", "optimistix", "numpy", "pyarrow")
 SHOWN = 5
 """Differences that a refusal names one by one."""
+_ADVICE = (
+    "Restore it, or begin anew with new=True (--new-run), which sets the folder aside."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,8 +30,9 @@ class Manifest:
     """What a run folder is the record of.
 
     `sweep` is what must not change: what the work says of itself, a digest of its
-    labels, their number, the chunk size, whether numbers are of 64 bits and the version
-    of this package. `about` is what may: other versions, the machine, the date.
+    labels, their number, whether numbers are of 64 bits and the version of this
+    package; the size of the chunks it began with is kept with it. `about` is what may:
+    other versions, the machine, the date.
     """
 
     sweep: dict[str, Any]
@@ -86,23 +90,20 @@ def write_manifest(folder: Path, manifest: Manifest) -> bool:
 def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; DataFileError where it is foreign or damaged."""
     path = folder / NAME
-    try:
+    if not path.is_file():
+        raise DataFileError(
+            f"{folder} is no run folder of a sweep: it has no {NAME}", path=path
+        )
+    with reading(path, "the manifest of a sweep", advice=_ADVICE):
         value = json.loads(path.read_text(encoding="utf-8"))
         if value["format"] == FORMAT:
             manifest = Manifest(value["sweep"], value["about"])
-            if manifest.digest == value["sha256"]:
-                return manifest
-            raise ValueError("its digest does not fit it")
-    except FileNotFoundError as error:
-        raise DataFileError(
-            f"{folder} is no run folder of a sweep: it has no {NAME}", path=path
-        ) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataFileError(
-            f"{path} cannot be read ({error}). Restore it, or begin anew with new=True "
-            "(--new-run), which sets the folder aside.",
-            path=path,
-        ) from error
+            if manifest.digest != value["sha256"]:
+                raise ValueError("its digest does not fit it")
+            sizes = (manifest.members, manifest.chunk)
+            if not all(type(n) is int and 0 < n < 2**31 for n in sizes):
+                raise ValueError("its numbers are none of a sweep")
+            return dataclasses.replace(manifest, about=dict(value["about"]))
     raise DataFileError(
         f"{path} has format {value['format']}; this program knows {FORMAT}. Continue "
         "with the version of jaxnarx that began it, or begin anew with new=True "
@@ -112,7 +113,12 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def require_same(folder: Path, found: Manifest, asked: Manifest) -> None:
-    """SpecError that names what differs between the folder's sweep and this one."""
+    """SpecError that names what differs between the folder's sweep and this one.
+
+    Its chunks are the folder's business: another size is no other sweep.
+    """
+    same = asked.sweep | {"chunk": found.chunk}
+    asked = dataclasses.replace(asked, sweep=same)
     if found.digest == asked.digest:
         return
     told = list(_differences(_told(found.sweep), _told(asked.sweep)))
@@ -128,7 +134,8 @@ def require_same(folder: Path, found: Manifest, asked: Manifest) -> None:
 
 def other_versions(found: Manifest) -> list[str]:
     """Packages that have changed since the sweep began, as sentences."""
-    now, then = _versions(), found.about.get("versions", {})
+    now, then = _versions(), found.about.get("versions")
+    then = then if isinstance(then, Mapping) else {}
     return [
         f"{name} was {then.get(name)} when the sweep began and is {now[name]}"
         for name in now

@@ -15,6 +15,7 @@ from jaxnarx.sweep.folder.chunks import (
     Damaged,
     arrow_table,
     chunk_name,
+    chunk_number,
     joined,
     read_results,
     write_results,
@@ -54,17 +55,15 @@ class RunFolder:
         """Number of chunks."""
         return -(-self.manifest.members // self.manifest.chunk)
 
-    def members(self, number: int) -> list[int]:
+    def members(self, number: int) -> range:
         """Members of a chunk."""
         size = self.manifest.chunk
-        return list(
-            range(number * size, min((number + 1) * size, self.manifest.members))
-        )
+        return range(number * size, min((number + 1) * size, self.manifest.members))
 
     def finished(self) -> list[int]:
         """Chunks that have a file."""
-        present = {path.name for path in (self.path / CHUNKS).iterdir()}
-        return [n for n in range(self.chunks) if chunk_name(n) in present]
+        found = (chunk_number(path.name) for path in (self.path / CHUNKS).glob("*"))
+        return sorted(n for n in found if n is not None and n < self.chunks)
 
     def unfinished(self) -> list[int]:
         """Chunks that have none."""
@@ -88,46 +87,56 @@ class RunFolder:
             for number in self.finished():
                 if self._is_damaged(number) and claims.take(number):
                     if self._is_damaged(number):
-                        self._file(number).unlink()
+                        self._remove(number)
                         found.append(number)
                     claims.release(number)
         return found
 
-    def table(self) -> pa.Table:
+    def table(self, *, keep: bool = False) -> pa.Table:
         """All finished rows in the order of the members; at least one chunk must be.
 
-        Once all are there they are kept as `table.parquet`, which is read from then on.
+        `keep` writes them to `table.parquet`, once all are there; they are read from it
+        where it is sound.
         """
-        path, digest = self.path / TABLE, self.manifest.digest
+        path = self.path / TABLE
         if path.exists():
             with contextlib.suppress(Damaged):
-                return read_results(path, digest)
-        numbers = self.finished()
+                return self._read(path, range(self.manifest.members))
         try:
-            table = joined([read_results(self._file(n), digest) for n in numbers])
+            table = joined([self._chunk(n) for n in self.finished()])
         except Damaged as error:
             raise DataFileError(
-                f"{self.path}: a finished chunk can no longer be read ({error}). Give "
-                "the same command again to compute it anew.",
+                f"{self.path}: a finished chunk can no longer be used ({error}). Give "
+                "the command of the sweep again to compute it anew.",
                 path=self.path,
             ) from error
-        if len(numbers) == self.chunks:
-            write_results(path, table, digest, replace=True)
+        if keep and table.num_rows == self.manifest.members:
+            write_results(path, table, self.manifest.digest, replace=True)
         return table
+
+    def _chunk(self, number: int) -> pa.Table:
+        return self._read(self._file(number), self.members(number))
+
+    def _read(self, path: Path, members: Sequence[int]) -> pa.Table:
+        return read_results(path, self.manifest.digest, members)
 
     def _file(self, number: int) -> Path:
         return self.path / CHUNKS / chunk_name(number)
 
     def _is_damaged(self, number: int) -> bool:
-        """Whether the file cannot be read, or leads out of the folder."""
+        """Whether there is a file that is not the chunk."""
+        try:
+            self._chunk(number)
+        except Damaged:
+            return os.path.lexists(self._file(number))
+        return False
+
+    def _remove(self, number: int) -> None:
         path = self._file(number)
         try:
-            if not path.is_symlink():
-                read_results(path, self.manifest.digest)
-                return False
-        except Damaged:
-            pass
-        return os.path.lexists(path)
+            path.unlink()
+        except OSError as error:
+            raise unwritable(path, error) from error
 
 
 def open_run(path: Path, asked: Manifest, *, new: bool = False) -> RunFolder:
