@@ -5,6 +5,7 @@ from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
 from jaxnarx.methods.least_squares import LeastSquares, Recursive
 from jaxnarx.methods.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
+from jaxnarx.methods.own import Partitioner, Selector
 from jaxnarx.methods.partition import Given, Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
@@ -29,8 +30,10 @@ __all__ = [
     "Lolimot",
     "OptimalDesign",
     "OutputError",
+    "Partitioner",
     "PredictionError",
     "Recursive",
+    "Selector",
     "SigmoidTree",
     "SimulationError",
     "SimulationOLS",

@@ -295,22 +295,23 @@ class Grid(_Scheduled):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Given(_Local):
-    """A partition that is there already: only the local models are made anew.
+    """A partition from elsewhere: only the local models are made here.
 
     So outputs can share the regions that were grown for one of them, an engine those
-    of its sister, and regions can be drawn by hand.
+    of its sister, regions can be drawn by hand, and a method of one's own can make
+    them.
     """
 
     partition: Any
-    """A `Network`, whose regions are taken, or a validity function of
-    `jaxnarx.models`."""
+    """A `Network`, whose regions are taken, a validity function of `jaxnarx.models`,
+    or a `Partitioner`: a function of the data that returns one."""
     output: str | None = None
     """Of a network: the output whose regions serve all; default: each output has those
     of the output of its name, or those of the network's only output."""
     scheduling: Sequence[str] = ()
-    """Of a validity function: its scheduling variables."""
+    """Its scheduling variables, but for a network, which has them."""
     ranges: Sequence[Numbers] = ()
-    """Of a validity function: what 0 and 1 of each scheduling variable stand for, in
+    """But for a network: what 0 and 1 of each scheduling variable stand for, in
     its unit; default: the ends of its range in the data."""
 
     def __post_init__(self):

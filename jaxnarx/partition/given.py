@@ -1,16 +1,17 @@
-"""The partition of a network, or a validity function, for local models made anew."""
+"""Partitions from outside: a network's, a validity function, or a function's."""
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.methods import Given
+from jaxnarx.methods import Given, Partitioner
 from jaxnarx.models import AbstractValidity, Network, OutputModel
 from jaxnarx.partition.grid import capacity, fitted
 from jaxnarx.partition.ground import Ground
-from jaxnarx.regressors import Pool, Variables, variable_names
+from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -18,12 +19,13 @@ class Regions:
     """Where the local models of one output are to be valid.
 
     `ranges` (dims, 2) are what 0 and 1 of the scheduling variables stand for, None
-    where the data tell.
+    where the data tell. A `Partitioner` stands for the validity functions that it will
+    return; `count` is then zero.
     """
 
     scheduling: tuple[str, ...]
     ranges: np.ndarray | None
-    validity: AbstractValidity
+    validity: AbstractValidity | Partitioner
     count: int
 
 
@@ -34,9 +36,10 @@ def given_regions(pool: Pool, method: Given) -> list[Regions]:
     if isinstance(partition, Network):
         _only_of_validity(method)
         return [_of_output(partition, _source(partition, n, method)) for n in names]
-    if not isinstance(partition, AbstractValidity):
+    if not isinstance(partition, AbstractValidity | Partitioner):
         raise SpecError(
-            "a partition is a Network or a validity function of jaxnarx.models, got "
+            "a partition is a Network, a validity function of jaxnarx.models, or a "
+            "function of (scheduling, columns, output, weight) that returns one; got "
             f"{type(partition).__name__}",
             field="partition",
         )
@@ -78,28 +81,56 @@ def _of_output(network: Network, output: int) -> Regions:
     return Regions(names, np.stack([low, low + span], axis=1), model.validity, count)
 
 
-def _of_validity(validity: AbstractValidity, method: Given) -> Regions:
+def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Regions:
     if not method.scheduling:
         raise SpecError(
-            "a validity function needs its scheduling variables, such as "
-            "scheduling=['speed[t]', 'load[t]']",
+            "a validity function, or a function that returns one, needs its "
+            "scheduling variables, such as scheduling=['speed[t]', 'load[t]']",
             field="scheduling",
         )
-    count = capacity(validity)
-    try:
-        validity.check(count, len(method.scheduling))
-    except ValueError as error:
-        raise SpecError(str(error), field="partition") from error
+    count = 0
+    if isinstance(validity, AbstractValidity):
+        count = _checked(validity, len(method.scheduling))
     ranges = np.array(method.ranges) if method.ranges else None
     return Regions(tuple(method.scheduling), ranges, validity, count)
+
+
+def _checked(validity: AbstractValidity, dims: int) -> int:
+    """The number of its regions."""
+    count = capacity(validity)
+    try:
+        validity.check(count, dims)
+    except ValueError as error:
+        raise SpecError(str(error), field="partition") from error
+    return count
 
 
 def given_output(
     ground: Ground, output: int, regions: Regions, method: Given
 ) -> tuple[OutputModel, list[int]]:
     """The model of one output, and which local models lack samples."""
-    own = _narrowed(ground, regions)
-    return fitted(own, output, regions.validity, regions.count, method)
+    own, validity, count = placed(ground, output, regions)
+    return fitted(own, output, validity, count, method)
+
+
+def placed(
+    ground: Ground, output: int, regions: Regions
+) -> tuple[Ground, AbstractValidity, int]:
+    """The ground of the regions, their validity functions, how many are in use."""
+    own, validity = _narrowed(ground, regions), regions.validity
+    if isinstance(validity, AbstractValidity):
+        return own, validity, regions.count
+    p = evaluate(own.factors[output], own.rows.v)
+    y, weight = own.rows.y[output], own.rows.weight[output]
+    found = validity(*map(np.asarray, (own.z, p, y, weight)))
+    if not isinstance(found, AbstractValidity):
+        raise SpecError(
+            "a partition function returns a validity function of jaxnarx.models, got "
+            f"{type(found).__name__}",
+            field="partition",
+        )
+    found = jax.tree.map(jnp.asarray, found)
+    return own, found, _checked(found, len(regions.scheduling))
 
 
 def _narrowed(ground: Ground, regions: Regions) -> Ground:

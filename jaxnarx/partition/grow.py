@@ -8,14 +8,20 @@ from jaxnarx.arrays.least_squares import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Given, Global, Grid, Lolimot, SigmoidTree
-from jaxnarx.models import Network, OutputModel, assemble, global_model
+from jaxnarx.models import (
+    AbstractValidity,
+    Network,
+    OutputModel,
+    assemble,
+    global_model,
+)
 from jaxnarx.partition.given import Regions, given_output, given_regions
 from jaxnarx.partition.grid import grid_output
 from jaxnarx.partition.ground import Ground, make_ground
 from jaxnarx.partition.growth import grow_output
 from jaxnarx.partition.own_feedback import with_feedback
-from jaxnarx.partition.scaffold import chosen_terms
-from jaxnarx.regressors import Pool, evaluate
+from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
+from jaxnarx.regressors import Pool, evaluate, variable_names
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
 
@@ -28,6 +34,7 @@ def grow(
     method: Method,
     *,
     validation: Dataset | None = None,
+    start: Given | Network | AbstractValidity | None = None,
 ) -> Solution[Network]:
     """Fit a network with the terms of `source` to one-step prediction of `data`.
 
@@ -39,10 +46,14 @@ def grow(
     `validation`), `best` and why growth `stopped`: `criterion`, `capacity`, or `data`
     where every further split was refused, as a side's validity would have summed to
     less than `least`; and `stages`, every stage of an output as a network of that
-    output alone. `Grid(...)` takes a partition as it is told, `Given(...)` that of a
-    network. A pool stands for all its terms; with `local` every region chooses its own,
-    and with `feedback="choose"` whether it is fed back its own output or the network's
-    (`stats["own"]`, `stats["feedback_nrmse"]`).
+    output alone. They go on from the regions of `start`, a network or a validity
+    function of the same scheduling variables, whose local models are fitted first:
+    Gaussians of any place and width count as boxes of 1/k_sigma times their width.
+    `Grid(...)` takes a partition as it is told, `Given(...)` that of a network, a
+    validity function, or what a function of one's own returns. A pool stands for all
+    its terms; with `local` every region chooses its own, and with `feedback="choose"`
+    whether it is fed back its own output or the network's (`stats["own"]`,
+    `stats["feedback_nrmse"]`).
 
     Too few rows and constant scheduling variables raise `DataError`. Status
     `no_improvement` where a criterion ended the growth; `unidentifiable` where terms
@@ -51,12 +62,13 @@ def grow(
     """
     pool, factors = chosen_terms(source)
     data, _ = match_channels(data, pool.channels)
-    regions = given_regions(pool, method) if isinstance(method, Given) else []
+    given = method if isinstance(method, Given) else _start(method, start)
+    regions = [] if given is None else given_regions(pool, given)
     ground = make_ground(
         pool,
         factors,
         data,
-        _scheduling(method, regions),
+        _scheduling(method, pool, regions),
         source.gain if isinstance(source, Selection) else None,
         None if isinstance(method, Global) else method.local,
     )
@@ -73,7 +85,23 @@ def grow(
             'criterion="validation" needs records: grow(..., validation=...)',
             field="validation",
         )
-    return _grow_stages(ground, method, validation)
+    return _grow_stages(ground, method, validation, regions)
+
+
+def _start(method: Method, start: Any) -> Given | None:
+    """The partition that a growth goes on from."""
+    if start is None:
+        return None
+    if not isinstance(method, Lolimot | SigmoidTree):
+        raise SpecError(
+            f"{type(method).__name__} does not grow; start goes with Lolimot and "
+            "SigmoidTree, a partition to keep is Given(...)",
+            field="start",
+        )
+    if isinstance(start, Given):
+        return start
+    own = () if isinstance(start, Network) else method.scheduling
+    return Given(start, scheduling=own)
 
 
 def _assembled(ground: Ground, models: list[OutputModel]) -> Network:
@@ -102,13 +130,24 @@ def _grow_global(ground: Ground) -> Solution[Network]:
     return Solution(network, RESULTS.ok, stats)
 
 
-def _scheduling(method: Method, regions: list[Regions]) -> tuple[str, ...]:
+def _scheduling(method: Method, pool: Pool, regions: list[Regions]) -> tuple[str, ...]:
     """Every scheduling variable of any output, once."""
     if isinstance(method, Global):
         return ()
+    names = tuple(dict.fromkeys(n for own in regions for n in own.scheduling))
     if isinstance(method, Given):
-        return tuple(dict.fromkeys(n for own in regions for n in own.scheduling))
-    return tuple(method.scheduling)
+        return names
+    told = variable_names(
+        pool.channels, scheduling_table(pool, tuple(method.scheduling))
+    )
+    for own in regions:
+        if set(own.scheduling) != set(told):
+            raise SpecError(
+                f"the start is scheduled by {', '.join(own.scheduling)}, the growth by "
+                f"{', '.join(told)}",
+                field="scheduling",
+            )
+    return names or tuple(method.scheduling)
 
 
 def _judges(ground: Ground, validation: Dataset | None) -> Dataset:
@@ -142,11 +181,15 @@ def _as_told(
 
 
 def _grow_stages(
-    ground: Ground, method: Lolimot | SigmoidTree, validation: Dataset | None
+    ground: Ground,
+    method: Lolimot | SigmoidTree,
+    validation: Dataset | None,
+    regions: list[Regions],
 ) -> Solution[Network]:
     models, figures = [], []
     for o in range(len(ground.factors)):
-        model, figure = grow_output(ground, o, method, validation)
+        start = regions[o] if regions else None
+        model, figure = grow_output(ground, o, method, validation, start)
         models.append(model)
         figures.append(figure)
     network, found = with_feedback(

@@ -20,14 +20,17 @@ from jaxnarx.models import (
     assemble,
     global_model,
 )
+from jaxnarx.models import SigmoidTree as SigmoidTreeValidity
+from jaxnarx.partition.given import Regions, placed
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_terms import own_terms
-from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
+from jaxnarx.partition.lolimot import boxes_of_validity, lolimot, validity_of_boxes
 from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import Rows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 from jaxnarx.regressors import evaluate
+from jaxnarx.selection.own import require_room
 
 _lolimot = jax.jit(
     lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")
@@ -37,22 +40,25 @@ _sigmoid_tree = jax.jit(
     sigmoid_tree, static_argnames=("max_models", "oblique", "steps", "picks", "first")
 )
 
-LARGEST = 2**31
-"""Bytes that the columns of all candidate terms may take where every local model
-chooses its own."""
-
 
 def grow_output(
     ground: Ground,
     output: int,
     method: Lolimot | SigmoidTree,
     validation: Dataset | None,
+    start: Regions | None = None,
 ) -> tuple[OutputModel, dict[str, Any]]:
-    """The model of one output, and the figures of all stages."""
+    """The model of one output, and the figures of all stages, from `start` on."""
+    begin = None
+    if start is not None:
+        ground, shape, count = placed(ground, output, start)
+        begin = _beginning(method, shape, count)
     factor, rows = ground.factors[output], ground.rows
-    _affordable(ground, output, method)
+    if method.local is not None:
+        advice = "choose among them first, with `select`, and grow from the selection"
+        require_room(len(factor), rows, "local", advice)
     p = evaluate(factor, rows.v)
-    stages, validity = _run(ground, output, p, method)
+    stages, validity = _run(ground, output, p, method, begin)
     sparse = method.local is not None
 
     frame = assemble(
@@ -100,20 +106,6 @@ def grow_output(
     return ground.model(output, theta, shape, count, sparse=True), found
 
 
-def _affordable(ground: Ground, output: int, method: Lolimot | SigmoidTree) -> None:
-    if method.local is None:
-        return
-    v = ground.rows.v
-    size = len(ground.factors[output]) * v.shape[1] * v.dtype.itemsize
-    if size > LARGEST:
-        raise SpecError(
-            f"{len(ground.factors[output])} candidate terms on {v.shape[1]} rows are "
-            f"{size / 2**30:.1f} GiB; choose among them first, with `select`, and grow "
-            "from the selection",
-            field="local",
-        )
-
-
 def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method):
     """How local models are fitted, the same for every growth."""
     number = functools.partial(jnp.asarray, dtype=p.dtype)
@@ -135,7 +127,7 @@ def _rows_of(ground: Ground, output: int, p, method: SigmoidTree) -> Rows:
 
 
 def _run(
-    ground: Ground, output: int, p: Float[Array, "terms rows"], method
+    ground: Ground, output: int, p: Float[Array, "terms rows"], method, begin
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(jnp.asarray, dtype=p.dtype)
@@ -144,16 +136,41 @@ def _run(
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
         shape = {"oblique": method.oblique, "steps": method.steps}
-        tree = _sigmoid_tree(*data, smoothness=smoothness, **shape, **common)
+        tree = _sigmoid_tree(
+            *data, smoothness=smoothness, start=begin, **shape, **common
+        )
         return tree, functools.partial(validity_of_stage, tree)
     k_sigma, kind = number(method.k_sigma), method.validity
-    boxes = _lolimot(*data, k_sigma=k_sigma, kind=kind, worst=method.worst, **common)
+    boxes = _lolimot(
+        *data, k_sigma=k_sigma, kind=kind, worst=method.worst, start=begin, **common
+    )
 
     def validity(stage: int, slots: int) -> AbstractValidity:
         low, high = boxes.low[stage, :slots], boxes.high[stage, :slots]
         return validity_of_boxes(kind, low, high, method.k_sigma)
 
     return boxes, validity
+
+
+def _beginning(method: Lolimot | SigmoidTree, shape: AbstractValidity, count: int):
+    """The regions in use, in the form in which the kernel goes on from them."""
+    if count > method.max_models:
+        raise SpecError(
+            f"the start has {count} local models, more than max_models="
+            f"{method.max_models}",
+            field="max_models",
+        )
+    if isinstance(method, Lolimot):
+        boxes = boxes_of_validity(method.validity, shape, method.k_sigma)
+        return tuple(corner[:count] for corner in boxes)
+    if not isinstance(shape, SigmoidTreeValidity):
+        raise SpecError(
+            f"a tree goes on from a SigmoidTree; the start has {type(shape).__name__}",
+            field="start",
+        )
+    gates = {name: getattr(shape, name)[: count - 1] for name in shape.trained}
+    path = shape.path[:count, : count - 1]
+    return dataclasses.replace(shape, **gates, path=path)
 
 
 def _constant(ground: Ground, output: int) -> int | None:

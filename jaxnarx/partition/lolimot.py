@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.errors import SpecError
 from jaxnarx.models import AbstractValidity, Boxes, Compact, Gaussians
 from jaxnarx.partition.local_fit import at_once, effective, local_fit
 
@@ -55,6 +56,24 @@ def validity_of_boxes(kind: str, low, high, k_sigma) -> AbstractValidity:
     if kind == "compact":
         return Compact(low, high, jnp.log(k_sigma * extension))
     return Gaussians((low + high) / 2, jnp.log(k_sigma * extension))
+
+
+def boxes_of_validity(kind: str, validity: AbstractValidity, k_sigma):
+    """Lower and upper corners of boxes that have these validity functions.
+
+    The inverse of `validity_of_boxes`: of Gaussians at any place and of any width, and
+    of compact curves up to their margins, which become `k_sigma` times the extension.
+    """
+    if kind == "gaussians" and isinstance(validity, Gaussians):
+        half = jnp.exp(validity.log_width) / (2 * k_sigma)
+        return validity.centre - half, validity.centre + half
+    same = {"compact": Compact, "boxes": Boxes}.get(kind, ())
+    if isinstance(validity, Boxes | Compact) and isinstance(validity, same):
+        return validity.low, validity.high
+    raise SpecError(
+        f"the start has {type(validity).__name__}, the growth validity={kind!r}",
+        field="start",
+    )
 
 
 def _curve(kind: str, low, high, k_sigma, z) -> Float[Array, " rows"]:
@@ -112,14 +131,16 @@ def lolimot(
     worst: str = "squares",
     picks: int | None = None,
     first: int | None = None,
+    start: tuple[Float[Array, "given dims"], Float[Array, "given dims"]] | None = None,
 ) -> Stage:
-    """Grow to `max_models`; returns every stage, stacked (stages = max_models).
+    """Grow to `max_models`; returns every stage, stacked, the start first.
 
-    `p` holds the regressors of every local model, `z` the scheduling variables scaled
-    to [0, 1]. A split is allowed where both children have validities that sum to
-    `least` or more. Once no split is allowed the remaining stages repeat the last.
-    `worst` is `"squares"` or `"nmse"`; `ridge`, `picks` and `first` are those of
-    `local_fit`.
+    `start` holds the lower and upper corners of the boxes to begin with, whose local
+    models are fitted first; default: one box, and stages = max_models. `p` holds the
+    regressors of every local model, `z` the scheduling variables scaled to [0, 1]. A
+    split is allowed where both children have validities that sum to `least` or more.
+    Once no split is allowed the remaining stages repeat the last. `worst` is
+    `"squares"` or `"nmse"`; `ridge`, `picks` and `first` are those of `local_fit`.
 
     Curves and outputs of all local models are carried along. A split changes two of
     them: what the others add to the numerator and the denominator of the network's
@@ -127,6 +148,8 @@ def lolimot(
     """
     terms, dims = p.shape[0], z.shape[0]
     slots = jnp.arange(max_models)
+    if kind != "gaussians":
+        z = jnp.clip(z, 0.0, 1.0)
 
     def fit(w, prior, pull):
         return local_fit(p, y, w, prior=prior, ridge=pull, picks=picks, first=first)
@@ -210,20 +233,29 @@ def lolimot(
         n = effective(p, phi, weight, used, pull)
         return Stage(s.low, s.high, s.theta, s.count, s.sse, n)
 
-    theta = fit(weight, jnp.zeros(terms, p.dtype), jnp.zeros_like(ridge))
-    low = jnp.zeros((max_models, dims), p.dtype)
-    high = low.at[0].set(1.0)
-    output = jnp.zeros((max_models, p.shape[1]), p.dtype).at[0].set(theta @ p)
-    start = Growth(
-        low=low,
-        high=high,
-        theta=jnp.zeros((max_models, terms), p.dtype).at[0].set(theta),
-        curves=jnp.zeros_like(output).at[0].set(curve(low[0], high[0])),
-        output=output,
+    def padded(first):
+        return jnp.zeros((max_models, *first.shape[1:]), p.dtype).at[:given].set(first)
+
+    one = jnp.zeros((1, dims), p.dtype)
+    low, high = (one, one + 1.0) if start is None else start
+    given = len(low)
+    curves = jax.vmap(curve)(low, high)
+    phi = _share(curves, jnp.sum(curves, axis=0)[None])
+    everywhere = fit(weight, jnp.zeros(terms, p.dtype), jnp.zeros_like(ridge))
+    theta = everywhere[None]
+    if start is not None:
+        theta = jax.lax.map(lambda f: fit(f * weight, everywhere, ridge), phi)
+    output = theta @ p
+    begin = Growth(
+        low=padded(low),
+        high=padded(high),
+        theta=padded(theta),
+        curves=padded(curves),
+        output=padded(output),
         locked=jnp.zeros(max_models, bool),
-        count=jnp.asarray(1),
-        sse=jnp.sum(squares(output[0])),
+        count=jnp.asarray(given),
+        sse=jnp.sum(squares(jnp.sum(phi * output, axis=0))),
         going=jnp.asarray(True),
     )
-    _, later = jax.lax.scan(stage, start, None, length=max_models - 1)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), keep(start), later)
+    _, later = jax.lax.scan(stage, begin, None, length=max_models - given)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), keep(begin), later)

@@ -75,7 +75,7 @@ def choose_stage(
         elif stage - best >= method.patience:
             stopped = "criterion"
             break
-    if stopped == "capacity" and distinct < method.max_models:
+    if stopped == "capacity" and count[distinct - 1] < method.max_models:
         stopped = "data"
     figures = {
         "models": count[:distinct],

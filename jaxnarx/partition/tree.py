@@ -86,21 +86,24 @@ def sigmoid_tree(
     steps: int = 15,
     picks: int | None = None,
     first: int | None = None,
+    start: SigmoidTree | None = None,
 ) -> TreeStage:
-    """Grow to `max_models` leaves; returns every stage, stacked (stages = max_models).
+    """Grow to `max_models` leaves; returns every stage, stacked, the start first.
 
-    `p` holds the regressors of every local model, `z` the scheduling variables scaled
-    to [0, 1]; `smoothness` is that of `split.py`, and `steps` bounds the search for one
-    gate. A split is allowed where both children have validities that sum to `least` or
-    more. `ridge`, `picks` and `first` are those of `local_fit`. `effective` sums the
-    traces of the smoothing matrices, and with `oblique` counts the `dims` free
-    parameters of every gate. Once no split is allowed the remaining stages repeat the
-    last.
+    `start` is the tree to begin with, its gates in the order of growth, whose leaves
+    are fitted first; default: one leaf, and stages = max_models. `p` holds the
+    regressors of every local model, `z` the scheduling variables scaled to [0, 1];
+    `smoothness` is that of `split.py`, and `steps` bounds the search for one gate. A
+    split is allowed where both children have validities that sum to `least` or more.
+    `ridge`, `picks` and `first` are those of `local_fit`. `effective` sums the traces
+    of the smoothing matrices, and with `oblique` counts the `dims` free parameters of
+    every gate. Once no split is allowed the remaining stages repeat the last.
     """
     rows = Rows(p, z, y, weight, smoothness, ridge, least, picks, first)
-    start = _root(rows, max_models)
-    if max_models == 1:
-        return jax.tree.map(lambda a: a[None], start.stage)
+    given = 1 if start is None else len(start.path)
+    begin = _begin(rows, max_models, start, oblique)
+    if max_models == given:
+        return jax.tree.map(lambda a: a[None], begin.stage)
 
     def stage(s: _Growth, _):
         target = s.stage.count + 1
@@ -111,33 +114,52 @@ def sigmoid_tree(
         )
         return s, s.stage
 
-    _, later = jax.lax.scan(stage, start, None, length=max_models - 1)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start.stage, later)
+    _, later = jax.lax.scan(stage, begin, None, length=max_models - given)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin.stage, later)
 
 
-def _root(rows: Rows, max_models: int) -> _Growth:
-    """One model for everything."""
+def _begin(
+    rows: Rows, max_models: int, start: SigmoidTree | None, oblique: bool
+) -> _Growth:
+    """One model for everything, or those of the leaves of a tree."""
     (terms, _), dims, dtype = rows.p.shape, rows.z.shape[0], rows.p.dtype
-    gates = max_models - 1
-    one = jnp.ones_like(rows.y)
     free = dataclasses.replace(rows, ridge=jnp.zeros_like(rows.ridge))
-    theta = free.fit(one, jnp.zeros(terms, dtype))
-    output = theta @ rows.p
-    trace = _trace(free, one, theta)
+    phi = jnp.ones_like(rows.y)[None]
+    theta = free.fit(phi[0], jnp.zeros(terms, dtype))[None]
+    direction, border = jnp.zeros((0, dims), dtype), jnp.zeros(0, dtype)
+    log_steepness, path = border, jnp.zeros((1, 0), int)
+    if start is not None:
+        free, everywhere = rows, theta[0]
+        phi = start(rows.z, jnp.ones(len(start.path), bool))
+        theta = jax.lax.map(lambda f: rows.fit(f, everywhere), phi)
+        direction, border = start.direction, start.border
+        log_steepness, path = start.log_steepness, start.path
+    traces = jax.lax.map(lambda pair: _trace(free, *pair), (phi, theta))
+    output = jnp.sum(phi * (theta @ rows.p), axis=0)
+    leaves, gates = len(path), len(border)
+
+    def padded(array, *size: int):
+        widths = [(0, n - have) for n, have in zip(size, array.shape, strict=False)]
+        return jnp.pad(array, widths + [(0, 0)] * (array.ndim - len(size)))
+
     stage = TreeStage(
-        direction=jnp.zeros((gates, dims), dtype),
-        border=jnp.zeros(gates, dtype),
-        log_steepness=jnp.zeros(gates, dtype),
-        path=jnp.zeros((max_models, gates), int),
-        theta=jnp.zeros((max_models, terms), dtype).at[0].set(theta),
-        count=jnp.asarray(1),
+        direction=padded(direction, max_models - 1),
+        border=padded(border, max_models - 1),
+        log_steepness=padded(log_steepness, max_models - 1),
+        path=padded(path, max_models, max_models - 1),
+        theta=padded(theta, max_models),
+        count=jnp.asarray(leaves),
         sse=_sse(rows, output),
-        effective=trace,
+        effective=jnp.sum(traces) + (dims * gates if oblique else 0),
     )
-    phi = jnp.zeros((max_models, one.shape[0]), dtype).at[0].set(one)
-    traces = jnp.zeros(max_models, dtype).at[0].set(trace)
+    locked = jnp.zeros(max_models, bool)
     return _Growth(
-        stage, phi, output, traces, jnp.zeros(max_models, bool), jnp.asarray(True)
+        stage,
+        padded(phi, max_models),
+        output,
+        padded(traces, max_models),
+        locked,
+        jnp.asarray(True),
     )
 
 

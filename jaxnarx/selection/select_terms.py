@@ -13,10 +13,18 @@ from jaxtyping import Array, Float, Int
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import Anova, Backward, ForwardOLS, SimulationOLS, StepwiseF
+from jaxnarx.methods import (
+    Anova,
+    Backward,
+    ForwardOLS,
+    Selector,
+    SimulationOLS,
+    StepwiseF,
+)
 from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.regressors.rows import Rows, regression_rows
 from jaxnarx.selection.anova import anova, significant_terms
+from jaxnarx.selection.own import own_choice
 from jaxnarx.selection.path import Path, padded, path_of
 from jaxnarx.selection.program import Method, Plan, constant_term, plan
 from jaxnarx.selection.search import Program, make_lanes, search
@@ -35,7 +43,13 @@ _path = jax.jit(jax.vmap(path_of))
 def select(
     source: Pool | Selection,
     data: Dataset,
-    method: ForwardOLS | StepwiseF | Backward | SimulationOLS | Anova | None = None,
+    method: ForwardOLS
+    | StepwiseF
+    | Backward
+    | SimulationOLS
+    | Anova
+    | Selector
+    | None = None,
     *,
     weights: list[Float[np.ndarray, " _"]] | None = None,
     progress: Progress | None = None,
@@ -64,6 +78,9 @@ def select(
     `stats["network"]` is the network with those refined on the free run, `history` the
     rounds, `loss` the mean squared free-run error over the output's variance.
 
+    A function of one's own chooses, too: `jaxnarx.methods.Selector` says what it is
+    given and returns.
+
     Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
     when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,
     constant outputs and data without excitation raise `DataError`.
@@ -87,6 +104,14 @@ def select(
     usable = usable_terms(pool, passed_over)
     if isinstance(method, Anova):
         solution = _by_variance(pool, rows, method, usable)
+    elif isinstance(method, Selector):
+        if any(chosen):
+            raise SpecError(
+                "a selector of one's own takes a pool, not a selection to start from",
+                field="source",
+            )
+        kept = own_choice(pool, rows, method, usable)
+        solution = _as_chosen(pool, rows, kept, method)
     elif isinstance(method, SimulationOLS):
         solution = _on_free_run(pool, data, rows, method, usable, chosen, progress)
     else:
@@ -97,7 +122,8 @@ def select(
 
 
 def _terms_asked(pool: Pool, method: Any) -> int:
-    return 1 if isinstance(method, Anova) else min(method.max_terms, len(pool))
+    open_end = isinstance(method, Anova | Selector)
+    return 1 if open_end else min(method.max_terms, len(pool))
 
 
 def _by_variance(pool: Pool, rows: Rows, method: Anova, usable) -> Solution[Selection]:
@@ -111,9 +137,15 @@ def _by_variance(pool: Pool, rows: Rows, method: Anova, usable) -> Solution[Sele
                 "other lags or a larger `significance`",
                 channel=name,
             )
+    found = _as_chosen(pool, rows, kept, method)
+    return dataclasses.replace(found, stats=found.stats | {"anova": tables})
+
+
+def _as_chosen(pool: Pool, rows: Rows, kept: list[list[int]], method):
+    """The solution of terms that are chosen, in their order."""
     path = refit(pool, rows, kept)
     value = selection_of(pool, rows, path)
-    stats = _figures(value, path) | {"anova": tables, "candidates": len(pool)}
+    stats = _figures(value, path) | {"candidates": len(pool)}
     status, detail = _status(value, np.asarray(path.cond), method)
     return Solution(value, status, stats, detail)
 
@@ -345,7 +377,7 @@ def _histories(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
     ]
 
 
-def _status(value: Selection, cond, method: Method | Anova) -> tuple[RESULTS, str]:
+def _status(value: Selection, cond, method: Any) -> tuple[RESULTS, str]:
     pool, names = value.pool, value.output_names
     limit = 1.0 / np.sqrt(np.finfo(value.sse.dtype).eps)
     if np.any(cond > limit):

@@ -1,5 +1,6 @@
 """Partitions that are there already, and the stages that a growth keeps."""
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -10,7 +11,8 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import ForwardOLS, Given, Global, Grid, Lolimot
-from jaxnarx.models import SigmoidTree
+from jaxnarx.methods import SigmoidTree as SigmoidTreeMethod
+from jaxnarx.models import Gaussians, SigmoidTree
 from jaxnarx.partition import grow
 
 ROWS, SCHEDULE = 240, ("u1[t]", "u2[t]")
@@ -139,7 +141,7 @@ def test_wrong_use_says_what_to_do():
         grow(pool(), data(), Given(network, output="z"))
     with pytest.raises(SpecError, match="leave `scheduling` out"):
         grow(pool(), data(), Given(network, scheduling=SCHEDULE))
-    with pytest.raises(SpecError, match="needs its scheduling"):
+    with pytest.raises(SpecError, match="needs its"):
         grow(pool(), data(), Given(network.models[0].validity))
     with pytest.raises(SpecError, match="do not fit"):
         validity = network.models[0].validity
@@ -148,3 +150,87 @@ def test_wrong_use_says_what_to_do():
         grow(pool(), data(), Given(grow(pool(), data(), Global()).value))
     with pytest.raises(SpecError, match="got str"):
         grow(pool(), data(), Given("speed"))
+
+
+# growth that goes on from a partition ---------------------------------------------
+
+TREE = SigmoidTreeMethod(SCHEDULE, max_models=5, criterion="none", steps=4)
+FIRST = {
+    "boxes": Lolimot(SCHEDULE, max_models=5, criterion="none", validity="boxes"),
+    "gaussians": Lolimot(SCHEDULE, max_models=5, criterion="none"),
+    "compact": Lolimot(SCHEDULE, max_models=5, criterion="none", validity="compact"),
+    "tree": TREE,
+}
+
+
+@pytest.mark.parametrize("kind", list(FIRST))
+def test_a_growth_goes_on_from_the_regions_of_a_network(kind: str):
+    """From the third stage on: that stage's regions, fitted anew, then their splits.
+
+    Without overlap local models do not know of each other, so that the whole growth is
+    the one that was not interrupted.
+    """
+    method = FIRST[kind]
+    whole = grow(pool(), data(), method)
+    third = whole.stats["stages"][0][2]
+    on = grow(pool(), data(), method, start=third)
+    stages = on.stats["stages"][0]
+    assert on.stats["models"][0].tolist() == [3, 4, 5]
+    again = grow(pool(), data(), Given(third)).value
+    assert same_regions(stages[0], again)
+    np.testing.assert_allclose(  # sums in another order
+        stages[0].models[0].local.coefficient[:3],
+        again.models[0].local.coefficient[:3],
+        rtol=1e-7,
+    )
+    if kind == "boxes":
+        assert same_regions(on.value, whole.value)
+        np.testing.assert_allclose(
+            on.stats["sse"][0], whole.stats["sse"][0][2:], rtol=1e-9
+        )
+    assert np.all(np.diff(on.stats["sse"][0]) < 0)
+
+
+def test_a_growth_goes_on_from_regions_drawn_by_hand_and_of_other_data():
+    """Two Gaussians of other widths keep place and width but for the one that is
+    halved; on other data they keep them in physical units."""
+    drawn = Gaussians(jnp.array([[0.25], [0.75]]), jnp.log(jnp.array([[0.1], [0.2]])))
+    method = Lolimot("u1[t]", max_models=3, criterion="none")
+    on = grow(pool(), data(), method, start=drawn).value
+    shape = on.models[0].validity
+    assert isinstance(shape, Gaussians)
+    kept = np.asarray(shape.centre)[:, 0]
+    assert (0.25 in kept) != (0.75 in kept)
+    record = data().records[0]
+    low = record.u[:, 0] < 25
+    part = jnx.Dataset.from_arrays(
+        *(record.u[low], record.y[low]),
+        sample_time=1.0,
+        inputs=["u1", "u2"],
+        outputs=["y"],
+    )
+    start = grow(pool(), data(), Given(drawn, scheduling=("u1[t]",))).value
+    moved = grow(pool(), part, method, start=start).stats["stages"][0][0]
+    assert same_regions(start, moved)
+
+
+def test_a_growth_goes_on_output_by_output():
+    both = grow(pool(2), data(2), LOLIMOT).value
+    larger = dataclasses.replace(LOLIMOT, max_models=5)
+    on = grow(pool(2), data(2), larger, start=both)
+    for o in (0, 1):
+        assert same_regions(on.stats["stages"][o][0], both, o)
+
+
+def test_a_start_that_does_not_fit_is_named():
+    network = grown().value
+    with pytest.raises(SpecError, match="more than max_models=2"):
+        grow(pool(), data(), Lolimot(SCHEDULE, max_models=2), start=network)
+    with pytest.raises(SpecError, match=r"the start is scheduled by u1\[t\], u2\[t\]"):
+        grow(pool(), data(), Lolimot("u1[t]"), start=network)
+    with pytest.raises(SpecError, match="the start has Gaussians"):
+        grow(pool(), data(), TREE, start=network)
+    with pytest.raises(SpecError, match="the start has Gaussians"):
+        grow(pool(), data(), FIRST["boxes"], start=network)
+    with pytest.raises(SpecError, match="Global does not grow"):
+        grow(pool(), data(), Global(), start=network)
