@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     from jaxnarx.selection import select_each as select_each
     from jaxnarx.selection import select_weighted as select_weighted
     from jaxnarx.selection import selection_frequency as selection_frequency
+    from jaxnarx.shell import plot as plot
     from jaxnarx.simulation import predict as predict
     from jaxnarx.simulation import simulate as simulate
     from jaxnarx.solution import RESULTS as RESULTS
@@ -131,6 +132,7 @@ _HOME = {
     ),
     "selection": "Selection choose coefficient_table select select_each "
     "select_weighted selection_frequency",
+    "shell": "plot",
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
     "sweep": "Fleet IdentificationWork OverDevices SweepTable best_per_group "
