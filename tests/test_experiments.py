@@ -261,3 +261,14 @@ def test_fitting_without_peers(tmp_path, measured, monkeypatch):
     kept = first["history"][-1]
     assert abs(kept["validation"] / first["rmse"]["validation"]["all"] - 1) < 2e-4
     assert first["selection"]["wall"] < kept["wall"] <= first["total"]["wall"]
+
+
+@pytest.mark.slow
+def test_before_and_after(tmp_path):
+    rows = run("before_after.py", results=tmp_path)["before_after"]
+    figures = {"select", "free_run", "loss_and_gradient", "grow", "fit in a sweep"}
+    assert set(rows) == figures
+    for row in rows.values():
+        # Without another checkout both are this one.
+        assert row["before"] > 0 and row["after"] > 0
+        assert_target(row["ratio"])
