@@ -9,7 +9,14 @@ from collections.abc import Iterable, Iterator
 
 
 class JaxnarxError(ValueError):
-    """Root of all errors this package raises on purpose."""
+    """Root of all errors this package raises on purpose.
+
+    Messages quote what files hold, so characters that would act on a terminal are
+    written as escapes.
+    """
+
+    def __init__(self, message: str = ""):
+        super().__init__(_printable(message))
 
 
 class DataError(JaxnarxError):
@@ -57,6 +64,13 @@ class ModelFileError(JaxnarxError):
     def __init__(self, message: str, *, path: object = None):
         super().__init__(message)
         self.path = path
+
+
+def _printable(text: str) -> str:
+    """`text` with all but printable characters and line ends as escapes."""
+    return "".join(
+        c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in str(text)
+    )
 
 
 @contextlib.contextmanager

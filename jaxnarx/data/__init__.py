@@ -7,6 +7,7 @@ from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.check import check
 from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.delays import Delay, Delays, delays
+from jaxnarx.data.description import load_toml
 from jaxnarx.data.files import Split, fingerprint, read, read_files, read_split
 from jaxnarx.data.findings import Finding, Findings
 from jaxnarx.data.hold_out import hold_out
@@ -56,6 +57,7 @@ __all__ = [
     "delays",
     "fingerprint",
     "hold_out",
+    "load_toml",
     "match_channels",
     "prepare",
     "read",

@@ -1,8 +1,27 @@
 """Named, unit-carrying channels: the schema every dataset and every model carries."""
 
 import dataclasses
+import unicodedata
 
 from jaxnarx.errors import SpecError, suggest
+
+
+def require_plain(text: str, what: str, *, field: str) -> None:
+    """SpecError where `text` holds characters that act on a terminal or stay unseen.
+
+    Names go to terminals, reports and files. Control and format characters, line ends
+    and half surrogates are not in any that a person means to read.
+    """
+    odd = [c for c in text if unicodedata.category(c) in _UNSEEN]
+    if odd:
+        raise SpecError(
+            f"{what} must be of characters that are seen, got {odd[0]!r} in "
+            f"{text[:60]!r}",
+            field=field,
+        )
+
+
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +56,8 @@ class Channels:
                     f"channel names must be non-empty text, got {name!r}",
                     field="inputs",
                 )
+        for text in [*names, *(c.unit for c in self.all)]:
+            require_plain(text, "channel names and units", field="inputs")
         repeated = sorted({n for n in names if names.count(n) > 1})
         if repeated:
             raise SpecError(

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source
 from jaxnarx.data.place import Place
-from jaxnarx.data.sampling import sampling
+from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
 from jaxnarx.errors import DataError
 
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
@@ -39,6 +39,7 @@ def table_source(
     *,
     name: str,
     time: str | None,
+    time_unit: str | None,
     sample_time: float | None,
     split: bool,
 ) -> tuple[Source, float]:
@@ -53,9 +54,15 @@ def table_source(
     ]
     cuts: Sequence[int] = ()
     if time is not None:
-        t = seconds(table.columns[time], name=time, place=table.place)
+        unit = time_unit or time_unit_in(table.units.get(time, ""), time)
+        t, unit = seconds(table.columns[time], name=time, place=table.place, unit=unit)
         sample_time, cuts = sampling(
-            t, column=time, place=table.place, sample_time=sample_time, split=split
+            t,
+            column=time,
+            place=table.place,
+            sample_time=sample_time,
+            split=split,
+            unit=unit,
         )
     assert sample_time is not None
     return Source(name, np.stack(parts, axis=1), table.place, cuts), sample_time
@@ -64,7 +71,8 @@ def table_source(
 def numbers(column: Any, *, channel: str, place: Place) -> Float[np.ndarray, " time"]:
     """An arrow column as float32 (if it is) or float64, with NaN for nulls.
 
-    Text, labels, dates and nested values raise DataError naming what was found.
+    Text is read where all of it are numbers. Labels, dates and nested values raise
+    DataError naming what was found.
     """
     import pyarrow as pa
     import pyarrow.types as kinds
@@ -80,8 +88,8 @@ def numbers(column: Any, *, channel: str, place: Place) -> Float[np.ndarray, " t
         if not kinds.is_float32(kind):
             column = column.cast(pa.float64(), safe=False)
         return np.array(column.to_numpy(zero_copy_only=False))
-    if any(is_text(kind) for is_text in _text_kinds()):
-        raise _text(column, channel, place)
+    if is_text(kind):
+        return _numbers_in_text(column, channel, place)
     raise DataError(
         f"{place.lead}channel {channel} holds {kind} values, not numbers. Leave it "
         "out, or convert it to numbers first.",
@@ -89,8 +97,14 @@ def numbers(column: Any, *, channel: str, place: Place) -> Float[np.ndarray, " t
     )
 
 
-def seconds(column: Any, *, name: str, place: Place) -> Float[np.ndarray, " time"]:
-    """A time column in seconds; dates and durations count from their first row."""
+def seconds(
+    column: Any, *, name: str, place: Place, unit: str | None = None
+) -> tuple[Float[np.ndarray, " time"], str | None]:
+    """A time column in seconds, and the unit it is in if that is known.
+
+    Dates and durations count from their first row and know theirs; numbers are taken
+    to be in `unit`, or else in seconds.
+    """
     import pyarrow as pa
     import pyarrow.types as kinds
 
@@ -102,14 +116,15 @@ def seconds(column: Any, *, name: str, place: Place) -> Float[np.ndarray, " time
     if kinds.is_timestamp(kind) or kinds.is_duration(kind) or kinds.is_time(kind):
         ticks = column.cast(pa.int32()) if kinds.is_time32(kind) else column
         ticks = ticks.cast(pa.int64())
-        unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
         missing = column.is_null().to_numpy(zero_copy_only=False)
         ticks = ticks.fill_null(0).to_numpy(zero_copy_only=False)
         origin = ticks[~missing][:1]
-        since = (ticks - origin) * unit if origin.size else ticks * unit
-        return np.where(missing, np.nan, since)
+        since = (ticks - origin) * scale if origin.size else ticks * scale
+        return np.where(missing, np.nan, since), kind.unit
     try:
-        return numbers(column, channel=name, place=place).astype(np.float64)
+        t = numbers(column, channel=name, place=place).astype(np.float64)
+        return t * TIME_UNITS[unit or "s"], unit
     except DataError as error:
         raise DataError(
             f"{error} The time column must hold seconds, dates like "
@@ -128,40 +143,75 @@ def _plain(column):
         column = column.combine_chunks()
     if isinstance(column, pa.ChunkedArray):
         column = pa.concat_arrays(column.chunks)
-    if kinds.is_dictionary(column.type):
+    if kinds.is_dictionary(column.type) and not is_text(column.type):
         column = column.dictionary_decode()
     return column
 
 
-def _text_kinds():
+def is_text(kind: Any) -> bool:
+    """Whether an arrow type holds text, also where every text is kept once."""
     import pyarrow.types as kinds
 
+    if kinds.is_dictionary(kind):
+        kind = kind.value_type
     # a CSV column that is not UTF-8 arrives as binary
     return (
-        kinds.is_string,
-        kinds.is_large_string,
-        kinds.is_string_view,
-        kinds.is_binary,
-        kinds.is_large_binary,
+        kinds.is_string(kind)
+        or kinds.is_large_string(kind)
+        or kinds.is_string_view(kind)
+        or kinds.is_binary(kind)
+        or kinds.is_large_binary(kind)
     )
 
 
-def _text(column, channel: str, place: Place) -> DataError:
+def is_readable(kind: Any) -> bool:
+    """Whether an arrow type may hold one number, time or text a row."""
+    import pyarrow.types as kinds
+
+    if kinds.is_dictionary(kind):
+        return is_readable(kind.value_type)
+    return (
+        is_text(kind)
+        or kinds.is_null(kind)
+        or kinds.is_boolean(kind)
+        or kinds.is_floating(kind)
+        or kinds.is_integer(kind)
+        or kinds.is_decimal(kind)
+        or kinds.is_temporal(kind)
+    )
+
+
+def _numbers_in_text(column, channel: str, place: Place) -> np.ndarray:
+    """Text as numbers; DataError with the labels found where it is anything else."""
+    import pyarrow as pa
+    import pyarrow.types as kinds
+
+    if kinds.is_string_view(column.type):
+        column = column.cast(pa.large_string())
+    if not kinds.is_dictionary(column.type):
+        column = column.dictionary_encode()
     values = [
         v.decode("cp1252", "replace") if isinstance(v, bytes) else v
-        for v in column.to_pylist()
+        for v in column.dictionary.to_pylist()
     ]
-    row, odd = next(
-        ((i, v) for i, v in enumerate(values) if v is not None and not _is_number(v)),
-        (0, values[0]),
-    )
-    labels = sorted({v for v in values if v is not None and not _is_number(v)})
+    # a null has the last place
+    at = column.indices.fill_null(len(values)).to_numpy(zero_copy_only=False)
+    good = np.array([v is None or is_number(v) for v in values] + [True])
+    if not good[at].all():
+        raise _text(values, at, good, channel, place)
+    known = [float(v) if v and is_number(v) else np.nan for v in values]
+    return np.array([*known, np.nan])[at]
+
+
+def _text(values, at, good, channel: str, place: Place) -> DataError:
+    row = int(np.argmin(good[at]))
+    odd, labels = values[at[row]], sorted(values[i] for i in set(at[~good[at]]))
     shown = ", ".join(repr(v[:40]) for v in labels[:8]) + (
         ", ..." if labels[8:] else ""
     )
     if labels and all(DECIMAL_COMMA.fullmatch(v) for v in labels):
         advice = 'These are numbers with a decimal comma: state decimal = ",".'
-    elif len(labels) < len(values) / 2 and any(map(_is_number, filter(None, values))):
+    elif good[at[at < len(values)]].mean() > 0.5:
         advice = "Correct these cells, or empty them where the sample is missing."
     else:
         advice = "Choose a numeric channel, or replace the labels by numbers."
@@ -173,9 +223,10 @@ def _text(column, channel: str, place: Place) -> DataError:
     )
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str, decimal: str = ".") -> bool:
+    """Whether `text` is a number as files write it (Python also takes 1_000)."""
     try:
-        float(text)
+        float(text.replace(decimal, "."))
     except ValueError:
         return False
-    return True
+    return "_" not in text

@@ -28,6 +28,12 @@ def from_arrays(
     """See `Dataset.from_arrays`."""
     require_missing(missing)
     channels = make_channels(inputs, outputs, units)
+    if u is None and channels.inputs:
+        raise SpecError(
+            f"u is None, but inputs names {', '.join(channels.input_names)}. Give "
+            "their samples as u, or inputs=[] for a series without inputs.",
+            field="u",
+        )
     ys = _records(y, channels.output_names, "y")
     us = _no_inputs(ys) if u is None else _records(u, channels.input_names, "u")
     if len(us) != len(ys):

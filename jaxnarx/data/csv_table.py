@@ -3,17 +3,24 @@
 import codecs
 import csv
 import dataclasses
+import itertools
 import mmap
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from jaxnarx.data.columns import DECIMAL_COMMA, Table
+from jaxnarx.data.columns import DECIMAL_COMMA, Table, is_number
 from jaxnarx.data.place import Place
-from jaxnarx.errors import DataFileError, SpecError, suggest
+from jaxnarx.errors import DataFileError, suggest
 
-_HEAD = 1 << 16
+_HEAD = 1 << 17  # fields of more characters are beyond what the csv module cuts
+_BLOCK = 1 << 20
 _CHUNK = 1 << 24
+_LINE_END = re.compile(r"\r*\n|\r")
+"""Of any system, mixed ones too; \\r\\r\\n is one line end that was converted twice."""
+_LINE_ENDS = re.compile(rb"\r*\n|\r")
+_EMPTY_LINE = re.compile(rb"\n[\r\n]|\r\r+(?!\r*\n)")
 _NULLS = ["", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL"]
 
 
@@ -35,17 +42,35 @@ class CsvLayout:
 
 @dataclasses.dataclass(frozen=True)
 class _Head:
-    """The beginning of a file: its lines, delimiter, column names and data start."""
+    """The beginning of a file: its lines, delimiter, column names, first data line, and
+    how many lines pyarrow has to skip for it.
+    """
 
     path: Path
     lines: list[str]
     delimiter: str
     names: list[str]
     first: int
+    skip: int
 
     def fields(self, line: int) -> list[str]:
-        text = self.lines[line] if line < len(self.lines) else ""
-        return next(csv.reader([text], delimiter=self.delimiter), [])
+        """The fields of a line, counted from 0; none beyond the head's lines."""
+        return self.cut(line, self.lines[line]) if line < len(self.lines) else []
+
+    def cut(self, line: int, text: str) -> list[str]:
+        try:
+            return next(csv.reader([text], delimiter=self.delimiter), [])
+        except csv.Error as error:
+            raise self.row_error(
+                line, f"cannot be cut into fields ({error})", text
+            ) from None
+
+    def row_error(self, line: int, what: str, text: str) -> DataFileError:
+        return DataFileError(
+            f"{self.path}: line {line + 1} {what}: {text[:60]!r}. Correct or remove "
+            "the line (a run that was cut off often ends in half a line).",
+            path=self.path,
+        )
 
     def error(self, what: str) -> DataFileError:
         """`what`, followed by the first lines as they are."""
@@ -79,13 +104,13 @@ def read_csv(
 
 
 def _inspect(path: Path, wanted: Sequence[str], layout: CsvLayout) -> _Head:
-    lines = _lines(path, layout.encoding)
+    first = layout.skip_rows + (not layout.columns) + layout.unit_row
+    lines, skip = _lines(path, layout.encoding, first)
     body = [s for s in lines[layout.skip_rows :] if s.strip()]
     if not body:
         raise DataFileError(f"{path}: the file is empty.", path=path)
     delimiter = layout.delimiter or _delimiter(body)
-    first = layout.skip_rows + (not layout.columns) + layout.unit_row
-    head = _Head(path, lines, delimiter, [], first)
+    head = _Head(path, lines, delimiter, [], first, skip)
     names = list(layout.columns) or [s.strip() for s in head.fields(layout.skip_rows)]
     head = dataclasses.replace(head, names=names)
     _require_header(head, wanted, layout)
@@ -96,39 +121,60 @@ def _inspect(path: Path, wanted: Sequence[str], layout: CsvLayout) -> _Head:
     return head
 
 
-def _lines(path: Path, encoding: str) -> list[str]:
+def _lines(path: Path, encoding: str, first: int) -> tuple[list[str], int]:
+    """The whole lines of the head, and as how many pyarrow counts the first ones."""
     with path.open("rb") as file:
         raw = file.read(_HEAD)
         whole = len(raw) < _HEAD
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        if not encoding.lower().replace("_", "-").startswith("utf-16"):
-            raise DataFileError(
-                f'{path}: the file is UTF-16. State encoding = "utf-16".', path=path
-            )
-    elif not whole and b"\n" in raw:
-        raw = raw[: raw.rindex(b"\n") + 1]
-    if raw.startswith(codecs.BOM_UTF8):
-        raw = raw[len(codecs.BOM_UTF8) :]
-    try:
-        text = raw.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise _encoding_error(path, raw, encoding, error.start) from None
-    except LookupError:
-        raise SpecError(f"unknown encoding {encoding!r}", field="encoding") from None
+    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if utf16 and not re.match("utf[-_]?(16|32)", encoding, re.IGNORECASE):
+        raise DataFileError(
+            f'{path}: the file is UTF-16. State encoding = "utf-16".', path=path
+        )
+    raw = raw.removeprefix(codecs.BOM_UTF8)
+    text = _decode(path, raw, encoding, whole=whole)
     if "\0" in text:
         raise DataFileError(f"{path}: binary data, not a CSV file.", path=path)
-    return [s.rstrip("\r") for s in text.removesuffix("\n").split("\n")]
+    lines = _LINE_END.split(text)
+    if not (whole and lines[-1]):
+        lines.pop()
+    if not whole and len(lines) <= first:
+        raise DataFileError(
+            f"{path}: no line of data in the first {_HEAD:,} bytes; line "
+            f"{len(lines) + 1} goes on behind them. Correct skip_rows, or the line "
+            "ends of the file.",
+            path=path,
+        )
+    ends = _LINE_END.findall(text)[:first]
+    return lines, sum(max(1, end.count("\r")) for end in ends)
+
+
+def _decode(path: Path, raw: bytes, encoding: str, *, whole: bool = True) -> str:
+    """`raw` as text; a character cut in two at the end is left out if not `whole`."""
+    try:
+        return codecs.getincrementaldecoder(encoding)().decode(raw, whole)
+    except UnicodeDecodeError as error:
+        raise _encoding_error(path, raw, encoding, error.start) from None
+    except UnicodeError as error:
+        raise DataFileError(
+            f"{path}: the file is not {encoding} ({error}). State the encoding it was "
+            "written in.",
+            path=path,
+        ) from None
 
 
 def _encoding_error(path, raw, encoding, start) -> DataFileError:
-    line = raw[:start].count(b"\n") + 1
-    around = (
-        raw[max(start - 10, 0) : start + 10].split(b"\n")[0].decode("cp1252", "replace")
-    )
+    line = len(_LINE_ENDS.findall(raw, 0, start)) + 1
+    around = raw[max(start - 10, 0) : start + 10].split(b"\n")[0].strip()
+    advice = "State the encoding it was written in."
+    if codecs.lookup(encoding).name == "utf-8":
+        advice = (
+            "It looks like Windows-1252, where it reads "
+            f'{around.decode("cp1252", "replace")!r}: state encoding = "cp1252".'
+        )
     return DataFileError(
-        f"{path}: line {line} is not {encoding} (byte 0x{raw[start]:02X}). It looks "
-        f"like Windows-1252, where it reads {around.strip()!r}: state "
-        'encoding = "cp1252".',
+        f"{path}: line {line} is not {encoding} (byte 0x"
+        f"{raw[start : start + 1].hex().upper()}). {advice}",
         path=path,
     )
 
@@ -143,18 +189,10 @@ def _delimiter(body: list[str]) -> str:
     return ","
 
 
-def _is_number(text: str, decimal: str = ".") -> bool:
-    try:
-        float(text.strip().replace(decimal, "."))
-    except ValueError:
-        return False
-    return True
-
-
 def _require_header(head: _Head, wanted, layout: CsvLayout):
     fields = [s.strip() for s in head.fields(layout.skip_rows)]
     if not layout.columns:
-        if all(_is_number(s, layout.decimal) for s in fields if s):
+        if all(is_number(s, layout.decimal) for s in fields if s):
             raise head.error(
                 "the first line holds numbers, so there is no header line. Name the "
                 "columns in order by columns = [...]."
@@ -213,8 +251,8 @@ def _require_numbers(head: _Head, wanted, layout: CsvLayout):
         return
     at = [head.names.index(n) for n in wanted]
     top, below = ([r[i] for i in at if i < len(r)] for r in rows[:2])
-    words = [s for s in top if s.strip() and not _is_number(s, layout.decimal)]
-    numeric = all(_is_number(s, layout.decimal) for s in below if s.strip())
+    words = [s for s in top if s.strip() and not is_number(s, layout.decimal)]
+    numeric = all(is_number(s, layout.decimal) for s in below if s.strip())
     if words and len(words) == sum(bool(s.strip()) for s in top) and numeric:
         raise head.error(
             f"line {head.first + 1} looks like a row of units "
@@ -227,10 +265,8 @@ def _require_size(head: _Head, columns: int, max_bytes: float):
     path = head.path
     size = path.stat().st_size
     with path.open("rb") as file, _mapped(file) as m:
-        rows = sum(
-            m[at : at + _CHUNK].count(b"\n")
-            for at in range(0, size if size <= max_bytes else 0, _CHUNK)
-        )
+        chunks = range(0, size if size <= max_bytes else 0, _CHUNK)
+        rows = sum(_line_ends(m[at : at + _CHUNK]) for at in chunks)
         expanded = max(size, 8 * columns * rows)
         if expanded > max_bytes:
             raise DataFileError(
@@ -242,20 +278,25 @@ def _require_size(head: _Head, columns: int, max_bytes: float):
         _require_no_blank(head, m)
 
 
+def _line_ends(raw: bytes) -> int:
+    return raw.count(b"\n") + raw.count(b"\r") - raw.count(b"\r\n")
+
+
 def _require_no_blank(head: _Head, m: mmap.mmap):
     """An empty line between rows may be a gap in time, and would shift row numbers."""
-    begin = 0
-    for _ in range(head.first):
-        begin = m.find(b"\n", begin) + 1
-    for blank in (b"\n\n", b"\n\r\n"):
-        at = m.find(blank, begin)
-        if at >= 0 and m[at:].strip():
-            line = m[:at].count(b"\n") + 2
-            raise DataFileError(
-                f"{head.path}: line {line} is empty. Remove it, or, if it separates "
-                "two runs, put them in two files.",
-                path=head.path,
-            )
+    ends = itertools.islice(_LINE_ENDS.finditer(m), head.first)
+    begin = max((end.end() for end in ends), default=0)
+    # these are quick to look for, and the slower look is rarely needed
+    if all(m.find(pair, begin) < 0 for pair in (b"\n\n", b"\n\r", b"\r\r")):
+        return
+    empty = _EMPTY_LINE.search(m, begin)
+    if empty and re.compile(rb"\S").search(m, empty.start()):
+        line = len(_LINE_ENDS.findall(m, 0, empty.start() + 1)) + 1
+        raise DataFileError(
+            f"{head.path}: line {line} is empty. Remove it, or, if it separates "
+            "two runs, put them in two files.",
+            path=head.path,
+        )
 
 
 def _mapped(file: BinaryIO) -> mmap.mmap:
@@ -271,7 +312,10 @@ def _parse(head: _Head, wanted: Sequence[str], layout: CsvLayout):
         return reader.read_csv(
             str(head.path),
             reader.ReadOptions(
-                column_names=keys, skip_rows=head.first, encoding=layout.encoding
+                column_names=keys,
+                skip_rows=head.skip,
+                encoding=layout.encoding,
+                block_size=_BLOCK,
             ),
             reader.ParseOptions(delimiter=head.delimiter),
             reader.ConvertOptions(
@@ -281,25 +325,19 @@ def _parse(head: _Head, wanted: Sequence[str], layout: CsvLayout):
                 strings_can_be_null=True,
             ),
         )
-    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
+    except (pa.ArrowInvalid, UnicodeError) as error:
         raise _explain(head, layout, error) from error
 
 
-def _explain(head: _Head, layout: CsvLayout, error: Exception):
+def _explain(head: _Head, layout: CsvLayout, error: Exception) -> DataFileError:
     """Find the line that pyarrow stumbled over; slow, but only on the way out."""
-    path, count = head.path, len(head.names)
-    raw = path.read_bytes()
-    try:
-        text = raw.decode(layout.encoding)
-    except UnicodeDecodeError as bad:
-        return _encoding_error(path, raw, layout.encoding, bad.start)
-    rows = csv.reader(text.split("\n"), delimiter=head.delimiter)
-    for fields in rows:
-        if rows.line_num > head.first and fields and len(fields) != count:
-            return DataFileError(
-                f"{path}: line {rows.line_num} has {len(fields)} fields, expected "
-                f"{count}: {head.delimiter.join(fields)[:60]!r}. Correct or remove "
-                "the line (a run that was cut off often ends in half a line).",
-                path=path,
-            )
+    text = _decode(head.path, head.path.read_bytes(), layout.encoding)
+    lines = enumerate(_LINE_END.split(text))
+    for n, line in itertools.islice(lines, head.first, None):
+        fields = head.cut(n, line)
+        if fields and len(fields) != len(head.names):
+            what = f"has {len(fields)} fields, expected {len(head.names)}"
+            return head.row_error(n, what, line)
+        if len(line) > _BLOCK:
+            return head.row_error(n, f"is {len(line):,} characters long", line)
     return head.error(f"the file cannot be read as CSV ({error}).")

@@ -120,6 +120,7 @@ class Dataset:
         outputs: Sequence[str | Channel],
         sample_time: float | int | None = None,
         time: str | None = None,
+        time_unit: str | None = None,
         units: Mapping[str, str] | None = None,
         missing: str = "refuse",
         record: str | None = None,
@@ -127,10 +128,13 @@ class Dataset:
         """Records from the columns of a pandas, polars or pyarrow table.
 
         The sample time [s] is stated as `sample_time` or taken from the column `time`
-        (numbers in s, dates or durations), which must increase in uniform steps; given
-        both, the column is checked against the number. `record` names a column whose
-        value changes from one record to the next. `missing` and `units` as in
-        `from_arrays`; with `missing="split"` a jump in time begins a new record too.
+        (numbers, dates or durations), which must increase in uniform steps; given
+        both, the column is checked against the number. `time_unit` is the unit of
+        numbers ("s", "ms", "us", "min" or "h"); without it the column's name is asked
+        ("t_ms", "time [s]"), and numbers that look like ms are refused. `record` names
+        a column whose value changes from one record to the next. `missing` and `units`
+        as in `from_arrays`; with `missing="split"` a jump in time begins a new record
+        too.
         Columns that are not named are ignored; text columns are refused.
         """
         from jaxnarx.data.frames import from_frame
@@ -141,6 +145,7 @@ class Dataset:
             outputs=outputs,
             sample_time=sample_time,
             time=time,
+            time_unit=time_unit,
             units=units,
             missing=missing,
             record=record,

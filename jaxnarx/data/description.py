@@ -3,6 +3,7 @@
 ```toml
 [data]
 sample_time = 0.1            # s; or  time = "t", a column; or both, to have it checked
+time_unit = "s"              # or "ms", "us", "min", "h": of the numbers in that column
 missing = "refuse"           # or "mask", "split", "interpolate"
 root = "."                   # folder of the files, see below
 columns = ["speed", "NOx"]   # only for CSV files without a header line: all, in order
@@ -20,17 +21,21 @@ load = {column = "Md_rel", unit = "%"}   # where the file calls it otherwise
 NOx = "ppm"
 
 [records]
-files = ["bench1/*.csv"]     # or parts: train = [...], validate = [...], test = [...]
+files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
+# or parts: train = [...], validate = [...], test = [...]
 ```
 
 Only `sample_time` or `time`, one output and `[records]` are required. Columns that no
 channel names are ignored. `root` is relative to the `root` argument of `read`, else to
 the environment variable `JAXNARX_DATA`, else to the folder of the description; the
 patterns of `[records]` are relative to it and stay inside. Each pattern's files come
-in alphabetical order, and each file is one record.
+in alphabetical order, and each file is one record; a pattern that begins with `!` takes
+its files out of those that the patterns before it have chosen.
 """
 
 import dataclasses
+import reprlib
+import string
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -39,8 +44,8 @@ from typing import Any
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.missing import require_missing
-from jaxnarx.data.sampling import positive_sample_time
-from jaxnarx.errors import DataFileError, SpecError, suggest
+from jaxnarx.data.sampling import positive_sample_time, require_time_unit
+from jaxnarx.errors import DataFileError, SpecError, reading, suggest
 
 PARTS = ("train", "validate", "test")
 
@@ -63,6 +68,7 @@ class Description:
     root: str
     layout: CsvLayout
     preparation: str | None = None
+    time_unit: str | None = None
 
     @property
     def wanted(self) -> list[str]:
@@ -83,24 +89,30 @@ def load_description(path: Path) -> Description:
             "Dataset.from_frame",
             field="path",
         )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DataFileError(
-            f"{path}: cannot be opened ({error.strerror or error}).", path=path
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataFileError(f"{path}: not valid TOML: {error}.", path=path) from error
-    try:
-        return parse_description(table)
-    except SpecError as error:
-        raise SpecError(f"{path}: {error}", field=error.field) from error
+    with reading(path, "a description", advice="Correct it."):
+        table = load_toml(path)
+        try:
+            return parse_description(table)
+        except SpecError as error:
+            raise SpecError(f"{path}: {error}", field=error.field) from error
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """The table in a TOML file; one that is missing or no TOML is a DataFileError."""
+    with reading(path, "TOML", advice="Correct the file."):
+        try:
+            return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise DataFileError(
+                f"{path}: not valid TOML: {error}.", path=path
+            ) from error
 
 
 _DATA: dict[str, type] = {
     "root": str,
     "sample_time": float,
     "time": str,
+    "time_unit": str,
     "missing": str,
     "columns": list,
     "decimal": str,
@@ -135,6 +147,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     if "sample_time" in settings:
         positive_sample_time(settings["sample_time"])
     require_missing(settings.get("missing", "refuse"))
+    require_time_unit(settings.get("time_unit"))
     channels, columns = _channels(_section(table, "channels"))
     preparation = settings.get("preparation")
     if preparation is not None and not _is_inside(preparation):
@@ -152,6 +165,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         root=settings.get("root", "."),
         layout=_layout(settings),
         preparation=preparation,
+        time_unit=settings.get("time_unit"),
     )
 
 
@@ -180,14 +194,16 @@ def _require_keys(table, known, section: str):
 
 def _typed(value: Any, kind: type, field: str) -> Any:
     """`value` if it has the TOML type `kind`; whole numbers serve as numbers."""
-    if kind is float and type(value) is int:
-        value = float(value)
     good = type(value) is kind
     if kind is list:
         good = good and all(isinstance(v, str) for v in value)
+    elif kind is float and type(value) is int:
+        good = abs(value) < 1e300
     if not good:
-        raise SpecError(f"{field} must be {_KINDS[kind]}, got {value!r}", field=field)
-    return value
+        raise SpecError(
+            f"{field} must be {_KINDS[kind]}, got {reprlib.repr(value)}", field=field
+        )
+    return float(value) if kind is float else value
 
 
 def _channels(section) -> tuple[Channels, dict[str, str]]:
@@ -231,6 +247,9 @@ def _patterns(section) -> dict[str, tuple[str, ...]]:
     return {part: found[part] for part in order if found.get(part)}
 
 
+_NO_DELIMITER = string.digits + string.ascii_letters + '"+-.\r\n\0'
+
+
 def _layout(settings) -> CsvLayout:
     layout = CsvLayout(
         columns=tuple(settings.get("columns", ())),
@@ -240,12 +259,21 @@ def _layout(settings) -> CsvLayout:
         skip_rows=settings.get("skip_rows", 0),
         unit_row=settings.get("unit_row", False),
     )
+    try:
+        "a,1".encode(layout.encoding).decode(layout.encoding)
+    except (LookupError, ValueError):
+        raise SpecError(
+            f"encoding {layout.encoding[:60]!r} is none for text; usual are "
+            '"utf-8", "cp1252" and "utf-16"',
+            field="data.encoding",
+        ) from None
     if layout.decimal not in (".", ","):
         raise SpecError('decimal must be "." or ","', field="data.decimal")
-    if len(layout.delimiter) > 1 or layout.delimiter == layout.decimal:
+    mark = layout.delimiter
+    if mark and (len(mark) > 1 or mark in _NO_DELIMITER or mark == layout.decimal):
         raise SpecError(
-            f"delimiter must be one character other than the decimal mark, "
-            f"got {layout.delimiter!r}",
+            "delimiter must be one character, such as ; or a tab, other than the "
+            f"decimal mark, got {mark!r}",
             field="data.delimiter",
         )
     if layout.skip_rows < 0:

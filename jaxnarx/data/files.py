@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.columns import Table, table_source
+from jaxnarx.data.columns import table_source
 from jaxnarx.data.construct import alike
 from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.dataset import Dataset, Record
@@ -17,10 +17,11 @@ from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import assemble
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.tables import read_table
-from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.errors import DataFileError, SpecError, reading
 
 MAX_BYTES = 4e9
-"""Limit of the expanded size of all files of a description, in bytes."""
+"""Limit of the expanded size of all files of a description, in bytes. Reading takes up
+to five times as much memory for a moment."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,25 +109,9 @@ def read_files(
     for file in files:
         if not file.is_file():
             raise DataFileError(f"{file}: there is no such file.", path=file)
-    tables = _tables(files, description, max_bytes)
-    own = _with_file_units(description, tables)
     folder = Path(os.path.commonpath([f.resolve().parent for f in files]))
     names = _record_names([f.resolve() for f in files], folder)
-    sources = alike(
-        [
-            table_source(
-                table,
-                own,
-                description.columns,
-                name=name,
-                time=None,
-                sample_time=sample_time,
-                split=missing == "split",
-            )[0]
-            for name, table in zip(names, tables, strict=True)
-        ]
-    )
-    return assemble(sources, own, sample_time=sample_time, missing=missing)
+    return _assembled(files, names, description, max_bytes)
 
 
 def _preparation(path: Path, description: Description, root) -> Preparation | None:
@@ -134,18 +119,12 @@ def _preparation(path: Path, description: Description, root) -> Preparation | No
     if description.preparation is None:
         return None
     file = _root(path, root, description) / description.preparation
-    try:
-        return Preparation.from_dict(json.loads(file.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise DataFileError(
-            f"{path}: the preparation {file} cannot be opened "
-            f"({error.strerror or error}).",
-            path=file,
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise DataFileError(
-            f"{file}: not what `jaxnarx prepare` writes: {error}", path=file
-        ) from error
+    kind = f"the preparation of {path.name}, which `jaxnarx prepare` writes"
+    with reading(file, kind, advice="Prepare the files anew."):
+        try:
+            return Preparation.from_dict(json.loads(file.read_text(encoding="utf-8")))
+        except SpecError as error:
+            raise DataFileError(f"{file}: not {kind}: {error}", path=file) from error
 
 
 def _read(
@@ -155,25 +134,43 @@ def _read(
     folder = _root(path, root, description)
     found = _find(description, folder, path)
     files = [file for file, _ in found]
-    tables = _tables(files, description, max_bytes)
-    channels = _with_file_units(description, tables)
-    parts = [
-        table_source(
-            table,
-            channels,
-            description.columns,
-            name=name,
-            time=description.time,
-            sample_time=description.sample_time,
-            split=description.missing == "split",
-        )
-        for name, table in zip(_record_names(files, folder), tables, strict=True)
-    ]
-    step = one_sample_time([(s.place.name, dt) for s, dt in parts])
-    sources = alike([s for s, _ in parts])
-    data = assemble(sources, channels, sample_time=step, missing=description.missing)
-    part_of = {s.name: part for s, (_, part) in zip(sources, found, strict=True)}
+    names = _record_names(files, folder)
+    data = _assembled(files, names, description, max_bytes)
+    part_of = {name: part for name, (_, part) in zip(names, found, strict=True)}
     return data, [part_of[_source_name(r, part_of)] for r in data]
+
+
+def _assembled(
+    files: list[Path], names: list[str], description: Description, max_bytes: float
+) -> Dataset:
+    """The records of `files`, called `names`."""
+    sources, steps = [], []
+    channels, stated_by = description.channels, {}
+    left = max_bytes
+    for file, name in zip(files, names, strict=True):
+        table = read_table(file, description.wanted, description.layout, max_bytes=left)
+        left -= 8 * len(table) * len(table.columns)
+        units = {n: table.units.get(c, "") for n, c in description.columns.items()}
+        channels = _with_units(channels, units, stated_by, table.place.name)
+        with reading(file, "numbers"):
+            source, step = table_source(
+                table,
+                channels,
+                description.columns,
+                name=name,
+                time=description.time,
+                time_unit=description.time_unit,
+                sample_time=description.sample_time,
+                split=description.missing == "split",
+            )
+        sources.append(source)
+        steps.append((table.place.name, step))
+    return assemble(
+        alike(sources),
+        channels,
+        sample_time=one_sample_time(steps),
+        missing=description.missing,
+    )
 
 
 def _source_name(record: Record, known) -> str:
@@ -182,13 +179,17 @@ def _source_name(record: Record, known) -> str:
 
 
 def _root(path: Path, root, description: Description) -> Path:
-    if root is not None:
-        base, origin = Path(root), "the argument root"
-    elif os.environ.get("JAXNARX_DATA"):
-        base, origin = Path(os.environ["JAXNARX_DATA"]), "JAXNARX_DATA"
-    else:
-        base, origin = path.parent, "the description's own folder"
+    """The folder of the files. One that is given holds all that is read; a description
+    alone may name any folder.
+    """
+    given = root if root is not None else os.environ.get("JAXNARX_DATA")
+    base = Path(given) if given else path.parent
+    origin = "the description's own folder"
+    if given:
+        origin = "JAXNARX_DATA" if root is None else "the argument root"
     folder = base / description.root
+    if given:
+        _require_inside(folder, base, path, "data.root")
     if not folder.is_dir():
         raise DataFileError(
             f"{path}: the data folder {folder} does not exist (from {origin}). Give "
@@ -202,15 +203,37 @@ def _find(description: Description, folder: Path, path: Path) -> list[tuple[Path
     """Every file with its part, in order; a file in two parts is refused."""
     found: dict[Path, str] = {}
     for part, patterns in description.patterns.items():
-        for pattern in patterns:
-            for file in _glob(folder, pattern, part, path):
-                if found.setdefault(file, part) != part:
-                    raise SpecError(
-                        f"{path}: {file.name} is in {found[file]} and in {part} "
-                        f"(pattern {pattern!r}). A record may serve one part only.",
-                        field=f"records.{part}",
-                    )
+        for file in _chosen(folder, patterns, part, path):
+            if found.setdefault(file, part) != part:
+                raise SpecError(
+                    f"{path}: {file.name} is in {found[file]} and in {part}. A record "
+                    "may serve one part only.",
+                    field=f"records.{part}",
+                )
     return list(found.items())
+
+
+def _chosen(folder: Path, patterns: Sequence[str], part: str, path: Path) -> list[Path]:
+    """The files of a part: each pattern adds some, or with "!" takes some away."""
+    chosen: dict[Path, None] = {}
+    for pattern in patterns:
+        files = _glob(folder, pattern.removeprefix("!"), part, path)
+        if not pattern.startswith("!"):
+            chosen.update(dict.fromkeys(files))
+            continue
+        if chosen.keys().isdisjoint(files):
+            raise SpecError(
+                f"{path}: {pattern!r} takes away files that no pattern before it has "
+                "chosen. Write it after the patterns that it makes an exception of.",
+                field=f"records.{part}",
+            )
+        chosen = {file: None for file in chosen if file not in files}
+    if not chosen:
+        raise SpecError(
+            f"{path}: {part} has no file left, all are taken away by patterns with !.",
+            field=f"records.{part}",
+        )
+    return list(chosen)
 
 
 def _glob(folder: Path, pattern: str, part: str, path: Path) -> list[Path]:
@@ -222,7 +245,13 @@ def _glob(folder: Path, pattern: str, part: str, path: Path) -> list[Path]:
             "files.",
             field=f"records.{part}",
         )
-    files = sorted(f for f in folder.glob(pattern) if f.is_file())
+    try:
+        files = sorted(f for f in folder.glob(pattern) if f.is_file())
+    except (ValueError, NotImplementedError) as error:
+        raise SpecError(
+            f"{path}: {pattern!r} is no pattern of files ({error})",
+            field=f"records.{part}",
+        ) from error
     if not files:
         raise DataFileError(
             f"{path}: no file matches {pattern!r} in {folder} (records.{part}). Check "
@@ -230,46 +259,44 @@ def _glob(folder: Path, pattern: str, part: str, path: Path) -> list[Path]:
             "environment variable JAXNARX_DATA).",
             path=folder / pattern,
         )
-    inside = folder.resolve()
     for file in files:
-        if not file.resolve().is_relative_to(inside):
-            raise SpecError(
-                f"{path}: {file} is a link to a place outside the data folder. Set "
-                "root to a folder above the files themselves.",
-                field=f"records.{part}",
-            )
+        _require_inside(file, folder, path, f"records.{part}")
     return files
 
 
-def _tables(files: list[Path], description: Description, max_bytes) -> list[Table]:
-    left, tables = max_bytes, []
-    for file in files:
-        table = read_table(file, description.wanted, description.layout, max_bytes=left)
-        left -= 8 * len(table) * len(table.columns)
-        tables.append(table)
-    return tables
+def _require_inside(file: Path, folder: Path, path: Path, field: str):
+    """Nothing outside is read, whether by .., by an absolute name or by a link."""
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise SpecError(
+            f"{path}: {field} names {file}, which is, or is a link to, a place outside "
+            f"the data folder {folder}. Give as root a folder above all files.",
+            field=field,
+        )
 
 
-def _with_file_units(description: Description, tables: Sequence[Table]) -> Channels:
-    """The channels, with units from unit rows; two different units are refused."""
-    channels = description.channels
-    units = {c.name: c.unit for c in channels.all}
-    stated_by = dict.fromkeys(units, "the description")
-    for table in tables:
-        for name, unit in units.items():
-            own = table.units.get(description.columns[name], "").strip("[]() ")
-            if own and unit and own != unit.strip("[]() "):
-                raise SpecError(
-                    f"{table.place.lead}{name} is in {own!r}, but in {unit!r} "
-                    f"according to {stated_by[name]}. Convert the file, or correct "
-                    "the unit.",
-                    field=name,
-                )
-            if own and not unit:
-                units[name], stated_by[name] = own, table.place.name
+def _with_units(
+    channels: Channels, units: dict[str, str], stated_by: dict[str, str], source: str
+) -> Channels:
+    """The channels, with units that the file `source` states; they may not differ.
+
+    `stated_by` remembers which file a unit comes from that the description lacks.
+    """
+
+    def stated(channel: Channel) -> Channel:
+        own = units[channel.name].strip("[]() ")
+        if own and channel.unit and own != channel.unit.strip("[]() "):
+            by = stated_by.get(channel.name, "the description")
+            raise SpecError(
+                f"{source}: {channel.name} is in {own!r}, but in {channel.unit!r} "
+                f"according to {by}. Convert the file, or correct the unit.",
+                field=channel.name,
+            )
+        if own and not channel.unit:
+            stated_by[channel.name] = source
+        return Channel(channel.name, channel.unit or own)
+
     return Channels(
-        tuple(Channel(c.name, units[c.name]) for c in channels.inputs),
-        tuple(Channel(c.name, units[c.name]) for c in channels.outputs),
+        tuple(map(stated, channels.inputs)), tuple(map(stated, channels.outputs))
     )
 
 

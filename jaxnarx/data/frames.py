@@ -12,7 +12,7 @@ from jaxnarx.data.construct import alike, make_channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import assemble, require_missing
 from jaxnarx.data.place import Place
-from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.data.sampling import positive_sample_time, require_time_unit
 from jaxnarx.errors import DataError, SpecError, suggest
 
 
@@ -23,6 +23,7 @@ def from_frame(
     outputs: Sequence[str | Channel],
     sample_time: float | int | None = None,
     time: str | None = None,
+    time_unit: str | None = None,
     units: Mapping[str, str] | None = None,
     missing: str = "refuse",
     record: str | None = None,
@@ -36,6 +37,7 @@ def from_frame(
         )
     if sample_time is not None:
         sample_time = positive_sample_time(sample_time)
+    require_time_unit(time_unit)
     channels = make_channels(inputs, outputs, units)
     wanted = channels.names + [c for c in (time, record) if c is not None]
     table = _arrow(frame, list(dict.fromkeys(wanted)))
@@ -47,6 +49,7 @@ def from_frame(
             {},
             name=name,
             time=time,
+            time_unit=time_unit,
             sample_time=sample_time,
             split=missing == "split",
         )
@@ -103,7 +106,7 @@ def _convert(frame, wanted):
         if hasattr(frame, "to_arrow"):
             return frame.select(wanted).to_arrow()
         return pa.Table.from_pandas(frame[wanted], preserve_index=False)
-    except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
+    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
         raise SpecError(
             f"a column of the frame mixes kinds of values ({error}). Convert it to "
             "numbers, with NaN where a sample is missing.",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.data.channels import Channels
+from jaxnarx.data.channels import Channels, require_plain
 from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.place import Place
 from jaxnarx.errors import DataError, SpecError
@@ -49,6 +49,7 @@ def assemble(
     if not sources:
         raise SpecError("a dataset needs at least one record", field="u")
     for source in sources:
+        require_plain(source.name, "record names", field="names")
         _require_values(source, channels)
     _require_moderate(sources, channels)
     if missing == "refuse":
@@ -180,8 +181,12 @@ def _require_moderate(sources, channels):
 
 
 def _largest(x):
-    size = np.abs(x)
-    return np.where(np.isfinite(size), size, 0).max(axis=0)
+    """Largest finite magnitude of every column."""
+    finite = np.isfinite(x)
+    return np.maximum(
+        np.max(x, axis=0, where=finite, initial=0),
+        -np.min(x, axis=0, where=finite, initial=0),
+    )
 
 
 def _require_finite(sources, channels, sample_time):

@@ -1,5 +1,7 @@
 """The sample time a time column states, and whether the column keeps to it."""
 
+import re
+
 import numpy as np
 from jaxtyping import Float
 
@@ -13,10 +15,36 @@ JUMP = 1.5
 """A step longer than this many sample times is a gap between samples."""
 
 
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+"""Units of time [s] that a column of numbers may be in."""
+
+_NAMED = re.compile(r"(?:^|[\s\[(_/.])(s|ms|us|µs|min|h|sec|msec)[\])]?$")
+_SPELT = {"µs": "us", "sec": "s", "msec": "ms"}
+
+
+def require_time_unit(unit: object) -> None:
+    """SpecError unless `unit` is one of TIME_UNITS or None."""
+    if unit is not None and unit not in TIME_UNITS:
+        raise SpecError(
+            f"time_unit must be one of {', '.join(map(repr, TIME_UNITS))}, got "
+            f"{unit!r}",
+            field="time_unit",
+        )
+
+
+def time_unit_in(*texts: str) -> str | None:
+    """The unit that a file states, beside the column's name or in it ("t [ms]")."""
+    for text in texts:
+        found = _NAMED.search(text.strip())
+        if found:
+            return _SPELT.get(found[1], found[1])
+    return None
+
+
 def positive_sample_time(value: object) -> float:
     """`value` as a sample time [s]; SpecError unless positive, finite and a number."""
     is_number = isinstance(value, int | float | np.integer | np.floating)
-    if not is_number or isinstance(value, bool) or not 0 < value < np.inf:  # type: ignore[operator]
+    if not is_number or isinstance(value, bool) or not 1e-30 < value < 1e30:  # type: ignore[operator]
         raise SpecError(
             "sample_time must be a positive finite number of seconds, "
             f"got {value!r}; for 10 Hz give sample_time=0.1",
@@ -32,24 +60,27 @@ def sampling(
     place: Place,
     sample_time: float | None = None,
     split: bool = False,
+    unit: str | None = None,
 ) -> tuple[float, list[int]]:
     """Sample time [s] and the rows at which a new segment begins after a gap.
 
     `t` [s] must increase. Without `sample_time` every step must be within 1 % of the
     mean step, which is returned, rounded to nine digits. With it, the
     stamps need only lie within half a step of the stated grid, which forgives stamps
-    that were rounded. Steps longer than 1.5 sample times are gaps: refused, or
-    with `split` the beginnings of new segments.
+    that were rounded. Where stamps stay late after a step longer than 1.5 sample times
+    there is a gap: refused, or with `split` the beginning of a new segment. Where the
+    next steps make up for it, it is jitter. Without `unit`, in which the stamps were
+    written, those that look like milliseconds are refused.
     """
     _require_increasing(t, column, place)
     steps = np.diff(t)
     usual = float(np.median(steps)) if sample_time is None else sample_time
-    gaps = np.flatnonzero(steps > JUMP * usual)
-    if gaps.size > 0.1 * steps.size:
-        gaps = gaps[:0]  # not gaps in a raster: there is no raster
+    gaps = _gaps(t, steps, usual)
     inside = np.delete(steps, gaps)
     if sample_time is not None:
         _require_same_step(float(inside.mean()), sample_time, column, place)
+    elif unit is None:
+        _require_seconds(t, usual, column, place)
     if gaps.size and not split:
         raise _jump(t, gaps, column, place)
     cuts = [int(i) + 1 for i in gaps]
@@ -58,6 +89,45 @@ def sampling(
         return float(f"{inside.mean():.9g}"), cuts
     _require_grid(t, cuts, sample_time, column, place)
     return sample_time, cuts
+
+
+def _gaps(t, steps, usual: float):
+    """Steps after which the stamps stay at least half a sample late.
+
+    Medians over up to five stamps before and after tell lateness, so that a single late
+    stamp is no gap.
+    """
+    long = np.flatnonzero(steps > JUMP * usual)
+    if long.size > 0.1 * steps.size:
+        return long[:0]  # not gaps in a raster: there is no raster
+    big = steps[long] > 2 * usual
+    gaps = long[:0]
+    for some in (long[big], long[~big]):  # those near a big one are judged without it
+        late = np.cumsum(np.delete(steps, gaps) - usual)
+        at = some - np.searchsorted(gaps, some)
+        late = np.concatenate([np.full(4, np.nan), [0], late, np.full(4, np.nan)])
+        near = at[:, None] + np.arange(5)
+        after, before = late[near + 5], late[near]
+        shift = np.nanmedian(after, axis=1) - np.nanmedian(before, axis=1)
+        gaps = np.sort(np.append(gaps, some[shift > 0.5 * usual]))
+    return gaps
+
+
+def _require_seconds(t, usual: float, column, place):
+    """Refuse stamps that make better sense in milliseconds; nothing says what is."""
+    whole = usual >= 1 and not np.any(t % 1)
+    if usual < _SLOW and not (whole and t[-1] - t[0] > _LONG):
+        return
+    raise DataError(
+        f"{place.lead}time column {column!r} advances by {usual:.6g} a row to "
+        f"{t[-1] - t[0]:.6g} in all, which looks like milliseconds. State "
+        'time_unit="ms", or time_unit="s" if they are seconds.',
+        channel=column,
+    )
+
+
+_SLOW, _LONG = 20.0, 3 * 86_400.0
+"""Numbers of seconds between samples, and in one run, that are seldom meant."""
 
 
 def _require_increasing(t, column, place):
@@ -94,10 +164,12 @@ def _require_increasing(t, column, place):
 
 def _require_same_step(step, sample_time, column, place):
     if abs(step - sample_time) > 0.1 * sample_time:
+        advice = "Correct sample_time, or leave it out to take it from the column."
+        if abs(1e-3 * step - sample_time) < 0.1 * sample_time:
+            advice = 'It seems to be in milliseconds: state time_unit="ms".'
         raise DataError(
             f"{place.lead}time column {column!r} advances by {step:.6g} s a row, but "
-            f"sample_time is {sample_time:.6g} s. Correct sample_time, or leave it "
-            "out to take it from the column.",
+            f"sample_time is {sample_time:.6g} s. {advice}",
             channel=column,
         )
 
@@ -137,8 +209,8 @@ def _require_uniform(steps, gaps, column, place):
 def _require_grid(t, cuts, sample_time, column, place):
     bounds = [0, *cuts, t.size]
     for first, stop in zip(bounds[:-1], bounds[1:], strict=True):
-        grid = t[first] + sample_time * np.arange(stop - first)
-        off = np.abs(t[first:stop] - grid)
+        late = t[first:stop] - sample_time * np.arange(stop - first)
+        off = np.abs(late - np.median(late))  # the first stamp is no better than others
         if off.max() > 0.5 * sample_time:
             i = int(np.argmax(off > 0.5 * sample_time))
             raise DataError(

@@ -29,12 +29,11 @@ train = ["coefficients", "joint"]
 """
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from jaxnarx.errors import DataFileError, SpecError, suggest
+from jaxnarx.errors import DataFileError, SpecError, reading, suggest
 from jaxnarx.methods import Case, Identification
 
 SECTIONS = ("data", "identification", "cases", "random")
@@ -92,26 +91,24 @@ def load_sweep(path: Path) -> Description:
 
     Points at random are drawn here, so the same file gives the same sweep.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        _require_known(table, SECTIONS, "the description")
-        data = _section(table, "data")
-        return Description(
-            data=_data(data),
-            method=_made(
-                Identification, _section(table, "identification"), "[identification]"
-            ),
-            cases=tuple(_cases(table)),
-            folder=path.parent,
-        )
-    except OSError as error:
-        raise DataFileError(
-            f"{path}: cannot be opened ({error.strerror or error}).", path=path
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataFileError(f"{path}: not valid TOML: {error}.", path=path) from error
-    except (SpecError, TypeError) as error:
-        raise DataFileError(f"{path}: {error}", path=path) from error
+    from jaxnarx.data import load_toml
+
+    table = load_toml(path)
+    with reading(path, "a description of a sweep", advice="Correct it."):
+        try:
+            _require_known(table, SECTIONS, "the description")
+            return Description(
+                data=_data(_section(table, "data")),
+                method=_made(
+                    Identification,
+                    _section(table, "identification"),
+                    "[identification]",
+                ),
+                cases=tuple(_cases(table)),
+                folder=path.parent,
+            )
+        except (SpecError, TypeError) as error:
+            raise DataFileError(f"{path}: {error}", path=path) from error
 
 
 def _data(data: dict[str, Any]) -> Relatives | Measured:

@@ -6,53 +6,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
+from described import HEADER, mixed, refuse, rows, write
 
 from jaxnarx.data import read, read_split
 from jaxnarx.errors import DataError, DataFileError, SpecError
-
-CHANNELS = """
-[channels.inputs]
-N = "rpm"
-TRQ = {column = "Md", unit = "Nm"}
-[channels.outputs]
-NOx = "ppm"
-"""
-HEADER = "t,N,Md,NOx,comment\n"
 
 
 @pytest.fixture(autouse=True)
 def no_environment(monkeypatch):
     monkeypatch.delenv("JAXNARX_DATA", raising=False)
-
-
-def rows(count=20, start=0.0, sep=","):
-    lines = (
-        sep.join(
-            [f"{0.1 * i:.1f}", f"{1000 + i}", f"{start + i / 8}", f"{i % 7}.5", "x"]
-        )
-        for i in range(count)
-    )
-    return "\n".join(lines) + "\n"
-
-
-def write(folder, content, name="a.csv", data="", records='files = ["*.csv"]'):
-    """A description beside one file of this content; the path of the description."""
-    if content is not None:
-        raw = content if isinstance(content, bytes) else content.encode()
-        (folder / name).write_bytes(raw)
-    if "time" not in data:
-        data += "\nsample_time = 0.1"
-    path = folder / "d.toml"
-    path.write_text(f"[data]\n{data}\n{CHANNELS}\n[records]\n{records}\n")
-    return path
-
-
-def refuse(error, path, *said, **options):
-    with pytest.raises(error) as caught:
-        read(path, **options)
-    for words in said:
-        assert words in str(caught.value), str(caught.value)
-    return caught.value
 
 
 # what works -----------------------------------------------------------------------
@@ -86,6 +48,11 @@ def test_a_csv_file_becomes_a_record_of_named_channels(tmp_path):
         (HEADER.replace(",", " , ") + rows(), ""),
         (HEADER + rows(), 'time = "t"'),
         ((HEADER + rows()).encode("utf-16"), 'encoding = "utf-16"'),
+        ((HEADER + rows()).replace("\n", "\r"), ""),
+        ((HEADER + rows()).replace("\n", "\r\r\n"), ""),
+        (("bench 4\n" + HEADER + rows()).replace("\n", "\r\r\n"), "skip_rows = 1"),
+        (mixed(HEADER + rows(), "\r", "\n", "\r\n", "\r\r\n"), ""),
+        ((HEADER + rows()).replace("1.9,1019,", f"{'9' * 200_000},1019,"), ""),
     ],
 )
 def test_csv_dialects_read_alike(tmp_path, content, data):
@@ -250,6 +217,47 @@ FAULTS = {
     "empty": ("", "", ["the file is empty"]),
     "only a header": (HEADER, "", ["no data rows"]),
     "gzip": (b"\x1f\x8b\x08\0" + bytes(50), "", ["gzip archive", "Unpack it first"]),
+    "stray carriage return": (
+        HEADER + rows(9) + "0.9,1009,1.1\r,2.5,x\n",
+        "",
+        ["line 11 has 3 fields, expected 5: '0.9,1009,1.1'"],
+    ),
+    "stray carriage return in the first rows": (
+        HEADER + rows(2) + "0.9,1009,1.1\r,2.5,x\n",
+        "",
+        ["line 4 has 3 fields, expected 5: '0.9,1009,1.1'"],
+    ),
+    "empty line, carriage returns": (
+        (HEADER + rows(9) + "\n" + rows(3)).replace("\n", "\r"),
+        "",
+        ["line 11 is empty"],
+    ),
+    "field too long to cut": (
+        HEADER + rows(9) + "1," * 3 + "9" * 140_000 + "\n",
+        "",
+        ["line 11 cannot be cut into fields", "131072", "'1,1,1,9999"],
+    ),
+    "line too long": (
+        HEADER + rows(9) + "1," * 4 + "9" * 3_000_000 + "\n",
+        "",
+        ["line 11 "],
+    ),
+    "many fields": (
+        HEADER + rows(9) + "1," * 2_000_000 + "\n",
+        "",
+        ["line 11 has 2000001 fields, expected 5"],
+    ),
+    "no line ends": ("1," * 100_000, "", ["first 131,072 bytes", "line 1 goes on"]),
+    "UTF-32": (
+        (HEADER + rows()).encode("utf-32"),
+        'encoding = "utf-32-be"',
+        ["not utf-32-be", "State the encoding"],
+    ),
+    "punycode": (
+        (HEADER + rows()).replace("x", "ü-ö"),
+        'encoding = "punycode"',
+        ["not punycode", "State the encoding"],
+    ),
     "binary": (bytes(range(128)) * 3, "", ["binary data"]),
 }
 
@@ -319,8 +327,8 @@ def test_broken_parquet_and_unknown_kinds(tmp_path):
     (tmp_path / "b.parquet").write_bytes(b"PAR1" + bytes(100))
     path = write(tmp_path, None, records='files = ["b.parquet"]')
     refuse(DataFileError, path, "b.parquet", "cannot be read as Parquet")
-    (tmp_path / "b.xls").write_bytes(b"12345678")
-    path = write(tmp_path, None, records='files = ["b.xls"]')
+    (tmp_path / "b.mat").write_bytes(b"12345678")
+    path = write(tmp_path, None, records='files = ["b.mat"]')
     refuse(DataFileError, path, ".csv, .txt and .parquet")
     parquet.write_table(pa.table({"N": [1.0], "Md": [1.0]}), tmp_path / "c.parquet")
     path = write(tmp_path, None, records='files = ["c.parquet"]')
@@ -375,7 +383,11 @@ def test_links_out_of_the_folder_are_refused(tmp_path):
     inner.mkdir()
     (tmp_path / "far.csv").write_text(HEADER + rows())
     (inner / "a.csv").symlink_to(tmp_path / "far.csv")
-    refuse(SpecError, write(inner, None), "a.csv is a link to a place outside")
+    refuse(
+        SpecError,
+        write(inner, None),
+        "a.csv, which is, or is a link to, a place outside",
+    )
 
 
 def test_equal_contents_may_not_train_and_test(tmp_path):
