@@ -375,3 +375,32 @@ def test_the_folder_imports_without_heavy_packages():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_inputs_without_samples_are_refused():
+    with pytest.raises(SpecError, match=r"u is None, but inputs names a, b\."):
+        Dataset.from_arrays(
+            None, np.zeros(9), inputs=["a", "b"], outputs=["y"], sample_time=1
+        )
+
+
+@pytest.mark.parametrize("odd", ["a\0", "a\x1b[31m", "a\nb", "a\u202eb", "\ud800"])
+def test_names_with_characters_that_are_not_seen_are_refused(odd):
+    y = np.arange(9.0)
+
+    def made(name="y", unit="", record="r"):
+        return Dataset.from_arrays(
+            None,
+            y,
+            inputs=[],
+            outputs=[name],
+            units={name: unit},
+            names=[record],
+            sample_time=1,
+        )
+
+    assert made("µ-Abgas [°C]", "m\u00b3", "Prüfstand 4").names == ["Prüfstand 4"]
+    for case in ({"name": odd}, {"unit": odd}, {"record": odd}):
+        with pytest.raises(SpecError, match="characters that are seen") as caught:
+            made(**case)
+        assert str(caught.value).replace("\n", "").isprintable()

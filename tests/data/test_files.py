@@ -410,3 +410,75 @@ def test_descriptions_that_are_none(tmp_path):
     path.write_text('[data]\n[channels.outputs]\ny=""\n[records]\nfiles=["*"]')
     refuse(SpecError, path, "needs sample_time in seconds")
     refuse(SpecError, tmp_path / "a.csv", "takes a TOML description")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x = " + 3000 * "[", "cannot be read as TOML (RecursionError"),
+        ("x = " + 5000 * "9", "d.toml: "),
+        ("[data]\nsample_time = " + 400 * "9", "data.sample_time must be a number"),
+        ("[data]\nsample_time = 0x" + 9000 * "f", "cannot be read as a description"),
+        ("[data]\nsample_time = 1e-310", "positive finite"),
+    ],
+)
+def test_toml_that_trips_the_parser_is_refused_by_name(tmp_path, text, said):
+    path = tmp_path / "d.toml"
+    path.write_text(text)
+    with pytest.raises((DataFileError, SpecError)) as caught:
+        read(path)
+    assert said in str(caught.value) and len(str(caught.value)) < 500
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("encoding", ["undefined", "a\\u0000b", "hex", "none", "rot13"])
+def test_encodings_that_are_none_for_text_are_refused(tmp_path, encoding):
+    path = write(tmp_path, HEADER + rows(), data=f'encoding = "{encoding}"')
+    error = refuse(SpecError, path, "d.toml: encoding", "is none for text", "cp1252")
+    assert error.field == "data.encoding"
+
+
+@pytest.mark.parametrize("root", ["../x", "..", "ABSOLUTE", "link"])
+def test_a_given_root_is_not_left_by_the_description(tmp_path, root, monkeypatch):
+    inner, far = tmp_path / "inner", tmp_path / "x"
+    inner.mkdir()
+    far.mkdir()
+    (far / "a.csv").write_text(HEADER + rows())
+    (inner / "link").symlink_to(far)
+    root = root.replace("ABSOLUTE", str(far))
+    path = write(inner, None, data=f'root = "{root}"', records='files = ["**/a.csv"]')
+    said = "data.root names", "outside the data folder"
+    assert refuse(SpecError, path, *said, root=inner).field == "data.root"
+    # without one, the description says where its files are
+    assert read(path).samples == 20
+    monkeypatch.setenv("JAXNARX_DATA", str(inner))
+    refuse(SpecError, path, *said)
+
+
+def test_patterns_take_files_away(tmp_path):
+    for k, name in enumerate(["s1", "s2", "s3", "cold1", "cold2"]):
+        (tmp_path / f"{name}.csv").write_text(HEADER + rows(20 + k))
+
+    def names(*patterns):
+        return read(write(tmp_path, None, records=f"train = {list(patterns)}")).names
+
+    assert names("s*.csv", "!s2.csv") == ["s1", "s3"]
+    assert names("*.csv", "!cold*", "cold2.csv") == ["s1", "s2", "s3", "cold2"]
+    path = write(tmp_path, None, records='train = ["s*.csv", "!s9.csv"]')
+    refuse(DataFileError, path, "no file matches 's9.csv'")
+    path = write(tmp_path, None, records='train = ["!s1.csv", "s*.csv"]')
+    error = refuse(SpecError, path, "no pattern before it has chosen")
+    assert error.field == "records.train"
+    path = write(tmp_path, None, records='train = ["s*.csv", "!*.csv"]')
+    refuse(SpecError, path, "train has no file left")
+    path = write(tmp_path, None, records='train = ["s**.csv\\u0000"]')
+    with pytest.raises((SpecError, DataFileError), match="d.toml"):
+        read(path)
+
+
+def test_what_a_file_holds_does_not_act_on_the_terminal(tmp_path):
+    text = (HEADER + rows()).replace("NOx", "NO\x1b[31m\u202e")
+    error = refuse(
+        DataFileError, write(tmp_path, text), "no column", "\\x1b", "\\u202e"
+    )
+    assert str(error).replace("\n", "").isprintable()

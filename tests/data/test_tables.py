@@ -88,7 +88,7 @@ def test_a_dot_in_a_name_is_a_part_of_it(tmp_path):
     path = store(tmp_path, {"Md.x": np.arange(20.0)})
     path.write_text(path.read_text().replace('"Md"', '"Md.x"'))
     assert read(path).samples == 20
-    error = "a.parquet: GB when read, over the limit"
+    error = "GB when read, over the limit"
     refuse(DataFileError, path, error, max_bytes=400.0)
 
 
