@@ -31,6 +31,7 @@ from jaxnarx.models.validity import (
     Gaussians,
     LogSigmoids,
     SigmoidTree,
+    register_validity,
 )
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "local_models",
     "output_model",
     "places",
+    "register_validity",
     "respond",
     "save",
     "scheduling_values",

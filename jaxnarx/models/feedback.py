@@ -14,6 +14,7 @@ of them start from the measured outputs.
 """
 
 import itertools
+import math
 from functools import partial
 
 import equinox as eqx
@@ -63,7 +64,9 @@ def collapses(network: Network) -> bool:
     if network.parallel:
         return False
     scheduled = any(fed_back(m.scheduling, network.signals) for m in network.models)
-    return not scheduled and len(monomials(network)) <= WIDEST
+    count = len(fed_back(network.variables, network.signals))
+    degree = max(m.local.factor.shape[1] for m in network.models)
+    return not scheduled and math.comb(count + degree, degree) <= WIDEST
 
 
 def _collapse_one(

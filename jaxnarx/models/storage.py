@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import check_precision
-from jaxnarx.errors import ModelFileError
+from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import KINDS, Gaussians
@@ -37,6 +37,8 @@ FORMAT = 4
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
+LONGEST = 10**6
+"""Largest lag read [samples]."""
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
@@ -96,10 +98,13 @@ def save(
     """Write `network` to `path`, whole or not at all; the folder must exist.
 
     `about` is kept in the header and must be JSON: where the model came from, say.
-    Coefficients that are not finite are refused.
+    Coefficients that are not finite are refused, and so are validity functions that no
+    program could read again: those of a class that is not registered
+    (`jaxnarx.models.register_validity`).
     """
     from safetensors.numpy import save as to_bytes
 
+    _require_known(network)
     tensors = _tensors(network)
     for name, value in tensors.items():
         if value.dtype.kind == "f" and not np.all(np.isfinite(value)):
@@ -120,6 +125,26 @@ def save(
         ) from error
 
 
+def _require_known(network: Network) -> None:
+    """SpecError where a file could not tell what the validity functions are."""
+    for validity in (m.validity for m in network.models):
+        kind = type(validity)
+        if KINDS.get(kind.__name__) is not kind:
+            raise SpecError(
+                f"model files know validity functions by name, and {kind.__name__!r} "
+                "is not registered: `jaxnarx.models.register_validity` does it, here "
+                "and in every program that is to load the model",
+                field="validity",
+            )
+        for field in dataclasses.fields(validity):
+            if not eqx.is_array(getattr(validity, field.name)):
+                raise SpecError(
+                    f"{kind.__name__}.{field.name} is no array; model files hold "
+                    "nothing else of validity functions",
+                    field="validity",
+                )
+
+
 def load(path: str | os.PathLike[str]) -> Network:
     """Read what `save` wrote. Any defect of the file is a `ModelFileError`."""
     header, tensors = _read(Path(path))
@@ -127,6 +152,13 @@ def load(path: str | os.PathLike[str]) -> Network:
         check_precision(value.dtype)
     try:
         network = _build(header, tensors)
+    except _Unknown as error:
+        raise ModelFileError(
+            f"{path}: its validity functions are of the class {error.args[0]!r}, which "
+            "is not known here. If it is your own, register it first "
+            "(jaxnarx.models.register_validity); a newer jaxnarx may know it, too.",
+            path=path,
+        ) from error
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else error
         raise ModelFileError(
@@ -138,9 +170,18 @@ def load(path: str | os.PathLike[str]) -> Network:
     return network
 
 
+class _Unknown(Exception):
+    """A class of validity functions that is not registered."""
+
+
 def load_about(path: str | os.PathLike[str]) -> dict[str, Any]:
     """What `save` was told about the model, a JSON dictionary."""
-    return dict(_read(Path(path))[0].get("about", {}))
+    about = _read(Path(path))[0].get("about", {})
+    if not isinstance(about, dict):
+        raise ModelFileError(
+            f"{path}: damaged; what it says about the model is no table", path=path
+        )
+    return about
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -204,8 +245,8 @@ def _text(value: object) -> str:
 
 def _variables(entry: dict[str, Any], name: str, signals: int) -> Variables:
     table = tuple((int(s), int(d)) for s, d in entry[name])
-    if any(not 0 <= s < signals or d < 0 for s, d in table):
-        raise ValueError("a lagged variable points outside the channels")
+    if any(not 0 <= s < signals or not 0 <= d <= LONGEST for s, d in table):
+        raise ValueError("a lagged variable points outside the channels, or too far")
     filters = entry.get(f"{name}_filters", ())
     return Variables(
         table, tuple(None if f is None else filter_from_dict(f) for f in filters)
@@ -219,8 +260,14 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     )
     signals = len(channels.all)
 
-    def get(name: str) -> jax.Array:
+    numbers = {str(x.dtype) for x in tensors.values() if x.dtype.kind == "f"}
+    if numbers not in ({"float64"}, {"float32"}):
+        raise ValueError("numbers are neither all of float64 nor all of float32")
+
+    def get(name: str, kinds: str = "f") -> jax.Array:
         value = tensors[name]
+        if value.dtype.kind not in kinds:
+            raise ValueError(f"{name} is of another kind of numbers ({value.dtype})")
         if value.dtype.kind == "f" and not np.all(np.isfinite(value)):
             raise ValueError(f"{name} holds values that are not finite")
         return jnp.asarray(value)
@@ -228,23 +275,24 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     models = []
     for n, entry in enumerate(header["models"]):
         lead = f".models[{n}]"
-        validity = KINDS[entry["validity"]]
-        fields = [f.name for f in dataclasses.fields(validity)]
-        local = LocalModels(
-            *(
-                get(f"{lead}.local.{f}")
-                for f in ("factor", "index", "used", "coefficient")
-            )
-        )
+        validity = KINDS.get(entry["validity"])
+        if validity is None:
+            raise _Unknown(entry["validity"])
+        fields = {
+            f.name: "f" if f.name in validity.trained else "fib"
+            for f in dataclasses.fields(validity)
+        }
+        table = {"factor": "i", "index": "i", "used": "b", "coefficient": "f"}
+        local = LocalModels(*(get(f"{lead}.local.{f}", k) for f, k in table.items()))
         models.append(
             OutputModel(
                 _variables(entry, "scheduling", signals),
                 get(f"{lead}.offset"),
                 get(f"{lead}.span"),
-                validity(*(get(f"{lead}.validity.{f}") for f in fields)),
-                get(f"{lead}.active"),
+                validity(*(get(f"{lead}.validity.{f}", k) for f, k in fields.items())),
+                get(f"{lead}.active", "b"),
                 local,
-                get(f"{lead}.own") if f"{lead}.own" in tensors else None,
+                get(f"{lead}.own", "b") if f"{lead}.own" in tensors else None,
             )
         )
     network = Network(
@@ -284,6 +332,7 @@ def _check(network: Network) -> None:
         and all(0 <= o < len(network.channels.outputs) for o in network.modelled),
         "a modelled output is not among the channels, or is twice",
     )
+    _check_magnitudes(network)
     own = [len(network.channels.inputs) + o for o in network.modelled]
     tables = [network.variables, *(m.scheduling for m in network.models)]
     _require(
@@ -296,6 +345,21 @@ def _check(network: Network) -> None:
         _check_model(model, len(network.variables) + 1)
 
 
+def _check_magnitudes(network: Network) -> None:
+    """Numbers that a run multiplies and divides by stay within those there are."""
+    arrays = network.gain, network.low, network.high, network.lower, network.upper
+    gain, low, high, lower, upper = map(np.asarray, arrays)
+    with np.errstate(all="ignore"):
+        sizes = [1 / gain, high - low, (upper - lower) * gain[list(network.signals)]]
+        sizes += [1 / np.asarray(m.span) for m in network.models]
+    _require(
+        all(np.all(np.isfinite(size)) for size in sizes)
+        and np.all(lower <= upper)
+        and np.all(low <= high),
+        "a gain, range or bound is beyond all measurements",
+    )
+
+
 def _check_model(model: OutputModel, limit: int) -> None:
     """One output's model; terms are rows of indices below `limit`."""
     local, dims = model.local, (len(model.scheduling),)
@@ -306,9 +370,6 @@ def _check_model(model: OutputModel, limit: int) -> None:
     )
     _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
     model.validity.check(models[0], dims[0])
-    masks = (model.active, local.used, *([] if model.own is None else [model.own]))
-    for mask in masks:
-        _require(mask.dtype == bool, "a mask is not boolean")
     _require(
         model.own is None or model.own.shape == models,
         "local models and their kinds of feedback differ in number",
@@ -323,7 +384,6 @@ def _check_model(model: OutputModel, limit: int) -> None:
     _require(1 <= local.factor.shape[1] <= DEGREE, "the degree of the terms")
     for table, top in ((local.factor, limit), (local.index, len(local.factor))):
         entries = np.asarray(table)
-        _require(entries.dtype.kind in "iu", "a table of terms holds no whole numbers")
         _require(
             not entries.size or (entries.min() >= 0 and entries.max() < top),
             "a term points outside its table",

@@ -16,11 +16,13 @@ import pytest
 from common import KINDS, PARTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxtyping import Array, Float
 from safetensors.numpy import load_file, save_file
 
-from jaxnarx.errors import ModelFileError
-from jaxnarx.models import load, save
+from jaxnarx.errors import ModelFileError, SpecError
+from jaxnarx.models import AbstractValidity, load, save, validity
 from jaxnarx.models.storage import FORMAT, load_about
+from jaxnarx.simulation import simulate
 
 
 @pytest.fixture(autouse=True)
@@ -178,6 +180,81 @@ def test_savers_to_one_path_leave_one_of_their_models(tmp_path):
     assert os.listdir(tmp_path) == ["m"]
 
 
+# validity functions of one's own --------------------------------------------------
+
+
+class Halves(AbstractValidity):
+    """All of the weight on the first model below one half, on the second above it."""
+
+    trained = ("border",)
+    border: Float[Array, ""]
+
+    def __call__(self, z, active):
+        low = jnp.where(z[0] < self.border, 1.0, 0.0)
+        return jnp.stack([low, 1.0 - low])
+
+    def limits(self, width_band):
+        return Halves(self.border - 1.0), Halves(self.border + 1.0)
+
+    def check(self, models, dims):
+        if models != 2:
+            raise ValueError("halves are two")
+
+    def regions(self, names, offset, span):
+        return [{}, {}]
+
+
+@pytest.fixture
+def own(monkeypatch):
+    """A network of that class; what is registered is forgotten again."""
+    monkeypatch.setattr(validity, "KINDS", dict(validity.KINDS))
+    monkeypatch.setattr("jaxnarx.models.storage.KINDS", validity.KINDS)
+    part = dataclasses.replace(
+        PARTS["inputs"],
+        models=PARTS["inputs"].models[:2],
+        centre=((0.2, 0.3), (0.5, 0.6)),
+        width=((0.3, 0.4), (0.2, 0.5)),
+    )
+    return eqx.tree_at(
+        lambda n: n.models[0].validity, common.network([part]), Halves(jnp.asarray(0.5))
+    )
+
+
+def test_validity_that_no_program_could_read_is_not_written(own, tmp_path):
+    with pytest.raises(SpecError, match="'Halves' is not registered"):
+        save(own, tmp_path / "m")
+    assert not list(tmp_path.iterdir())
+    vague = eqx.tree_at(lambda n: n.models[0].validity.border, own, 0.5)
+    validity.register_validity(Halves)
+    with pytest.raises(SpecError, match="border is no array"):
+        save(vague, tmp_path / "m")
+
+
+def test_registered_validity_comes_back(own, tmp_path):
+    assert validity.register_validity(Halves) is Halves
+    save(own, tmp_path / "m")
+    again = load(tmp_path / "m")
+    assert eqx.tree_equal(own, again)
+    y = simulate(again, common.dataset()).value.outputs
+    for a, b in zip(y, simulate(own, common.dataset()).value.outputs, strict=True):
+        np.testing.assert_array_equal(a, b)
+    # a program without the class says so, and imports nothing that the file names
+    del validity.KINDS["Halves"]
+    refused(tmp_path / "m", "'Halves'", "register")
+    tensors, header = contents(tmp_path / "m")
+    header["models"][0]["validity"] = "os.system"
+    write(tmp_path / "m", tensors, header)
+    refused(tmp_path / "m", "'os.system'", "register")
+
+
+def test_a_name_belongs_to_one_class(own):
+    other = type("Gaussians", (AbstractValidity,), {"__module__": "mine"})
+    with pytest.raises(SpecError, match="'Gaussians' already"):
+        validity.register_validity(other)
+    validity.register_validity(Halves)
+    validity.register_validity(Halves)
+
+
 # files that are no model files ----------------------------------------------------
 
 
@@ -306,7 +383,8 @@ HEADERS = {
     "row of three": lambda h: h["variables"].__setitem__(0, [0, 1, 2]),
     "variables no list": lambda h: h.update(variables="abc"),
     "fewer variables": lambda h: h.update(variables=h["variables"][:2]),
-    "other validity": lambda h: h["models"][0].update(validity="os.system"),
+    "validity no name": lambda h: h["models"][0].update(validity=["Gaussians"]),
+    "lag beyond memory": lambda h: h["variables"].__setitem__(0, [0, 10**30]),
     "model no table": lambda h: h.update(models=["a", "b"]),
     "one model less": lambda h: h["models"].pop(),
     "no models": lambda h: h.pop("models"),
@@ -320,6 +398,15 @@ def test_a_tampered_header_is_refused(path, damage):
     HEADERS[damage](header)
     write(path, tensors, header)
     refused(path, "damaged")
+
+
+@pytest.mark.parametrize("about", [[1], "text", 5])
+def test_words_about_a_model_are_a_table(path, about):
+    tensors, header = contents(path)
+    write(path, tensors, header | {"about": about})
+    load(path)
+    with pytest.raises(ModelFileError, match="no table"):
+        load_about(path)
 
 
 LOCAL = ".models[0].local"
@@ -341,6 +428,20 @@ TENSORS = {
     "coefficient NaN": _set(f"{LOCAL}.coefficient", (0, 0), np.nan),
     "coefficient inf": _set(f"{LOCAL}.coefficient", (0, 0), np.inf),
     "gain NaN": _set(".gain", 0, np.nan),
+    "gain below numbers": _set(".gain", 0, 5e-324),
+    "gain complex": _map(".gain", lambda x: x.astype(np.complex64)),
+    "gain whole": _map(".gain", lambda x: x.astype(int)),
+    "gain of half precision": _map(".gain", lambda x: x.astype(np.float16)),
+    "coefficients of single precision": _map(
+        f"{LOCAL}.coefficient", lambda x: x.astype(np.float32)
+    ),
+    "range beyond numbers": lambda t: t.update(
+        {".low": t[".low"] * 0 - 1.7e308, ".high": t[".high"] * 0 + 1.7e308}
+    ),
+    "range the wrong way": _map(".low", lambda x: -2 * x),
+    "bound beyond numbers": _set(".upper", 0, 1e308),
+    "bounds the wrong way": _map(".upper", lambda x: -2 * x),
+    "scheduling range below numbers": _map(".models[0].span", lambda x: x * 1e-323),
     "gain zero": _set(".gain", 0, 0.0),
     "term too far": _set(f"{LOCAL}.factor", (0, 0), 1000),
     "term negative": _set(f"{LOCAL}.factor", (0, 0), -1),
