@@ -195,10 +195,12 @@ def test_processes_of_nelles(tmp_path):
     (row,) = content["figures"]["rows"]
     (entry,) = content["figures"]["summary"].values()
     # Noise of 5 % alone is an NRMSE of 0.05 on validation; the test has none.
-    before, after = (row["validation"][k]["free_run"] for k in ("LOLIMOT", "joint"))
+    before, after = (row["validation"][k]["free_run"] for k in ("LOLIMOT", "staged"))
     assert after < 0.06 < 0.2 < before
-    assert_target(entry["target"])
-    assert entry["target"]["met"] and entry["joint"]["diverged"] == 0
+    for name in ("target", "worst"):
+        assert_target(entry[name])
+        assert entry[name]["met"]
+    assert entry["staged"]["diverged"] == 0
     assert (tmp_path / "nelles_processes.png").stat().st_size > 10_000
 
 

@@ -10,7 +10,7 @@ import jaxnarx as jnx
 
 SHOWN = 400
 """Samples of the test record that are drawn."""
-COLOURS = {"LOLIMOT": "tab:orange", "joint": "tab:blue"}
+COLOURS = {"LOLIMOT": "tab:orange", "staged": "tab:blue"}
 
 
 def draw(

@@ -29,14 +29,15 @@ class SimulationError:
     max_steps: int = 40
     """Accepted steps on the full record."""
     window_steps: int = 20
-    """Accepted steps at each window length."""
-    windows_train: Literal["all", "coefficients", "either"] = "all"
-    """What moves in the windows. `"coefficients"`: the partition stays there, and for
-    `window_steps` on the full record, before everything is trained together. `"either"`
-    tries both ways and goes on with the better one by validation. Windows start from
-    measured outputs: where these are noisy a partition gains by following the noise,
-    and does not come back (Nelles' test processes with 5 % noise); where they are
-    clean it is better moved from the beginning (`gengine1`)."""
+    """Accepted steps at each window length, and of the coefficients alone on the full
+    record."""
+    train: Literal["staged", "joint", "either"] = "staged"
+    """Order of training. `"staged"`: the coefficients alone in the windows, and for
+    `window_steps` on the full record, then everything together; `"joint"`: everything
+    from the first window; `"either"`: one after the other, each to its end, and the
+    better one by validation, at two to three times the cost. With noisy outputs a
+    partition that moves in the windows adapts to biased coefficients and does not come
+    back (`experiments/nelles`)."""
     tolerance: float | int = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
@@ -64,7 +65,7 @@ class SimulationError:
     beside the parameters. The result is judged from measured starts in any case."""
     starts: int = 1
     """Starting points. Those beyond the given network move the partition at random and
-    take the coefficients of least squares there; the best after the windows goes on."""
+    take the coefficients of least squares there; the best by validation goes on."""
     folds: int = 0
     """Choose the length of the search by cross-validation over this many groups of
     records, then train on all; in place of validation records."""
@@ -140,12 +141,12 @@ class SimulationError:
             'solver="windows" needs at least one horizon, the length of its windows',
         )
         _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
-        _choice("windows_train", self.windows_train, ("all", "coefficients", "either"))
+        _choice("train", self.train, ("staged", "joint", "either"))
         _require(
-            not (self.folds and self.windows_train == "either"),
-            "windows_train",
-            "folds choose a position in one schedule; take windows_train "
-            '"all" or "coefficients" with them',
+            not (self.folds and self.train == "either"),
+            "train",
+            'folds choose a position in one schedule; take train "staged" or "joint" '
+            "with them",
         )
         _choice("loss", self.loss, ("squares", "huber", "log-cosh"))
         _choice(

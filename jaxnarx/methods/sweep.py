@@ -9,7 +9,7 @@ from jaxnarx.errors import SpecError
 Lags = Sequence[int] | Mapping[str, Sequence[int]] | Sequence[tuple[str, Sequence[int]]]
 LagLimit = int | Mapping[str, int] | Sequence[tuple[str, int]]
 
-TRAINED = ("joint", "staged", "coefficients", "partition", "none")
+TRAINED = ("staged", "joint", "coefficients", "partition", "none")
 
 
 def _require(holds: bool, field: str, message: str) -> None:
@@ -62,7 +62,8 @@ class Identification:
     horizons: Sequence[int] = ()
     """Lengths of windows [samples] before the full records."""
     window_steps: int = 5
-    """Steps at each window length."""
+    """Steps at each window length, and of the coefficients alone on full records where
+    a case is staged."""
     objective: Literal["simulation", "prediction"] = "simulation"
     """What the refinement lowers on the training records: the error of the free run or
     that of one step. It is judged by the free run of the validation records."""
@@ -148,9 +149,10 @@ class Case:
     lags: LagLimit | None = None
     """Largest lag that may be used [samples], for all channels or by name (a channel it
     leaves out is not limited, one with -1 is left out)."""
-    train: Literal["joint", "staged", "coefficients", "partition", "none"] = "joint"
-    """What the refinement moves; staged: coefficients alone in the windows, then
-    everything on full records."""
+    train: Literal["staged", "joint", "coefficients", "partition", "none"] = "staged"
+    """What the refinement moves, and in what order: coefficients alone in the windows
+    and for `window_steps` on full records, then everything (as `SimulationError.train`
+    has it); everything from the beginning; or one kind alone."""
     scatter: float | int = 0.0
     """Standard deviation of a random move of the grown partition, in the coordinates of
     the refinement (0.7 is that of `SimulationError.starts`); the local models are then

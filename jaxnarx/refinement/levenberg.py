@@ -25,14 +25,16 @@ ARRIVED = 1e-10
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """Where the search stands; losses exclude the ridge. `tried` counts trial runs."""
+    """Where the search stands; `loss` excludes the ridge. `tried` counts trial runs."""
 
     u: np.ndarray
     linear: Linear
     damping: float
+    minimised: float
+    """Loss and ridge: what falls from step to step."""
     tried: int = 0
     gain: float = np.inf
-    """Relative decrease of the loss by the last accepted step."""
+    """Relative decrease of it by the last accepted step."""
 
     @property
     def loss(self) -> float:
@@ -49,7 +51,7 @@ class Levenberg:
     def init(self, u: np.ndarray, linear: Linear, pull: np.ndarray) -> State:
         """Begin at `u`, where the problem is `linear`."""
         self.origin, self.pull = u, pull
-        return State(u, linear, DAMPING_START)
+        return State(u, linear, DAMPING_START, linear.loss)
 
     def step(self, s: State) -> tuple[State, RESULTS]:
         """One accepted step, raising the damping until the penalised loss falls.
@@ -67,12 +69,12 @@ class Levenberg:
             if u is not None:
                 loss = self.problem.loss(u)
                 tried += 1
-                here = s.loss + self._penalty(s.u)
-                if np.isfinite(loss) and loss + self._penalty(u) < here:
-                    gain = 1.0 - loss / s.loss if s.loss > 0 else 0.0
+                value = loss + self._penalty(u)
+                if np.isfinite(loss) and value < s.minimised:
+                    gain = 1.0 - value / s.minimised
                     damping = max(damping / SHRINK, 1e-12)
                     linear = self.problem.linear(u)
-                    return State(u, linear, damping, tried, gain), RESULTS.ok
+                    return State(u, linear, damping, value, tried, gain), RESULTS.ok
             damping *= GROW
         return dataclasses.replace(s, damping=damping, tried=tried), RESULTS.stalled
 

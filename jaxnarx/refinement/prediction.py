@@ -34,7 +34,9 @@ class _Prediction:
         problem = Problem(layout, task, task.anchors(1))
         self.part = Separable(problem, inner, outer, self.best)
 
-    def consider(self, u: np.ndarray, loss: float, damping: float) -> None:
+    def consider(
+        self, u: np.ndarray, loss: float, minimised: float, damping: float
+    ) -> None:
         """Keep `u` if its guard score is the best."""
         score = self.judge(u)
         if score < self.score:
@@ -49,6 +51,7 @@ class _Prediction:
             "horizon": 1,
             "stage_step": len(self.history) + 1,
             "loss": loss,
+            "minimised": minimised,
             "validation": score,
             "diverged": False,
             "damping": damping,
@@ -72,7 +75,7 @@ class _Prediction:
             pull = pull + noise * (slope * prior) ** 2
         self.part.pull = pull[self.part.inner]
         linear = self.part.linear(p)
-        self.consider(self.part.u, linear.loss, 0.0)
+        self.consider(self.part.u, linear.loss, linear.loss, 0.0)
         if not p.size:
             return RESULTS.ok
         stepper = Levenberg(self.part)
@@ -83,7 +86,7 @@ class _Prediction:
             if status != RESULTS.ok:
                 stalled = status == RESULTS.stalled
                 return RESULTS.ok if stalled and stepper.arrived(state) else status
-            self.consider(self.part.u, state.loss, state.damping)
+            self.consider(self.part.u, state.loss, state.minimised, state.damping)
             small = small + 1 if state.gain < self.method.tolerance else 0
             if small >= 2:
                 return RESULTS.ok

@@ -42,12 +42,15 @@ class Scaled(eqx.Module):
         """Solver coordinates of the layout, inside its walls."""
         return jnp.clip(self.origin + w * self.unit, -self.wall, self.wall)
 
+    def ridge(self, u: Float[Array, " params"]) -> Float[Array, ""]:
+        """Pull towards the origin."""
+        return jnp.sum(self.pull * (u - self.origin) ** 2)
+
     def penalties(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """Ridge and restraint."""
-        ridge = jnp.sum(self.pull * (u - self.origin) ** 2)
         if self.restraint is None:
-            return ridge
-        return ridge + self.restraint(self.data[0], u)
+            return self.ridge(u)
+        return self.ridge(u) + self.restraint(self.data[0], u)
 
 
 def scaled(problem: Problem, u, linear: Linear, pull: np.ndarray) -> Scaled:
@@ -87,10 +90,11 @@ def trial(solver: optx.AbstractMinimiser, w, s: Scaled, inner):
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """Where the search stands; `loss` excludes the ridge."""
+    """Where the search stands; `loss` excludes the ridge, `minimised` does not."""
 
     u: np.ndarray
     loss: float
+    minimised: float
     damping: float
     gain: float
     w: Any
@@ -116,7 +120,7 @@ class QuasiNewton:
             inner = self.solver.init(
                 objective, w, self.scaled, {}, struct, None, frozenset()
             )
-        return State(u, linear.loss, 0.0, np.inf, w, inner)
+        return State(u, linear.loss, linear.loss, 0.0, np.inf, w, inner)
 
     def step(self, s: State) -> tuple[State, RESULTS]:
         """One accepted step; `stalled` when a line search finds no lower point."""
@@ -130,8 +134,9 @@ class QuasiNewton:
                 value = self.problem.loss(u)
                 if not np.isfinite(value):
                     return s, RESULTS.diverged
-                gain = 1.0 - value / s.loss if s.loss > 0 else 0.0
-                return State(u, value, 0.0, gain, w, inner), RESULTS.ok
+                total = value + float(self.scaled.ridge(jnp.asarray(u)))
+                gain = 1.0 - total / s.minimised if s.minimised > 0 else 0.0
+                return State(u, value, total, 0.0, gain, w, inner), RESULTS.ok
             if bool(inner.terminate):
                 return s, RESULTS.ok
         return s, RESULTS.stalled

@@ -81,10 +81,12 @@ def updates(w, moments, s: Scaled, windows, share, key, rate, *, length, batch):
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """Where the search stands; `loss` is that of all windows, without the ridge."""
+    """Where the search stands; `loss` is that of all windows, without the ridge,
+    `minimised` with it."""
 
     u: np.ndarray
     loss: float
+    minimised: float
     damping: float
     gain: float
     w: Array
@@ -114,7 +116,7 @@ class RandomWindows:
         w = jnp.zeros_like(self.scaled.origin)
         adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
         key = jax.random.key(self.seed)
-        return State(u, linear.loss, 0.0, np.inf, w, adam.init(w), key)
+        return State(u, linear.loss, linear.loss, 0.0, np.inf, w, adam.init(w), key)
 
     def step(self, s: State) -> tuple[State, RESULTS]:
         """Some updates; the loss of all windows may rise."""
@@ -137,8 +139,9 @@ class RandomWindows:
         value = self.problem.loss(u)
         if not np.isfinite(value):
             return s, RESULTS.diverged
-        gain = 1.0 - value / s.loss if s.loss > 0 else 0.0
-        return State(u, value, 0.0, gain, w, moments, key), RESULTS.ok
+        total = value + float(self.scaled.ridge(jnp.asarray(u)))
+        gain = 1.0 - total / s.minimised if s.minimised > 0 else 0.0
+        return State(u, value, total, 0.0, gain, w, moments, key), RESULTS.ok
 
     def arrived(self, s: State) -> bool:
         """Never: the noise of the batches has no end."""

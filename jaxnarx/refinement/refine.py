@@ -14,8 +14,9 @@ from jaxnarx.refinement.folds import best_position, curve
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
-from jaxnarx.refinement.search import Progress, Schedule, Search, Stage
+from jaxnarx.refinement.search import Progress, Search
 from jaxnarx.refinement.stability import first_horizon
+from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion
 from jaxnarx.simulation import fitting
@@ -42,7 +43,8 @@ def refine(
     measurement grow through `method.horizons` to whole records. After every accepted
     step the free run of `validation` (default: of `data`) is scored by the same loss,
     and the best network by that score is returned: it is never worse there than the
-    start. With `method.folds` the records of `data` take turns as validation.
+    start, whether that diverges or not. With `method.folds` the records of `data` take
+    turns as validation.
 
     `PredictionError` trains on the one-step error instead, and is judged by it.
 
@@ -52,7 +54,12 @@ def refine(
     every trained parameter (as it stands in the network; infinite for none); the
     noise it is weighed against is what is left at the start of a stage. `progress` is
     called on the host with a dictionary after every accepted step. `stats["history"]`
-    lists these: stage, horizon, step, loss, validation, damping, seconds.
+    lists these: stage, horizon, step, loss, minimised (the loss and the pull of the
+    ridge, which falls from step to step), validation, damping, seconds.
+
+    `method.train` says in what order: by default the coefficients alone go through
+    the windows and the full record before everything moves together. The full record
+    begins at the best network by `validation` so far.
 
     Where the start diverges, windows shorter than its escape still train it; if that
     does not lead to a network that runs, the search begins anew from the least squares
@@ -117,7 +124,7 @@ def refine_task(
             limit=limit,
         )
 
-    if method.solver == "windows" and len(schedules[0]) == 1:
+    if method.solver == "windows" and all(len(s) == 1 for s in schedules.values()):
         found = search(task, guard).solution(RESULTS.too_short)
         detail = f"no record is longer than the windows of {method.horizons} samples"
         return dataclasses.replace(found, detail=detail)
@@ -143,27 +150,27 @@ def refine_task(
     return solution
 
 
-def _schedules(layout: Layout, task: Task, method: SimulationError) -> list[Schedule]:
-    """Stages of growing windows, then full records; one or two ways of doing it."""
+def _schedules(
+    layout: Layout, task: Task, method: SimulationError
+) -> dict[str, list[Stage]]:
+    """The orders of training that are tried, by name."""
     if method.horizons == "auto":
         first = first_horizon(layout.base, task.drive, task.masks)
         horizons = [first * 3**n for n in range(20)]
     else:
         horizons = list(method.horizons)
     horizons = [h for h in horizons if h < task.longest]
-    steps = method.window_steps
-    end = Stage(None, 0 if method.solver == "windows" else method.max_steps)
-    everything = [*(Stage(h, steps) for h in horizons), end]
-    apart = [Stage(h, steps, True) for h in horizons]
-    if method.solver != "windows":
-        apart.append(Stage(None, steps, True))
     # Where only one kind is trained, there is no order in which to train the two.
     both = layout.coefficients().size and layout.partition().size
-    if method.windows_train == "all" or not both:
-        return [everything]
-    if method.windows_train == "coefficients":
-        return [[*apart, end]]
-    return [everything, [*apart, end]]
+    train = method.train if both else "joint"
+    windows = method.solver == "windows"
+    found = {}
+    for name in ("staged", "joint") if train == "either" else (train,):
+        steps = 0 if windows else method.max_steps
+        own = stages(horizons, method.window_steps, steps, staged=name == "staged")
+        full_apart = Stage(None, method.window_steps, True)
+        found[name] = [s for s in own if not windows or s != full_apart]
+    return found
 
 
 def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
@@ -196,28 +203,24 @@ def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:
 
 
 def _solve(search: Search) -> Solution[Network]:
-    """Run the schedule from one start or from several, with remedies."""
+    """Run the schedules from one start or from several, with remedies."""
     method, layout = search.method, search.layout
     starts = [("", search.start)]
     rng = np.random.default_rng(method.seed)
     for n in range(1, method.starts):
         moved = random_start(layout, search.task, search.start, rng)
         starts.append((f"random start {n}", moved))
-    ends = [search.grow(name, u) for name, u in starts]
-    if len(search.schedules) > 1:
-        ends += [search.grow(name, u, 1) for name, u in starts]
-    if len(ends) > 1:
-        ends.sort(key=lambda end: search.judge(end[1]))
-    search.attempt, u = ends[0]
-    if not search.diverged and search.judge(u)[0]:
-        # The windows ended where the free run does not hold.
-        search.attempt, u = search.winner, search.best
-    status = search.finish(u)
+    status = RESULTS.budget_spent
+    first = next(iter(search.schedules))
+    for way in search.schedules:
+        score = search.score
+        named = [(", ".join(filter(None, (n, way))), u) for n, u in starts]
+        ended = search.run(way, starts if way == first else named)
+        if way == first or search.score < score:
+            status = ended
     if search.diverged and search.total:
         for name, u in remedies(search):
-            search.attempt = name
-            search.offer(u)
-            status = search.finish(search.grow(name, u)[1])
+            status = search.run(first, [(name, u)])
             if not search.diverged:
                 break
     return search.solution(status)

@@ -1,8 +1,8 @@
 """The search on the host: stages of growing horizon, the guard, the history."""
 
 import time as clock
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +14,7 @@ from jaxnarx.refinement.levenberg import Levenberg
 from jaxnarx.refinement.problem import Linear, Problem, restraint
 from jaxnarx.refinement.quasi_newton import QuasiNewton
 from jaxnarx.refinement.random_windows import RandomWindows
+from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import has_diverged, run
 from jaxnarx.solution import NAMES, RESULTS, Solution, code
@@ -22,17 +23,6 @@ ROUNDING = 1e-24
 """Loss (mean squared NRMSE) that is nothing but rounding errors of float64."""
 
 Progress = Callable[[dict[str, Any]], None]
-
-
-class Stage(NamedTuple):
-    """A horizon (None: the full record), its accepted steps, and what is trained."""
-
-    horizon: int | None
-    steps: int
-    only_coefficients: bool = False
-
-
-Schedule = list[Stage]
 
 
 class Guard:
@@ -67,7 +57,9 @@ class Guard:
 class Search:
     """One refinement: where it stands, the best so far by the guard, and the history.
 
-    `limit` ends it at that position of the schedule, as cross-validation asks.
+    `limit` ends it at that position of the schedule, as cross-validation asks. `lead`
+    is the best of the attempts that are under way: whether it diverges, its score, the
+    point, and the attempt's name.
     """
 
     def __init__(
@@ -77,7 +69,7 @@ class Search:
         guard: Task,
         method: SimulationError,
         *,
-        schedules: list[Schedule],
+        schedules: dict[str, list[Stage]],
         prior: np.ndarray | None = None,
         progress: Progress | None = None,
         limit: int | None = None,
@@ -88,31 +80,32 @@ class Search:
         self.history: list[dict[str, Any]] = []
         self.begin = clock.perf_counter()
         self.best = self.start = np.asarray(layout.gather(layout.base))
-        self.start_diverged, self.start_score = self.judge(self.best)
+        self.start_diverged, self.start_score = self.judge.network(layout.base)
         self.diverged, self.score = self.start_diverged, self.start_score
         self.since = self.passed = 0
-        self.status = RESULTS.budget_spent
         self.attempt = self.winner = ""
-        self.last = schedules[0][-1]
-        self.total = max(sum(s.steps for s in one) for one in schedules)
+        self.last = next(iter(schedules.values()))[-1]
+        self.total = max(sum(s.steps for s in one) for one in schedules.values())
 
-    def grow(self, name: str, u: np.ndarray, way: int = 0) -> tuple[str, np.ndarray]:
-        """All stages but the last of one schedule; returns name and where they end."""
-        self.passed, self.attempt = 0, name
-        if way:
-            apart = "coefficients first"
-            self.attempt = f"{name}, {apart}" if name else apart
-        for stage in self.schedules[way][:-1]:
-            u, self.status = self.stage(u, stage)
-            self.passed += stage.steps
-        return self.attempt, u
-
-    def finish(self, u: np.ndarray) -> RESULTS:
-        """The last stage: everything on full records."""
-        if not self.last.steps and len(self.schedules[0]) > 1:
-            return self.status
-        self.passed = self.total - self.last.steps
-        return self.stage(u, self.last)[1]
+    def run(self, way: str, starts: Sequence[tuple[str, np.ndarray]]) -> RESULTS:
+        """One schedule: all stages but the last from every start, the last from the
+        best network so far by the guard, or, where none runs, from the first's end.
+        """
+        *before, last = self.schedules[way]
+        self.lead = self.start_diverged, self.start_score, self.start, ""
+        status, end = RESULTS.ok, None
+        for name, u in starts:
+            self.passed, self.attempt = 0, name
+            if u is not self.start:
+                self.offer(u)
+            for stage in before:
+                u, status = self.stage(u, stage)
+                self.passed += stage.steps
+            end = (u, name) if end is None else end
+        assert end is not None
+        u, self.attempt = end if self.lead[0] else self.lead[2:]
+        self.passed = self.total - last.steps
+        return status if before and not last.steps else self.stage(u, last)[1]
 
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
         """The loss of a stage, with the restraint that suits the network at `u`."""
@@ -180,14 +173,19 @@ class Search:
         return state.u, RESULTS.budget_spent
 
     def offer(self, u: np.ndarray) -> tuple[bool, float]:
-        """Keep `u` if its guard score is the best; a network that runs beats none."""
-        diverged, score = self.judge(u)
-        if (diverged, score) < (self.diverged, self.score):
-            self.best, self.score, self.diverged, self.since = u, score, diverged, 0
+        """Keep `u` if its guard score is the best.
+
+        A network that runs beats one that does not, but no loss above the start's is
+        kept.
+        """
+        diverged, score = found = self.judge(u)
+        self.since += 1
+        if found < self.lead[:2]:
+            self.lead, self.since = (diverged, score, u, self.attempt), 0
+        if found < (self.diverged, self.score) and score <= self.start_score:
+            self.best, self.score, self.diverged = u, score, diverged
             self.winner = self.attempt
-        else:
-            self.since += 1
-        return diverged, score
+        return found
 
     def _consider(self, u: np.ndarray, horizon: int | None, n: int, state) -> None:
         """Offer `u`, and note it."""
@@ -200,6 +198,7 @@ class Search:
             "horizon": horizon,
             "stage_step": n + 1,
             "loss": state.loss,
+            "minimised": state.minimised,
             "validation": score,
             "diverged": diverged,
             "damping": state.damping,
@@ -213,11 +212,15 @@ class Search:
 
     def solution(self, status: RESULTS) -> Solution[Network]:
         """The best network, and how it was found."""
-        network = self.layout.place(jnp.asarray(self.best))
+        # Entries near their limits return a little off them: the start stays as it is.
+        same = self.best is self.start
+        network = (
+            self.layout.base if same else self.layout.place(jnp.asarray(self.best))
+        )
         detail = f"free-run loss {self.start_score:.4g} -> {self.score:.4g}"
         if self.diverged:
             status = RESULTS.start_diverged if self.start_diverged else status
-            detail += "; no network was found that runs within its bounds"
+            detail += "; no better network was found that runs within its bounds"
         elif self.start_diverged:
             way = self.winner or "growing horizons"
             detail += f"; the start diverged, {way} led to one that does not"

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxnarx.models import Network, fed_back
 from jaxnarx.refinement.layout import Layout
@@ -54,14 +55,15 @@ def random_start(
     return np.where(own, u * factor, u).astype(u.dtype)
 
 
-def shrunk(layout: Layout, u: np.ndarray, factor: float) -> np.ndarray:
+def shrunk(
+    layout: Layout, u: Float[Array, " params"], factor: float | Float[Array, ""]
+) -> Float[Array, " params"]:
     """Coefficients of fed-back terms times `factor`, their others as they are."""
-    network = layout.place(jnp.asarray(u))
-    new = layout.gather(shrink_feedback(network, factor))
-    return np.where(np.arange(u.size) < layout.parameters, np.asarray(new), u)
+    new = layout.gather(shrink_feedback(layout.place(u), factor))
+    return jnp.where(jnp.arange(u.size) < layout.parameters, new, u)
 
 
-def shrink_feedback(network: Network, factor: float) -> Network:
+def shrink_feedback(network: Network, factor: float | Float[Array, ""]) -> Network:
     """Every term with a modelled output in it, at `factor` times its coefficient."""
     rows = [row + 1 for row, _, _ in fed_back(network.variables, network.signals)]
 
@@ -81,7 +83,7 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
     layout, task = search.layout, search.task
     yield "one-step least squares", one_step_least_squares(layout, task, search.start)
     for factor in SHRINK:
-        u = shrunk(layout, search.start, factor)
+        u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
         if not search.judge(u)[0]:
             yield f"feedback shrunk to {factor:g}", u
             break

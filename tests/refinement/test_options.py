@@ -167,9 +167,7 @@ def test_every_solver_comes_near_the_system(solver):
 def test_windows_may_leave_the_partition_alone():
     truth = common.named("by inputs", **SPARE)
     measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1)
-    method = SimulationError(
-        horizons=(8,), window_steps=4, max_steps=0, windows_train="coefficients"
-    )
+    method = SimulationError(horizons=(8,), window_steps=4, max_steps=0, train="staged")
     solution = refine(start, measured, method)
     for a, b in zip(
         jax.tree.leaves(solution.value.models[0].validity),
@@ -188,18 +186,25 @@ def test_windows_may_leave_the_partition_alone():
     assert np.abs(moved).max() > 1e-4
 
 
-def test_either_way_of_training_windows_may_go_on():
+def test_either_order_is_the_better_of_both():
     truth = common.named("by inputs", **SPARE)
     measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1)
-    method = SimulationError(
-        horizons=(8,), window_steps=4, max_steps=1, windows_train="either"
-    )
-    solution = refine(start, measured, method)
-    rows = solution.stats["history"]
-    ends = {row.get("start", ""): row["validation"] for row in rows[:-1]}
-    assert list(ends) == ["", "coefficients first"]
-    best = min(ends, key=lambda name: ends[name])
-    assert rows[-1].get("start", "") == best
+    orders = ("staged", "joint", "either")
+    found = {
+        train: refine(
+            start,
+            measured,
+            SimulationError(horizons=(8,), window_steps=4, max_steps=1, train=train),
+        )
+        for train in orders
+    }
+    staged, joint, either = (found[train].stats for train in orders)
+    assert staged["loss"] != joint["loss"]
+    assert either["loss"] == min(staged["loss"], joint["loss"])
+    assert either["steps"] == staged["steps"] + joint["steps"]
+    names = [row.get("start", "") for row in either["history"]]
+    assert names == [""] * staged["steps"] + ["joint"] * joint["steps"]
+    method = SimulationError(train="either")
     with pytest.raises(SpecError, match="folds choose a position in one schedule"):
         dataclasses.replace(method, folds=2)
 
@@ -300,16 +305,17 @@ def test_a_start_beyond_repair_is_replaced():
 def test_the_best_of_several_starts_goes_on():
     truth = common.named("by inputs", **SPARE)
     measured, start = made_by(truth, noise=0.01), perturbed(truth, 0.3, seed=1)
-    solution = refine(start, measured, SimulationError(**QUICK, starts=3))
+    method = SimulationError(**QUICK, starts=3, train="joint")
+    solution = refine(start, measured, method)
     rows = solution.stats["history"]
     windows = [row for row in rows if row["horizon"] is not None]
     names = ["", "random start 1", "random start 2"]
     assert list(dict.fromkeys(row.get("start", "") for row in windows)) == names
-    # Where each start stands after the windows; the least of them is trained on.
-    ends = {row.get("start", ""): row["validation"] for row in windows}
-    best = min(ends, key=lambda name: ends[name])
-    assert {row.get("start", "") for row in rows if row["horizon"] is None} == {best}
-    assert solution.stats["loss"] <= min(ends.values())
+    # The best network of the windows is trained on.
+    best = min(windows, key=lambda row: row["validation"])
+    (last,) = {row.get("start", "") for row in rows if row["horizon"] is None}
+    assert last == best.get("start", "")
+    assert solution.stats["loss"] <= best["validation"]
 
 
 # cross-validation -----------------------------------------------------------------

@@ -86,9 +86,11 @@ def test_the_schedule_takes_stock_at_the_head_of_every_stage():
     turns = schedule(
         Identification(["a[t]"], horizons=(5, 20), window_steps=2, steps=3)
     )
-    assert turns.horizon.tolist() == [5] * 3 + [20] * 3 + [FULL] * 4
-    assert turns.step.tolist() == [0, 1, 2, 0, 1, 2, 0, 1, 2, 3]
-    assert turns.full.tolist() == [False] * 6 + [True] * 4
+    assert turns.horizon.tolist() == [5] * 3 + [20] * 3 + [FULL] * 7
+    assert turns.step.tolist() == [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 3]
+    # Coefficients alone, on full records too, before everything.
+    assert turns.apart.tolist() == [True] * 9 + [False] * 4
+    assert turns.last.tolist() == [False] * 9 + [True] * 4
     one_step = schedule(
         Identification(["a[t]"], horizons=(5,), steps=2, objective="prediction")
     )

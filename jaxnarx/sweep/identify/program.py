@@ -27,7 +27,8 @@ class Outcome(eqx.Module):
 
     `scores` are by part, of shape (start and end, one step and free run); coefficients
     and validity those of the end. `history` holds the training loss after every turn of
-    the refinement, `guard` the best loss of the records that judge.
+    the refinement, `guard` the best loss of the records that judge; `shrunk` is the
+    factor on the feedback of a start that diverged, one for none.
     """
 
     status: Int[Array, "*lanes"]
@@ -39,6 +40,7 @@ class Outcome(eqx.Module):
     steps: Int[Array, "*lanes"]
     history: Float[Array, "*lanes turns"]
     guard: Float[Array, "*lanes turns"]
+    shrunk: Float[Array, "*lanes"]
 
 
 @eqx.filter_jit
@@ -81,6 +83,7 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
         trained.accepted,
         trained.loss,
         trained.judged,
+        trained.factor,
     )
 
 
@@ -154,14 +157,18 @@ def _refined(
 
 def _moving(
     layout: Layout, settings: Settings
-) -> tuple[Bool[Array, " params"], Bool[Array, " params"]]:
-    """Which parameters the case trains on full records, and which in windows."""
+) -> tuple[Bool[Array, " params"], Bool[Array, " params"], Bool[Array, ""]]:
+    """Which parameters the case trains, which of them come first, and whether that are
+    fewer: a single model has no partition to wait for.
+    """
     at = jnp.arange(layout.parameters)
     own = at < layout.coefficients().size
     moving = jnp.where(
         own, jnp.asarray(settings.coefficients), jnp.asarray(settings.partition)
     )
-    return moving, moving & (own | ~jnp.asarray(settings.staged))
+    several = jnp.sum(layout.base.models[0].active) > 1
+    staged = jnp.asarray(settings.staged) & several & bool(layout.partition().size)
+    return moving, moving & (own | ~staged), staged
 
 
 def _weight(part: Part, drive: Drive, spread: Float[Array, ""] | None):

@@ -82,7 +82,7 @@ def row_of(pool: Pool, outcome: Outcome) -> Row:
                 scores[name] = float(score.nrmse[w, m])
                 lost[f"{name}_diverged"] = bool(score.diverged[w, m])
     gaussian = isinstance(shape, Gaussians)
-    row: Row = {"status": NAMES[int(outcome.status)], "detail": ""}
+    row: Row = {"status": NAMES[int(outcome.status)], "detail": _detail(outcome)}
     row |= scores | lost
     row |= {
         "term_count": len(index),
@@ -100,6 +100,20 @@ def row_of(pool: Pool, outcome: Outcome) -> Row:
         "guard_history": _flat(outcome.guard),
     }
     return row
+
+
+def _detail(outcome: Outcome) -> str:
+    """What became of a start that diverged."""
+    if NAMES[int(outcome.status)] == "start_diverged":
+        return (
+            "the free run of the start diverges, and no network was found that does "
+            "not; refine that of `network_of` from several starts, or choose fewer "
+            "terms or a lower degree"
+        )
+    factor = float(outcome.shrunk)
+    if factor == 1.0:
+        return ""
+    return f"the start diverged; feedback shrunk to {factor:g} led to one that does not"
 
 
 def _flat(values: Any) -> list[float]:

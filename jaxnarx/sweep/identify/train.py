@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.least_squares import cholesky_solve
 from jaxnarx.methods import Identification
-from jaxnarx.refinement import Layout, loss, normal_equations
+from jaxnarx.refinement import Layout, Stage, loss, normal_equations, stages
 from jaxnarx.refinement.levenberg import (
     DAMPING_LIMIT,
     DAMPING_START,
@@ -24,6 +24,8 @@ from jaxnarx.refinement.levenberg import (
     REACH,
     SHRINK,
 )
+from jaxnarx.refinement.starts import SHRINK as FACTORS
+from jaxnarx.refinement.starts import shrunk
 from jaxnarx.simulation import Drive, run
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import free_anchors, held
@@ -37,8 +39,8 @@ class Ground(eqx.Module):
     """What a refinement reads and never changes.
 
     `weight` makes mean squared NRMSE of the training errors, `guard_weight` of those of
-    the records that judge; `moving` marks the parameters trained on full records,
-    `early` those trained in windows.
+    the records that judge; `moving` marks the parameters that are trained, `early`
+    those that come first, fewer where the case is `staged`.
     """
 
     layout: Layout
@@ -50,6 +52,7 @@ class Ground(eqx.Module):
     guard_weight: Float[Array, "_ _ outputs"]
     moving: Bool[Array, " params"]
     early: Bool[Array, " params"]
+    staged: Bool[Array, ""]
 
 
 class Judged(eqx.Module):
@@ -66,7 +69,10 @@ class Judged(eqx.Module):
 
 
 class State(eqx.Module):
-    """Where the search stands, and the best so far by judgement."""
+    """Where the search stands, and the best so far by judgement.
+
+    No loss above the start's, `limit`, is best.
+    """
 
     u: Float[Array, " params"]
     loss: Float[Array, ""]
@@ -77,21 +83,27 @@ class State(eqx.Module):
     pull: Float[Array, " params"]
     best: Float[Array, " params"]
     judged: Judged
+    limit: Float[Array, ""]
     accepted: Int[Array, ""]
 
 
 class Turn(eqx.Module):
-    """What one turn of the loop does: window length, and its place in the stage."""
+    """What one turn of the loop does: window length, and its place in the stage.
+
+    `apart`: a staged case trains its coefficients alone; `last`: the stage is.
+    """
 
     horizon: Int[Array, "*turns"]
     step: Int[Array, "*turns"]
-    full: Bool[Array, "*turns"]
+    apart: Bool[Array, "*turns"]
+    last: Bool[Array, "*turns"]
 
 
 class Trained(eqx.Module):
     """The best parameters, whether they are the start's, and the way there.
 
-    `loss` and `judged` hold where the search stood after every turn.
+    `loss` and `judged` hold where the search stood after every turn; `factor` is what
+    the feedback of a start that diverges was shrunk by, one where it was not.
     """
 
     u: Float[Array, " params"]
@@ -100,24 +112,42 @@ class Trained(eqx.Module):
     accepted: Int[Array, ""]
     loss: Float[Array, " turns"]
     judged: Float[Array, " turns"]
+    factor: Float[Array, ""]
 
 
 def schedule(method: Identification) -> Turn:
-    """Stages of growing windows, then full records; a stage begins with step zero."""
-    if method.objective == "prediction":
-        stages = [(1, method.steps, True)]
-    else:
-        stages = [(h, method.window_steps, False) for h in method.horizons]
-        stages.append((FULL, method.steps, True))
-    rows = [(h, n, full) for h, steps, full in stages for n in range(steps + 1)]
-    horizon, step, full = (jnp.asarray(np.array(c)) for c in zip(*rows, strict=True))
-    return Turn(horizon, step, full)
+    """The stages of a staged case, in turns; a stage begins with step zero."""
+    order = [Stage(1, method.steps)]
+    if method.objective == "simulation":
+        order = stages(method.horizons, method.window_steps, method.steps, staged=True)
+    rows = [
+        (stage.horizon or FULL, n, stage.only_coefficients, stage is order[-1])
+        for stage in order
+        for n in range(stage.steps + 1)
+    ]
+    return Turn(*(jnp.asarray(np.array(column)) for column in zip(*rows, strict=True)))
+
+
+def active(ground: Ground, turns: Turn, settings: Settings) -> Bool[Array, " turns"]:
+    """Which turns a case makes: windows shorter than the longest record, coefficients
+    alone on full records where it is staged, and its own number of last steps.
+    """
+    room = jnp.asarray(settings.steps)
+    scored = jnp.any(jnp.asarray(ground.part.scored), axis=2)
+    longest = jnp.max(jnp.sum(scored, axis=1))
+    before = (turns.horizon < longest) | (ground.staged & (turns.horizon == FULL))
+    own = jnp.where(turns.last, turns.step <= room, before)
+    # Windows are no use to a case without any step on full records.
+    return own & jnp.any(ground.moving) & (room > 0)
 
 
 def train(
     ground: Ground, u: Float[Array, " params"], settings: Settings, turns: Turn
 ) -> Trained:
-    """Run the whole schedule from `u`."""
+    """Run the whole schedule from `u`, and where nothing that runs is found, once more
+    with shrunk feedback.
+    """
+    start = judge(ground, u)
     zero = jnp.zeros_like(u)
     begin = State(
         u,
@@ -128,23 +158,64 @@ def train(
         u,
         zero,
         u,
-        judge(ground, u),
+        start,
+        start.loss,
         jnp.asarray(0),
     )
     ridge = jnp.asarray(settings.ridge)
-    room = jnp.asarray(settings.steps)
-    # Windows are no use to a case without any step on full records.
-    anything = jnp.any(ground.moving) & (room > 0)
+    made = active(ground, turns, settings)
+    # Only the turns that are made, so that the others cost nothing side by side either.
+    order, count = jnp.argsort(~made, stable=True), jnp.sum(made)
 
-    def body(s: State, turn: Turn):
-        active = anything & (~turn.full | (turn.step <= room))
-        s = jax.lax.cond(
-            active, lambda s: advanced(ground, s, turn, ridge), lambda s: s, s
+    def step(n, carry):
+        s, loss, judged = carry
+        at = order[n]
+        s = advanced(ground, s, jax.tree.map(lambda a: a[at], turns), ridge)
+        return s, loss.at[at].set(s.loss), judged.at[at].set(s.judged.loss)
+
+    def attempt(carry):
+        tried, _, _, s, loss, judged = carry
+        factor, u, runs = jax.lax.cond(
+            tried == 0,
+            lambda: (jnp.ones_like(start.loss), begin.u, jnp.asarray(True)),
+            lambda: _shrunk(ground, begin.u),
         )
-        return s, (s.loss, s.judged.loss)
+        s = eqx.tree_at(lambda s: s.u, s, u)
+        most = jnp.where(runs, count, 0)
+        s, loss, judged = jax.lax.fori_loop(0, most, step, (s, loss, judged))
+        return tried + 1, factor, runs, s, loss, judged
 
-    end, (loss, judged) = jax.lax.scan(body, begin, turns)
-    return Trained(end.best, begin.judged, end.judged, end.accepted, loss, judged)
+    history = jnp.full(made.shape, begin.loss), jnp.full(made.shape, start.loss)
+    _, factor, runs, end, *history = jax.lax.while_loop(
+        lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].judged.diverged & (count > 0)),
+        attempt,
+        (0, jnp.ones_like(start.loss), jnp.asarray(True), begin, *history),
+    )
+    # A turn that is not made leaves everything where it was.
+    before = jax.lax.cummax(jnp.where(made, jnp.arange(made.size), -1))
+    loss, judged = (
+        jnp.where(before < 0, first, column[before])
+        for first, column in zip((begin.loss, start.loss), history, strict=True)
+    )
+    factor = jnp.where(runs, factor, 1.0)
+    return Trained(end.best, start, end.judged, end.accepted, loss, judged, factor)
+
+
+def _shrunk(ground: Ground, u: Float[Array, " params"]):
+    """The first factor on the feedback whose free run does not diverge, that start, and
+    whether there is one.
+    """
+    factors = jnp.asarray(FACTORS, u.dtype)
+
+    def smaller(carry):
+        n, _, _ = carry
+        v = shrunk(ground.layout, u, factors[n])
+        return n + 1, v, ~judge(ground, v).diverged
+
+    n, v, runs = jax.lax.while_loop(
+        lambda c: ~c[2] & (c[0] < len(FACTORS)), smaller, (0, u, jnp.asarray(False))
+    )
+    return factors[n - 1], v, runs
 
 
 def judge(ground: Ground, u: Float[Array, " params"]) -> Judged:
@@ -169,7 +240,10 @@ def advanced(ground: Ground, s: State, turn: Turn, ridge: Float[Array, ""]) -> S
     """One turn: the first of a stage takes stock, the others make a step."""
     fresh = turn.step == 0
     anchor = anchors(ground.part, turn.horizon)
-    moving = jnp.where(turn.full, ground.moving, ground.early)
+    # The last stage begins at the best so far, unless nothing runs.
+    ahead = fresh & turn.last & ~s.judged.diverged
+    s = eqx.tree_at(lambda s: s.u, s, jnp.where(ahead, s.best, s.u))
+    moving = jnp.where(turn.apart, ground.early, ground.moving)
     ground = eqx.tree_at(lambda g: g.moving, ground, moving)
     found = _step(ground, s, anchor, fresh)
     s = eqx.tree_at(lambda s: s.damping, s, found.damping)
@@ -211,7 +285,7 @@ def _reached(
     """Linearise where the step has led, and judge it."""
     value, gradient, gram = _linear(ground, found.u, anchor)
     judged = judge(ground, found.u)
-    better = judged.better(s.judged)
+    better = judged.better(s.judged) & (judged.loss <= s.limit)
     eased = jnp.maximum(found.damping / SHRINK, 1e-12)
     return State(
         u=found.u,
@@ -223,6 +297,7 @@ def _reached(
         pull=jnp.where(fresh, ridge * jnp.diagonal(gram), s.pull),
         best=jnp.where(better, found.u, s.best),
         judged=jax.tree.map(lambda a, b: jnp.where(better, a, b), judged, s.judged),
+        limit=s.limit,
         accepted=s.accepted + (~fresh).astype(s.accepted.dtype),
     )
 
