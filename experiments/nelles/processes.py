@@ -203,10 +203,10 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
                     for r in own
                 )
             if models == MODELS[0]:
-                own = entry["staged"]["free_run"]
-                entry["target"] = target(own["median"], PROCESSES[name].limit)
+                staged = entry["staged"]["free_run"]
+                entry["target"] = target(staged["median"], PROCESSES[name].limit)
                 worst = entry["LOLIMOT"]["free_run"]["largest"]
-                entry["worst"] = target(own["largest"], worst)
+                entry["worst"] = target(staged["largest"], worst)
             table[f"{name}, {models} models"] = entry
     return table
 

@@ -32,12 +32,12 @@ class SimulationError:
     """Accepted steps at each window length, and of the coefficients alone on the full
     record."""
     train: Literal["staged", "joint", "either"] = "staged"
-    """Order of training. `"staged"`: the coefficients alone in the windows, and for
-    `window_steps` on the full record, then everything together; `"joint"`: everything
-    from the first window; `"either"`: one after the other, each to its end, and the
-    better one by validation, at two to three times the cost. With noisy outputs a
-    partition that moves in the windows adapts to biased coefficients and does not come
-    back (`experiments/nelles`)."""
+    """Order of training. `"staged"`: the coefficients alone in the windows, and for up
+    to `window_steps` on the full record, then all together; `"joint"`: everything from
+    the first window; `"either"`: one after the other, each to its end, and the better
+    one by validation, at two to three times the cost. With noisy outputs a partition
+    that moves in the windows adapts to biased coefficients and does not come back
+    (`experiments/nelles`)."""
     tolerance: float | int = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""

@@ -163,14 +163,11 @@ def _schedules(
     # Where only one kind is trained, there is no order in which to train the two.
     both = layout.coefficients().size and layout.partition().size
     train = method.train if both else "joint"
-    windows = method.solver == "windows"
-    found = {}
-    for name in ("staged", "joint") if train == "either" else (train,):
-        steps = 0 if windows else method.max_steps
-        own = stages(horizons, method.window_steps, steps, staged=name == "staged")
-        full_apart = Stage(None, method.window_steps, True)
-        found[name] = [s for s in own if not windows or s != full_apart]
-    return found
+    steps = 0 if method.solver == "windows" else method.max_steps
+    return {
+        order: stages(horizons, method.window_steps, steps, staged=order == "staged")
+        for order in (("staged", "joint") if train == "either" else (train,))
+    }
 
 
 def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:

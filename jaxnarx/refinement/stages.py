@@ -24,9 +24,11 @@ def stages(
 ) -> list[Stage]:
     """Windows that grow, then full records.
 
-    Staged: the coefficients alone in the windows and for `window_steps` on the full
-    record, then everything; else everything from the first window. The last stage
+    Staged: the coefficients alone in the windows and for up to `window_steps` on the
+    full record, then everything; else everything from the first window. The last stage
     begins at the best network by validation so far.
     """
-    before = [*horizons, None] if staged else horizons
-    return [*(Stage(h, window_steps, staged) for h in before), Stage(None, steps)]
+    before = [Stage(h, window_steps, staged) for h in horizons]
+    if staged and steps:
+        before.append(Stage(None, min(window_steps, steps), True))
+    return [*before, Stage(None, steps)]

@@ -421,8 +421,9 @@ def test_a_spent_budget_is_a_normal_end():
     assert solution.is_okay
     # Progress was told once for every accepted step, as it is in the history.
     assert rows == solution.stats["history"]
-    assert len(rows) == solution.stats["steps"] == 4
-    assert [row["horizon"] for row in rows] == [6, 6, None, None]
+    # Two in windows, two of the coefficients on full records, two of everything.
+    assert len(rows) == solution.stats["steps"] == 6
+    assert [row["horizon"] for row in rows] == [6, 6, *[None] * 4]
 
 
 def test_a_tolerance_that_is_reached_is_ok():

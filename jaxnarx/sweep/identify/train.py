@@ -129,14 +129,15 @@ def schedule(method: Identification) -> Turn:
 
 
 def active(ground: Ground, turns: Turn, settings: Settings) -> Bool[Array, " turns"]:
-    """Which turns a case makes: windows shorter than the longest record, coefficients
-    alone on full records where it is staged, and its own number of last steps.
+    """Which turns a case makes: windows shorter than the longest record, and on full
+    records its own number of steps, of coefficients alone where it is staged.
     """
     room = jnp.asarray(settings.steps)
     scored = jnp.any(jnp.asarray(ground.part.scored), axis=2)
     longest = jnp.max(jnp.sum(scored, axis=1))
-    before = (turns.horizon < longest) | (ground.staged & (turns.horizon == FULL))
-    own = jnp.where(turns.last, turns.step <= room, before)
+    full = (turns.last | ground.staged) & (turns.step <= room)
+    short = turns.horizon < longest
+    own = jnp.where(turns.last | (turns.horizon == FULL), full, short)
     # Windows are no use to a case without any step on full records.
     return own & jnp.any(ground.moving) & (room > 0)
 
