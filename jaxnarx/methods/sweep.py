@@ -9,6 +9,8 @@ from jaxnarx.errors import SpecError
 Lags = Sequence[int] | Mapping[str, Sequence[int]] | Sequence[tuple[str, Sequence[int]]]
 LagLimit = int | Mapping[str, int] | Sequence[tuple[str, int]]
 
+FUSED = ("lolimot", "tree", "random", "cluster")
+SELECTED = ("forward", "stepwise", "backward", "simulation")
 TRAINED = ("staged", "joint", "coefficients", "partition", "none")
 
 
@@ -29,11 +31,12 @@ def _lags(value: Lags) -> tuple:
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """Select, grow and refine as one program: everything that fixes its shapes.
+    """Select, grow and refine: everything that is the same for all cases of a sweep.
 
     Forward orthogonal least squares over a polynomial pool, a partition, and
-    Levenberg-Marquardt on the error of the free run. Changing a field compiles anew;
-    what does not is in `Case`.
+    Levenberg-Marquardt on the error of the free run are one program for all engines and
+    cases; changing a field compiles anew, what does not is in `Case`. With any other
+    method every member runs the verbs, one after the other.
     """
 
     scheduling: Sequence[str] = ()
@@ -53,10 +56,17 @@ class Identification:
     """Capacity for local models."""
     validity: Literal["gaussians", "compact", "boxes"] = "gaussians"
     """Form of the validity functions."""
-    partition: Literal["lolimot", "tree", "random", "cluster"] = "lolimot"
+    partition: Literal["lolimot", "tree", "random", "cluster", "log-sigmoids"] | Any = (
+        "lolimot"
+    )
     """How the models are placed: halving of the worst (LOLIMOT), oblique sigmoid gates
-    (HILOMOT), at samples drawn at random, or at the means of clusters that begin there.
-    The last two have Gaussians."""
+    (HILOMOT), at samples drawn at random, or at the means of clusters that begin there;
+    the last two have Gaussians. By the verbs: equal log-sigmoids of one variable, or a
+    method that `grow` takes, whose `scheduling` and `max_models` then hold. A case
+    changes those of its settings that are not the usual ones."""
+    select: Literal["forward", "stepwise", "backward", "simulation"] | Any = "forward"
+    """How terms are chosen; all but forward by the verbs, or a method that `select`
+    takes, whose `max_terms` then holds."""
     steps: int = 10
     """Levenberg-Marquardt steps on full records, accepted or not; 0: no refinement."""
     horizons: Sequence[int] = ()
@@ -71,6 +81,14 @@ class Identification:
     """Limits of a Gaussian's width as multiples of its start."""
 
     def __post_init__(self):
+        for field, owner in (
+            ("max_terms", self.select),
+            ("max_models", self.partition),
+            ("scheduling", self.partition),
+        ):
+            value = None if isinstance(owner, str) else getattr(owner, field, None)
+            if value:
+                object.__setattr__(self, field, value)
         single = isinstance(self.scheduling, str)
         scheduling = (self.scheduling,) if single else tuple(self.scheduling)
         object.__setattr__(self, "scheduling", scheduling)
@@ -88,7 +106,15 @@ class Identification:
             f"horizons must be at least 2 samples each, got {self.horizons}",
         )
         _choice("validity", self.validity, ("gaussians", "compact", "boxes"))
-        _choice("partition", self.partition, ("lolimot", "tree", "random", "cluster"))
+        if isinstance(self.partition, str):
+            _choice("partition", self.partition, (*FUSED, "log-sigmoids"))
+        if isinstance(self.select, str):
+            _choice("select", self.select, SELECTED)
+        _require(
+            self.select == "forward" or self.partition not in ("random", "cluster"),
+            "partition",
+            f'partition="{self.partition}" goes with select="forward" alone',
+        )
         _choice("objective", self.objective, ("simulation", "prediction"))
         _require(
             self.validity == "gaussians" or self.partition == "lolimot",
@@ -108,6 +134,12 @@ class Identification:
             f"{self.max_models} local models need scheduling variables, such as "
             "scheduling=['speed[t]']",
         )
+
+    @property
+    def fused(self) -> bool:
+        """Whether one program does it all."""
+        named = isinstance(self.select, str) and isinstance(self.partition, str)
+        return named and self.select == "forward" and self.partition in FUSED
 
     @property
     def lags(self) -> dict[str, Any]:

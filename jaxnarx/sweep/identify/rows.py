@@ -15,12 +15,13 @@ from jaxnarx.models import (
     Boxes,
     Compact,
     Gaussians,
+    LogSigmoids,
     Network,
     SigmoidTree,
     local_models,
     output_model,
 )
-from jaxnarx.regressors import Pool
+from jaxnarx.regressors import Pool, Variables
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.fleet import PARTS, Fleet
 from jaxnarx.sweep.identify.frame import make_pool
@@ -39,6 +40,8 @@ LISTS = (
     "centre",
     "width",
     "partition",
+    "offset",
+    "span",
     "loss_history",
     "guard_history",
 )
@@ -57,17 +60,20 @@ def empty_row(fleet: Fleet, prepared: Prepared) -> Row:
         | dict.fromkeys(scores)
         | {f"{name}_diverged": None for name in scores}
         | {"term_count": 0, "model_count": 0, "steps_taken": 0, "condition": None}
+        | {"validity": ""}
         | {name: [] for name in LISTS}
     )
 
 
-def row_of(pool: Pool, outcome: Outcome) -> Row:
+def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
     """Plain Python from the arrays of one lane.
 
     A score is the pooled NRMSE, infinite where a record has diverged. `coefficient`
     lists the terms of the first model, then of the second; `centre` and `width` the
     dimensions, scaled to the training range (empty where the validity functions are not
-    Gaussian); `partition` all that the validity functions hold, for `network_of`.
+    Gaussian); `partition` all that the validity functions of class `validity` hold,
+    and `offset` and `span` the range that `network` is scheduled over, for
+    `network_of`.
     """
     count, used = int(outcome.models), np.asarray(outcome.chosen.used)
     index = np.asarray(outcome.chosen.index)[used].tolist()
@@ -96,6 +102,9 @@ def row_of(pool: Pool, outcome: Outcome) -> Row:
         "centre": _flat(shape.centre) if gaussian else [],
         "width": _flat(np.exp(shape.log_width)) if gaussian else [],
         "partition": [x for leaf in jax.tree.leaves(shape) for x in _flat(leaf)],
+        "validity": type(shape).__name__,
+        "offset": _flat(network.models[0].offset),
+        "span": _flat(network.models[0].span),
         "loss_history": _flat(outcome.history),
         "guard_history": _flat(outcome.guard),
     }
@@ -122,6 +131,8 @@ def _flat(values: Any) -> list[float]:
 
 def trimmed(validity: AbstractValidity, count: int) -> AbstractValidity:
     """The validity functions of the first `count` models alone."""
+    if isinstance(validity, LogSigmoids):
+        return validity
     if isinstance(validity, SigmoidTree):
         gates = max(count - 1, 0)
         cut = (
@@ -132,18 +143,18 @@ def trimmed(validity: AbstractValidity, count: int) -> AbstractValidity:
     return jax.tree.map(lambda a: a[:count], validity)
 
 
-def _like(method: Identification, count: int, dims: int, dtype) -> AbstractValidity:
+def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
     """Validity functions of the right kind and size."""
     each = jnp.zeros((count, dims), dtype)
-    if method.partition == "tree" and dims:
-        gates = jnp.zeros(count - 1, dtype)
+    gates = jnp.zeros(count - 1, dtype)
+    if kind == "SigmoidTree":
         path = jnp.zeros((count, count - 1), int)
         return SigmoidTree(each[1:], gates, gates, path)
-    if method.validity == "boxes" and dims:
-        return Boxes(each, each)
-    if method.validity == "compact" and dims:
+    if kind == "LogSigmoids":
+        return LogSigmoids(gates, jnp.zeros((), dtype))
+    if kind == "Compact":
         return Compact(each, each, each)
-    return Gaussians(each, each)
+    return Boxes(each, each) if kind == "Boxes" else Gaussians(each, each)
 
 
 def network_of(
@@ -161,16 +172,16 @@ def network_of(
         )
     frame = jax.tree.map(jnp.asarray, prepared.member.network)
     old, count = frame.models[0], int(row["model_count"])
-    dtype = old.offset.dtype
-    like = _like(method, count, old.offset.shape[0], dtype)
+    dtype, dims = old.offset.dtype, len(row["offset"])
+    like = _like(row["validity"], count, dims, dtype)
     theta = np.asarray(row["coefficient"], dtype).reshape(count, -1)
     factor = pool.factor[np.asarray(row["term_index"])]
     model = output_model(
         local_models(factor, theta),
         _filled(like, row["partition"]),
-        old.scheduling,
-        np.asarray(old.offset),
-        np.asarray(old.span),
+        old.scheduling if dims else Variables(()),
+        np.asarray(row["offset"], dtype),
+        np.asarray(row["span"], dtype),
     )
     return dataclasses.replace(frame, models=(model,))
 

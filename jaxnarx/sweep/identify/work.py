@@ -18,6 +18,7 @@ from jaxnarx.sweep.identify.member import Prepared, prepare, stacked
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.settings import make_settings, within
+from jaxnarx.sweep.identify.verbs import require_verbs, run_member
 
 LANES = 16
 """Fits in one call of the program."""
@@ -54,6 +55,8 @@ class IdentificationWork:
         _ = self.frame  # what does not fit is said now, not by every member
         for case in self.cases:
             make_settings(case, self.method, self.pool_of_all, np.dtype(float))
+            if not self.method.fused:
+                require_verbs(self.method, case)
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k not in MADE}
@@ -110,7 +113,10 @@ class IdentificationWork:
         table.update(repr((pool.variables, pool.outputs)).encode())
         return {
             "kind": "identification",
-            "method": _plain(dataclasses.asdict(self.method)),
+            "method": {
+                f.name: _plain(getattr(self.method, f.name))
+                for f in dataclasses.fields(self.method)
+            },
             "cases": [_plain(dataclasses.asdict(case)) for case in self.cases],
             "pool": {"terms": len(pool), "sha256": table.hexdigest()},
             "fleet": {"engines": len(self.fleet), "sha256": self.fleet.digest()},
@@ -134,28 +140,49 @@ class IdentificationWork:
             rows |= dict(zip(part, found, strict=True))
         return [rows[place] for place in range(len(pairs))]
 
+    def _by_verbs(self, engine: int, case: Case) -> Row:
+        """What the program does not know."""
+        member = self.prepared(engine).member
+        assert member is not None
+        both = self.method, case, self.pool_of_all, member
+        return run_member(self.fleet, engine, *both)
+
     def _call(self, pairs: list[tuple[int, int]]) -> list[Row]:
         """One call of the program, filled up with the shortest fits there are."""
         pool, dtype = self.pool_of_all, self.fleet.train.signals.dtype
+        if not self.method.fused:
+            return [self._by_verbs(engine, self.cases[case]) for engine, case in pairs]
         cases = [self.cases[case] for _, case in pairs]
         engines = [engine for engine, _ in pairs]
         spare = self.lanes - len(pairs)
         cases += [Case(terms=1, models=1, steps=0, train="none")] * spare
         engines += engines[-1:] * spare
-        members = stacked([self.prepared(engine).member for engine in engines])
+
+        def member(n: int) -> Any:
+            return self.prepared(engines[n]).member
+
+        members = stacked([member(n) for n in range(self.lanes)])
         settings = stacked([make_settings(c, self.method, pool, dtype) for c in cases])
         outcome = identify_lanes(self.frame, members, settings, at_once=self.at_once)
         host = jax.tree.map(np.asarray, jax.device_get(outcome))
         return [
-            row_of(pool, jax.tree.map(lambda a, n=n: a[n], host))
+            row_of(pool, jax.tree.map(lambda a, n=n: a[n], host), member(n).network)
             for n in range(len(pairs))
         ]
 
 
 def _plain(value: Any) -> Any:
-    """Lists in place of tuples, as JSON gives them back."""
+    """Values as JSON gives them back; arrays by their digest, the rest by name."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
-    return value
+    if isinstance(value, str | int | float | None):
+        return value
+    if isinstance(value, np.ndarray | jax.Array):
+        return hashlib.sha256(np.asarray(value).tobytes()).hexdigest()
+    kind = type(value)
+    if dataclasses.is_dataclass(kind):
+        own = {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
+        return {"class": kind.__qualname__} | _plain(own)
+    return getattr(value, "__qualname__", kind.__qualname__)
