@@ -30,11 +30,13 @@ if TYPE_CHECKING:
     from jaxnarx.inverse import reachable as reachable
     from jaxnarx.inverse import unity_gain as unity_gain
     from jaxnarx.linear import LinearModel as LinearModel
+    from jaxnarx.linear import NoiseModel as NoiseModel
     from jaxnarx.linear import Regression as Regression
     from jaxnarx.linear import TransferFunction as TransferFunction
     from jaxnarx.linear import adapt as adapt
     from jaxnarx.linear import extended_least_squares as extended_least_squares
     from jaxnarx.linear import fit_linear as fit_linear
+    from jaxnarx.linear import fit_noise as fit_noise
     from jaxnarx.linear import least_squares as least_squares
     from jaxnarx.linear import nonlinearity as nonlinearity
     from jaxnarx.linear import search_orders as search_orders
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from jaxnarx.methods import BoxJenkins as BoxJenkins
     from jaxnarx.methods import Case as Case
     from jaxnarx.methods import ForwardOLS as ForwardOLS
+    from jaxnarx.methods import GeneralLinear as GeneralLinear
     from jaxnarx.methods import Given as Given
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Grid as Grid
@@ -66,6 +69,7 @@ if TYPE_CHECKING:
     from jaxnarx.models import load as load
     from jaxnarx.models import save as save
     from jaxnarx.partition import grow as grow
+    from jaxnarx.partition import switch as switch
     from jaxnarx.refinement import Bands as Bands
     from jaxnarx.refinement import Stability as Stability
     from jaxnarx.refinement import Uncertainty as Uncertainty
@@ -116,14 +120,15 @@ _HOME = {
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
     "evaluation": "Cost Diagnostics Report cost diagnose pareto report",
     "inverse": "cascade compensate inverse_data invertible reachable unity_gain",
-    "linear": "LinearModel Regression TransferFunction adapt extended_least_squares "
-    "fit_linear least_squares nonlinearity search_orders spectra",
+    "linear": "LinearModel NoiseModel Regression TransferFunction adapt "
+    "extended_least_squares fit_linear fit_noise least_squares nonlinearity "
+    "search_orders spectra",
     "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins Case FIR "
-    "ForwardOLS Given Global Grid Identification LeastSquares Lolimot OutputError "
-    "PredictionError Recursive SigmoidTree SimulationError SimulationOLS StepwiseF "
-    "TrackingError",
+    "ForwardOLS GeneralLinear Given Global Grid Identification LeastSquares Lolimot "
+    "OutputError PredictionError Recursive SigmoidTree SimulationError SimulationOLS "
+    "StepwiseF TrackingError",
     "models": "Network load save",
-    "partition": "grow",
+    "partition": "grow switch",
     "refinement": "Bands Stability Uncertainty bands freeze refine stability "
     "uncertainty",
     "regressors": (

@@ -4,10 +4,11 @@ import numpy as np
 import scipy.signal
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods.linear import ARMAX, ARX, BoxJenkins, OutputError
+from jaxnarx.methods.linear import ARMAX, ARX, BoxJenkins, GeneralLinear, OutputError
 
 B, DELAY = [100.0, 50.0], 2
 F = [1.0, -1.5, 0.7]
+A = [1.0, -0.9]
 C, D = [1.0, 0.6], [1.0, -0.8]
 LEVEL, MEAN = 1000.0, 0.395
 """The output [rpm] at the mean input."""
@@ -19,19 +20,23 @@ SETTINGS = {
     "ARMAX": ARMAX(2, 2, 1, 2),
     "OE": OutputError(2, 2, 2),
     "BJ": BoxJenkins(2, 1, 1, 2, 2),
+    "general": GeneralLinear(1, 2, 1, 1, 2, 2),
 }
 NOISE = {
     "ARX": ([1.0], F),
     "ARMAX": (C, F),
     "OE": ([1.0], [1.0]),
     "BJ": (C, D),
+    "general": (C, np.convolve(A, [1.0, 0.5]).tolist()),
 }
+PLANT = dict.fromkeys(NOISE, F) | {"general": np.convolve(A, F).tolist()}
 GAIN = sum(B) / sum(F)
 TRUE = {
     "ARX": [*F[1:], *B, sum(F) * (LEVEL - GAIN * MEAN)],
     "ARMAX": [*F[1:], *B, C[1], sum(F) * (LEVEL - GAIN * MEAN)],
     "OE": [*B, *F[1:], LEVEL - GAIN * MEAN],
     "BJ": [*B, C[1], D[1], *F[1:], LEVEL - GAIN * MEAN],
+    "general": [A[1], *B, C[1], 0.5, *F[1:], sum(A) * LEVEL - GAIN * MEAN],
 }
 
 
@@ -47,7 +52,7 @@ def record(kind: str, seed: int, samples: int, noise: float = 1.0):
     before = 200
     u = staircase(rng, samples + before)
     e = noise * rng.normal(size=samples + before)
-    w = scipy.signal.lfilter(NUMERATOR, F, u - MEAN)
+    w = scipy.signal.lfilter(NUMERATOR, PLANT[kind], u - MEAN)
     y = LEVEL + np.asarray(w) + scipy.signal.lfilter(*NOISE[kind], e)
     return u[before:], y[before:]
 

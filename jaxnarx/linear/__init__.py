@@ -7,6 +7,7 @@ from jaxnarx.linear.extended import ExtendedFit, extended_least_squares
 from jaxnarx.linear.fit import fit_linear
 from jaxnarx.linear.innovations import Innovations, innovations
 from jaxnarx.linear.model import LinearModel
+from jaxnarx.linear.noise import NoiseModel, fit_noise
 from jaxnarx.linear.nonlinearity import NonlinearityCheck, nonlinearity
 from jaxnarx.linear.order_table import OrderSearch
 from jaxnarx.linear.orders import search_orders
@@ -19,6 +20,7 @@ __all__ = [
     "ExtendedFit",
     "Innovations",
     "LinearModel",
+    "NoiseModel",
     "NonlinearityCheck",
     "OrderSearch",
     "Regression",
@@ -27,6 +29,7 @@ __all__ = [
     "adapt",
     "extended_least_squares",
     "fit_linear",
+    "fit_noise",
     "innovations",
     "least_squares",
     "nonlinearity",

@@ -28,7 +28,10 @@ are not told apart."""
 def fit_linear(
     data: Dataset, method: LinearMethod, *, output: str | None = None
 ) -> Solution[LinearModel]:
-    """Fit `FIR`, `ARX`, `ARMAX`, `OutputError` or `BoxJenkins` to all records together.
+    """Fit a linear model (2.3) to all records together.
+
+    `FIR`, `ARX`, `ARMAX`, `OutputError`, `BoxJenkins`, or all polynomials together,
+    `GeneralLinear`.
 
     `output` names the output where there are several; others take no part. Windows
     never cross a record's border; samples whose window holds a missing one are not

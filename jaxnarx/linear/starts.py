@@ -34,10 +34,12 @@ def starts(
 ) -> list[Float[np.ndarray, " params"]]:
     """Candidates, with C and all F stable; the caller takes the best."""
     long = _LongModel(structure, u, y, valid)
-    if structure.na or not any(structure.nf):
+    if not any(structure.nf):
         found = [_armax(structure, u, y, valid, e) for e in (long.e, None)]
     else:
         found = _output_errors(structure, u, y, valid, long)
+        if structure.na:
+            found += _with_shared_poles(structure, u, y, valid, long, found[-1])
     return [np.asarray(structure.join(p)) for p in found]
 
 
@@ -140,6 +142,25 @@ def _output_errors(structure: Structure, u, y, valid, long: _LongModel):
     return found
 
 
+def _with_shared_poles(structure: Structure, u, y, valid, long, plain: Polynomials):
+    """Candidates for A: that of ARMAX, and the poles of the noise of a `plain` model
+    without A. The rest is then a model without A of the output filtered by it."""
+    none = tuple(0 for _ in structure.nf)
+    armax = _armax(dataclasses.replace(structure, nf=none), u, y, valid, long.e)
+    pairs = list(zip(plain.b, plain.f, strict=True))
+    v = y - sum(_contributions(structure, u, pairs), np.zeros_like(y))
+    v = np.where(valid, v - v[valid].mean() * structure.constant, 0.0)
+    noise = dataclasses.replace(structure, nd=structure.na)
+    found = []
+    for a in (armax.a, _monic(_noise(noise, v, valid)[1])):
+        a = reflected(np.asarray(a))
+        ahead = settled_filter(a, np.ones(1), y)
+        rest = _LongModel(structure, u, ahead, valid)
+        apart = _output_errors(structure, u, ahead, valid, rest)
+        found += [p._replace(a=a) for p in apart]
+    return found
+
+
 def _shared(structure: Structure) -> Structure:
     """The ARX model with the order of all F as that of A."""
     none = (0,) * len(structure.nf)
@@ -189,7 +210,7 @@ def _with_noise(structure: Structure, u, y, valid, pairs) -> list[Polynomials]:
     kinds = [white] if not (structure.nc or structure.nd) else [white, coloured]
     return [
         Polynomials(
-            _monic(np.zeros(0)),
+            _monic(np.zeros(structure.na)),
             tuple(b for b, _ in pairs),
             reflected(np.concatenate([[1.0], c])),
             reflected(np.concatenate([[1.0], d])),

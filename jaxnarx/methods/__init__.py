@@ -4,7 +4,14 @@ from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
 from jaxnarx.methods.least_squares import LeastSquares, Recursive
-from jaxnarx.methods.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
+from jaxnarx.methods.linear import (
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    GeneralLinear,
+    OutputError,
+)
 from jaxnarx.methods.own import Partitioner, Selector
 from jaxnarx.methods.partition import Given, Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.methods.refinement import PredictionError, SimulationError
@@ -22,6 +29,7 @@ __all__ = [
     "BoxJenkins",
     "Case",
     "ForwardOLS",
+    "GeneralLinear",
     "Given",
     "Global",
     "Grid",

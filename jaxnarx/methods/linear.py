@@ -33,27 +33,26 @@ def _whole(value: object, field: str, least: int) -> None:
         )
 
 
-def _check(method: object, fields: Sequence[str], least: int) -> None:
-    for field in fields:
-        orders = getattr(method, field)
-        if isinstance(orders, Mapping):
-            values = list(orders.values())
-        else:
-            values = list(orders) if isinstance(orders, Sequence) else [orders]
-        for value in values:
-            _whole(value, field, least)
+class _Linear:
+    """What every class checks of the fields it has."""
 
-
-def _check_search(steps: int, tolerance: float | int) -> None:
-    _whole(steps, "max_steps", 0)
-    if not 0 <= tolerance < 1:
-        raise SpecError(
-            f"tolerance must lie in [0, 1), got {tolerance}", field="tolerance"
-        )
+    def __post_init__(self):
+        least = {"na": 0, "nb": 1, "nc": 0, "nd": 0, "nf": 0, "nk": 0, "max_steps": 0}
+        for field, smallest in least.items():
+            orders = getattr(self, field, smallest)
+            if isinstance(orders, Mapping):
+                orders = list(orders.values())
+            for value in orders if isinstance(orders, Sequence) else [orders]:
+                _whole(value, field, smallest)
+        tolerance = getattr(self, "tolerance", 0)
+        if not 0 <= tolerance < 1:
+            raise SpecError(
+                f"tolerance must lie in [0, 1), got {tolerance}", field="tolerance"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
-class FIR:
+class FIR(_Linear):
     """Finite impulse response, y = B u + e: (2.1). Linear least squares."""
 
     nb: Orders = 10
@@ -63,13 +62,9 @@ class FIR:
     constant: bool = True
     """Estimate the constant term."""
 
-    def __post_init__(self):
-        _check(self, ("nb",), 1)
-        _check(self, ("nk",), 0)
-
 
 @dataclasses.dataclass(frozen=True)
-class ARX:
+class ARX(_Linear):
     """Autoregression with inputs, A y = B u + e. Linear least squares."""
 
     na: int = 2
@@ -81,14 +76,9 @@ class ARX:
     constant: bool = True
     """Estimate the constant term."""
 
-    def __post_init__(self):
-        _whole(self.na, "na", 0)
-        _check(self, ("nb",), 1)
-        _check(self, ("nk",), 0)
-
 
 @dataclasses.dataclass(frozen=True)
-class ARMAX:
+class ARMAX(_Linear):
     """ARX with a moving average of the noise, A y = B u + C e. Prediction error."""
 
     na: int = 2
@@ -106,16 +96,9 @@ class ARMAX:
     tolerance: float | int = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
-    def __post_init__(self):
-        _whole(self.na, "na", 0)
-        _whole(self.nc, "nc", 0)
-        _check(self, ("nb",), 1)
-        _check(self, ("nk",), 0)
-        _check_search(self.max_steps, self.tolerance)
-
 
 @dataclasses.dataclass(frozen=True)
-class OutputError:
+class OutputError(_Linear):
     """Noise on the output only, y = B/F u + e. Prediction error."""
 
     nb: Orders = 2
@@ -131,14 +114,9 @@ class OutputError:
     tolerance: float | int = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
-    def __post_init__(self):
-        _check(self, ("nb",), 1)
-        _check(self, ("nk", "nf"), 0)
-        _check_search(self.max_steps, self.tolerance)
-
 
 @dataclasses.dataclass(frozen=True)
-class BoxJenkins:
+class BoxJenkins(_Linear):
     """Dynamics and noise apart, y = B/F u + C/D e. Prediction error."""
 
     nb: Orders = 2
@@ -158,13 +136,34 @@ class BoxJenkins:
     tolerance: float | int = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
-    def __post_init__(self):
-        _whole(self.nc, "nc", 0)
-        _whole(self.nd, "nd", 0)
-        _check(self, ("nb",), 1)
-        _check(self, ("nk", "nf"), 0)
-        _check_search(self.max_steps, self.tolerance)
+
+@dataclasses.dataclass(frozen=True)
+class GeneralLinear(_Linear):
+    """All polynomials together, A y = B/F u + C/D e: (2.3). Prediction error.
+
+    Dynamics that input and noise share are in A, the others apart in F and D. Orders
+    that are zero leave a polynomial out; all other classes are such cases.
+    """
+
+    na: int = 1
+    """Order of A."""
+    nb: Orders = 2
+    """Coefficients of B."""
+    nc: int = 1
+    """Order of C."""
+    nd: int = 1
+    """Order of D."""
+    nf: Orders = 1
+    """Order of F."""
+    nk: Orders = 1
+    """Delay [samples]; 0 lets the input act at once."""
+    constant: bool = True
+    """Estimate the constant term."""
+    max_steps: int = 100
+    """Accepted steps of the search."""
+    tolerance: float | int = 1e-9
+    """The search ends when a step lowers the loss by less than this share."""
 
 
-LinearMethod = FIR | ARX | ARMAX | OutputError | BoxJenkins
+LinearMethod = FIR | ARX | ARMAX | OutputError | BoxJenkins | GeneralLinear
 """What `fit_linear` takes."""

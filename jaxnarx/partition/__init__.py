@@ -5,6 +5,7 @@ from jaxnarx.partition.grow import grow
 from jaxnarx.partition.local_fit import local_fit
 from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.scaffold import scheduling_table
+from jaxnarx.partition.switching import switch
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "make_ground",
     "scheduling_table",
     "sigmoid_tree",
+    "switch",
     "validity_of_boxes",
     "validity_of_stage",
 ]

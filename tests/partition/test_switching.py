@@ -1,0 +1,93 @@
+"""Several models at run time against a plain loop over samples."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxnarx as jnx
+from jaxnarx.errors import SpecError
+
+NAMES: dict[str, Any] = {"inputs": ["u"], "outputs": ["y"], "sample_time": 1.0}
+SLOPES = {"low": (0.8, 0.5), "high": (0.3, 2.0)}
+"""Of y(t) = a y(t-1) + b u(t-1) on either side of u = 1."""
+
+
+@cache
+def part(side: str) -> jnx.Dataset:
+    """Records of one side alone, u from 0 to 1 or from 1 to 2."""
+    rng, (a, b) = np.random.default_rng(5), SLOPES[side]
+    u = rng.uniform(0, 1, 200) + (side == "high")
+    y = np.zeros(200)
+    for t in range(1, 200):
+        y[t] = a * y[t - 1] + b * u[t - 1]
+    return jnx.Dataset.from_arrays(u, y, **NAMES)
+
+
+@cache
+def model(side: str) -> jnx.Network:
+    """A polynomial NARX of the low side, an output-error model of the high one."""
+    if side == "high":
+        method = jnx.OutputError(1, 1, 1, constant=False)
+        return jnx.fit_linear(part(side), method).value.network()
+    lags: dict[str, Any] = {"input_lags": (1,), "output_lags": (1,), "degree": 1}
+    pool = jnx.polynomial_pool(part(side).channels, **lags)
+    return jnx.grow(pool, part(side), jnx.Global()).value
+
+
+def both(rows: int = 120) -> jnx.Dataset:
+    rng = np.random.default_rng(8)
+    u = np.repeat(rng.uniform(0, 2, rows // 6), 6)
+    return jnx.Dataset.from_arrays(u, np.zeros(rows), **NAMES)
+
+
+def loop(data: jnx.Dataset, side: np.ndarray) -> np.ndarray:
+    u, y = data.records[0].u[:, 0], np.zeros(len(side))
+    for t in range(1, len(side)):
+        a, b = SLOPES["high" if side[t] else "low"]
+        y[t] = a * y[t - 1] + b * u[t - 1]
+    return y
+
+
+def test_the_first_valid_model_acts_and_goes_on_where_the_other_stood():
+    data = both()
+    found = jnx.switch([model("low"), model("high")], data)
+    u = data.records[0].u[:, 0]
+    low, high = float(model("low").low[0]), float(model("low").high[0])
+    side = (u < low) | (u > high)
+    # coefficients of noise-free records, by least squares and by a search
+    np.testing.assert_allclose(found.value[0][:, 0], loop(data, side), atol=1e-5)
+    np.testing.assert_array_equal(found.stats["acting"][0][1:], side[1:].astype(int))
+    assert found.stats["acting"][0][0] == -1
+    assert found.status_name == "ok"
+    np.testing.assert_allclose(found.stats["share"].sum(), 1.0)
+
+
+def test_regions_and_priorities_decide():
+    data = both()
+    u = data.records[0].u[:, 0]
+    pair = [model("high"), model("low")]
+    found = jnx.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None])
+    np.testing.assert_allclose(found.value[0][:, 0], loop(data, u >= 1.5), atol=1e-5)
+    held = jnx.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None], hold=3)
+    late = np.array([np.all(u[max(0, t - 3) : t + 1] >= 1.5) for t in range(len(u))])
+    np.testing.assert_allclose(held.value[0][:, 0], loop(data, late), atol=1e-5)
+
+
+def test_one_model_alone_is_its_free_run():
+    data, network = part("low"), model("low")
+    alone = jnx.switch([network], data).value
+    run = jnx.simulate(network, data).value
+    np.testing.assert_allclose(alone[0], run[0], rtol=1e-12)
+    np.testing.assert_array_equal(alone.scored[0], run.scored[0])
+
+
+def test_wrong_use_says_what_to_do():
+    data, network = part("low"), model("low")
+    with pytest.raises(SpecError, match="by priority"):
+        jnx.switch([], data)
+    with pytest.raises(SpecError, match="no channel 'v'"):
+        jnx.switch([network, network], data, regions=[{"v": (0, 1)}, None])
+    with pytest.raises(SpecError, match="hold"):
+        jnx.switch([network], data, hold=-1)
