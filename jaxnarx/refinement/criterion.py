@@ -138,12 +138,21 @@ def make_criterion(
             jnp.asarray(np.where(power == 1.0, 1.0, floor), measured.dtype),
             jnp.ones(len(power), measured.dtype),
         )
-    shown = np.asarray(rule.transformed(jnp.asarray(measured))[0])
-    spread = [shown[..., o][scored[..., o]] for o in range(len(power))]
-    spread = np.array([v.std() if v.size else 0.0 for v in spread], measured.dtype)
-    spread = np.where(spread > 0, spread, 1.0).astype(measured.dtype)
+    spread = spread_of(rule, measured, scored)
     bend = jnp.asarray((corner * spread).astype(measured.dtype))
     return Criterion(loss, rule.power, rule.floor, bend), spread
+
+
+def spread_of(
+    rule: Criterion,
+    measured: Float[np.ndarray, "records time outputs"],
+    scored: Bool[np.ndarray, "records time outputs"],
+) -> Float[np.ndarray, " outputs"]:
+    """Standard deviation of every transformed output; one where it rests."""
+    shown = np.asarray(rule.transformed(jnp.asarray(measured))[0])
+    counted = [shown[..., o][scored[..., o]] for o in range(shown.shape[-1])]
+    spread = np.array([v.std() if v.size else 0.0 for v in counted], measured.dtype)
+    return np.where(spread > 0, spread, 1.0).astype(measured.dtype)
 
 
 def _powers(network: Network, box_cox) -> Float[np.ndarray, " outputs"]:

@@ -77,12 +77,12 @@ def refine(
     if isinstance(method, SimulationError):
         settings = {"loss": method.loss, "box_cox": method.box_cox}
         settings |= {"corner": method.corner}
-    task, spread = make_task(network, data, weights=weights, **settings)
+    task, _ = make_task(network, data, weights=weights, **settings)
     require_motion(network, task)
     guard = task
     if validation is not None:
         validation = fitting(network, validation)
-        guard, _ = make_task(network, validation, spread, criterion=task.criterion)
+        guard, _ = make_task(network, validation, criterion=task.criterion)
     if isinstance(method, PredictionError):
         layout = make_layout(network, trainable, method.width_band)
         prior = _prior(layout, deviations)

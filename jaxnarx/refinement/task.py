@@ -11,7 +11,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
-from jaxnarx.refinement.criterion import Criterion, make_criterion
+from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
 from jaxnarx.simulation import Drive, Masks, first_anchor, make_drive, make_masks
 
 CONSTANT = 1e-12
@@ -63,7 +63,6 @@ class Task:
 def make_task(
     network: Network,
     data: Dataset,
-    spread: Float[np.ndarray, " outputs"] | None = None,
     *,
     criterion: Criterion | None = None,
     weights: Sequence[float | int] | None = None,
@@ -71,12 +70,12 @@ def make_task(
     corner: float | int = 0.2,
     box_cox: float | int | Mapping[str, float | int] = 1.0,
 ) -> tuple[Task, Float[np.ndarray, " outputs"]]:
-    """Prepare `data`; residuals are divided by `spread`, the outputs' standard
-    deviation.
+    """Prepare `data`; residuals are divided by the outputs' standard deviation in them.
 
-    Spread and criterion are made from the data themselves unless they are given, as
-    for validation records those of the training are. `weights` holds one non-negative
-    number per record; their scale does not matter.
+    So the loss is the squared NRMSE that a report of these data states. A `criterion`
+    may be given, as for validation records that of the training is. Also returns the
+    standard deviations. `weights` holds one non-negative number per record; their
+    scale does not matter.
     """
     batch = stack(data)
     masks = make_masks(network, batch)
@@ -86,17 +85,19 @@ def make_task(
             "score; refinement has nothing to work on"
         )
     drive = make_drive(network, batch)
-    if spread is None or criterion is None:
-        criterion, own = make_criterion(
+    measured = np.asarray(drive.measured)
+    if criterion is None:
+        criterion, spread = make_criterion(
             network,
             data,
-            np.asarray(drive.measured),
+            measured,
             masks.scored,
             loss=loss,
             corner=corner,
             box_cox=box_cox,
         )
-        spread = own if spread is None else spread
+    else:
+        spread = spread_of(criterion, measured, masks.scored)
     share = masks.scored * record_weights(weights, len(data))[:, None, None]
     total = share.sum(axis=(0, 1))
     total = np.where(total > 0, total, 1.0)

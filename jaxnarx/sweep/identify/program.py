@@ -137,7 +137,7 @@ def _refined(
     """The end and the start of the refinement, as vectors of its layout."""
     layout = make_layout(network, trainable(network), frame.method.width_band)
     u = _scattered(layout, network, rows, settings)
-    weight, spread = _weight(member.train, drive, None)
+    weight = _weight(member.train, drive)
     if frame.method.objective == "prediction":
         weight = jnp.where(jnp.asarray(member.train.anchors)[..., None], weight, 0.0)
     judging = member.train if member.validation is None else member.validation
@@ -149,7 +149,7 @@ def _refined(
         weight,
         guard,
         judging,
-        _weight(judging, guard, spread)[0],
+        _weight(judging, guard),
         *_moving(layout, settings),
     )
     return train(ground, u, settings, schedule(frame.method)), u, layout
@@ -171,16 +171,14 @@ def _moving(
     return moving, moving & (own | ~staged), staged
 
 
-def _weight(part: Part, drive: Drive, spread: Float[Array, ""] | None):
-    """Weights that make mean squared NRMSE, and the output's standard deviation."""
+def _weight(part: Part, drive: Drive) -> Float[Array, "records time outputs"]:
+    """Weights that make mean squared NRMSE, by the output's spread in this part."""
     counted = jnp.asarray(part.scored)
     own = counted.astype(drive.measured.dtype)
     total = jnp.maximum(jnp.sum(own), 1.0)
-    if spread is None:
-        mean = jnp.sum(own * drive.measured) / total
-        square = jnp.sum(own * (drive.measured - mean) ** 2) / total
-        spread = jnp.sqrt(jnp.where(square > 0, square, 1.0))
-    return own / (total * spread**2), spread
+    mean = jnp.sum(own * drive.measured) / total
+    square = jnp.sum(own * (drive.measured - mean) ** 2) / total
+    return own / (total * jnp.where(square > 0, square, 1.0))
 
 
 def _scattered(
