@@ -24,6 +24,11 @@ FITTED = {
 }
 
 
+MATTERS = 0.01
+"""Share of the residual's variance from which a finding speaks against the model: with
+tens of thousands of samples every test finds something."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class OutputDiagnostics:
     """The residual analysis of one output; physical units.
@@ -69,6 +74,35 @@ class OutputDiagnostics:
             for o in self.operating_points
         ]
         return (*lags, *single, *points)
+
+    @property
+    def effects(self) -> dict[str, float]:
+        """By test of `rows`, the share of the residual's variance that it is about.
+
+        Of a correlation test the squared correlation of its strongest lag, of Ljung and
+        Box's their sum, of a mean its square. Runs and normality have none.
+        """
+        lags = {
+            (f"{t.name}, {t.signal}" if t.signal else t.name): t.effect
+            for t in self.lag_tests
+        }
+        own = self.test("autocorrelation")
+        whole = self.mean**2 + self.deviation**2
+        single = {
+            "Ljung-Box": float(np.sum(own.value[own.tested] ** 2)),
+            "mean": self.mean**2 / whole if whole > 0 else 0.0,
+        }
+        return (
+            lags
+            | single
+            | {f"means over {o.variable}": o.effect for o in self.operating_points}
+        )
+
+    def strong(self, level: float) -> list[str]:
+        """What is `found` with an effect of at least `MATTERS`, largest first."""
+        effect = self.effects
+        kept = [n for n in self.found(level) if effect.get(n, 0.0) >= MATTERS]
+        return sorted(kept, key=lambda n: -effect[n])
 
     def found(self, level: float) -> list[str]:
         """Tests that speak against the model, at a joint `level` for all of them.
@@ -123,6 +157,7 @@ class Diagnostics:
                 for t in one.lag_tests
             ]
             values["found"] = one.found(self.level)
+            values["effects"], values["strong"] = one.effects, one.strong(self.level)
             outputs[one.output.name] = values
         return {"lags": self.lags, "level": self.level, "outputs": outputs}
 
@@ -136,13 +171,26 @@ def _remark(test: LagTest) -> str:
 
 
 def _sentence(one: OutputDiagnostics, level: float) -> str:
-    found = one.found(level)
+    found, strong = one.found(level), one.strong(level)
     sure = f"{100 * (1 - level):g} %"
     if not found:
         return f"{one.output.name}: no test speaks against the model ({sure})."
-    shown = ", ".join(found[:4])
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return f"{one.output.name}: {shown}{more} speak against the model ({sure})."
+    faint = len(found) - len(strong)
+    rest = f"{faint} of {len(one.rows)} tests find less than {100 * MATTERS:g} %"
+    rest += f" of the residual's variance, with {one.samples} samples"
+    if not strong:
+        return (
+            f"{one.output.name}: no test speaks against the model to an extent that "
+            f"matters; {rest} ({sure})."
+        )
+    effect = one.effects
+    shown = [f"{name} ({100 * effect[name]:.2g} %)" for name in strong[:4]]
+    more = f" and {len(strong) - 4} more" if len(strong) > 4 else ""
+    return (
+        f"{one.output.name}: {', '.join(shown)}{more} speak against the model ({sure}; "
+        "in brackets the share of the residual's variance)"
+        + (f"; {rest}." if faint else ".")
+    )
 
 
 def _block(one: OutputDiagnostics, level: float) -> str:
@@ -153,12 +201,18 @@ def _block(one: OutputDiagnostics, level: float) -> str:
         textwrap.fill(FITTED[one.estimated], 88),
     ]
     width = max(len(row[0]) for row in one.rows)
-    tests = [f"{'test':{width}s} {'p':>10s}"]
-    found = set(one.found(level))
+    tests = [f"{'test':{width}s} {'p':>10s} {'effect':>8s}"]
+    found, strong, effects = one.found(level), one.strong(level), one.effects
     for name, p, remark in one.rows:
-        mark = "*" if name in found else " "
-        tests.append(f"{name:{width}s} {p:10.3g} {mark} {remark}".rstrip())
-    note = f"* speaks against the model, all tests together held to {100 * level:g} %"
+        mark = "*" if name in strong else "." if name in found else " "
+        effect = f"{100 * effects[name]:.2g} %" if name in effects else ""
+        tests.append(f"{name:{width}s} {p:10.3g} {effect:>8s} {mark} {remark}".rstrip())
+    note = [
+        f"* speaks against the model, all tests together held to {100 * level:g} %; .",
+        f"does, but is about less than {100 * MATTERS:g} % (effect) of the residual's",
+        "variance",
+    ]
+    note = textwrap.fill(" ".join(note), 88)
     return "\n".join([*head, "", *tests, note, "", *_coefficients(one), *_top(one)])
 
 

@@ -58,6 +58,11 @@ class LagTest:
         return self.lags[out & self.tested]
 
     @property
+    def effect(self) -> float:
+        """Share of the variance that the strongest tested lag alone explains."""
+        return float(np.max(self.value[self.tested] ** 2, initial=0.0))
+
+    @property
     def worst(self) -> int:
         """The lag furthest out by its own bounds; 0 where none is tested."""
         edge = np.where(self.value < 0, -self.low, self.high)

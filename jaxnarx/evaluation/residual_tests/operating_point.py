@@ -34,6 +34,13 @@ class OperatingPoint:
     freedom: tuple[float, float]
     p: float
 
+    @property
+    def effect(self) -> float:
+        """Share of the residual's mean square that the means of the bins explain."""
+        between = float(np.sum(self.samples * self.mean**2))
+        within = float(np.sum((self.samples - 1).clip(0) * self.deviation**2))
+        return between / (between + within) if between > 0 else 0.0
+
 
 def by_operating_point(
     residual: Residual,
