@@ -14,3 +14,5 @@ from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
+from jaxnarx.evaluation.verdict import Verdict as Verdict
+from jaxnarx.evaluation.verdict import judge as judge

@@ -47,6 +47,7 @@ def data_notes(
     if unused:
         notes.append(f"Outputs that are not modelled: {_list(unused)}.")
     for part, data in parts.items():
+        notes += _masked(part, data, list(known))
         extra = [name for name in data.channels.names if name not in known]
         if extra:
             notes.append(f"Extra channels in {part}, ignored: {_list(extra)}.")
@@ -57,6 +58,26 @@ def data_notes(
             if known.get(c.name, c.unit) != c.unit
         ]
     return notes
+
+
+def _masked(part: str, data: Dataset, used: list[str]) -> list[str]:
+    """Faults 1 and 18: samples that were missing, or removed as outliers."""
+    counts = {
+        name: sum(int((~r.valid[:, i]).sum()) for r in data)
+        for i, name in enumerate(data.channels.names)
+        if name in used
+    }
+    found = [
+        f"{name} {n} ({100 * n / data.samples:.2g} %)"
+        for name, n in counts.items()
+        if n
+    ]
+    if not found:
+        return []
+    return [
+        f"Masked in {part} (missing, or removed by a preparation), neither used nor "
+        f"scored: {_list(found)}."
+    ]
 
 
 def score_notes(rows: Iterable[Row]) -> list[str]:

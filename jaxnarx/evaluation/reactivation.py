@@ -1,6 +1,5 @@
-"""Validity that comes back where it is not wanted, and data outside the range."""
+"""Validity that comes back where it is not wanted."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -10,15 +9,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.regions import scheduling_cloud
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.models import AbstractValidity, Gaussians, Network, OutputModel
 from jaxnarx.regressors import variable_names
 
 NOTICEABLE = 0.05
 """Reactivation that a report mentions."""
-
-OUTSIDE = 0.01
-"""Share of samples outside the trained range that a report mentions."""
 
 
 def reactivation(
@@ -108,19 +103,3 @@ def _scaled(
 ) -> Float[np.ndarray, "points dims"]:
     offset, span = np.asarray(model.offset, float), np.asarray(model.span, float)
     return (x - offset[None]) / span[None]
-
-
-def range_notes(rows: Iterable[Row]) -> list[str]:
-    """Parts with at least 1 % of their samples outside the trained range."""
-    share: dict[str, float] = {}
-    for row in rows:
-        if row.mode == FREE_RUN and row.record == POOLED and row.samples:
-            outside = row.extrapolated / row.samples
-            share[row.part] = max(share.get(row.part, 0.0), outside)
-    return [
-        f"{100 * value:.3g} % of the {part} samples lie outside the range of the "
-        "training data, where the model extrapolates; `extrapolated` of a run's value "
-        "marks them."
-        for part, value in share.items()
-        if value >= OUTSIDE
-    ]

@@ -4,14 +4,17 @@ import dataclasses
 import importlib.metadata
 import os
 import platform
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
 from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
-from jaxnarx.evaluation.reactivation import range_notes, reactivation_notes
+from jaxnarx.evaluation.outside import Outside, outside, range_notes
+from jaxnarx.evaluation.reactivation import reactivation_notes
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.evaluation.rows import (
@@ -25,8 +28,9 @@ from jaxnarx.evaluation.rows import (
 )
 from jaxnarx.evaluation.stability import assess, stability_notes, stability_values
 from jaxnarx.evaluation.strict import strict
-from jaxnarx.evaluation.table import text_table
+from jaxnarx.evaluation.table import beside_lines, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
+from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.models import Network
 
 
@@ -35,7 +39,12 @@ class Report:
     """How good a network is and where, as host values; `print` shows the table.
 
     `main` names the part the verdict rests on: `"test"` when there is one, else the
-    last part. `traces` and `residuals` belong to it.
+    last part. `traces`, `residuals` and `beside` belong to it. `verdict` sums up what
+    the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
+
+    `outside` tells which inputs leave their trained range, and how far; `beside` holds
+    the pooled free-run rows of other models by their name, among them a linear model of
+    the same lags where training data are at hand.
 
     Optional, shown when present; attach them with the arguments of `report` or with
     `dataclasses.replace(report, history=...)`:
@@ -69,6 +78,13 @@ class Report:
     stability: Any = None
     diagnostics: Diagnostics | None = None
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    outside: tuple[Outside, ...] = ()
+    beside: Mapping[str, tuple[Row, ...]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Good, usable with limits, or not usable, and why."""
+        return judge(self)
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -90,9 +106,11 @@ class Report:
 
     @property
     def table(self) -> str:
-        """The scores as aligned text, 80 to 100 columns wide, the notes below."""
+        """Verdict, scores as aligned text of 80 to 100 columns, and notes."""
         notes = [f"note: {note}" for note in self.notes]
-        return "\n".join([text_table(self.rows), *notes])
+        told = textwrap.fill(self.verdict.sentence, 88)
+        lines = [told, "", text_table(self.rows)]
+        return "\n".join([*lines, *beside_lines(self), *notes])
 
     def __str__(self) -> str:
         return self.table
@@ -105,7 +123,8 @@ class Report:
         """
         left_out = {"traces", "residuals", "partition", "stability", "diagnostics"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
-        values = {name: strict(getattr(self, name)) for name in fields}
+        values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
+        values |= {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
             {"output": t.output.name, "record": t.record, "rank": t.rank}
             | {"rmse": strict(t.rmse)}
@@ -142,6 +161,7 @@ def report(
     partition: Mapping[str, Any] | None = None,
     stability: Any = True,
     diagnostics: Diagnostics | bool = True,
+    beside: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -155,7 +175,8 @@ def report(
 
     Stability is assessed on up to 2000 samples of the main part; `stability=False`
     leaves it out, and a `Stability` at hand already is shown as it is. Likewise
-    `diagnostics`: the tests of the one-step residuals of the main part.
+    `diagnostics`: the tests of the one-step residuals of the main part. `beside` takes
+    other networks by name, whose free run on the main part is scored as well.
 
     Every figure is in physical units over the samples that are valid and have enough
     history. Divergence is reported as a status, never as a number.
@@ -176,7 +197,8 @@ def report(
     traces, errors = _pictures(outputs, runs[main], parts[main].sample_time)
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
-    notes += range_notes(rows) + reactivation_notes(network, parts[main])
+    strayed = outside(network, parts)
+    notes += range_notes(rows, strayed) + reactivation_notes(network, parts[main])
     if stability is True:
         stability = assess(network, parts[main], free[main])
     notes += stability_notes(stability or None, main)
@@ -199,6 +221,8 @@ def report(
         stability=stability or None,
         diagnostics=tested,
         provenance=_provenance(parts) | dict(provenance or {}),
+        outside=strayed,
+        beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
     )
 
 
@@ -259,6 +283,31 @@ def _runs(
     return {
         mode: collect(data, outputs, getattr(run, "value", run))
         for mode, run in runs.items()
+    }
+
+
+def _beside(
+    network: Any,
+    parts: Mapping[str, Dataset],
+    main: str,
+    free: list[list[Samples]],
+    others: Mapping[str, Any],
+) -> dict[str, tuple[Row, ...]]:
+    """Pooled free-run rows of the linear model and of `others` on the main part."""
+    runs: dict[str, tuple[tuple[Channel, ...], list[list[Samples]]]] = {}
+    if isinstance(network, Network) and "train" in parts:
+        linear = linear_runs(network, parts["train"], parts[main], free)
+        runs[NAME] = tuple(network.output_channels), linear
+    for name, other in others.items():
+        channels = tuple(other.output_channels)
+        run = _free_run(other, parts[main], None)
+        runs[name] = channels, collect(parts[main], channels, run.value)
+    return {
+        name: tuple(
+            score(main, FREE_RUN, channel, samples)[0]
+            for channel, samples in zip(channels, found, strict=True)
+        )
+        for name, (channels, found) in runs.items()
     }
 
 

@@ -23,7 +23,8 @@ class Row:
     `extrapolated` tell at how many of them the feedback bound acted and the trained
     range was left. A diverged row has no metrics (`None`): its figures would only tell
     where the bound is. Pooled rows say how many records diverged in `status`, and
-    `others` holds the pooled metrics of the records that did not.
+    `others` holds the pooled metrics of the records that did not. `offset` is the mean
+    of measured minus predicted.
     """
 
     part: str
@@ -41,6 +42,7 @@ class Row:
     extrapolated: int
     status: str
     others: dict[str, float] | None = None
+    offset: float | None = None
 
     @property
     def diverged(self) -> bool:
@@ -105,6 +107,7 @@ def score(
             ),
             status=status,
             others=others,
+            offset=None if diverged else _offset(chosen),
         )
 
     calm = [s for s in samples if not s.diverged]
@@ -163,6 +166,12 @@ def _pooled(samples: list[Samples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _metrics(samples: list[Samples]) -> dict[str, float]:
     values = metrics.scores(*_pooled(samples))
     return {name: float(values[name][0]) for name in metrics.PERFECT}
+
+
+def _offset(samples: list[Samples]) -> float | None:
+    measured, predicted, scored = _pooled(samples)
+    error = (measured - predicted)[scored]
+    return float(error.mean()) if error.size else None
 
 
 def _status(samples: list[Samples]) -> str:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 from jaxnarx.evaluation.rows import Row
 
@@ -32,6 +33,39 @@ def text_table(rows: Iterable[Row]) -> str:
     for row in rows:
         blocks.setdefault((row.part, row.output), []).append(row)
     return "\n\n".join(_block(group) for group in blocks.values())
+
+
+def beside(report: Any) -> list[tuple[str, list[Row | None]]]:
+    """This model and those beside it: (name, pooled free-run row of every output)."""
+    own = [report.pooled(c.name) for c in report.outputs]
+    found = {"this model": own, **report.beside}
+    return [
+        (name, [{r.output: r for r in rows}.get(c.name) for c in report.outputs])
+        for name, rows in found.items()
+    ]
+
+
+def beside_lines(report: Any) -> list[str]:
+    """NRMSE of the free run on the main part, this model and those beside it."""
+    if not report.beside:
+        return []
+    lines = [("", *(c.name for c in report.outputs))]
+    lines += [(name, *map(_nrmse, rows)) for name, rows in beside(report)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    out = [
+        "  ".join(
+            [line[0].ljust(widths[0])]
+            + [c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True)]
+        )
+        for line in lines
+    ]
+    return ["", f"free run beside other models, NRMSE on {report.main} data", *out, ""]
+
+
+def _nrmse(row: Row | None) -> str:
+    if row is None:
+        return "-"
+    return row.status if row.diverged else number(row.nrmse)
 
 
 def _block(rows: list[Row]) -> str:

@@ -1,6 +1,7 @@
 """Entry point of the command line: parse, run, and turn errors into exit codes.
 
-0: done. 1: the fit is not acceptable (`--require-fit`). 2: wrong usage. 3: data or
+0: done. 1: the model is not usable (a record diverges, or no better than the mean), or
+its fit is below `--require-fit`. 2: wrong usage. 3: data or
 model files that cannot be used, or results that cannot be written. 70: a defect of this
 program. 130: interrupted.
 """
@@ -26,8 +27,8 @@ OK, NOT_ACCEPTABLE, USAGE, DATA, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 _ABOUT = (
     "Identify engines from measurements: polynomial NARX models, each valid in one "
     "operating region, refined on their own free run.\n\n"
-    "Exit codes: 0 done, 1 fit below --require-fit, 2 usage, 3 data or model files, "
-    "130 interrupted."
+    "Exit codes: 0 done, 1 model not usable (a record diverges, or no better than the "
+    "mean) or fit below --require-fit, 2 usage, 3 data or model files, 130 interrupted."
 )
 _FLAGS = {
     "max_terms": "--terms",

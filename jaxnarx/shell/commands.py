@@ -61,6 +61,8 @@ class Identify:
     validate and test; `jaxnarx check --help` shows one. Without validation records some
     are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT or
     a tree of sigmoids, and all parameters are refined together on the free-run error.
+    The last lines are a verdict (good, usable with limits, or not usable, and why) and
+    the command that would help.
 
     Example:
         jaxnarx identify engine.toml --output NOx --models 6 --schedule "speed[t]"
@@ -234,6 +236,8 @@ class Invert:
 class Report:
     """Score a model on described records: one step, ten steps and free run.
 
+    The first line is the verdict: good, usable with limits, or not usable, and why.
+
     Example:
         jaxnarx report runs/demo/model.safetensors engine.toml --out runs/check
     """
@@ -246,6 +250,8 @@ class Report:
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
     out: _Folder = None
     """Folder for report.html and report.json; default: only print."""
+    beside: Annotated[tuple[str, ...], _optional("MODEL [MODEL ...]")] = ()
+    """Other models to compare with on the same records, in free run."""
     force: _Flag = False
     """Overwrite an earlier report."""
     require_fit: _Percent = None

@@ -21,8 +21,8 @@ from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
 from jaxnarx.files import write_whole
 from jaxnarx.shell import figures, residual_figure
+from jaxnarx.shell.overview import overview
 from jaxnarx.shell.style import inline_svg
-from jaxnarx.shell.verdict import verdict
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
@@ -49,7 +49,7 @@ def render(report: Report) -> str:
     source = (folder / "report.html.jinja").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         report=report,
-        verdict=verdict(report),
+        verdict=overview(report),
         scores=_scores(report),
         models=_models(report),
         pictures=_pictures(report),

@@ -57,6 +57,8 @@ class Plan:
     """First-order lags through which every input enters as well."""
     preparation: dict[str, Any] | None = None
     """What was done to the records before, kept with the model."""
+    prepared: str | None = None
+    """The same in words, for the report."""
 
     @property
     def logarithmic(self) -> tuple[str, ...]:
@@ -178,17 +180,16 @@ def prepared_by(preparation: Preparation | None, plan: Plan) -> Plan:
     """The plan for records that were prepared so, which the model will tell."""
     if preparation is None:
         return plan
-    say(f"The records are prepared:\n{preparation.describe()}")
-    return dataclasses.replace(plan, preparation=preparation.to_dict())
+    told = preparation.describe()
+    say(f"The records are prepared:\n{told}")
+    return dataclasses.replace(plan, preparation=preparation.to_dict(), prepared=told)
 
 
-def identify(
-    plan: Plan, parts: dict[str, Dataset], folder: Path
-) -> tuple[Report, bool]:
+def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
     Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
-    none. Returns the report, and whether the model's free run stays within its bounds.
+    none. Returns the report.
     """
     begin = time.perf_counter()
     parts = {name: _needed(data, plan) for name, data in parts.items()}
@@ -205,6 +206,8 @@ def identify(
     most = "" if isinstance(plan.select, ForwardOLS) else "up to "
     size = min(plan.select.max_terms, len(pool))
     say(f"Choosing {most}{size} of {len(pool)} terms")
+    if plan.select.max_terms > size:
+        say(f"  {plan.select.max_terms} were asked for; there are no more candidates")
     chosen = select(pool, train, plan.select, progress=selection_progress)
     _tell(chosen)
     grown = _grown(chosen, train, validate, plan)
@@ -221,7 +224,7 @@ def identify(
         fit = refine(
             grown.value, train, plan.refine, validation=validate, progress=progress
         )
-    say(f"  {fit.status_name}: {fit.detail}")
+    say(f"  {_refined(fit, plan)}")
     result = _report(plan, parts, chosen, grown.value, fit)
     with written_together(folder) as place:
         about: dict[str, Any] = {"command": plan.command}
@@ -234,9 +237,29 @@ def identify(
         f"\n{time.perf_counter() - begin:.1f} s; wrote model.safetensors, report.json "
         f"and report.html to {folder}"
     )
-    pooled = [result.pooled(name) for name in plan.outputs]
-    return result, fit.status_name != "start_diverged" and all(
-        not row.diverged for row in pooled
+    say(f"\n{result.verdict.sentence}")
+    return result
+
+
+STOPPED = {
+    "ok": "converged",
+    "budget_spent": "all steps used",
+    "no_improvement": "stopped where validation improves no further",
+}
+"""Usual ends of a refinement in words."""
+
+
+def _refined(fit: Solution[Network], plan: Plan) -> str:
+    """Why the refinement ended, and what it did to the records that judge."""
+    squared = plan.refine.loss == "squares" and not plan.logarithmic
+    start, end = fit.stats["loss_start"], fit.stats["loss"]
+    name = "loss"
+    if squared:
+        name, start, end = "NRMSE", start**0.5, end**0.5
+    _, mark, more = fit.detail.partition(";")
+    ended = STOPPED.get(fit.status_name, fit.status_name)
+    return (
+        f"{ended}: free-run {name} on validation {start:.4g} -> {end:.4g}{mark}{more}"
     )
 
 
@@ -297,7 +320,8 @@ def _report(plan, parts, chosen, start: Network, fit: Solution[Network]) -> Repo
         selection=_selection(chosen),
         history=steps,
         partition=describe_partition(fit.value, start=start, data=parts["train"]),
-        provenance={"command": plan.command, "refinement": fit.detail},
+        provenance={"command": plan.command, "refinement": _refined(fit, plan)}
+        | ({} if plan.prepared is None else {"preparation": plan.prepared}),
     )
 
 
@@ -323,14 +347,16 @@ def _summary(result: Report, start: Network, parts: dict[str, Dataset]) -> str:
     """Pooled figures of the main part: one step, and free run before and after."""
     before = report(start, {result.main: parts[result.main]}, horizons=(1,))
     lines = [f"On {result.main}: RMSE pooled over the records"]
-    lines.append(f"{'':20s} {'one step':>12s} {'free run':>12s} {'fit %':>8s}")
+    wide = max(len(channel.name) for channel in result.outputs)
+    head = f"{'one step':>12s} {'free run':>12s} {'fit %':>8s}"
+    lines.append(f"{'':{wide}s} {'':14s} {head}")
     for channel in result.outputs:
         for label, source in (("one-step model", before), ("refined", result)):
             one = source.pooled(channel.name, part=result.main, mode="one step")
             free = source.pooled(channel.name, part=result.main)
             fit = "-" if free.fit is None else f"{free.fit:.1f}"
             lines.append(
-                f"{channel.name[:5]:5s} {label:14s} {_number(one):>12s} "
+                f"{channel.name:{wide}s} {label:14s} {_number(one):>12s} "
                 f"{_number(free):>12s} {fit:>8s}"
             )
     return "\n".join(lines)

@@ -1,15 +1,17 @@
-"""The first lines of a page: how good, how stable, and where it can be trusted."""
+"""The first lines of a page: how good, and where it can be trusted."""
 
 from typing import Any
 
 from jaxnarx.evaluation import Report, Row
+from jaxnarx.evaluation.table import beside
+from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE
 
-NOTICEABLE = 0.01
-"""Share of samples from which leaving the range or the bound is flagged."""
+KINDS = {GOOD: "good", LIMITED: "warn", UNUSABLE: "bad"}
+"""The look of a verdict and of its reasons."""
 
 
-def verdict(report: Report) -> dict[str, Any]:
-    """Badges (kind, text), one card per output, and a line of trust per part."""
+def overview(report: Report) -> dict[str, Any]:
+    """The verdict, one card per output, and a line of trust per part."""
     cards = [_card(report, channel.name) for channel in report.outputs]
     trust = [
         _trust(report, report.pooled(channel.name, part=part))
@@ -17,9 +19,12 @@ def verdict(report: Report) -> dict[str, Any]:
         for channel in report.outputs
     ]
     return {
-        "badges": _badges(report, cards, trust),
+        "judged": report.verdict,
+        "kind": KINDS[report.verdict.level],
+        "kinds": KINDS,
         "cards": cards,
         "trust": trust,
+        "beside": beside(report),
         "ranges": _ranges(report),
     }
 
@@ -55,35 +60,6 @@ def _trust(report: Report, row: Row) -> dict[str, Any]:
         "limited": row.limited / samples,
         "extrapolated": row.extrapolated / samples,
     }
-
-
-def _badges(
-    report: Report, cards: list[dict[str, Any]], trust: list[dict[str, Any]]
-) -> list[tuple[str, str]]:
-    main = [t for t in trust if t["row"].part == report.main]
-    lost = max((t["diverged"] for t in main), default=0)
-    records = max((t["records"] for t in main), default=0)
-    badges = [
-        ("bad", f"free run diverged in {lost} of {records} records")
-        if lost
-        else ("good", "free run stayed bounded")
-    ]
-    loud = any("EQUALS ESTIMATION" in n for n in report.notes)
-    if loud:
-        badges.append(("bad", "validated on its own training data"))
-    elif report.main == "test" and "train" in report.parts:
-        badges.append(("good", "test records apart from training"))
-    elif report.main != "test":
-        badges.append(("warn", "no separate test data"))
-    outside = max((t["extrapolated"] for t in main), default=0.0)
-    if outside >= NOTICEABLE:
-        badges.append(("warn", f"{outside:.0%} of samples outside the trained range"))
-    limited = max((t["limited"] for t in main), default=0.0)
-    if limited >= NOTICEABLE and not lost:
-        badges.append(("warn", f"feedback limited at {limited:.0%} of samples"))
-    if any(c["free"].status == "constant output" for c in cards):
-        badges.append(("warn", "constant output"))
-    return badges
 
 
 def _ranges(report: Report) -> list[tuple[str, float, float]]:

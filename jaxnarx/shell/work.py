@@ -162,19 +162,18 @@ def _demo(command: commands.Demo, typed: str) -> int:
         )
         data = pfi_siso_records(jax.random.key(command.seed), (command.events,) * 3)
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
-        _, runs = identify(plan, parts, folder)
-    if not runs:
-        warn("the model does not stay within its bounds; give it more --events")
+        result = identify(plan, parts, folder)
     say(f"\nOpen {folder / 'report.html'}")
     next_command(
         "jaxnarx", "check", "engine.toml", then="  (a description of your records)"
     )
-    return 0
+    return _judged(result)
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
     from jaxnarx.shell.identify import identify, make_plan, prepared_by
     from jaxnarx.shell.output import run_folder
+    from jaxnarx.shell.remedies import next_words
 
     _require_finite("require_fit", command.require_fit)
     plan = make_plan(command, typed)
@@ -183,18 +182,19 @@ def _identify(command: commands.Identify, typed: str) -> int:
     name = f"{Path(command.description).stem}-{'-'.join(plan.outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, command.hold_out)
-        result, runs = identify(plan, parts, folder)
+        result = identify(plan, parts, folder)
     say(f"\nOpen {folder / 'report.html'}")
-    model = str(folder / "model.safetensors")
-    if runs:
-        next_command("jaxnarx", "simulate", model, "new_run.csv")
-    else:
-        warn(
-            "the model does not stay within its bounds when it runs freely. Try fewer "
-            "terms, a lower degree, other lags or more data."
-        )
-        next_command("jaxnarx", "check", command.description)
-    return _verdict(result, command.require_fit)
+    channels = parts["train"].channels
+    words, then = next_words(
+        command,
+        result.verdict,
+        model=str(folder / "model.safetensors"),
+        outputs=plan.outputs,
+        inputs=channels.input_names,
+        sample_time=parts["train"].sample_time,
+    )
+    next_command(*words, then=then)
+    return _judged(result, command.require_fit)
 
 
 def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
@@ -215,10 +215,14 @@ def _require_finite(option: str, value: float | None) -> None:
         raise SpecError(f"--{option.replace('_', '-')} must be a number, got {value}")
 
 
-def _verdict(report: "Scores", required: float | None) -> int:
-    if required is None:
-        return 0
+def _judged(report: "Scores", required: float | None = None) -> int:
+    """The exit code: 1 for a model that is not usable, or below the required fit."""
     status = 0
+    if not report.verdict.usable:
+        warn(f"not usable: {report.verdict.findings[0].text}")
+        status = 1
+    if required is None:
+        return status
     for channel in report.outputs:
         fit = report.pooled(channel.name).fit
         if fit is None or not fit >= required:
@@ -292,7 +296,11 @@ def _report(command: commands.Report, typed: str) -> int:
                 run_folder(command.out, "", force=command.force, marks=RUN[1:])
             )
         with about(command.description):
-            result = report(network, parts, provenance={"command": typed})
+            told = {"command": typed}
+            if split.preparation is not None:
+                told["preparation"] = split.preparation.describe()
+            others = {path: load(path) for path in command.beside}
+            result = report(network, parts, beside=others, provenance=told)
         say(str(result))
         if folder is not None:
             with written_together(folder) as place:
@@ -304,4 +312,4 @@ def _report(command: commands.Report, typed: str) -> int:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]
         next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
-    return _verdict(result, command.require_fit)
+    return _judged(result, command.require_fit)

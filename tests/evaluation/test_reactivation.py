@@ -1,7 +1,5 @@
 """Reactivation: the design's own figures, when there is none, and what is said."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,11 +7,9 @@ from common import A, B, Part, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.reactivation import (
-    range_notes,
     reactivation,
     reactivation_notes,
 )
-from jaxnarx.evaluation.rows import Row
 from jaxnarx.models import Boxes, Compact, Gaussians, LogSigmoids, SigmoidTree
 
 
@@ -108,18 +104,3 @@ def test_a_report_says_where_it_happens():
     assert "a[t] = " in note and "b[t-1] = " in note
     assert reactivation_notes(scheduled([[0.2, 0.2], [0.2, 0.2]]), data) == []
     assert reactivation_notes(network([Part([[((1,), 1.0)]])]), data) == []
-
-
-def row(part, extrapolated, **more) -> Row:
-    figures = dict.fromkeys(("rmse", "nrmse", "r2", "fit", "nmse"), 0.1)
-    counts = dict(samples=200, limited=0, extrapolated=extrapolated, status="ok")
-    place = dict(part=part, output="y", unit="", mode="free run", record="pooled")
-    return Row(**(place | figures | counts | more))  # pyright: ignore
-
-
-def test_data_outside_the_trained_range_is_told_once_a_part():
-    rows = [row("train", 0), row("test", 30), row("test", 40, output="w")]
-    rows += [row("test", 200, record="r1"), row("train", 99, mode="one step")]
-    (note,) = range_notes(rows)
-    assert note.startswith("20 % of the test samples lie outside the range")
-    assert range_notes([dataclasses.replace(row("test", 0), samples=0)]) == []

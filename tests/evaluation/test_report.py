@@ -154,7 +154,8 @@ def test_dict_is_strict_json(full):
 
 
 def test_table_is_aligned_and_fits_a_terminal(full):
-    for block in full.table.split("note:")[0].split("\n\n"):
+    assert max(map(len, full.table.split("note:")[0].splitlines())) <= 100
+    for block in full.table.split("note:")[0].split("\n\n")[1:]:
         lines = block.strip().splitlines()[1:]
         assert max(map(len, lines)) <= 100
         ends = {len(x) for x in lines if x.split()[-1].isdigit() and "diver" not in x}
@@ -175,6 +176,17 @@ def test_validation_data_that_was_learned_from_is_noted_loudly():
 def test_clean_data_gives_no_notes():
     parts = {"train": make(1), "validate": make(2), "test": make(3)}
     assert report(Network(), parts).notes == ()
+
+
+def test_masked_samples_are_counted():
+    """What `prepare --hampel` removed, or the file lacked, is told by part."""
+    data = make(2)
+    valid = data.records[0].valid.copy()
+    valid[10:16, 1] = False
+    records = (dataclasses.replace(data.records[0], valid=valid), *data.records[1:])
+    masked = dataclasses.replace(data, records=records)
+    (note,) = report(Network(), {"train": make(1), "test": masked}).notes
+    assert "Masked in test" in note and "NOx 6 (2.5 %)" in note
 
 
 def test_constant_output_is_infinite_and_noted():

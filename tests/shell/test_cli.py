@@ -191,7 +191,7 @@ def test_the_commands_are_listed_with_their_exit_codes(capsys):
     assert run(["--help"]) == 0
     text = capsys.readouterr().out
     assert all(f"• {name}" in text for name in COMMANDS)
-    assert "130 interrupted" in text
+    assert "130 interrupted" in text and "1 model not usable" in text
     assert run([]) == 2
     assert "• identify" in capsys.readouterr().out
 
@@ -398,12 +398,14 @@ def test_identify_writes_a_run_and_tells_how(capsys, place):
     assert "2 records, 480 samples at 0.1 s for training" in text
     assert "Choosing 5 of 28 terms" in text
     assert "full record:" in text and "On test: RMSE" in text
+    assert "\nGood: the free run on test explains" in text
     following = shlex.split(text.split("Next: ")[1])
     assert following[:3] == ["jaxnarx", "simulate", f"runs/a b/{MODEL}"]
     found = json.loads(Path("runs/a b/report.json").read_text())
     assert shlex.split(found["provenance"]["command"]) == ["jaxnarx", *arguments]
     from jaxnarx.models.storage import load_about
 
+    assert found["verdict"]["level"] == "good"
     about = load_about(f"runs/a b/{MODEL}")
     assert about["command"] == found["provenance"]["command"]
 
@@ -489,18 +491,32 @@ def test_a_model_that_runs_away_is_not_passed_off_as_one(capsys, monkeypatch):
         import dataclasses
 
         result = real(*arguments, **options)
-        rows = [
-            dataclasses.replace(r, status="diverged", fit=None) for r in result.rows
-        ]
+        lost = dict.fromkeys(("rmse", "nrmse", "r2", "fit", "nmse"))
+        lost |= {"status": "diverged", "extrapolated": outside}
+        rows = [dataclasses.replace(r, **lost) for r in result.rows]
         return dataclasses.replace(result, rows=tuple(rows))
 
+    outside = 0
     monkeypatch.setattr(path, "report", report)
-    arguments = ["identify", "engine.toml", *PART, "--require-fit", "1"]
+    arguments = ["identify", "engine.toml", *PART]
     assert run([*arguments, "--out", "run"]) == 1
     told = capsys.readouterr()
-    assert "does not stay within its bounds" in told.err
+    sentence = "the free run of temp on test diverges in r3"
+    assert (
+        f"Not usable: {sentence}" in told.out and f"not usable: {sentence}" in told.err
+    )
+    # Not in a circle: another identification, with what keeps it from running away.
+    words = shlex.split(told.out.split("Next: ")[1])
+    assert words[:3] == ["jaxnarx", "identify", "engine.toml"]
+    assert words[words.index("--select") + 1] == "simulation" and "--out" not in words
+    # Samples out of range call for records that reach there, not for another model.
+    outside = 150
+    arguments += ["--force", "--require-fit", "1"]
+    assert run([*arguments, "--out", "run"]) == 1
+    told = capsys.readouterr()
     assert "temp on test is no figure (it diverges)" in told.err
-    assert "Next: jaxnarx check engine.toml" in told.out
+    assert "train on records that reach as far" in " ".join(told.out.split())
+    assert "fewer terms" not in told.out and "under train)" in told.out
 
 
 USAGE = {
@@ -566,6 +582,26 @@ def test_data_that_nothing_can_be_learned_from(capsys, kind, words):
     describe("one.toml", 'files = ["r0.csv"]')
     fails(capsys, 3, ["identify", "one.toml", *PART, *more], *words)
     fails(capsys, 3, ["identify", "one.toml", *PART, *more, "--out", "a/b"], *words)
+
+
+def test_log_and_report_state_one_nrmse_and_whole_names(capsys):
+    """Validation records of another spread than training; two names alike at first."""
+    names = ("speed", "load", "temp_before", "temp_behind")
+    for k in range(4):
+        c = columns(k, names=names)
+        if k == 2:
+            c = {n: v[: ROWS // 2] for n, v in c.items()}
+        write(f"n{k}.csv", c)
+    describe("n.toml", PARTS.format("n"), names=names)
+    asked = [*QUICK, "--output", "temp_before", "--terms", "100", "--out", "run"]
+    text = passes(capsys, ["identify", "n.toml", *asked])
+    assert "100 were asked for; there are no more candidates" in text
+    assert "temp_before one-step model" in text
+    logged = float(text.split("free-run NRMSE on validation ")[1].split()[2])
+    rows = json.loads(Path("run/report.json").read_text())["rows"]
+    key = ("validate", "free run", "pooled")
+    (row,) = [r for r in rows if (r["part"], r["mode"], r["record"]) == key]
+    assert logged == pytest.approx(row["nrmse"], rel=1e-3)  # four digits are printed
 
 
 # simulate -------------------------------------------------------------------------
@@ -733,7 +769,7 @@ def test_models_that_cannot_be_used(capsys, command, damage, one):
 
 def test_report_prints_and_writes_when_asked(capsys, both):
     text = passes(capsys, ["report", both, "engine.toml"])
-    assert "free run" in text
+    assert "free run" in text and text.startswith(("Good: ", "Usable with limits: "))
     assert shlex.split(text.split("Next: ")[1])[4:6] == ["--out", "FOLDER"]
     arguments = ["report", both, "engine.toml", "--out", "out"]
     assert "Open out/report.html" in passes(capsys, arguments)

@@ -1,0 +1,87 @@
+"""How often, and how far, data leave the range that a network was trained on."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.data import Dataset, match_channels
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.table import number
+from jaxnarx.models import Network
+
+NOTICEABLE = 0.01
+"""Share of samples outside from which a report says so."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outside:
+    """An input of one part that leaves its trained range; physical units.
+
+    `low` and `high` are reached in the part, `trained` in training; `share` of the
+    valid samples lies outside.
+    """
+
+    part: str
+    channel: str
+    unit: str
+    low: float
+    high: float
+    trained: tuple[float, float]
+    share: float
+
+    @property
+    def beyond(self) -> float:
+        """The farthest distance from the trained range, in widths of that range."""
+        low, high = self.trained
+        far = max(low - self.low, self.high - high)
+        return far / (high - low) if high > low else float("inf")
+
+    def __str__(self) -> str:
+        reached = " to ".join(number(x) for x in (self.low, self.high))
+        trained = " to ".join(number(x) for x in self.trained)
+        unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
+        return (
+            f"{self.channel} {reached}{unit}, trained on {trained}: beyond by up to "
+            f"{100 * self.beyond:.2g} % of its width"
+        )
+
+
+def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
+    """Every input that leaves its range in a part, farthest first."""
+    if not isinstance(network, Network):
+        return ()
+    found = []
+    for part, data in parts.items():
+        data = match_channels(data, network.channels)[0]
+        used = {s for s, _ in network.variables}
+        used |= {s for model in network.models for s, _ in model.scheduling}
+        for s, channel in enumerate(network.channels.inputs):
+            value = np.concatenate([r.u[r.valid[:, s], s] for r in data])
+            low, high = float(network.low[s]), float(network.high[s])
+            slack = 1e-9 * (high - low)
+            out = (value < low - slack) | (value > high + slack)
+            if s in used and out.any():
+                span = float(value.min()), float(value.max())
+                name = (part, channel.name, channel.unit)
+                found.append(Outside(*name, *span, (low, high), float(out.mean())))
+    return tuple(sorted(found, key=lambda o: -o.beyond))
+
+
+def range_notes(rows: Iterable[Row], found: Iterable[Outside]) -> list[str]:
+    """Parts with at least 1 % of their samples outside the trained range, how far."""
+    share: dict[str, float] = {}
+    for row in rows:
+        if row.mode == FREE_RUN and row.record == POOLED and row.samples:
+            here = row.extrapolated / row.samples
+            share[row.part] = max(share.get(row.part, 0.0), here)
+    how_far = {part: [o for o in found if o.part == part] for part in share}
+    return [
+        f"{100 * value:.3g} % of the {part} samples lie outside the range of the "
+        "training data, where the model extrapolates"
+        + "".join(f"; {o}" for o in how_far[part][:4])
+        + ". `extrapolated` of a run's value marks them."
+        for part, value in share.items()
+        if value >= NOTICEABLE
+    ]

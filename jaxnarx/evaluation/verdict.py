@@ -1,0 +1,257 @@
+"""The verdict of a report: good, usable with limits, or not usable, and why.
+
+All of it rests on the free run, output by output. **Not usable** is a model that
+
+- leaves its bounds in any record (diverges), or
+- is no better than the mean of the measurement on records that were not trained on
+  (NRMSE of `WORTHLESS` or more), or
+- has nothing to be judged by: no valid sample on the main part.
+
+**Usable with limits** is one that does not, but
+
+- leaves more than a tenth of the variance of an output unexplained on any part (NRMSE
+  above `ACCURATE`), or is more than `OVERFITTED` times worse than on its training data;
+- is far off in single records: RMSE of `FAR` times the median record's, and above
+  `ACCURATE` of the output's spread;
+- has a worse free run than a linear model of the same lags;
+- was held by its feedback bound at `NOTICEABLE` of the samples;
+- forgets its past nowhere surely: no contraction at `UNSURE` of the samples, or a local
+  model that is unstable by itself at most samples where it leads;
+- was judged on data it was made with or on a constant output, or met inputs `REACH` of
+  their trained width outside and left its range at `STRAYED` of the samples.
+
+Else it is **good**. Tests of residuals take no part: with many samples they find fault
+with any model, see `Diagnostics`.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.outside import NOTICEABLE
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.table import number
+
+if TYPE_CHECKING:
+    from jaxnarx.evaluation.report import Report
+
+GOOD, LIMITED, UNUSABLE = "good", "usable with limits", "not usable"
+
+WORTHLESS, ACCURATE = 1.0, 0.1**0.5
+"""NRMSE of the mean, and the one that leaves a tenth of the variance."""
+OVERFITTED, SMALL = 2.0, 0.1
+"""Factor over the training NRMSE, and the NRMSE up to which it does not matter."""
+FAR = 3.0
+UNSURE = 0.1
+REACH, STRAYED = 0.1, 0.05
+
+REMEDIES = {
+    "bounded": "choose terms by simulation error, lower the degree, or let inputs "
+    "enter through filters without output lags, which cannot diverge",
+    "cover": "train on records that reach as far",
+    "richer": "more regions, other lags, filters, or terms chosen by simulation error",
+    "simpler": "fewer terms or regions, or more training data",
+    "linear": "a lower degree, or terms chosen by simulation error",
+    "test": "name test records that take part in no choice",
+    "records": "look at these records: channels, sensors, operating range",
+}
+"""What helps, by the name that findings carry."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One reason: what it makes of the model, and a key of `REMEDIES`."""
+
+    level: str
+    text: str
+    remedy: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """`level` is `"good"`, `"usable with limits"` or `"not usable"`; worst reason
+    first."""
+
+    level: str
+    findings: tuple[Finding, ...]
+    praise: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing speaks against all use."""
+        return self.level != UNUSABLE
+
+    @property
+    def remedy(self) -> str:
+        """The key of `REMEDIES` for the worst reason; empty where there is none."""
+        return self.findings[0].remedy if self.findings else ""
+
+    @property
+    def sentence(self) -> str:
+        """The verdict with its worst reasons and what would help."""
+        head = self.level.capitalize()
+        if not self.findings:
+            return f"{head}: {self.praise}."
+        told = [f.text for f in self.findings[:2]]
+        rest = len(self.findings) - len(told)
+        more = f"; and {rest} more" if rest else ""
+        return f"{head}: {'; '.join(told)}{more}. What helps: {REMEDIES[self.remedy]}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        found = [dataclasses.asdict(f) for f in self.findings]
+        return {"level": self.level, "sentence": self.sentence, "findings": found}
+
+
+def judge(report: "Report") -> Verdict:
+    """The verdict by the rules above."""
+    rows = [r for r in report.rows if r.mode == FREE_RUN]
+    findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
+    findings += [*_beside(report), *_memory(report), *_data(report, rows)]
+    findings.sort(key=lambda f: f.level != UNUSABLE)
+    level = findings[0].level if findings else GOOD
+    return Verdict(level, tuple(findings), _praise(report))
+
+
+def _praise(report: "Report") -> str:
+    shares = [report.pooled(c.name).r2 for c in report.outputs]
+    least = min((s for s in shares if s is not None), default=0.0)
+    names = ", ".join(c.name for c in report.outputs)
+    every = "at least " if len(shares) > 1 else ""
+    return (
+        f"the free run on {report.main} explains {every}{100 * least:.3g} % of the "
+        f"variance of {names} and stays within its bounds"
+    )
+
+
+def _pooled(rows: Iterable[Row]) -> list[Row]:
+    return [r for r in rows if r.record == POOLED]
+
+
+def _runs(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+    """Divergence, nothing to judge, limits that act."""
+    for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
+        share = row.extrapolated / max(row.samples, 1)
+        where = f"{row.output} on {row.part}"
+        if row.diverged:
+            lost = [
+                r
+                for r in rows
+                if (r.part, r.output) == (row.part, row.output)
+                and r.diverged
+                and r.record != POOLED
+            ]
+            share = max((r.extrapolated / max(r.samples, 1) for r in lost), default=0)
+            names = ", ".join(r.record for r in lost[:3]) or "all records"
+            names += f" and {len(lost) - 3} more" if len(lost) > 3 else ""
+            strayed = share >= STRAYED
+            text = f"the free run of {where} diverges in {names}"
+            if strayed:
+                text += f", {share:.0%} of it outside the trained range"
+            yield Finding(UNUSABLE, text, "cover" if strayed else "bounded")
+        elif row.part == report.main and row.status == "no samples":
+            yield Finding(UNUSABLE, f"{where} has no valid sample to score", "records")
+        elif row.part == report.main and row.status == "constant output":
+            yield Finding(LIMITED, f"{where} is constant: no judgement of it", "test")
+        elif row.limited >= NOTICEABLE * max(row.samples, 1):
+            held = row.limited / row.samples
+            text = f"the feedback bound holds {where} at {held:.0%} of the samples"
+            yield Finding(LIMITED, text, "cover" if share >= STRAYED else "bounded")
+
+
+def _errors(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+    """Errors of whole parts, by themselves and beside that of training."""
+    trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
+    for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
+        if row.nrmse is None or row.status != "ok":
+            continue
+        where, learned = f"{row.output} on {row.part}", row.part == "train"
+        own = trained.get(row.output)
+        if row.nrmse >= WORTHLESS and not learned:
+            text = f"the free run of {where} is no better than the mean"
+            yield Finding(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
+        elif row.nrmse > ACCURATE:
+            text = f"the free run leaves {row.nrmse**2:.0%} of the variance of {where}"
+            yield Finding(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
+        if learned or own is None or row.nrmse <= max(SMALL, OVERFITTED * own):
+            continue
+        text = f"the error of {where} is {row.nrmse / own:.2g} times that of training"
+        yield Finding(LIMITED, text, "simpler")
+
+
+def _nrmse(value: float) -> str:
+    return f"NRMSE {value:.3g}"
+
+
+def _records(rows: list[Row]) -> Iterator[Finding]:
+    """Single records that are far off, whatever their part."""
+    for output in dict.fromkeys(r.output for r in rows):
+        own = [r for r in rows if r.output == output]
+        spread = {
+            r.part: r.rmse / r.nrmse
+            for r in _pooled(own)
+            if r.rmse is not None and r.nrmse
+        }
+        single = [(r.rmse, r) for r in own if r.record != POOLED and r.rmse is not None]
+        if len(single) < 3:
+            continue
+        usual = float(np.median([error for error, _ in single]))
+        far = [
+            (error, r)
+            for error, r in single
+            if error > max(FAR * usual, ACCURATE * spread.get(r.part, np.inf))
+        ]
+        for error, row in sorted(far, key=lambda pair: -pair[0])[:1]:
+            unit = f" {row.unit}" if row.unit not in ("", "-", "1") else ""
+            text = f"{output} is off in {row.part} record {row.record}: RMSE "
+            text += f"{number(error, '.3g')}{unit}, median record "
+            text += f"{number(usual, '.3g')}"
+            if row.offset is not None:
+                text += f", mean of measured minus simulated {row.offset:+.3g}{unit}"
+            if len(far) > 1:
+                text += f"; {len(far) - 1} more such"
+            yield Finding(LIMITED, text, "records")
+
+
+def _beside(report: "Report") -> Iterator[Finding]:
+    """A linear model that does better."""
+    for row in report.beside.get(NAME, ()):
+        own = report.pooled(row.output).nrmse
+        if own is not None and row.nrmse is not None and row.nrmse < own:
+            text = f"a linear model of the same lags does better on {row.output}"
+            text += f" ({_nrmse(row.nrmse)}, this one {own:.3g})"
+            yield Finding(LIMITED, text, "linear")
+
+
+def _memory(report: "Report") -> Iterator[Finding]:
+    """What the poles and the contraction bound say."""
+    found = report.stability
+    if found is None:
+        return
+    for row in found.poles:
+        if row.model is not None and row.samples and row.unstable > 0.5:
+            text = f"local model {row.model} of {row.output} alone is unstable where it"
+            text += f" leads (pole {row.median:.4g})"
+            yield Finding(LIMITED, text, "bounded")
+    if not found.contracts and found.bound.fails >= UNSURE:
+        text = f"nothing shows that it forgets its past at {found.bound.fails:.0%} of "
+        yield Finding(LIMITED, text + "the samples", "bounded")
+
+
+def _data(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+    """What the figures were measured on."""
+    if any("EQUALS ESTIMATION" in note for note in report.notes):
+        text = "it was judged on records that it was trained on"
+        yield Finding(LIMITED, text, "test")
+    elif report.main in ("train", "validate"):
+        text = f"there are no test data: {report.main} took part in making it"
+        yield Finding(LIMITED, text, "test")
+    main = [r for r in _pooled(rows) if r.part == report.main]
+    share = max((r.extrapolated / max(r.samples, 1) for r in main), default=0.0)
+    far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
+    if share >= STRAYED and far:
+        text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
+        yield Finding(LIMITED, f"{text} ({far[0]})", "cover")

@@ -1,0 +1,133 @@
+"""The verdict: one case for every rule, and what a sentence says."""
+
+import dataclasses
+import types
+
+import pytest
+
+from jaxnarx.data import Channel
+from jaxnarx.evaluation import Report, Row
+from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.verdict import REMEDIES
+
+
+def row(part, record="pooled", nrmse=0.1, **more) -> Row:
+    """A free run of an output of standard deviation 50 K."""
+    figures = dict(rmse=50 * nrmse, nrmse=nrmse, r2=1 - nrmse**2)
+    figures |= dict(fit=100 * (1 - nrmse), nmse=nrmse**2)
+    if more.get("status", "").startswith("diverged"):
+        figures = dict.fromkeys(figures)
+    place = dict(part=part, output="T", unit="K", mode="free run", record=record)
+    counts = dict(samples=1000, limited=0, extrapolated=0, status="ok")
+    return Row(**(place | figures | counts | more))  # pyright: ignore
+
+
+def made(*rows, main="test", **more) -> Report:
+    return Report(
+        (Channel("T", "K"),), main, rows, more.pop("notes", ()), (), (), **more
+    )
+
+
+FINE = (row("train"), row("test"))
+
+
+def stable(fails=0.0, unstable=0.0):
+    """What the verdict reads of a `Stability`."""
+    pole = types.SimpleNamespace(
+        output="T", model=2, samples=90, unstable=unstable, median=1.017
+    )
+    bound = types.SimpleNamespace(fails=fails)
+    return types.SimpleNamespace(poles=[pole], bound=bound, contracts=not fails)
+
+
+def test_a_good_model_is_called_good_with_its_figure():
+    verdict = made(*FINE, stability=stable(fails=0.01)).verdict
+    assert verdict.level == "good" and verdict.usable and verdict.remedy == ""
+    assert "explains 99 % of the variance of T" in verdict.sentence
+
+
+def test_divergence_in_any_record_makes_it_unusable_and_names_the_record():
+    lost = row("test", "r3", status="diverged")
+    pooled = row("test", status="diverged (1 of 6)")
+    verdict = made(row("train"), pooled, lost).verdict
+    assert verdict.level == "not usable" and not verdict.usable
+    assert verdict.remedy == "bounded" and "diverges in r3" in verdict.sentence
+    # Where the record lies outside, the model is not what has to change.
+    far = dataclasses.replace(lost, extrapolated=600)
+    verdict = made(row("train"), pooled, far).verdict
+    assert verdict.remedy == "cover"
+    assert "60% of it outside the trained range" in verdict.sentence
+    trained = row("train", status="diverged (1 of 2)")
+    assert not made(trained, row("test")).verdict.usable
+
+
+def test_no_better_than_the_mean_is_unusable():
+    verdict = made(row("train"), row("test", nrmse=1.08)).verdict
+    assert verdict.level == "not usable"
+    assert "no better than the mean (NRMSE 1.08)" in verdict.sentence
+
+
+def test_a_training_record_that_is_far_off_is_named_with_its_offset():
+    """Test NRMSE .29 beside .80 in training: one record is 72 K off."""
+    records = [row("train", f"d{k}", nrmse=0.28) for k in range(4)]
+    records += [row("train", "d9", nrmse=1.5, offset=72.0)]
+    rows = [row("train", nrmse=0.8), *records, row("test", nrmse=0.29)]
+    rows += [row("test", "t0", nrmse=0.29)]
+    verdict = made(*rows).verdict
+    assert verdict.level == "usable with limits"
+    text = " ".join(f.text for f in verdict.findings)
+    assert "64% of the variance of T on train" in text
+    assert "off in train record d9" in text and "+72 K" in text
+
+
+LIMITS = {
+    "half unexplained": (made(row("test", nrmse=0.7)), "49%"),
+    "overfitted": (made(row("train", nrmse=0.05), row("test", nrmse=0.25)), "5 times"),
+    "held": (made(row("train"), row("test", limited=20)), "feedback bound"),
+    "no contraction": (made(*FINE, stability=stable(fails=1.0)), "at 100% of"),
+    "unstable region": (made(*FINE, stability=stable(unstable=1.0)), "pole 1.017"),
+    "learned": (made(*FINE, notes=("X DATA EQUALS ESTIMATION DATA",)), "trained on"),
+    "no test": (made(row("train"), row("validate"), main="validate"), "no test data"),
+    "constant": (made(row("train"), row("test", status="constant output")), "constant"),
+    "linear": (made(*FINE, beside={NAME: (row("test", nrmse=0.05),)}), "linear model"),
+    "strayed": (
+        made(
+            row("train"),
+            row("test", extrapolated=230),
+            outside=(Outside("test", "load", "%", 10.0, 110.0, (10.0, 90.0), 0.23),),
+        ),
+        "beyond by up to 25 %",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", LIMITS)
+def test_limits(kind):
+    report, words = LIMITS[kind]
+    (found,) = report.verdict.findings
+    assert report.verdict.level == "usable with limits"
+    assert words in found.text and found.remedy in REMEDIES
+    assert words in report.verdict.sentence
+
+
+def test_a_little_more_range_or_error_is_no_limit():
+    near = Outside("test", "load", "%", 10.0, 94.0, (10.0, 90.0), 0.23)
+    strayed = row("test", extrapolated=230)
+    assert made(row("train"), strayed, outside=(near,)).verdict.level == "good"
+    small = made(row("train", nrmse=0.01), row("test", nrmse=0.06))
+    assert small.verdict.level == "good"
+
+
+def test_the_worst_reason_comes_first_and_others_are_counted():
+    rows = [row("train", nrmse=0.7), row("test", nrmse=1.2, limited=30)]
+    verdict = made(*rows, stability=stable(fails=0.5)).verdict
+    assert verdict.findings[0].level == "not usable"
+    assert f"and {len(verdict.findings) - 2} more" in verdict.sentence
+
+
+def test_table_and_json_begin_with_it():
+    report = made(*FINE)
+    assert report.table.startswith("Good: ")
+    found = report.to_dict()
+    assert next(iter(found)) == "verdict" and found["verdict"]["level"] == "good"

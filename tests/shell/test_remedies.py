@@ -1,0 +1,60 @@
+"""The next command: what the verdict calls for, never what is in use already."""
+
+import dataclasses
+import shlex
+
+import pytest
+
+from jaxnarx.evaluation.verdict import REMEDIES, Finding, Verdict
+from jaxnarx.shell.cli import _parse
+from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.remedies import next_words, words_of
+
+TYPED = (
+    'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'
+)
+
+
+def following(command, remedy, outputs=("NOx",)):
+    found = (Finding("not usable", "why", remedy),) if remedy else ()
+    words, then = next_words(
+        command,
+        Verdict("", found),
+        model="run/m",
+        outputs=outputs,
+        inputs=("speed", "load", "air"),
+        sample_time=0.1,
+    )
+    return words, then
+
+
+def test_words_make_the_command_again():
+    command = _parse(shlex.split(TYPED))
+    assert isinstance(command, Identify)
+    assert _parse(words_of(command)[1:]) == command
+
+
+def test_a_good_model_is_simulated():
+    words, _ = following(Identify("a.toml"), "")
+    assert words == ["jaxnarx", "simulate", "run/m", "new_run.csv"]
+
+
+@pytest.mark.parametrize("remedy", REMEDIES)
+@pytest.mark.parametrize("outputs", [("NOx",), ("NOx", "CO")])
+def test_every_remedy_ends_and_changes_something(remedy, outputs):
+    """Followed again and again, each command parses and differs from the last."""
+    command = dataclasses.replace(Identify("a.toml", outputs), out="x", force=True)
+    for _ in range(6):
+        words, then = following(command, remedy, outputs)
+        new = _parse(words[1:])
+        assert isinstance(new, Identify) and new.out is None and not new.force
+        assert then or new != dataclasses.replace(command, out=None, force=False)
+        command = new
+
+
+def test_what_cannot_diverge_is_proposed_in_the_end():
+    command = Identify("a.toml", ("NOx",))
+    for _ in range(3):
+        command = _parse(following(command, "bounded")[0][1:])
+        assert isinstance(command, Identify)
+    assert command.output_lags == () and command.filters == (0.4, 1.6, 6.4)
