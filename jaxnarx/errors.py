@@ -5,6 +5,7 @@ Jax-free, so that the command line can report bad input without importing jax.
 
 import contextlib
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 
 
@@ -67,10 +68,11 @@ class ModelFileError(JaxnarxError):
 
 
 def _printable(text: str) -> str:
-    """`text` with all but printable characters and line ends as escapes."""
-    return "".join(
-        c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in str(text)
-    )
+    """`text` with all but printable characters and line ends as escapes, and without
+    the middle of words that no one reads.
+    """
+    text = re.sub(r"(\S{200})\S{200,}(\S{50})", r"\1...\2", str(text))
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 @contextlib.contextmanager

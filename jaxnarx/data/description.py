@@ -1,36 +1,6 @@
-"""The TOML description of a set of measured files.
+"""The TOML description of a set of measured files, parsed.
 
-```toml
-[data]
-sample_time = 0.1            # s; or  time = "t", a column; or both, to have it checked
-time_unit = "s"              # or "ms", "us", "min", "h": of the numbers in that column
-missing = "refuse"           # or "mask", "split", "interpolate"
-root = "."                   # folder of the files, see below
-columns = ["speed", "NOx"]   # only for CSV files without a header line: all, in order
-decimal = "."                # or ","
-delimiter = ","              # found out (comma, semicolon, tab) when left out
-encoding = "utf-8"           # or "cp1252", ...
-skip_rows = 0                # lines before the header
-unit_row = false             # a line of units follows the header
-preparation = "preparation.json"   # what `jaxnarx prepare` did to these files
-
-[channels.inputs]            # name = unit, in the order of the dataset's columns
-speed = "rpm"
-load = {column = "Md_rel", unit = "%"}   # where the file calls it otherwise
-[channels.outputs]
-NOx = "ppm"
-
-[records]
-files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
-# or parts: train = [...], validate = [...], test = [...]
-```
-
-Only `sample_time` or `time`, one output and `[records]` are required. Columns that no
-channel names are ignored. `root` is relative to the `root` argument of `read`, else to
-the environment variable `JAXNARX_DATA`, else to the folder of the description; the
-patterns of `[records]` are relative to it and stay inside. Each pattern's files come
-in alphabetical order, and each file is one record; a pattern that begins with `!` takes
-its files out of those that the patterns before it have chosen.
+Its keys are listed in `jaxnarx.methods.description`.
 """
 
 import dataclasses

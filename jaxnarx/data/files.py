@@ -1,4 +1,4 @@
-"""Datasets from files, as a TOML description says (its format: `description`)."""
+"""Datasets from files, as a TOML description says (`jaxnarx.methods.description`)."""
 
 import dataclasses
 import hashlib
@@ -46,7 +46,7 @@ def read(
 ) -> Dataset:
     """All records of the TOML description at `path`: train, then validate, then test.
 
-    See `jaxnarx.data.description` for the format. `root` is the folder that paths in
+    See `jaxnarx.methods.description` for the format. `root` is the folder that paths in
     the description are relative to; default the environment variable `JAXNARX_DATA`,
     else the folder of the description. Records are named after their files, with the
     parent folder where two names collide. More than `max_bytes` when expanded is

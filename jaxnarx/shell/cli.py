@@ -7,7 +7,6 @@ program. 130: interrupted.
 """
 
 import importlib.metadata
-import inspect
 import os
 import re
 import shlex
@@ -20,7 +19,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from jaxnarx.errors import JaxnarxError, SpecError, suggest
-from jaxnarx.shell.commands import COMMANDS, Command
+from jaxnarx.shell.commands import COMMANDS, Command, help_of
 
 OK, NOT_ACCEPTABLE, USAGE, DATA, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -103,7 +102,7 @@ def _parse(arguments: list[str]) -> Command:
             args=arguments[1:],
             prog=f"jaxnarx {name}",
             # given here because tyro drops the examples from a docstring it parses
-            description=inspect.getdoc(COMMANDS[name]),
+            description=help_of(COMMANDS[name]),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
         )
     if name and not name.startswith("-"):

@@ -5,10 +5,13 @@ The work is done by `jaxnarx.shell.work`, imported when a command runs.
 """
 
 import dataclasses
+import inspect
 import re
 from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import Positional, arg
+
+from jaxnarx.methods.description import DESCRIPTION
 
 
 def _optional(metavar: str) -> Any:
@@ -431,4 +434,13 @@ Command = (
     | SimulateEngine
     | Sweep
 )
+_RECORDS = (Identify, Invert, Report, Check, Prepare)
+
+
+def help_of(command: type) -> str:
+    """What help says of a command; where it reads records, with their description."""
+    text = inspect.getdoc(command) or ""
+    return f"{text}\n\n{DESCRIPTION}" if command in _RECORDS else text
+
+
 COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

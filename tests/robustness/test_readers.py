@@ -8,7 +8,15 @@ import pyarrow.parquet as parquet
 import pytest
 from battery import mutate
 
-from jaxnarx.data import Dataset, read_split
+from jaxnarx.data import (
+    Dataset,
+    Hampel,
+    LowPass,
+    RemoveOffset,
+    Scale,
+    prepare,
+    read_split,
+)
 from jaxnarx.errors import JaxnarxError
 
 pytestmark = pytest.mark.slow
@@ -38,6 +46,38 @@ SETTINGS = [
     *('encoding = "utf-16"', 'encoding = "utf-7"', "unit_row = true", "skip_rows = 2"),
     *('delimiter = ";"', 'decimal = ","', 'time_unit = "ms"', 'missing = "refuse"'),
 ]
+VALUES = [
+    *("0", "-1", "1.5", "1e-320", "1e999", "nan", "-inf", "true", "[]", "{}", '""'),
+    *("0.1", "0.2", "1e9", "9" * 400, "0x" + "f" * 5000, "[1, 2]", '["a.csv"]', "[[]]"),
+    *('"a.csv"', '"N"', '"t"', '"."', '".."', '"/etc"', '"a\\u0000b"', '"\\u001b[31m"'),
+    *('["**"]', '["**/*"]', '["a**"]', '["!a.csv"]', '["a.csv", "!a.csv"]', '["["]'),
+    *(
+        '"punycode"',
+        '"undefined"',
+        '"idna"',
+        '"utf-7"',
+        '"utf-16"',
+        '"hex"',
+        '"cp1252"',
+    ),
+    *(
+        '"split"',
+        '"interpolate"',
+        '"mask"',
+        '"ms"',
+        '","',
+        '";"',
+        '"\\n"',
+        "1979-05-27",
+    ),
+    *(
+        '{column = "N", unit = "rpm"}',
+        "{column = 1}",
+        '{unit = ""}',
+        '"p.json"',
+        "'\"'",
+    ),
+]
 CSV_TOKENS = [
     *(b"\r", b"\r\n", b"\n\n", b"\n", b";", b"\t", b",", b'"', b'""', b"\0"),
     *(b"NaN", b"-inf", b"1e308", b"-1e308", b"1e-320", b"1e999", b"1_0", b"0x1F"),
@@ -52,6 +92,21 @@ TOML_TOKENS = [
     *(b"root = '..'\n", b"time = 'x'\n", b"time_unit = 'ms'\n", b"columns = ['N']\n"),
     *(b"preparation = 'p.json'\n", b"skip_rows = 99999999999999999999\n", b"\xff"),
 ]
+
+
+def edited(text: str, rng) -> str:
+    """`text` with up to three settings that are TOML, but of other values or places."""
+    lines = text.split("\n")
+    for _ in range(int(rng.integers(1, 4))):
+        i, j = rng.integers(0, len(lines), 2)
+        key = lines[i].split("=")[0].strip() or "root"
+        if rng.random() < 0.8 and not key.startswith("["):
+            lines[i] = f"{key} = {VALUES[rng.integers(0, len(VALUES))]}"
+        elif rng.random() < 0.5:
+            lines[i], lines[j] = lines[j], lines[i]
+        else:
+            lines[i] = ""
+    return "\n".join(lines)
 
 
 def table(rng, rows=40) -> pa.Table:
@@ -115,7 +170,9 @@ def test_damaged_csv(folder, battery):
 
 def test_damaged_descriptions(folder, battery):
     def attempt(rng):
-        raw = mutate(DESCRIPTION.encode(), rng, TOML_TOKENS)
+        raw = edited(DESCRIPTION, rng).encode()
+        if rng.random() < 0.4:
+            raw = mutate(raw, rng, TOML_TOKENS)
         (folder / "d.toml").write_bytes(raw)
         read_all(folder)
 
@@ -124,7 +181,9 @@ def test_damaged_descriptions(folder, battery):
 
 
 def test_damaged_preparations(folder, battery):
-    text = json.dumps({"steps": [{"kind": "hampel", "half": 7, "limit": 3.0}]})
+    steps = [Hampel(), LowPass(cutoff=1.0), RemoveOffset(), Scale()]
+    prepared = prepare(read_split(folder / "d.toml").all, steps)[1]
+    text = json.dumps(prepared.to_dict())
     described = DESCRIPTION.replace("[data]", '[data]\npreparation = "p.json"')
     (folder / "d.toml").write_text(described)
 
@@ -142,7 +201,8 @@ def test_damaged_preparations(folder, battery):
         (folder / "p.json").write_bytes(mutate(text.encode(), rng, tokens))
         read_all(folder)
 
-    battery.run(attempt)
+    ends = battery.run(attempt)
+    assert battery.cases < 100 or {"done", "DataFileError"} <= set(ends)
 
 
 def odd_column(rng, rows: int):

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnarx.errors import SpecError
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.output import cell, file_names, slug
@@ -185,6 +187,23 @@ def test_the_description_that_help_shows_can_be_read(capsys):
     for k in range(2):
         write(f"day{k + 1}_a.csv", columns(k))
     assert "2 records" not in passes(capsys, ["check", "shown.toml"])
+
+
+@pytest.mark.parametrize("name", ["identify", "invert", "report", "check", "prepare"])
+def test_help_lists_every_key_of_a_description(capsys, name):
+    from jaxnarx.data.description import parse_description
+
+    run([name, "--help"])
+    text = capsys.readouterr().out
+    begin = text.index("[data]", text.index("All keys of a description"))
+    table = tomllib.loads(text[begin : text.index("Only sample_time")])
+    known = parse_description({**table, "data": {"sample_time": 1.0}})
+    assert known.channels.names == ["speed", "load", "NOx"]
+    # what the parser knows is in help, and nothing else
+    with pytest.raises(SpecError, match="unknown key 'qqq'") as caught:
+        parse_description({**table, "data": {"qqq": 1}})
+    listed = str(caught.value).split("Known names: ")[1].strip(".").split(", ")
+    assert sorted(table["data"]) == sorted(listed)
 
 
 def test_the_commands_are_listed_with_their_exit_codes(capsys):

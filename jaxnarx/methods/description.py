@@ -1,0 +1,38 @@
+"""All keys of a TOML description of records, as `--help` shows them.
+
+The text stands here, without imports, so that help answers at once; `jaxnarx.data`
+reads such files.
+"""
+
+DESCRIPTION = """All keys of a description of records:
+    [data]
+    sample_time = 0.1            # s
+    time = "t"                   # a column, instead or beside it, to have it checked
+    time_unit = "s"              # or "ms", "us", "min", "h": of that column's numbers
+    missing = "refuse"           # or "mask", "split", "interpolate"
+    root = "."                   # folder of the files, see below
+    columns = ["speed", "NOx"]   # all, in order; only for CSV files without a header
+    decimal = "."                # or ","
+    delimiter = ","              # found out (comma, semicolon, tab) when left out
+    encoding = "utf-8"           # or "cp1252", ...
+    skip_rows = 0                # lines before the header
+    unit_row = false             # a line of units follows the header
+    preparation = "preparation.json"   # what `jaxnarx prepare` did to these files
+    [channels.inputs]            # name = unit, in the order of the dataset's columns
+    speed = "rpm"
+    load = {column = "Md_rel", unit = "%"}   # where the file calls it otherwise
+    [channels.outputs]
+    NOx = "ppm"
+    [records]
+    files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
+    # or parts: train = [...], validate = [...], test = [...]
+
+Only sample_time or time, one output and [records] are required. Columns that no channel
+names are ignored. Numbers under time that look like milliseconds are refused until
+their unit is stated, here, by a unit row or in the column's name ("t_ms", "time [s]").
+root is relative to the --root option (the root argument of read), else to the
+environment variable JAXNARX_DATA, and stays inside; else it is relative to the folder
+of the description. The patterns of [records] are relative to root and stay inside. Each
+pattern's files come in alphabetical order, and each file is one record; a pattern that
+begins with ! takes its files out of those that the patterns before it have chosen.
+"""
