@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Channels, Dataset, Record
-from jaxnarx.evaluation.rows import POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
+
+MOSTLY = 0.5
+"""Share of the free-run error from which its offsets are told."""
 
 
 def fingerprint(data: Dataset, record: Record) -> str:
@@ -89,7 +92,30 @@ def score_notes(rows: Iterable[Row]) -> list[str]:
             row.mode == rows[-1].mode or row.status == "too short"
         ):
             notes += _edge(row)
-    return notes
+    return notes + _offsets([row for row in rows if row.mode == FREE_RUN])
+
+
+def _offsets(rows: list[Row]) -> list[str]:
+    """Parts whose free-run error is mostly an offset of each record.
+
+    A right model leaves none; slow memory that it lacks, or a sensor that drifts, do.
+    """
+    total: dict[tuple[str, str], float] = {}
+    constant: dict[tuple[str, str], float] = {}
+    for row in rows:
+        if row.record == POOLED or row.offset is None or row.rmse is None:
+            continue
+        key = row.output, row.part
+        total[key] = total.get(key, 0.0) + row.samples * row.rmse**2
+        constant[key] = constant.get(key, 0.0) + row.samples * row.offset**2
+    return [
+        f"{output}, {part}, free run: {constant[key] / value:.0%} of the error's mean "
+        "square is an offset of each record: look for slow memory that the model "
+        "lacks, or a sensor that drifts."
+        for key, value in total.items()
+        for output, part in [key]
+        if 0 < value < np.inf and constant[key] >= MOSTLY * value
+    ]
 
 
 def _repeated(parts: Mapping[str, Dataset]) -> list[str]:

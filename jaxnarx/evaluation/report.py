@@ -12,6 +12,7 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
+from jaxnarx.evaluation.error_map import ErrorMap, error_maps
 from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
 from jaxnarx.evaluation.outside import Outside, outside, range_notes
 from jaxnarx.evaluation.reactivation import reactivation_notes
@@ -39,8 +40,8 @@ class Report:
     """How good a network is and where, as host values; `print` shows the table.
 
     `main` names the part the verdict rests on: `"test"` when there is one, else the
-    last part. `traces`, `residuals` and `beside` belong to it. `verdict` sums up what
-    the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
+    last part. `traces`, `residuals`, `maps` and `beside` belong to it. `verdict` sums
+    up what the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
 
     `outside` tells which inputs leave their trained range, and how far; `beside` holds
     the pooled free-run rows of other models by their name, among them a linear model of
@@ -80,6 +81,7 @@ class Report:
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     outside: tuple[Outside, ...] = ()
     beside: Mapping[str, tuple[Row, ...]] = dataclasses.field(default_factory=dict)
+    maps: tuple[ErrorMap, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -122,6 +124,7 @@ class Report:
         the text `"inf"` or `"-inf"`.
         """
         left_out = {"traces", "residuals", "partition", "stability", "diagnostics"}
+        left_out |= {"maps"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
         values |= {name: strict(getattr(self, name)) for name in fields}
@@ -222,6 +225,7 @@ def report(
         diagnostics=tested,
         provenance=_provenance(parts) | dict(provenance or {}),
         outside=strayed,
+        maps=error_maps(network, parts[main], runs[main][FREE_RUN]),
         beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
     )
 

@@ -17,8 +17,8 @@ PAIRS = 3000
 class Trace:
     """One output of one record, measured and simulated. `time` [s] starts at zero.
 
-    `rank` is `"worst"`, `"median"` or `"best"` by free-run RMSE; a diverged record is
-    worse than any other and has no `rmse`.
+    `rank` is `"worst"`, `"median"` or `"best"` by free-run RMSE, empty for the others;
+    a diverged record is worse than any other and has no `rmse`.
     """
 
     output: Channel
@@ -57,7 +57,7 @@ def choose(
     one_step: list[Samples] | None,
     sample_time: float,
 ) -> tuple[Trace, ...]:
-    """The worst, the median and the best record (fewer when there are fewer).
+    """The worst, the median and the best record, then the others in their order.
 
     Records without any counted sample are passed over.
     """
@@ -66,10 +66,11 @@ def choose(
     picks = {len(order) - 1: "best", len(order) // 2: "median", 0: "worst"}
     if len(order) == 1:
         picks = {0: "only"}
+    ranked = {order[p]: r for p, r in sorted(picks.items()) if 0 <= p < len(order)}
+    ranked |= {i: "" for i in counted if i not in ranked}
     return tuple(
-        _trace(channel, free[order[p]], rank, sample_time, one_step, order[p])
-        for p, rank in sorted(picks.items())
-        if 0 <= p < len(order)
+        _trace(channel, free[i], rank, sample_time, one_step, i)
+        for i, rank in ranked.items()
     )
 
 

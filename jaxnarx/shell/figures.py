@@ -32,6 +32,8 @@ Numbers = Sequence[float | int | None] | np.ndarray
 """A list or array of numbers; None where one is not known."""
 
 POINTS = 1500
+COLUMNS = 4
+"""Panels beside one another where every record is shown."""
 
 
 def envelope(
@@ -73,16 +75,17 @@ def measured_and_simulated(
 ) -> Figure:
     """Measurement, free run and one-step prediction over time [s], residual below.
 
-    Samples that do not count (`scored` False) are left out of the measurement and of
-    the residual; where the feedback bound acted is shaded.
+    The one-step prediction, nearly always right, lies broad and pale behind the
+    measurement. Samples that do not count (`scored` False) are left out of the
+    measurement and of the residual; where the feedback bound acted is shaded.
     """
     gap = measured if scored is None else np.where(scored, measured, np.nan)
     with styled():
         figure, (top, low) = canvas(9.0, 3.4, rows=2, sharex=True, height_ratios=(3, 1))
-        top.plot(*envelope(time, gap, points), color=INK, lw=1.4, label="measured")
         if one_step is not None:
-            style = {"color": ORANGE, "lw": 0.9, "ls": (0, (3, 1.5))}
+            style = {"color": ORANGE, "lw": 4.0, "alpha": 0.45}
             top.plot(*envelope(time, one_step, points), label="one step", **style)
+        top.plot(*envelope(time, gap, points), color=INK, lw=1.4, label="measured")
         top.plot(*envelope(time, simulated, points), color=BLUE, label="free run")
         _limits(top, gap)
         residual = gap - simulated
@@ -97,6 +100,56 @@ def measured_and_simulated(
         low.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 1)
         figure.align_ylabels([top, low])
         top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.1)
+    return figure
+
+
+def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
+    """Measurement and free run of many records of one output, a small panel each.
+
+    Each trace has `time`, `measured`, `simulated`, `scored`, `record` and `rmse`. All
+    panels share the axis of the output.
+    """
+    columns = min(len(traces), COLUMNS)
+    rows = -(-len(traces) // columns)
+    with styled():
+        share = {"sharey": True}
+        figure, axes = canvas(
+            9.0, 1.25 * rows + 0.3, rows=rows, columns=columns, **share
+        )
+        shown = [np.where(t.scored, t.measured, np.nan) for t in traces]
+        for ax, trace, measured in zip(axes, traces, shown, strict=False):
+            ax.plot(*envelope(trace.time, measured, points), color=INK, lw=1.0)
+            line = envelope(trace.time, trace.simulated, points)
+            ax.plot(*line, color=BLUE, lw=0.8)
+            error = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.3g}"
+            ax.set_title(f"{plain(trace.record, 28)}: {error}", fontsize=7.5)
+            ax.tick_params(labelsize=7)
+        _limits(axes[0], np.concatenate(shown))
+        for ax in axes[len(traces) :]:
+            ax.set_axis_off()
+        for ax in axes[::columns]:
+            ax.set_ylabel(plain(traces[0].output.label, 20), fontsize=7.5)
+        for ax in axes[max(len(traces) - columns, 0) : len(traces)]:
+            ax.set_xlabel("time [s]", fontsize=7.5)
+    return figure
+
+
+def error_map(value: Any) -> Figure:
+    """Free-run error and number of samples in cells over two variables.
+
+    `value` is an `ErrorMap`. The darker, the larger; white cells hold no sample.
+    """
+    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    counts = np.where(value.samples > 0, value.samples, np.nan)
+    with styled():
+        figure, axes = canvas(9.0, 3.1, columns=2)
+        for ax, cells, title in zip(
+            axes, (value.rms, counts), ("RMSE" + unit, "samples"), strict=True
+        ):
+            dark = ax.pcolormesh(*value.edges, cells.T, cmap="viridis_r", lw=0)
+            figure.colorbar(dark, ax=ax, label=title)
+            ax.grid(visible=False)
+            ax.set(xlabel=plain(value.variables[0]), ylabel=plain(value.variables[1]))
     return figure
 
 
@@ -274,6 +327,7 @@ def _criteria(axes: Axes, criteria: Mapping[str, Numbers]) -> None:
         axes.plot(size, scaled, color=color, label=label)
         axes.plot(size[best], scaled[best], color=color, marker="o", ms=5)
     axes.set(xlabel="number of terms", ylabel="from best (0) to worst (1)")
-    axes.set_title("criteria by size")
+    kept = max(map(len, criteria.values()))
+    axes.set_title(f"one-step criteria by size; {kept} terms kept")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend()

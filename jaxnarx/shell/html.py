@@ -27,6 +27,10 @@ from jaxnarx.shell.style import inline_svg
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
 
+MAX_PANELS = 48
+"""Records of an output that are drawn; the worst, the median and the best are among
+them."""
+
 POINT_BUDGET = 100_000
 """Points of all lines over time together: about 1.6 MB of SVG."""
 
@@ -140,10 +144,18 @@ def _words(value: object) -> str:
 
 def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     """(title, safe SVG text) of every figure by section; a trace holds its title."""
-    lines = 4 * max(len(report.traces), 1)
+    ranked = [trace for trace in report.traces if trace.rank]
+    lines = 4 * max(len(ranked), 1)
     points = min(max(POINT_BUDGET // lines, 200), figures.POINTS)
     drawn: dict[str, list[tuple[str, Figure]]] = {
-        "traces": [("", _trace(t, points)) for t in report.traces],
+        "traces": [("", _trace(t, points)) for t in ranked],
+        "records": [
+            (f"{c.name}, every record", figures.every_record(own[:MAX_PANELS]))
+            for c in report.outputs
+            for own in [[t for t in report.traces if t.output.name == c.name]]
+            if len(own) > 1
+        ],
+        "maps": [(m.output, figures.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
         "selection": [
             (title, _selection(item))

@@ -11,6 +11,7 @@ import pytest
 from jaxnarx.data import Channel, Channels, Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import Report, metrics, report
+from jaxnarx.evaluation.notes import score_notes
 
 CHANNELS = Channels(
     (Channel("speed", "rpm"),), (Channel("NOx", "ppm"), Channel("torque", "Nm"))
@@ -178,6 +179,18 @@ def test_clean_data_gives_no_notes():
     assert report(Network(), parts).notes == ()
 
 
+def test_errors_that_are_offsets_of_records_are_told(full):
+    assert not any("offset of each record" in n for n in full.notes)
+    rows = [
+        dataclasses.replace(r, rmse=5.0, offset=4.0 if r.part == "test" else 1.0)
+        for r in full.rows
+        if r.output == "NOx" and not r.diverged
+    ]
+    (note,) = [n for n in score_notes(rows) if "offset" in n]
+    # 4^2 of 5^2 in every record.
+    assert note.startswith("NOx, test, free run: 64% of the error's mean square")
+
+
 def test_masked_samples_are_counted():
     """What `prepare --hampel` removed, or the file lacked, is told by part."""
     data = make(2)
@@ -229,7 +242,8 @@ def test_other_units_and_extra_channels_are_noted():
 
 def test_ranks_and_residuals_describe_the_free_run():
     got = report(Network(), make(6, records=5))
-    assert [t.rank for t in got.traces[:3]] == ["worst", "median", "best"]
+    assert [t.rank for t in got.traces[:5]] == ["worst", "median", "best", "", ""]
+    assert {t.record for t in got.traces[:5]} == set(make(6, records=5).names)
     rmses = [t.rmse for t in got.traces[:3] if t.rmse is not None]
     assert rmses == sorted(rmses, reverse=True)
     first = got.residuals[0]

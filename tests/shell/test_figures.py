@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from jaxnarx.data import Channel
+from jaxnarx.evaluation import Trace
+from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.shell import figures, style
 from jaxnarx.shell.tree_figure import branches
 
@@ -55,6 +58,7 @@ def every(label):
     ]
     criteria = {"AIC": [3.0, 1.0, None], "BIC": [3.0, 2.0, 2.5]}
     names = [label, "b", "c"]
+    cells = np.array([[1.0, np.nan], [2.0, 3.0]]), np.array([[4, 0], [5, 6]])
     return [
         trace(label=label),
         figures.agreement(y, y * 1.1, counts, edges, label=label, unit=label),
@@ -65,10 +69,35 @@ def every(label):
         figures.partition(entry(label, 2, both=False, kind="box")),
         figures.partition(entry(label, 3, kind="box")),
         figures.partition(gated(label)),
+        figures.every_record(records(label)),
+        figures.error_map(
+            ErrorMap(label, label, (label, "b"), (np.arange(3.0),) * 2, *cells)
+        ),
     ]
 
 
-@pytest.mark.parametrize("i", range(11))
+def records(label, count=5):
+    """Traces of that many records, the first of them diverged."""
+    t = np.arange(50) * 0.1
+    channel, off = Channel("NOx", "ppm"), np.zeros(50, bool)
+    return [
+        Trace(channel, label, "", n or None, t, np.sin(t), np.cos(t), None, off, ~off)
+        for n in map(float, range(count))
+    ]
+
+
+def test_every_record_has_a_panel_and_says_its_error():
+    figure = figures.every_record(records("r"))
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert titles[:2] == ["r: diverged", "r: RMSE 1"] and titles[5:] == [""] * 3
+
+
+def test_one_step_does_not_cover_the_measurement():
+    order = [line.get_label() for line in trace().axes[0].lines]
+    assert order == ["one step", "measured", "free run"]
+
+
+@pytest.mark.parametrize("i", range(13))
 def test_figures_draw_any_channel_name_as_text(i):
     figure = every(EVIL)[i]
     assert isinstance(figure, Figure)

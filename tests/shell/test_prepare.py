@@ -266,6 +266,19 @@ def test_the_model_keeps_the_preparation(capsys):
     assert "preparation" in load_about("model/model.safetensors")
 
 
+def test_the_report_counts_what_was_masked(capsys):
+    """Every record has one spike: two of them in training."""
+    told = json.loads(Path("model/report.json").read_text())
+    lost = sum(int((~r.valid).sum()) for r in read_split("done/prepared.toml").train)
+    share = f"NOx {lost} ({100 * lost / ROWS:.2g} %)"  # decimated by two, two records
+    assert any("Masked in train" in n and share in n for n in told["notes"])
+    assert "outlier" in told["provenance"]["preparation"].lower()
+    again = "report model/model.safetensors done/prepared.toml --out again"
+    assert "Masked in test" in passes(capsys, again)
+    page = Path("again/report.html").read_text()
+    assert "outlier" in page.lower()
+
+
 def test_raw_files_are_prepared_as_the_training_records_were(capsys):
     """The same free run as on the prepared files, and the scale is said."""
     # raw files hold the model's channels by name

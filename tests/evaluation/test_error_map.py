@@ -1,0 +1,50 @@
+"""The map of the free-run error: every scored sample once, in its own cell."""
+
+import numpy as np
+import pytest
+from common import A, B, Part, network
+
+from jaxnarx.data import Dataset
+from jaxnarx.evaluation import report
+from jaxnarx.evaluation.error_map import error_maps
+
+
+def dataset():
+    """y = a where b < 0 and a + 2 above; the network says a."""
+    rng = np.random.default_rng(4)
+    u = rng.uniform(-1, 1, (400, 2))
+    y = np.stack([u[:, 0] + 2 * (u[:, 1] > 0), rng.normal(size=400)], axis=1)
+    return Dataset.from_arrays(
+        u, y, inputs=["a", "b"], outputs=["y", "w"], sample_time=0.1
+    )
+
+
+def test_the_error_lies_where_it_was_made():
+    data = dataset()
+    net = network([Part([[((0, 1), 0.0)]])])  # it says zero: the error is y itself
+    found = report(net, data, stability=False, diagnostics=False, horizons=(1,))
+    (one,) = found.maps
+    # b tells most about y, then a: the shift by 2 against a spread of 0.6.
+    assert one.variables == ("b[t]", "a[t]") and one.output == "y"
+    row = found.pooled("y")
+    assert one.samples.sum() == row.samples
+    square = np.nansum(one.samples * one.rms**2) / row.samples
+    assert square == pytest.approx(row.rmse**2, rel=1e-12)
+    low, high = one.rms[:6], one.rms[6:]
+    assert np.nanmean(low) < 0.7 and np.nanmin(high) > 0.9
+
+
+def test_scheduling_variables_come_first_and_what_is_no_network_has_no_map():
+    part = Part(
+        [[((0, 1), 0.0)]] * 2,
+        scheduling=((A, 0), (B, 1)),
+        offset=(-1.0, -1.0),
+        span=(2.0, 2.0),
+        centre=[[0.2, 0.2], [0.8, 0.8]],
+        width=[[0.3, 0.3]] * 2,
+    )
+    found = report(
+        network([part]), dataset(), stability=False, diagnostics=False, horizons=(1,)
+    )
+    assert found.maps[0].variables == ("a[t]", "b[t-1]")
+    assert error_maps(object(), dataset(), []) == ()
