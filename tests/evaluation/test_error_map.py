@@ -28,6 +28,7 @@ def test_the_error_lies_where_it_was_made():
     assert one.variables == ("b[t]", "a[t]") and one.output == "y"
     row = found.pooled("y")
     assert one.samples.sum() == row.samples
+    assert row.rmse is not None
     square = np.nansum(one.samples * one.rms**2) / row.samples
     assert square == pytest.approx(row.rmse**2, rel=1e-12)
     low, high = one.rms[:6], one.rms[6:]

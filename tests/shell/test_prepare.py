@@ -269,7 +269,9 @@ def test_the_model_keeps_the_preparation(capsys):
 def test_the_report_counts_what_was_masked(capsys):
     """Every record has one spike: two of them in training."""
     told = json.loads(Path("model/report.json").read_text())
-    lost = sum(int((~r.valid).sum()) for r in read_split("done/prepared.toml").train)
+    train = read_split("done/prepared.toml").train
+    assert train is not None
+    lost = sum(int((~r.valid).sum()) for r in train)
     share = f"NOx {lost} ({100 * lost / ROWS:.2g} %)"  # decimated by two, two records
     assert any("Masked in train" in n and share in n for n in told["notes"])
     assert "outlier" in told["provenance"]["preparation"].lower()
