@@ -115,7 +115,9 @@ def fit(
     length_s = time.perf_counter() - begin
     print(output, steps, "of", [round(s, 5) for s in scores], flush=True)
     start = closed(search, chosen)
-    method = jnx.SimulationError(horizons=(), max_steps=steps, ridge=PULL)
+    method = jnx.SimulationError(
+        horizons=(), max_steps=steps, ridge=PULL, train="joint"
+    )
     done = jnx.refine(start, train, method, progress=shown)
     row = {
         "output": output,
@@ -161,7 +163,7 @@ def length(search: Search, chosen: Choice, most: int) -> tuple[int, list[float]]
         left = search.train[np.flatnonzero(series == one).tolist()]
         start = closed(Search(rest, search.output), chosen)
         method = jnx.SimulationError(
-            horizons=(), max_steps=most, ridge=PULL, patience=most
+            horizons=(), max_steps=most, ridge=PULL, patience=most, train="joint"
         )
         done = jnx.refine(start, rest, method, validation=left, progress=shown)
         found = np.full(most + 1, np.nan)

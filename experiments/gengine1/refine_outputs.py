@@ -50,7 +50,7 @@ ROWS: tuple[str, ...] = ("LOLIMOT", "coefficients", "joint")
 COEFFICIENTS = jnx.SimulationError(
     horizons=(30, 100, 300, 1000), window_steps=8, max_steps=20, patience=8
 )
-JOINT = jnx.SimulationError(horizons=(), max_steps=40, patience=10)
+JOINT = jnx.SimulationError(horizons=(), max_steps=40, patience=10, train="joint")
 
 
 def start(train: jnx.Dataset, output: str, memory: str) -> jnx.Network:

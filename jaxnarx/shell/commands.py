@@ -118,6 +118,10 @@ class Identify:
     """Refinement steps on full records; 0 keeps the one-step model."""
     window_steps: int = 20
     """Refinement steps at each window length."""
+    train: Literal["staged", "joint", "either"] = "staged"
+    """What moves when: the coefficients of the local models in the windows and regions
+    on full records alone; everything from the first window; or both ways to their end,
+    and the better one by validation (two to three times the time)."""
     ridge: float = 1e-5
     """Pull of the parameters towards the one-step model."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"

@@ -115,6 +115,7 @@ def make_plan(command: Identify, typed: str) -> Plan:
             horizons=command.horizons,
             max_steps=command.steps,
             window_steps=command.window_steps if command.steps else 0,
+            train=command.train,
             ridge=command.ridge,
             loss=command.loss,
             box_cox=dict.fromkeys(command.log, 0.0) if command.log else 1.0,

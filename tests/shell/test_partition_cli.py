@@ -6,8 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from jaxnarx.methods import Case, SimulationError
 from jaxnarx.models import SigmoidTree, load
 from jaxnarx.shell.cli import run
+from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.identify import make_plan
 
 ROWS = 300
 NAMES = ("speed", "load", "temp")
@@ -66,3 +69,11 @@ def test_partitions_that_make_no_sense_are_usage(place, capsys, given, words):
     assert run(["identify", "engine.toml", "--out", "none", *QUICK, *given]) == 2
     assert words in capsys.readouterr().err
     assert not (place / "none").exists()
+
+
+def test_the_order_of_training_is_one_for_command_verb_and_sweep():
+    def trained(command: Identify) -> str:
+        return make_plan(command, "").refine.train
+
+    assert trained(Identify("a.toml")) == SimulationError().train == Case().train
+    assert trained(Identify("a.toml", train="joint")) == "joint"
