@@ -141,3 +141,15 @@ def test_refinement_on_virtual_engines(tmp_path):
     figures = json.loads((tmp_path / "engines.json").read_text())["figures"]
     (found,) = figures["summary"].values()
     assert found["seeds"] == 1 and found["validation_worse"] == 0
+
+
+@pytest.mark.slow
+def test_figures_of_single_models(tmp_path):
+    done = experiment("thesis/multi_model_figures.py", "--results", str(tmp_path))
+    assert "Table 6.1, ERR" in done.stdout
+    content = json.loads((tmp_path / "multi_model_figures.json").read_text())
+    table = content["figures"]["table_6_1"]
+    assert len(table["ERR"]) == 6 >= len(table["F"])  # the constant as well
+    assert all(row["ERR"] > 0 for rows in table.values() for row in rows)
+    drawn = list(tmp_path.glob("chapter*.png"))
+    assert len(drawn) == 12 and all(f.stat().st_size > 10_000 for f in drawn)
