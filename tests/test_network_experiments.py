@@ -43,19 +43,6 @@ def test_lolimot_of_chapter_6(tmp_path):
 
 
 @pytest.mark.slow
-def test_figures_of_one_seed(tmp_path):
-    done = experiment("thesis/single_seed.py", "--results", str(tmp_path))
-    # 5.5, 6.8, 6.10, 6.11 to 6.14 in pairs, 6.18 to 6.21, 7.1 to 7.5 (7.3 is two).
-    figures = sorted(tmp_path.glob("figure_*.png"))
-    assert len(figures) == 15
-    assert all(figure.stat().st_size > 10_000 for figure in figures)
-    by_f, by_err = done.stdout.split("Table 6.1, 1750 rpm")[1].split("ERR\n")
-    assert "Reg1 = " in by_f
-    # Five terms and the constant, in order of entry.
-    assert len(by_err.split()) == 12
-
-
-@pytest.mark.slow
 def test_forward_model_of_chapter_7(tmp_path):
     experiment("thesis/chapter7_forward.py", "--results", str(tmp_path))
     content = json.loads((tmp_path / "chapter7_forward.json").read_text())
