@@ -28,6 +28,7 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *_units(data),
         *_rows(data, max_lag),
         *_identical(data),
+        *samples.precision(data),
         *samples.constant(data),
         *samples.duplicates(data),
         *samples.gaps(data),

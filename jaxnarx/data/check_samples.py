@@ -47,12 +47,21 @@ def constant(data: Dataset) -> Iterator[Finding]:
     high = np.stack([signals(r).max(axis=0) for r in data])
     for j, name in enumerate(channels.names):
         output = j >= len(channels.inputs)
-        if low[:, j].min() == high[:, j].max():
+        seen = [i for i, r in enumerate(data) if r.valid[:, j].any()]
+        if not seen:
+            yield Finding(
+                "error",
+                "gaps",
+                f"{name} has no valid sample: all of it is masked. Leave it out, or "
+                "mask less.",
+                channel=name,
+            )
+        elif low[seen, j].min() == high[seen, j].max():
             yield Finding(
                 "error" if output else "warning",
                 "constant",
                 f"{'output' if output else 'input'} {name} is constant at "
-                f"{low[0, j]:.6g} in all records. "
+                f"{low[seen[0], j]:.6g} in all records. "
                 + (
                     "Nothing can be identified from it: leave it out."
                     if output
@@ -61,7 +70,7 @@ def constant(data: Dataset) -> Iterator[Finding]:
                 channel=name,
             )
         elif output:
-            for i in np.flatnonzero(low[:, j] == high[:, j]):
+            for i in (i for i in seen if low[i, j] == high[i, j]):
                 record = data.records[i]
                 yield Finding(
                     "note",
@@ -71,6 +80,18 @@ def constant(data: Dataset) -> Iterator[Finding]:
                     channel=name,
                     record=record.name,
                 )
+
+
+def precision(data: Dataset) -> Iterator[Finding]:
+    """A note where everything will be computed with seven digits."""
+    if data.records[0].u.dtype == np.float32:
+        yield Finding(
+            "note",
+            "precision",
+            "the data are float32, so everything runs in float32: seven digits, of "
+            "which a long free run loses some. Convert the files or arrays to float64 "
+            "to run in it.",
+        )
 
 
 def duplicates(data: Dataset) -> Iterator[Finding]:

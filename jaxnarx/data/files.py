@@ -131,8 +131,9 @@ def _read(
     path: Path, description: Description, root, max_bytes
 ) -> tuple[Dataset, list[str]]:
     """All records, and the part each belongs to."""
-    folder = _root(path, root, description)
-    found = _find(description, folder, path)
+    with reading(path, "a description", advice="Correct it."):
+        folder = _root(path, root, description)
+        found = _find(description, folder, path)
     files = [file for file, _ in found]
     names = _record_names(files, folder)
     data = _assembled(files, names, description, max_bytes)

@@ -51,8 +51,9 @@ def about(source: str) -> Iterator[None]:
 
 
 def size(data: "Dataset") -> str:
-    """How many records and samples, and their distance."""
+    """How many records and samples, their distance, and whether all runs in float32."""
+    single = len(data) > 0 and data.records[0].u.dtype == "float32"
     return (
         f"{count(len(data), 'record')}, {count(data.samples, 'sample')} at "
-        f"{data.sample_time:g} s"
+        f"{data.sample_time:g} s" + ", in float32" * single
     )

@@ -420,6 +420,11 @@ def test_descriptions_that_are_none(tmp_path):
         ("[data]\nsample_time = " + 400 * "9", "data.sample_time must be a number"),
         ("[data]\nsample_time = 0x" + 9000 * "f", "cannot be read as a description"),
         ("[data]\nsample_time = 1e-310", "positive finite"),
+        (
+            '[data]\nsample_time=1\nroot="a\\u0000"\n[channels.outputs]\ny=""\n'
+            '[records]\nfiles=["a"]',
+            "does not exist",
+        ),
     ],
 )
 def test_toml_that_trips_the_parser_is_refused_by_name(tmp_path, text, said):
@@ -449,6 +454,9 @@ def test_a_given_root_is_not_left_by_the_description(tmp_path, root, monkeypatch
     path = write(inner, None, data=f'root = "{root}"', records='files = ["**/a.csv"]')
     said = "data.root names", "outside the data folder"
     assert refuse(SpecError, path, *said, root=inner).field == "data.root"
+    odd = write(inner, None, data='root = "a\\u0000"')
+    refuse(DataFileError, odd, "cannot be read as a description", root=inner)
+    path = write(inner, None, data=f'root = "{root}"', records='files = ["**/a.csv"]')
     # without one, the description says where its files are
     assert read(path).samples == 20
     monkeypatch.setenv("JAXNARX_DATA", str(inner))
