@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.dynamics import dynamics
+from jaxnarx.data.excitation_order import excitation_order
+from jaxnarx.data.feedback import correlations
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
-from jaxnarx.data.response import excitation_order, responses
 from jaxnarx.errors import SpecError
 
 
@@ -15,8 +17,8 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
 
     Constant, copied, saturated, stuck and outlying channels; gaps; records that are too
     short or repeated; missing units; whether inputs excite a model with lags up to
-    `max_lag` samples; dead times; and signs of feedback from outputs to inputs.
-    Findings are hints with their places, nothing is changed.
+    `max_lag` samples; dead times; memory beyond `max_lag`; and signs of feedback from
+    outputs to inputs. Findings are hints with their places, nothing is changed.
     """
     if max_lag < 1:
         raise SpecError(
@@ -107,14 +109,31 @@ def _excitation(data: Dataset, max_lag: int) -> Iterator[Finding]:
 def _dynamics(data: Dataset, max_lag: int) -> Iterator[Finding]:
     if not data.channels.inputs or max(len(r) for r in data) < 3 * max_lag:
         return
-    found = responses(data, reach=max(100, 2 * max_lag))
-    outputs = data.channels.output_names
+    found, seen = dynamics(data), correlations(data)
+    outputs, step = data.channels.output_names, data.sample_time
     for i, u in enumerate(data.channels.input_names):
         for o, y in enumerate(outputs):
-            dead = found.dead_time(i, o)
-            if dead:
-                yield _dead_time(u, y, dead, max_lag, data.sample_time)
-        yield from _feedback(found, i, u, outputs, data.sample_time)
+            answer = found[i, o]
+            if answer is not None and answer.dead_time:
+                yield _dead_time(u, y, answer.dead_time, max_lag, step)
+            memory = 0 if answer is None else answer.settling or 0
+            if answer is not None and memory > max_lag:
+                yield _memory(u, y, memory, answer.rise, max_lag, step)
+        yield from _feedback(seen, i, u, outputs, step)
+
+
+def _memory(
+    u: str, y: str, memory: int, rise: float, max_lag: int, step: float
+) -> Finding:
+    return Finding(
+        "note",
+        "memory",
+        f"{y} remembers {u} for about {memory} samples, "
+        f"{memory * step:.4g} s: lags up to {max_lag} do not reach that far. "
+        f"Let {u} enter through first-order lags of about {rise * step:.2g} s "
+        "as well (--filters), feed the output back, or take longer samples.",
+        channel=u,
+    )
 
 
 def _dead_time(u: str, y: str, dead: int, max_lag: int, step: float) -> Finding:
@@ -132,13 +151,12 @@ def _dead_time(u: str, y: str, dead: int, max_lag: int, step: float) -> Finding:
     )
 
 
-def _feedback(found, i, u, outputs, step) -> Iterator[Finding]:
+def _feedback(seen, i, u, outputs, step) -> Iterator[Finding]:
     """Correlation with past outputs, clearly above chance and a fifth of the answer."""
     for o, y in enumerate(outputs):
-        past = abs(found.backward(i, o)[:20])
-        ahead = abs(found.forward(i, o)).max()
+        past, ahead = abs(seen.past[i, o]), abs(seen.ahead[i, o]).max()
         lag = int(past.argmax())
-        if past[lag] > max(1.5 * found.bound, 0.1, 0.2 * ahead):
+        if past[lag] > max(1.5 * seen.bound, 0.1, 0.2 * ahead):
             yield Finding(
                 "warning",
                 "closed loop",

@@ -13,6 +13,31 @@ _SHOWN = 20
 _MIN_RUN = 20
 """Shortest run of equal values, in samples, that is called stuck."""
 
+_BLOCK = 1 << 15
+"""Rows looked at together: few enough for the processor's cache."""
+
+
+def signal(record: Record, j: int) -> Float[np.ndarray, " time"]:
+    """One channel, inputs counted first."""
+    inputs = record.u.shape[1]
+    return record.u[:, j] if j < inputs else record.y[:, j - inputs]
+
+
+def blocks(record: Record) -> Iterator[tuple[int, Float[np.ndarray, "rows signals"]]]:
+    """Every `_BLOCK` rows of all signals, with the number of the first."""
+    for first in range(0, len(record), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        yield first, np.concatenate([record.u[rows], record.y[rows]], axis=1)
+
+
+def _limits(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest value of every signal in every record."""
+
+    def each(of) -> np.ndarray:
+        return np.stack([np.concatenate([of(r.u), of(r.y)]) for r in data])
+
+    return each(lambda x: x.min(axis=0)), each(lambda x: x.max(axis=0))
+
 
 def signals(record: Record) -> Float[np.ndarray, "time signals"]:
     """Inputs, then outputs, as columns of one array in physical units."""
@@ -43,8 +68,7 @@ def spans(
 def constant(data: Dataset) -> Iterator[Finding]:
     """Channels that never change, in all records (inputs, outputs) or one (outputs)."""
     channels = data.channels
-    low = np.stack([signals(r).min(axis=0) for r in data])
-    high = np.stack([signals(r).max(axis=0) for r in data])
+    low, high = _limits(data)
     for j, name in enumerate(channels.names):
         output = j >= len(channels.inputs)
         seen = [i for i, r in enumerate(data) if r.valid[:, j].any()]
@@ -106,10 +130,10 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
             continue
         gain = gram[i, j] / gram[i, i]
         offset = mean[j] - gain * mean[i]
-        worst = max(_misfit(signals(r), i, j, gain, offset) for r in data)
+        worst = max(_misfit(r, i, j, gain, offset) for r in data)
         if worst > 1e-4 * size[j] / np.sqrt(data.samples):
             continue
-        equal = all(np.array_equal(*signals(r)[:, [i, j]].T) for r in data)
+        equal = all(np.array_equal(signal(r, i), signal(r, j)) for r in data)
         how = "equals" if equal else f"is {gain:.6g} times"
         use = f"Selection uses {names[i]} and passes {names[j]} over: leave one out."
         plus = "" if equal or abs(offset) < 1e-9 * safe[j] else f" plus {offset:.6g}"
@@ -125,17 +149,21 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
 
 def _moments(data):
     count = data.samples
-    sums = [signals(r).sum(axis=0, dtype=np.float64) for r in data]
+    sums = [
+        np.concatenate([x.sum(axis=0, dtype=np.float64) for x in (r.u, r.y)])
+        for r in data
+    ]
     mean = np.sum(sums, axis=0) / count
     gram = np.zeros((len(data.channels.names),) * 2)
     for record in data:
-        x = signals(record) - mean
-        gram += x.T @ x
+        for _, x in blocks(record):
+            x = x - mean
+            gram += x.T @ x
     return mean, gram
 
 
-def _misfit(x, i, j, gain, offset):
-    return float(np.abs(x[:, j] - gain * x[:, i] - offset).max())
+def _misfit(record, i, j, gain, offset):
+    return float(np.abs(signal(record, j) - gain * signal(record, i) - offset).max())
 
 
 def stuck(data: Dataset) -> Iterator[Finding]:
@@ -148,11 +176,11 @@ def stuck(data: Dataset) -> Iterator[Finding]:
     switch. Elsewhere only outputs count, as inputs may rest, and only runs that are
     also a tenth of their record.
     """
-    low = np.min([signals(r).min(axis=0) for r in data], axis=0)
-    high = np.max([signals(r).max(axis=0) for r in data], axis=0)
+    limits = _limits(data)
+    low, high = limits[0].min(axis=0), limits[1].max(axis=0)
     for j, channel in enumerate(data.channels.all):
-        runs = [_runs(signals(r)[:, j]) for r in data]
-        values = [signals(r)[p[:, 0], j] for r, p in zip(data, runs, strict=True)]
+        runs = [_runs(signal(r, j)) for r in data]
+        values = [signal(r, j)[p[:, 0]] for r, p in zip(data, runs, strict=True)]
         lengths = np.concatenate([p[:, 1] - p[:, 0] for p in runs])
         value = np.concatenate(values)
         between = (value != low[j]) & (value != high[j])
@@ -221,12 +249,12 @@ def spikes(data: Dataset) -> Iterator[Finding]:
     names = data.channels.names
     spread = _spread(data)
     for record in data:
-        x = signals(record)
-        if len(x) < 15:
+        if len(record) < 15:
             continue
-        far = (np.abs(x - _median5(x)) > 0.05 * spread[None]) & record.valid
-        for j in np.flatnonzero(far.any(axis=0)):
-            rows = _hampel(x[:, j], np.flatnonzero(far[:, j]), spread[j])
+        for j in range(len(names)):
+            x = signal(record, j)
+            far = _far(x, 0.05 * spread[j])
+            rows = _hampel(x, far[record.valid[far, j]], spread[j])
             if rows.size:
                 pairs = np.stack([rows, rows + 1], axis=1)
                 where = spans(record, pairs)
@@ -248,15 +276,28 @@ def spikes(data: Dataset) -> Iterator[Finding]:
 def _spread(data: Dataset) -> Float[np.ndarray, " signals"]:
     """Range of each channel between its 0.5 and 99.5 percentiles, from 20,000 rows."""
     step = max(1, data.samples // 20_000)
-    x = np.concatenate([signals(r)[::step] for r in data])
+    x = np.concatenate([np.concatenate([r.u[::step], r.y[::step]], 1) for r in data])
     low, high = np.percentile(x, [0.5, 99.5], axis=0)
     return high - low
 
 
-def _median5(x: Float[np.ndarray, "time signals"]) -> Float[np.ndarray, "time signals"]:
-    """Running median of five by comparisons: far faster than sorting windows."""
+def _far(x: Float[np.ndarray, " time"], limit: float) -> Int[np.ndarray, " rows"]:
+    """Rows that are further than `limit` from the running median of five."""
     p = np.concatenate([x[:2], x, x[-2:]])
-    a, b, c, d, e = (p[k : len(x) + k] for k in range(5))
+    found = [
+        first + np.flatnonzero(np.abs(part[2:-2] - _median5(part)) > limit)
+        for first in range(0, len(x), _BLOCK)
+        for part in [p[first : first + _BLOCK + 4]]
+    ]
+    return np.concatenate(found)
+
+
+def _median5(p: Float[np.ndarray, " more"]) -> Float[np.ndarray, " time"]:
+    """Running median of five by comparisons: far faster than sorting windows.
+
+    Two samples at either end are there for their neighbours.
+    """
+    a, b, c, d, e = (p[k : len(p) - 4 + k] for k in range(5))
     low, high = np.minimum(a, b), np.maximum(a, b)
     low2, high2 = np.minimum(d, e), np.maximum(d, e)
     # the least and the greatest of four cannot be the median of five

@@ -1,13 +1,18 @@
 """Lags to begin with, from the delays the data show."""
 
 import dataclasses
-from collections.abc import Callable
 
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.response import responses
+from jaxnarx.data.dynamics import dynamics
+from jaxnarx.data.step_response import bank_times
 from jaxnarx.errors import DataError
 
 _LADDER = (0, 1, 2, 4, 8, 16, 32, 64)
+
+_USUAL = 16
+"""Memory [samples] to begin with where none is seen: that of `identify`."""
+
+_FILTERS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -15,7 +20,8 @@ class LagSuggestion:
     """Lags in samples for a first pool of terms, and the delays they come from.
 
     `dead_time` and `settling` map (input, output) to samples, None where no linear
-    response is seen.
+    response is seen. `filters` are time constants [s] of first-order lags through which
+    the inputs should enter as well, where the memory is longer than lags should be.
     """
 
     input_lags: tuple[int, ...]
@@ -23,12 +29,18 @@ class LagSuggestion:
     dead_time: dict[tuple[str, str], int | None]
     settling: dict[tuple[str, str], int | None]
     sample_time: float
+    filters: tuple[float, ...] = ()
 
     def __str__(self) -> str:
         lines = [
             f"input lags {self.input_lags}, output lags {self.output_lags} "
             f"(samples of {self.sample_time:.6g} s)"
         ]
+        if self.filters:
+            lines.append(
+                "the memory is longer: filters of "
+                f"{', '.join(f'{t:g}' for t in self.filters)} s as well"
+            )
         for pair, delay in self.dead_time.items():
             what = "no linear response seen"
             if delay is not None:
@@ -44,36 +56,40 @@ class LagSuggestion:
 def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
     """Input and output lags for `data`: 0, 1, 2, 4, 8, ... up to the settling time.
 
-    The ladder covers the settling time of the median pair of channels (slower ones
-    are left to feedback) and includes the delay after which each input first shows in
-    any output, but never exceeds `max_lag` samples or a quarter of the longest record.
-    Output lags are 1 and 2.
+    The ladder covers the longest settling time that is seen, and where none is, 16
+    samples, but never exceeds `max_lag` samples or a quarter of the longest record;
+    what settles later gets filters. It includes the delay after which each input first
+    shows in any output. Output lags are 1 and 2.
     """
     if not data.samples:
         raise DataError("suggest_lags needs at least one record with samples")
     top = max(1, min(max_lag, max(len(r) for r in data) // 4))
-    found = responses(data, reach=max(100, max_lag))
-    dead, settled = {}, {}
+    found = dynamics(data)
+    dead, settled, slow = {}, {}, []
     for i, u in enumerate(data.channels.input_names):
         for o, y in enumerate(data.channels.output_names):
-            dead[u, y] = found.dead_time(i, o)
-            settled[u, y] = found.settling(i, o)
-    known = sorted(s for s in settled.values() if s is not None)
-    need = min(known[(len(known) - 1) // 2] if known else 1, top)
+            answer = found[i, o]
+            dead[u, y] = None if answer is None else answer.dead_time
+            settled[u, y] = None if answer is None else answer.settling
+            if answer is not None and (answer.settling or 0) > max_lag:
+                slow.append(answer.rise * data.sample_time)
+    need = min(max((s for s in settled.values() if s is not None), default=_USUAL), top)
     below = [lag for lag in _LADDER if lag < need]
     above = [lag for lag in _LADDER if need <= lag <= top][:1] or [need]
-    delays = {d for d in map(_delay(dead), data.channels.input_names) if d <= top}
+    delays = [_delay(dead, u) for u in data.channels.input_names]
+    bank = bank_times(slow, _FILTERS, sample_time=data.sample_time) if slow else []
     return LagSuggestion(
         tuple(sorted({0, 1, *below, *above, *delays})),
         (1, 2),
         dead,
         settled,
         data.sample_time,
+        tuple(float(f"{t:.2g}") for t in bank),
     )
 
 
-def _delay(dead) -> Callable[[str], int]:
+def _delay(dead: dict[tuple[str, str], int | None], name: str) -> int:
     """The delay after which an input first shows in any output; 0 where in none."""
-    return lambda name: min(
+    return min(
         (d for (u, _), d in dead.items() if u == name and d is not None), default=0
     )

@@ -1,13 +1,12 @@
 """Time constants to begin with for a bank of first-order lags."""
 
-import math
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.step_response import step_times
+from jaxnarx.data.step_response import bank_times, step_times
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool
@@ -76,12 +75,7 @@ def _by_step(data: Dataset, output: str, count: int) -> list[float]:
             "method='search', or longer records",
             channel=output,
         )
-    shortest = max(min(times), data.sample_time)
-    longest = max(*times, shortest)
-    if count == 1:
-        return [math.sqrt(shortest * longest)]
-    first = max(shortest / 2, data.sample_time)
-    return np.geomspace(first, 2 * longest, count).tolist()
+    return bank_times(times, count, sample_time=data.sample_time)
 
 
 def _by_search(data: Dataset, output: str, count: int) -> list[float]:

@@ -89,6 +89,8 @@ def _check(command: commands.Check) -> int:
     words = ["jaxnarx", "identify", command.description, *root]
     words += ["--output", data.channels.output_names[0]]
     words += ["--input-lags", *map(str, lags.input_lags)]
+    if lags.filters:
+        words += ["--filters", *(f"{t:g}" for t in lags.filters)]
     next_command(*words, "--output-lags", *map(str, lags.output_lags))
     return status
 
@@ -130,6 +132,7 @@ def _lags(lags: "LagSuggestion") -> dict[str, Any]:
     return {
         "input_lags": list(lags.input_lags),
         "output_lags": list(lags.output_lags),
+        "filters": list(lags.filters),
         "unit": "samples",
         "sample_time": lags.sample_time,
         "pairs": pairs,

@@ -2,7 +2,6 @@
 
 import json
 import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -239,13 +238,10 @@ FOLDER = Path(os.environ.get("JAXNARX_DATA", ROOT / "../shared/data"))
     not (FOLDER / "gengine1").is_dir(),
     reason="gengine1 is not in JAXNARX_DATA (default ../shared/data)",
 )
-def test_gengine1_is_read_and_checked_quickly():
-    begun = time.perf_counter()
+def test_gengine1_is_read_and_checked():
     split = read_split(ROOT / "experiments/gengine1/gengine1.toml", root=FOLDER)
     assert split.train is not None and split.test is not None
     findings, lags = check(split.train), suggest_lags(split.train)
-    # 1.2 s on two idle cores; the margin is for busy ones
-    assert time.perf_counter() - begun < 10
     assert (len(split.train), len(split.test), split.validate) == (20, 6, None)
     assert split.train.samples == 247_844
     assert split.all.channels.output_names[4] == "NOx"
@@ -253,4 +249,7 @@ def test_gengine1_is_read_and_checked_quickly():
         split.train.records[0].u[0, :2], [-0.107029012, 1.54308670]
     )
     assert findings.is_okay and "O2" in {f.channel for f in findings.of("saturated")}
-    assert lags.input_lags[:5] == (0, 1, 2, 4, 8) and lags.output_lags == (1, 2)
+    assert {0, 1, 2, 4, 8, 16, 32, 64} <= set(lags.input_lags)
+    # the gases take .6 to .8 s to the analyser, the exhaust remembers for a minute
+    assert lags.dead_time["load", "NOx"] in range(4, 9)
+    assert lags.filters[0] < 2 < 10 < lags.filters[-1]

@@ -1,4 +1,4 @@
-"""Delays from prewhitened cross-correlation."""
+"""Delays from records of known systems."""
 
 import json
 
@@ -33,8 +33,9 @@ def test_known_delays_are_found_with_their_sign(data):
     assert found["a", "y"].samples == 5
     assert found["a", "y"].seconds == pytest.approx(0.1)
     assert found["b", "w"].samples == 12
-    assert found["a", "y"].correlation > found.bound
-    assert found["b", "w"].correlation < -found.bound
+    # noise of 0.1 beside outputs of several units leaves little unexplained
+    assert found["a", "y"].correlation > 0.9
+    assert found["b", "w"].correlation < -0.9
 
 
 def test_pairs_without_a_response_are_unclear(data):
@@ -42,7 +43,7 @@ def test_pairs_without_a_response_are_unclear(data):
     for pair in (("a", "w"), ("b", "y")):
         delay = found[pair]
         assert delay.samples is None and delay.seconds is None
-        assert abs(delay.correlation) < found.bound
+        assert abs(delay.correlation) < 0.5
     assert str(found).count("unclear") == 2
 
 

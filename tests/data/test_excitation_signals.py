@@ -9,6 +9,7 @@ import scipy.signal
 from jaxnarx.data.excitation import (
     chirp,
     crest_factor,
+    driving_cycle,
     limited,
     multisine,
     prbs,
@@ -309,3 +310,33 @@ def test_every_ramp_may_have_its_own_rate():
 def test_impossible_ramps_are_refused(wrong, field):
     request = {"levels": [0.0, 1.0, 0.0], "rate": 1.0, "hold": 2, "sample_time": 0.1}
     refused(ramps, field=field, **(request | wrong))
+
+
+# driving cycle --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_the_european_cycle_has_its_published_length_and_distance(step):
+    """1180 s, 11.0 km, 120 km/h at most and 33.6 km/h on average."""
+    speed = np.asarray(driving_cycle(sample_time=step))
+    assert speed.shape == (round(1180 / step) + 1,)
+    assert speed.min() == 0 and speed.max() == 120
+    # every corner lies on a whole second, so that trapezoids are exact
+    distance = np.trapezoid(speed / 3.6, dx=step)
+    assert distance == pytest.approx(11_007, abs=15)
+    assert 3.6 * distance / 1180 == pytest.approx(33.6, abs=0.05)
+
+
+def test_phases_follow_each_other_and_accelerations_are_those_of_the_table():
+    urban = np.asarray(driving_cycle(sample_time=1, phases=["urban"]))
+    extra = np.asarray(driving_cycle(sample_time=1, phases=["extra-urban"]))
+    assert (len(urban), len(extra)) == (196, 401)
+    whole = np.asarray(driving_cycle(sample_time=1))
+    np.testing.assert_array_equal(whole, [*np.tile(urban[:-1], 4), *extra])
+    # 1.04 m/s2 for the first start, 1.39 m/s2 for the last stop; two digits are given
+    assert np.diff(whole).max() / 3.6 == pytest.approx(1.04, abs=0.01)
+    assert np.diff(whole).min() / 3.6 == pytest.approx(-1.39, abs=0.01)
+
+
+def test_a_cycle_refuses_a_step_of_zero():
+    refused(driving_cycle, sample_time=0, field="sample_time")

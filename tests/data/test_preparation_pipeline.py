@@ -24,6 +24,16 @@ from jaxnarx.data import (
 from jaxnarx.errors import DataError, JaxnarxError, SpecError
 
 
+def test_up_sampling_is_flagged():
+    data = engine(600, gaps=False)
+    _, finer = prepare(data, [Resample(sample_time=0.05)])
+    said = str(finer.report)
+    assert "warning: up-sampled from 600 to 1199 samples" in said
+    assert "samples left" not in said
+    _, coarser = prepare(data, [Decimate(factor=4)])
+    assert "150 of 600 samples left" in str(coarser.report)
+
+
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     return engine(150, 110, 200)

@@ -10,6 +10,7 @@ from jaxnarx.data.excitation.aprbs import aprbs
 from jaxnarx.data.excitation.assess import Assessment, assess, visited
 from jaxnarx.data.excitation.chirp import chirp
 from jaxnarx.data.excitation.coverage import Coverage, cells, coverage
+from jaxnarx.data.excitation.driving_cycle import driving_cycle
 from jaxnarx.data.excitation.holds import hold_times
 from jaxnarx.data.excitation.limits import limited
 from jaxnarx.data.excitation.multisine import crest_factor, multisine
@@ -42,6 +43,7 @@ __all__ = [
     "coverage",
     "crest_factor",
     "discrepancy",
+    "driving_cycle",
     "feasible",
     "hold_times",
     "latin_hypercube",

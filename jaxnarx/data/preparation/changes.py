@@ -74,8 +74,14 @@ class Changes:
     def _summary(self, step: int) -> Iterator[str]:
         own = self.of(step)
         before, after = sum(c.before for c in own), sum(c.after for c in own)
-        if before != after:
+        if after < before:
             yield f"{after} of {before} samples left in {len(own)} record(s)"
+        if after > before:
+            yield (
+                f"warning: up-sampled from {before} to {after} samples in {len(own)} "
+                "record(s). Those between are interpolated and tell nothing new: "
+                "errors one step ahead look smaller than they are"
+            )
         for name, n in self.masked(step).items():
             share = 100 * n / max(after, 1)
             records = sum(name in c.masked for c in own)
