@@ -1,7 +1,10 @@
 """jaxnarx: engines from measurements, as multi-model networks refined in simulation."""
 
 import importlib
+import inspect
 from typing import TYPE_CHECKING, Any
+
+from jaxnarx.guard import guarded
 
 if TYPE_CHECKING:
     from jaxnarx.data import Channel as Channel
@@ -154,6 +157,8 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULE:
         raise AttributeError(f"module 'jaxnarx' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"jaxnarx.{_MODULE[name]}"), name)
+    if inspect.isfunction(value):
+        value = guarded(value)
     globals()[name] = value
     return value
 

@@ -6,7 +6,7 @@ import os
 import platform
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
@@ -153,8 +153,18 @@ class Report:
         write_report(self, path)
 
 
+@runtime_checkable
+class Reportable(Protocol):
+    """What a report is made of: a `Network`, or what can be run and shown as one."""
+
+    channels: Any
+    models: Any
+    output_channels: Any
+    equations: Any
+
+
 def report(
-    network: Any,
+    network: Reportable,
     data: Dataset | Mapping[str, Dataset],
     *,
     horizons: Sequence[int] = (1, 10),

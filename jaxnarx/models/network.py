@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.data import Channel, Channels
+from jaxnarx.errors import SpecError
 from jaxnarx.models.validity import AbstractValidity
 from jaxnarx.regressors import (
     Variables,
@@ -195,9 +196,18 @@ class Network(eqx.Module):
             style: equation(left, names, factor.tolist(), value, style=style),
         }
 
-    def regions(self, output: int) -> list[dict[str, dict[str, float]]]:
-        """Where the local models of one output are valid, in physical units."""
-        model = self.models[output]
+    def regions(self, output: int | str) -> list[dict[str, dict[str, float]]]:
+        """Where the local models of one output (its number or name) are valid, in
+        physical units."""
+        names = self.output_names
+        number = names.index(output) if output in names else output
+        if number not in range(len(names)):
+            raise SpecError(
+                f"there is no modelled output {output!r}; there are "
+                + ", ".join(f"{name} ({o})" for o, name in enumerate(names)),
+                field="output",
+            )
+        model = self.models[int(number)]
         names = variable_names(self.channels, model.scheduling)
         span, offset = np.asarray(model.span), np.asarray(model.offset)
         return model.validity.regions(names, offset, span)
