@@ -5,6 +5,7 @@ import inspect
 from typing import TYPE_CHECKING, Any
 
 from jaxnarx.guard import guarded
+from jaxnarx.texts import documented
 
 if TYPE_CHECKING:
     from jaxnarx.data import Channel as Channel
@@ -159,6 +160,8 @@ def __getattr__(name: str) -> Any:
     value = getattr(importlib.import_module(f"jaxnarx.{_MODULE[name]}"), name)
     if inspect.isfunction(value):
         value = guarded(value)
+    elif _MODULE[name] == "methods":
+        value.__doc__ = documented(value)
     globals()[name] = value
     return value
 

@@ -25,7 +25,7 @@ def modules() -> dict[str, Path]:
 # room of its own, because refinement needs it.
 HOUSE = [
     ["errors"],
-    ["files", "guard"],
+    ["files", "guard", "texts"],
     ["methods"],
     ["solution"],
     ["arrays"],

@@ -23,6 +23,9 @@ from jaxnarx.regressors import (
     variable_names,
 )
 
+SHOWN = 6
+"""Terms of a local model that `print` shows; `equations` has them all."""
+
 
 class LocalModels(eqx.Module):
     """Polynomials linear in their coefficients; every local model has its own terms.
@@ -98,6 +101,38 @@ class Network(eqx.Module):
             )
         for table in (self.variables, *(m.scheduling for m in self.models)):
             table.require_measured(self.signals, self.channels.names)
+
+    def __str__(self) -> str:
+        """What is modelled from what, where it is divided, and where it is held."""
+        lines = [
+            f"Network at {float(self.sample_time):g} s, from {self.history} samples of "
+            f"history: {', '.join(self.channels.input_names)} -> "
+            + ", ".join(self.output_names)
+        ]
+        names = self.variable_names
+        for o, (name, model) in enumerate(
+            zip(self.output_names, self.models, strict=True)
+        ):
+            gain = float(self.gain[self.signals[o]])
+            low, high = float(self.lower[o]) * gain, float(self.upper[o]) * gain
+            unit = f" {unit}" if (unit := self.output_channels[o].unit) else ""
+            active = np.flatnonzero(np.asarray(model.active)).tolist()
+            kind = type(model.validity).__name__
+            lines.append(
+                f"{name}: {len(active)} local "
+                f"{'model' if len(active) == 1 else f'models by {kind}'}, held within "
+                f"{low:.4g} to {high:.4g}{unit}"
+            )
+            for m in active:
+                terms = np.asarray(model.local.index)[m][
+                    np.asarray(model.local.used)[m]
+                ]
+                rows = np.asarray(model.local.factor)[terms].tolist()
+                where = _where(self.regions(o)[m]) if len(active) > 1 else ""
+                shown = ", ".join(term_name(names, row) for row in rows[:SHOWN])
+                more = f", {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+                lines.append(f"  {m + 1}{where}: {shown}{more}")
+        return "\n".join(lines)
 
     @property
     def history(self) -> int:
@@ -211,6 +246,18 @@ class Network(eqx.Module):
         names = variable_names(self.channels, model.scheduling)
         span, offset = np.asarray(model.span), np.asarray(model.offset)
         return model.validity.regions(names, offset, span)
+
+
+def _where(region: dict[str, dict[str, float]]) -> str:
+    """` (speed[t] near 900, load[t] above 3)`."""
+    words = {"centre": "near", "above": "above", "below": "below"}
+    parts = [
+        f"{name} {words[key]} {value:.4g}"
+        for name, bounds in region.items()
+        for key, value in bounds.items()
+        if key in words
+    ]
+    return f" ({', '.join(parts)})" if parts else ""
 
 
 def scheduling_values(

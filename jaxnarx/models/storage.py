@@ -101,6 +101,9 @@ def save(
     Coefficients that are not finite are refused, and so are validity functions that no
     program could read again: those of a class that is not registered
     (`jaxnarx.models.register_validity`).
+
+    Example:
+        jnx.save(network, "model.safetensors", about={"records": "day 1"})
     """
     from safetensors.numpy import save as to_bytes
 
@@ -146,7 +149,12 @@ def _require_known(network: Network) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Network:
-    """Read what `save` wrote. Any defect of the file is a `ModelFileError`."""
+    """Read what `save` wrote. Any defect of the file is a `ModelFileError`.
+
+    Example:
+        jnx.save(network, "model.safetensors")
+        network = jnx.load("model.safetensors")
+    """
     header, tensors = _read(Path(path))
     for value in tensors.values():
         check_precision(value.dtype)

@@ -34,6 +34,15 @@ class Selection(eqx.Module):
     samples: Int[np.ndarray, " outputs"]
     gain: Float[np.ndarray, " signals"]
 
+    def __str__(self) -> str:
+        """Every output's terms in order of choice, with their error reduction."""
+        lines = []
+        for o, name in enumerate(self.output_names):
+            lines.append(f"{name}: {self.size(o)} of {len(self.pool.factor)} terms")
+            for term, err in zip(self.terms(o), self.err[o], strict=False):
+                lines.append(f"  {100 * err:8.4f} %  {self.pool.name(term)}")
+        return "\n".join(lines)
+
     def terms(self, output: int = 0) -> list[int]:
         """Pool indices of the terms of one modelled output, in order of choice."""
         return self.index[output][self.used[output]].tolist()

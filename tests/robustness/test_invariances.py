@@ -61,7 +61,7 @@ def alike(found, expected, scale=1.0, tolerance=1e-6):
     """Two runs agree, in standard deviations of the expected one."""
     for y, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(
-            y / scale, other, rtol=0, atol=tolerance * np.std(other)
+            y / scale, other, rtol=0, atol=tolerance * float(np.std(other))
         )
 
 
