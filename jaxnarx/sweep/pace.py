@@ -8,8 +8,10 @@ from jaxnarx.sweep.folder.run_folder import RunFolder
 
 Progress = Callable[[dict[str, Any]], object]
 """Called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in members per
-second and seconds `left`. The rate counts from this call's first chunk, which came with
-the compilation, to the latest; it and `left` are None until two have come."""
+second and seconds `left`; these two are None until a chunk has come. The rate counts
+from the first chunk on, which came with the compilation, as soon as that is longer than
+what went before; until then from the call on, so that more time is rather left than
+less."""
 
 
 class Pace:
@@ -17,7 +19,7 @@ class Pace:
 
     def __init__(self, run: RunFolder, progress: Progress | None):
         self.run, self.progress = run, progress
-        self.begin = self._done()
+        self.begin = (time.perf_counter(), self._done())
         self.first: tuple[float, int] | None = None
         self.told: int | None = None
 
@@ -40,13 +42,13 @@ class Pace:
         )
 
     def _rate(self, done: int) -> float | None:
-        now = time.perf_counter()
-        if self.first is None and done > self.begin:
-            self.first = (now, done)
-        if self.first is None or done == self.first[1]:
+        if done == self.begin[1]:
             return None
-        since, first = self.first
-        return (done - first) / (now - since)
+        now = time.perf_counter()
+        first = self.first = self.first or (now, done)
+        settled = now - first[0] > first[0] - self.begin[0]
+        since, before = first if settled else self.begin
+        return (done - before) / (now - since)
 
     def _done(self) -> int:
         return sum(len(self.run.members(n)) for n in self.run.finished())

@@ -1,11 +1,16 @@
 """`run_sweep` in one process: rows, failures, resuming, interruption."""
 
+import time
+
 import numpy as np
 import pytest
 from sweep_toys import Toy
 
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.sweep import read_sweep, run_sweep
+from jaxnarx.sweep.folder.manifest import make_manifest
+from jaxnarx.sweep.folder.run_folder import open_run
+from jaxnarx.sweep.pace import Pace
 
 
 def test_every_member_is_a_row_in_its_place(tmp_path):
@@ -22,7 +27,28 @@ def test_every_member_is_a_row_in_its_place(tmp_path):
         assert row["index"] == i and row["message"] == "" and row["seconds"] >= 0
     assert [row["done"] for row in told] == [0, 5, 10, 12]
     assert [row["chunks"] for row in told] == [0, 1, 2, 3]
-    assert told[1]["rate"] is None and told[3]["rate"] > 0 and told[3]["left"] == 0
+    assert told[0]["rate"] is None and told[3]["rate"] > 0 and told[3]["left"] == 0
+
+
+def test_the_time_left_knows_of_the_compilation(tmp_path, monkeypatch):
+    # Two processes compile for 30 s, then compute a chunk every 2 s between them.
+    times, told = [0.0, 30.0, 30.1, 32.0, 34.0, 70.0], []
+    monkeypatch.setattr(time, "perf_counter", lambda: times[0])
+    run = open_run(tmp_path, make_manifest(Toy(120), chunk=4, float64=True))
+    pace = Pace(run, told.append)
+    for number, chunks in enumerate((0, 1, 1, 1, 1, 18)):
+        for n in range(chunks):
+            members = run.members(sum((0, 1, 1, 1, 1, 18)[:number]) + n)
+            run.write(members[0] // 4, [{"index": i} for i in members])
+        pace()
+        times.pop(0)
+    left = [row["left"] for row in told]
+    assert left[0] is None
+    # 4 of 120 in 30 s; then 8 in 30.1, although the last 4 came within 0.1 s
+    assert left[1] == pytest.approx(116 * 30 / 4)
+    assert left[2] == pytest.approx(112 * 30.1 / 8)
+    # 84 since the first chunk, within 40 s
+    assert left[5] == pytest.approx(32 * 40 / 84)
 
 
 def test_a_failing_member_is_a_row_and_the_others_are_computed(tmp_path, same_rows):
