@@ -1,9 +1,13 @@
 """Files that appear whole or not at all, whatever else writes beside them."""
 
 import contextlib
+import errno
 import os
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
+
+from jaxnarx.errors import DataFileError
 
 UNFINISHED = ".tmp"
 """How the name of a file ends that is still being written."""
@@ -30,6 +34,36 @@ def write_whole(path: Path, data: bytes, *, replace: bool = True) -> bool:
             temporary.unlink(missing_ok=True)
     _settle(path.parent)
     return placed
+
+
+def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
+    """What to tell where `path` cannot be written; `kept` is a sentence on the rest."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    hint = "Free some space" if full else "Make the folder writable"
+    return DataFileError(
+        f"{path}: cannot be written ({error.strerror or error}). {kept}{hint} and give "
+        "the same command again.",
+        path=path,
+    )
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other processes out that ask the same; the lock ends with its process.
+
+    Where the system has no such lock, nobody is kept out.
+    """
+    handle = None
+    try:
+        with contextlib.suppress(OSError, ImportError):
+            import fcntl
+
+            handle = os.open(folder, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
 
 
 def _move(source: Path, target: Path, replace: bool) -> bool:

@@ -89,10 +89,10 @@ class Unwritable(Toy):
     def run(self, indices: Sequence[int]) -> list[dict[str, Any]]:
         from jaxnarx.sweep.folder import files
 
-        def full(path, data):
+        def full(path, data, replace):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-        files._write = full
+        files.write_whole = full
         return super().run(indices)
 
 

@@ -1,34 +1,27 @@
 """Entry point of the command line: parse, run, and turn errors into exit codes.
 
 0: done. 1: the model is not usable (a record diverges, or no better than the mean), or
-its fit is below `--require-fit`. 2: wrong usage. 3: data or
-model files that cannot be used, or results that cannot be written. 70: a defect of this
-program. 130: interrupted.
+its fit is below `--require-fit`. 2: wrong usage. 3: data or model files that cannot be
+used, or results that cannot be written. 70: a defect of this program. 130: interrupted.
+143: ended by SIGTERM.
+
+Little is imported here, so that an interrupt finds its handler from early on.
 """
 
-import importlib.metadata
+import contextlib
 import os
 import re
 import shlex
 import signal
 import sys
-import threading
 from collections.abc import Sequence
-from typing import Annotated, Any, Union
 
-import tyro
-
-from jaxnarx.errors import JaxnarxError, SpecError, suggest
-from jaxnarx.shell.commands import COMMANDS, Command, help_of
+from jaxnarx.errors import DataFileError, JaxnarxError, SpecError
+from jaxnarx.shell import interrupt
+from jaxnarx.shell.messages import say, warn
 
 OK, NOT_ACCEPTABLE, USAGE, DATA, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-_ABOUT = (
-    "Identify engines from measurements: polynomial NARX models, each valid in one "
-    "operating region, refined on their own free run.\n\n"
-    "Exit codes: 0 done, 1 model not usable (a record diverges, or no better than the "
-    "mean) or fit below --require-fit, 2 usage, 3 data or model files, 130 interrupted."
-)
 _FLAGS = {
     "max_terms": "--terms",
     "max_models": "--models",
@@ -51,10 +44,11 @@ _WORDS = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
-    for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    signal.signal(signal.SIGINT, _interrupt)
-    sys.exit(run(arguments))
+    interrupt.listen()
+    _open_streams()
+    code = run(arguments)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to be interrupted
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -62,30 +56,24 @@ def run(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = _run(arguments)
-        sys.stdout.flush()
+        say(end="")  # and what others have written, help for one
         return code
-    except BrokenPipeError:  # `jaxnarx ... | head`; later output goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
-    except SpecError as error:
-        return _fail(_as_flag(error), USAGE)
-    except JaxnarxError as error:
-        return _fail(str(error), DATA)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}{error.strerror or error}", DATA)
-    except KeyboardInterrupt:
-        return _fail("interrupted; nothing half-written is left", INTERRUPTED)
-    except Exception as error:
-        return _unforeseen(error)
+    except (Exception, KeyboardInterrupt) as error:
+        with contextlib.suppress(DataFileError):
+            say(end="")  # if it is standard output that fails, it goes silent here
+        return _told(error)
 
 
 def _run(arguments: list[str]) -> int:
     if arguments == ["--version"]:
-        print(f"jaxnarx {importlib.metadata.version('jaxnarx')}")
+        import importlib.metadata
+
+        say(f"jaxnarx {importlib.metadata.version('jaxnarx')}")
         return OK
+    from jaxnarx.shell.parse import parse
+
     try:
-        command = _parse(arguments)
+        command = parse(arguments)
     except SystemExit as stop:
         return int(stop.code or 0) if arguments else USAGE
     from jaxnarx.shell import work
@@ -93,29 +81,36 @@ def _run(arguments: list[str]) -> int:
     return work.run(command, typed=shlex.join(["jaxnarx", *arguments]))
 
 
-def _parse(arguments: list[str]) -> Command:
-    """The command that was typed. Help and usage errors raise `SystemExit`."""
-    name = arguments[0] if arguments else ""
-    if name in COMMANDS:
-        return tyro.cli(
-            COMMANDS[name],
-            args=arguments[1:],
-            prog=f"jaxnarx {name}",
-            # given here because tyro drops the examples from a docstring it parses
-            description=help_of(COMMANDS[name]),
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
-        )
-    if name and not name.startswith("-"):
-        raise SpecError(f"there is no command {name!r}. {suggest(name, COMMANDS)}")
-    listed: Any = tuple(
-        Annotated[
-            c, tyro.conf.subcommand(n, description=(c.__doc__ or "").split("\n")[0])
-        ]
-        for n, c in COMMANDS.items()
-    )
-    union: Any = Union[listed]  # noqa: UP007
-    tyro.cli(union, args=arguments or ["--help"], prog="jaxnarx", description=_ABOUT)
-    raise AssertionError("an option cannot come before the command")
+def _told(error: BaseException) -> int:
+    """Tell what went wrong; returns the exit code.
+
+    Whatever comes after an interrupt comes of it.
+    """
+    if isinstance(error, KeyboardInterrupt) or interrupt.asked():
+        code = interrupt.asked() or INTERRUPTED
+        return _fail("interrupted; nothing half-written is left", code)
+    if isinstance(error, BrokenPipeError):  # `jaxnarx --help | head`
+        return OK
+    if isinstance(error, SpecError):
+        return _fail(_as_flag(error), USAGE)
+    if isinstance(error, JaxnarxError):
+        return _fail(str(error), DATA)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", DATA)
+    return _unforeseen(error)
+
+
+def _open_streams() -> None:
+    """What is written to a closed stream goes nowhere; odd characters are escaped.
+
+    In this order, so that no file of ours gets the number of a stream.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
 
 def _as_flag(error: SpecError) -> str:
@@ -128,11 +123,11 @@ def _as_flag(error: SpecError) -> str:
 def _fail(text: str, exit_code: int) -> int:
     for ours, theirs in _WORDS:
         text = text.replace(ours, theirs)
-    print(f"jaxnarx: {text}", file=sys.stderr)
+    warn(text)
     return exit_code
 
 
-def _unforeseen(error: Exception) -> int:
+def _unforeseen(error: BaseException) -> int:
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return _fail(
             "the computer's memory does not suffice. Use fewer lags, a lower degree, "
@@ -147,17 +142,6 @@ def _unforeseen(error: Exception) -> int:
         "the lines above.",
         DEFECT,
     )
-
-
-def _interrupt(number: int, frame: Any) -> None:
-    """Ctrl-C. Where Python would drop the exception, it is sent again a little later.
-
-    jax has a callback in the garbage collector, out of which no exception comes.
-    """
-    if frame is not None and frame.f_code.co_name == "_xla_gc_callback":
-        threading.Timer(0.05, signal.raise_signal, (number,)).start()
-        return
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

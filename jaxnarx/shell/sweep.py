@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.shell.commands import Sweep
+from jaxnarx.shell.interrupt import last_words
 from jaxnarx.shell.messages import about
 from jaxnarx.shell.output import slug, write_text, written_together
 from jaxnarx.shell.progress import count, say
@@ -45,7 +46,7 @@ def sweep(command: Sweep) -> None:
         f"{count(len(work.cases), 'case')}, {command.chunk} to a chunk"
     )
     try:
-        with sweep_progress() as progress:
+        with sweep_progress() as progress, last_words(lambda: _tell_so_far(folder)):
             solution = run_sweep(
                 work,
                 folder,

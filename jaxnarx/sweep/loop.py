@@ -12,27 +12,19 @@ PAUSE = 0.2
 """Seconds between two looks at a folder whose open chunks others compute."""
 
 
-def work_through(
-    run: RunFolder,
-    work: Work,
-    tell: Callable[[], None],
-    *,
-    stop: Callable[[], bool] = lambda: False,
-) -> None:
+def work_through(run: RunFolder, work: Work, tell: Callable[[], None]) -> None:
     """Compute chunks until the folder has all of them, whoever made them.
 
     Chunks that others have claimed are left to them; once only such are open, this
     process waits, and takes over what a process that died has left. `tell` is called
-    after every chunk and every pause; `stop` ends the loop between two chunks.
+    after every chunk and every pause.
     """
     labels, whole = work.members, run.manifest.chunk
     piece = whole
     with Claims(run.claims) as claims:
-        while (open_chunks := run.unfinished()) and not stop():
+        while open_chunks := run.unfinished():
             took = False
             for number in open_chunks:
-                if stop():
-                    return
                 if not claims.take(number):
                     continue
                 try:

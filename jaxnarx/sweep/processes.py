@@ -5,23 +5,23 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
 import jax
 
 from jaxnarx.errors import JaxnarxError
+from jaxnarx.sweep.folder.claims import clear_dead
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.number_type import is_float64
 from jaxnarx.sweep.work import Work
 
 GLANCE = 0.2
 """Seconds between two looks of the parent at the folder."""
-
-GRACE = 5.0
-"""Seconds that an ended sweep gives its processes to end by themselves."""
 
 _ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 _POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
@@ -42,7 +42,9 @@ def compute_in_processes(
     try:
         with _environment(_child_environment()):
             for n in range(min(workers, len(run.unfinished()))):
-                crew.append(_start(run, load, cores[n % len(cores)] if cores else None))
+                core = cores[n % len(cores)] if cores else None
+                with _deaf():
+                    crew.append(_start(run, load, core))
         while any([process.is_alive() for process, _ in crew]):  # reaps each
             tell()
             time.sleep(GLANCE)
@@ -50,6 +52,7 @@ def compute_in_processes(
         return _outcome(run, crew)
     finally:
         _end([process for process, _ in crew])
+        clear_dead(run.claims)
 
 
 def _start(run: RunFolder, load: bytes, core: int | None) -> tuple[Any, Connection]:
@@ -61,33 +64,53 @@ def _start(run: RunFolder, load: bytes, core: int | None) -> tuple[Any, Connecti
     return process, ours
 
 
-def _help(run: RunFolder, load: bytes, core: int | None, answer: Connection) -> None:
-    """What a child does. The work is unpickled once its core is settled.
-
-    Ctrl-C reaches the whole group; it is the parent that ends the others, in order.
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """A process started inside never hears Ctrl-C, which reaches the whole group; it is
+    this process that ends it. Here signals are heard afterwards, not halfway.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[int] = []
+    numbers = [
+        n for n in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(n))
+    ]
+    before = {n: signal.signal(n, lambda n, _: heard.append(n)) for n in numbers}
+    resource_tracker.ensure_running()  # which, when it starts, would let signals in
+    if hasattr(signal, "pthread_sigmask"):  # inherited; other threads may still hear
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in heard:
+        signal.raise_signal(number)
+
+
+def _help(run: RunFolder, load: bytes, core: int | None, answer: Connection) -> None:
+    """What a child does. The work is unpickled once its core is settled."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
     if core is not None:
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, {core})
     from jaxnarx.sweep.loop import work_through
 
-    parent = multiprocessing.parent_process()
     try:
-        work_through(
-            run,
-            pickle.loads(load),
-            lambda: None,
-            stop=lambda: parent is not None and not parent.is_alive(),
-        )
+        work_through(run, pickle.loads(load), lambda: None)
     except JaxnarxError as error:
         answer.send(error)
 
 
-def _leave(number: int, frame: Any) -> None:
-    """End in order: claims are given back."""
-    raise SystemExit(128 + number)
+def _die_with_parent() -> None:
+    """Where the parent was killed; chunks in flight are computed by the next run."""
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _outcome(run: RunFolder, crew: list[tuple[Any, Connection]]) -> list[str]:
@@ -113,14 +136,11 @@ def _received(answer: Connection) -> JaxnarxError | None:
 
 
 def _end(processes: list[Any]) -> None:
+    """At once, whatever they compute: a killed process leaves nothing that hurts."""
     for process in processes:
-        process.terminate()
-    until = time.monotonic() + GRACE
+        process.kill()
     for process in processes:
-        process.join(max(0.0, until - time.monotonic()))
-        if process.is_alive():
-            process.kill()
-            process.join()
+        process.join()
 
 
 def _cores() -> list[int]:

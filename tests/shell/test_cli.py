@@ -167,14 +167,14 @@ def started(*arguments: str, **options):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_shows_an_example_that_parses(capsys, name):
-    from jaxnarx.shell.cli import _parse
+    from jaxnarx.shell.parse import parse
 
     assert run([name, "--help"]) == 0
     text = capsys.readouterr().out
     lines = text.split("\n")
     example = lines[lines.index("Example:") + 1]
     assert example.startswith(f"    jaxnarx {name}")
-    assert isinstance(_parse(shlex.split(example)[1:]), COMMANDS[name])
+    assert isinstance(parse(shlex.split(example)[1:]), COMMANDS[name])
     assert "None" not in text and "--no-" not in text
 
 

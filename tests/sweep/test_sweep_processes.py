@@ -168,6 +168,26 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, start, sound, same_rows, worker
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_ctrl_c_at_the_start_of_workers_is_quiet(tmp_path, start):
+    """Workers that have just begun have no word in it, whoever gets the signal."""
+    for group in (False, True):
+        process = start(tmp_path / f"x{group}", "Toy(40, pause=1.0)", "dict(workers=2)")
+        wait_for(lambda: len(children(process)) >= 2)  # noqa: B023
+        for one in (*(children(process) if group else ()), process.pid):
+            os.kill(one, signal.SIGINT)
+        _, errors = process.communicate(timeout=LIMIT)
+        assert errors.count("Traceback") == 1, errors  # the script's own
+        assert "the same command continues" in errors
+
+
+def children(process):
+    """Processes that this one has started."""
+    path = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    return [int(pid) for pid in path.read_text().split()]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_workers_end_when_their_parent_is_killed(tmp_path, start):
     folder, diary = tmp_path / "x", tmp_path / "diary"
     toy = f"Toy(400, pause=0.05, diary={str(diary)!r})"

@@ -5,16 +5,15 @@ process lives. The claim of a process that is gone, or of another machine's proc
 has not renewed it for `STALE` seconds, is taken over.
 """
 
-import contextlib
 import dataclasses
 import json
 import os
 import tempfile
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from jaxnarx.files import alone
 from jaxnarx.sweep.folder.files import unwritable
 from jaxnarx.sweep.folder.owner import Owner, this_process
 
@@ -104,34 +103,18 @@ def _clear_dead(path: Path) -> bool:
 
     One process at a time does so and looks again first: another may have taken the
     claim over in the meantime. While a dead claim stands, nobody can make a new one.
+    Where nobody can be kept out, two may compute a chunk; the first written stays.
     """
     if not _is_dead(path):
         return False
-    with _alone(path.parent):
+    with alone(path.parent):
         dead = _is_dead(path)
         if dead:
-            path.unlink(missing_ok=True)
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise unwritable(path, error) from error
     return dead
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep others out who ask the same; a lock on the folder ends with its process.
-
-    Where the system has no such lock, nobody is kept out: then two may compute the same
-    chunk, of which the first that is written stays.
-    """
-    handle = None
-    try:
-        with contextlib.suppress(OSError, ImportError):
-            import fcntl
-
-            handle = os.open(folder, os.O_RDONLY)
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        if handle is not None:
-            os.close(handle)
 
 
 def _is_dead(path: Path) -> bool:

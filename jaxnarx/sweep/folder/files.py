@@ -1,8 +1,8 @@
 """Files of a run folder: whole or not at all, and never outside the folder."""
 
-import errno
 from pathlib import Path
 
+from jaxnarx import files
 from jaxnarx.errors import DataFileError
 from jaxnarx.files import UNFINISHED, write_whole
 
@@ -22,12 +22,7 @@ def put(path: Path, data: bytes, *, replace: bool = False) -> bool:
 
 def unwritable(path: Path, error: OSError) -> DataFileError:
     """What to tell where a file of the run folder cannot be written."""
-    hint = "Free some space" if _is_full(error) else "Make the folder writable"
-    return DataFileError(
-        f"{path}: cannot be written ({error.strerror or error}). Finished chunks are "
-        f"kept. {hint} and give the same command again to continue.",
-        path=path,
-    )
+    return files.unwritable(path, error, "Finished chunks are kept. ")
 
 
 def make_folder(path: Path) -> None:
@@ -57,7 +52,3 @@ def clear_leftovers(path: Path) -> None:
     """
     for leftover in path.parent.glob(f"{path.name}.*{UNFINISHED}"):
         leftover.unlink(missing_ok=True)
-
-
-def _is_full(error: OSError) -> bool:
-    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

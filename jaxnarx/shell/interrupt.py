@@ -1,0 +1,91 @@
+"""Ctrl-C and SIGTERM: the command ends soon, in order if it can, and without noise.
+
+Python hears a signal between two of its own steps. It is then raised as a
+KeyboardInterrupt, on whose way out files are cleared away. Where it is swallowed (by an
+import that takes it for a missing package, or by the garbage collector), whatever error
+follows counts as the interrupt, see `asked`. A program of jax may compute for minutes
+between two such steps: after `PATIENCE` seconds the process ends all the same. What it
+leaves then is cleared by later runs, as after a kill.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+PATIENCE = 3.0
+"""Seconds that an interrupted command has to end by itself."""
+
+GLANCE = 0.05
+"""Seconds until an interrupt that was swallowed is raised again."""
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+
+_asked: list[int] = []
+_swallowed = threading.Event()
+_last_words: list[Callable[[], object]] = []
+
+
+def listen() -> None:
+    """Take SIGINT and SIGTERM for the rest of this process."""
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    # The system writes here at once, even while Python is kept waiting.
+    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(read,), daemon=True).start()
+    sys.unraisablehook = _hook(sys.unraisablehook)
+    for number in ENDING:
+        signal.signal(number, _raise)
+
+
+def asked() -> int:
+    """The exit code of the signal that asked this process to end; 0 if none did."""
+    return 128 + _asked[0] if _asked else 0
+
+
+@contextlib.contextmanager
+def last_words(tell: Callable[[], object]) -> Iterator[None]:
+    """What to tell if the process has to be ended while this lasts."""
+    _last_words.append(tell)
+    try:
+        yield
+    finally:
+        _last_words.remove(tell)
+
+
+def _raise(number: int, frame: Any) -> None:
+    _asked.append(number)
+    raise KeyboardInterrupt
+
+
+def _hook(before: Callable[[Any], object]) -> Callable[[Any], object]:
+    """Of jax's callback in the garbage collector, for one, no exception gets out."""
+
+    def told(found: Any) -> None:
+        if issubclass(found.exc_type, KeyboardInterrupt):
+            _swallowed.set()
+        else:
+            before(found)
+
+    return told
+
+
+def _watch(signals: int) -> None:
+    while (number := os.read(signals, 1)[0]) not in ENDING:
+        pass
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        time.sleep(GLANCE)
+        if _swallowed.is_set():
+            _swallowed.clear()
+            signal.raise_signal(number)
+    with contextlib.suppress(Exception):
+        for tell in list(_last_words):
+            tell()
+    with contextlib.suppress(OSError):
+        os.write(2, b"jaxnarx: interrupted\n")
+    os._exit(128 + number)
