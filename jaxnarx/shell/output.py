@@ -8,9 +8,8 @@ import json
 import math
 import os
 import re
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,8 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.files import unwritable
+from jaxnarx.shell.unfinished import PREFIX, held, unfinished
 
 if TYPE_CHECKING:
     from jaxnarx.evaluation import Report
@@ -37,32 +38,36 @@ def run_folder(
     """The folder of a run, made if absent; by default a new one under `runs/`.
 
     A given folder that already holds one of the files `marks` is refused without
-    `force`, and one that cannot be written before any work is done. Folders made here
-    are removed again when the run fails and they are empty.
+    `force`, and always one in which another run is making one of them; so is one that
+    cannot be written, before any work is done. Folders made here are removed again when
+    the run fails and they are empty.
     """
     made: list[Path] = []
     try:
-        try:
-            folder = _new(Path("runs") / slug(name), made) if out is None else Path(out)
-            _make(folder, made)
-            tempfile.TemporaryFile(dir=folder).close()
-        except OSError as error:
-            raise DataFileError(
-                f"{error.filename if out is None else out}: cannot be written "
-                f"({error.strerror}). Choose another --out.",
-                path=out,
-            ) from error
-        taken = [mark for mark in marks if os.path.lexists(folder / mark)]
-        if taken and not force:
-            raise SpecError(
-                f"{folder} already holds {taken[0]}; choose another --out, or "
-                "overwrite it with --force",
-                field="out",
-            )
-        yield folder
+        with ExitStack() as stack:
+            try:
+                if out is None:
+                    folder = _new(Path("runs") / slug(name), made)
+                else:
+                    _make(folder := Path(out), made)
+                stack.enter_context(unfinished(folder, marks))
+            except OSError as error:
+                raise DataFileError(
+                    f"{error.filename if out is None else out}: cannot be written "
+                    f"({error.strerror}). Choose another --out.",
+                    path=out,
+                ) from error
+            taken = [mark for mark in marks if os.path.lexists(folder / mark)]
+            if taken and not force:
+                raise SpecError(
+                    f"{folder} already holds {taken[0]}; choose another --out, or "
+                    "overwrite it with --force",
+                    field="out",
+                )
+            yield folder
     except BaseException:
         for path in reversed(made):
-            with _ignored():
+            with suppress(OSError):
                 path.rmdir()
         raise
 
@@ -80,8 +85,15 @@ def _make(folder: Path, made: list[Path]) -> None:
 
 
 def _new(base: Path, made: list[Path]) -> Path:
-    """Make the first of base, base-2, ... that is free: no two runs share one."""
+    """Make the first of base, base-2, ... that is free: no two runs share one.
+
+    What killed runs have left beside it is cleared first.
+    """
     _make(base.parent, made)
+    for other in base.parent.iterdir():
+        if any(other.glob(PREFIX + "*")) and not held(other):
+            with suppress(OSError):  # where there is more in it
+                other.rmdir()
     number = 1
     while True:
         folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
@@ -95,23 +107,18 @@ def _new(base: Path, made: list[Path]) -> Path:
 
 
 @contextmanager
-def _ignored() -> Iterator[None]:
-    try:
-        yield
-    except OSError:
-        pass
-
-
-@contextmanager
 def written_together(folder: Path) -> Iterator[Path]:
     """A place to write files to; they move into `folder` when all are complete.
 
     Whatever happens before that, `folder` is left as it was.
     """
-    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as name:
-        yield Path(name)
-        for path in sorted(Path(name).iterdir()):
-            os.replace(path, folder / path.name)
+    try:
+        with unfinished(folder) as place:
+            yield place
+            for path in sorted(place.iterdir()):
+                os.replace(path, folder / path.name)
+    except OSError as error:
+        raise unwritable(folder, error) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,0 +1,77 @@
+"""Folders of what is not finished: whose they are, and what becomes of them.
+
+Each is locked by the process that writes there. The lock ends with the process, however
+that ends: what is not locked was left by one that was killed, and is cleared.
+"""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from jaxnarx.errors import SpecError
+from jaxnarx.files import alone
+
+PREFIX = ".unfinished-"
+
+
+@contextmanager
+def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
+    """A new folder inside `folder`, which goes when this ends.
+
+    The files `names` are reserved: SpecError where another process is making one.
+    """
+    with alone(folder):
+        for other in held(folder):
+            if both := sorted(set(names) & {path.name for path in other.glob("*")}):
+                raise SpecError(
+                    f"another run is writing {both[0]} to {folder}; wait until it is "
+                    "done, or choose another --out",
+                    field="out",
+                )
+        place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
+        handle = _lock(place)
+        for name in names:
+            (place / name).touch()
+    try:
+        yield place
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        if handle is not None:
+            os.close(handle)
+
+
+def held(folder: Path) -> list[Path]:
+    """Where living processes write in `folder`; what dead ones have left is removed."""
+    living = []
+    for place in folder.glob(PREFIX + "*"):
+        try:
+            handle = _lock(place)
+        except BlockingIOError:
+            living.append(place)
+            continue
+        if handle is not None:
+            shutil.rmtree(place, ignore_errors=True)
+            os.close(handle)
+    return living
+
+
+def _lock(place: Path) -> int | None:
+    """A lock on a folder; BlockingIOError where it is held, None where there are none
+    on this system, or nothing to lock.
+    """
+    handle = None
+    try:
+        import fcntl
+
+        handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return handle
+    except (ImportError, OSError) as error:
+        if handle is not None:
+            os.close(handle)
+        if isinstance(error, BlockingIOError):
+            raise
+        return None
