@@ -119,12 +119,13 @@ def _preparation(path: Path, description: Description, root) -> Preparation | No
     if description.preparation is None:
         return None
     file = _root(path, root, description) / description.preparation
-    kind = f"the preparation of {path.name}, which `jaxnarx prepare` writes"
-    with reading(file, kind, advice="Prepare the files anew."):
+    with reading(file, "a preparation", advice="Prepare the files anew."):
         try:
             return Preparation.from_dict(json.loads(file.read_text(encoding="utf-8")))
-        except SpecError as error:
-            raise DataFileError(f"{file}: not {kind}: {error}", path=file) from error
+        except (ValueError, RecursionError) as error:
+            raise DataFileError(
+                f"{file}: not what `jaxnarx prepare` writes: {error}", path=file
+            ) from error
 
 
 def _read(

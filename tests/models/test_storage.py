@@ -122,7 +122,7 @@ def test_odd_channel_names_survive(tmp_path):
 
     network = build("one model")
     channels = Channels(
-        (Channel('"; {}\\', "\u2028"), Channel("=1+1")), network.channels.outputs
+        (Channel('"; {}\\', "µg/m³"), Channel("=1+1")), network.channels.outputs
     )
     network = dataclasses.replace(network, channels=channels)
     save(network, tmp_path / "m")
