@@ -5,7 +5,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.files import unwritable
@@ -14,25 +14,21 @@ if TYPE_CHECKING:
     from jaxnarx.data import Dataset
 
 
-def say(text: str = "", stream: TextIO | None = None, *, end: str = "\n") -> None:
-    """One line to the user, at once; to standard output unless told otherwise.
+def say(text: str = "", *, end: str = "\n", aside: bool = False) -> None:
+    """One line to the user, at once; to standard error where it is said `aside`.
 
     Where nobody reads any longer (`jaxnarx ... | head`), the work goes on in silence,
     so that its files and its exit code do not depend on who watches. Of what else keeps
     standard output from being written, a full disk, only standard error can tell.
     """
-    to = sys.stdout if stream is None else stream
+    to = sys.stderr if aside else sys.stdout
     try:
         print(text, file=to, end=end, flush=True)
     except OSError as error:
-        _silence(to)
-        if to is sys.stdout and not isinstance(error, BrokenPipeError):
+        # what is written from now on, and what waits to be, goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), to.fileno())
+        if not aside and not isinstance(error, BrokenPipeError):
             raise unwritable("standard output", error) from error
-
-
-def _silence(stream: TextIO) -> None:
-    """What is written from now on, and what waits to be, goes nowhere."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def count(number: int, noun: str) -> str:
@@ -42,7 +38,7 @@ def count(number: int, noun: str) -> str:
 
 def warn(text: str) -> None:
     """One line to standard error."""
-    say(f"jaxnarx: {text}", sys.stderr)
+    say(f"jaxnarx: {text}", aside=True)
 
 
 def next_command(*words: str, then: str = "") -> None:

@@ -874,10 +874,10 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(capsys, monkey
     import tempfile
 
     def refuse(**options):
-        raise PermissionError(13, "Permission denied", "out/tmp123")
+        raise PermissionError(13, "Permission denied", "out/.unfinished-1")
 
     os.mkdir("out")
-    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    monkeypatch.setattr(tempfile, "mkdtemp", refuse)
     monkeypatch.setattr("jaxnarx.shell.identify.identify", None)
     arguments = ["identify", "engine.toml", *PART, "--out", "out"]
     fails(capsys, 3, arguments, "out: cannot be written (Permission denied)", "--out")
