@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from jaxnarx.data import check_samples as samples
+from jaxnarx.data.check_offsets import offsets
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.data.excitation_order import excitation_order
@@ -15,9 +16,10 @@ from jaxnarx.errors import SpecError
 def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     """What a careful engineer would ask about `data` before modelling.
 
-    Constant, copied, saturated, stuck and outlying channels; gaps; records that are too
-    short or repeated; missing units; whether inputs excite a model with lags up to
-    `max_lag` samples; dead times; memory beyond `max_lag`; and signs of feedback from
+    Constant, copied, saturated, stuck and outlying channels, and those far from zero;
+    gaps; records that are too short or repeated; missing units; whether inputs excite a
+    model with lags up to `max_lag` samples; dead times; memory beyond `max_lag`; and
+    signs of feedback from
     outputs to inputs. Findings are hints with their places, nothing is changed.
     """
     if max_lag < 1:
@@ -32,6 +34,7 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *_identical(data),
         *samples.precision(data),
         *samples.constant(data),
+        *offsets(data),
         *samples.duplicates(data),
         *samples.gaps(data),
         *samples.stuck(data),

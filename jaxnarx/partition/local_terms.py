@@ -32,8 +32,8 @@ def own_terms(
         rows, y=jnp.broadcast_to(rows.y[output][None], weight.shape), weight=weight
     )
     starts = [[] for _ in range(len(phi))]
-    path, _ = choose_terms(pool, lanes, method, usable & candidates, starts)
-    return _dense(path, len(pool))[:, term_positions(ground, output)]
+    choice = choose_terms(pool, lanes, method, usable & candidates, starts)
+    return _dense(choice.path, len(pool))[:, term_positions(ground, output)]
 
 
 def term_positions(ground: Ground, output: int) -> list[int]:

@@ -1,5 +1,7 @@
 """Regression rows: every usable sample of every record behind one another."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -10,6 +12,7 @@ from jaxnarx.data.batch import Batch, stack
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.scaling import gains
 from jaxnarx.errors import DataError
+from jaxnarx.regressors.centring import Centring, centring
 from jaxnarx.regressors.columns import row_columns
 from jaxnarx.regressors.variables import Variables
 
@@ -27,6 +30,14 @@ class Rows(eqx.Module):
     at: Int[np.ndarray, " rows"]
     batch: Batch
     gain: Float[np.ndarray, " signals"]
+
+    def of_lanes(self, lanes: slice) -> "Rows":
+        """The same rows for some of the outputs."""
+        return dataclasses.replace(self, y=self.y[lanes], weight=self.weight[lanes])
+
+    def centring(self, variables: Variables) -> Centring | None:
+        """Offsets of what is far from zero, None where nothing is; host only."""
+        return centring(self.batch, variables, self.v, self.y, self.weight)
 
 
 def regression_rows(

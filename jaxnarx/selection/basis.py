@@ -80,6 +80,11 @@ def remaining(
     return b, lane.norm - jnp.sum(basis.coordinate**2, axis=0)
 
 
+def inside(basis: Basis, terms: int) -> Bool[Array, " terms"]:
+    """True for the terms of the pool that are chosen."""
+    return jnp.zeros(terms, bool).at[basis.index].max(basis.used)
+
+
 def squared_error(basis: Basis, lane: Lane) -> Float[Array, ""]:
     """Squared error of the chosen terms, from the residual itself."""
     residual = lane.target - basis.gain @ basis.direction
@@ -197,26 +202,34 @@ def partial_f(basis: Basis, lane: Lane) -> Float[Array, " slots"]:
 
 
 def swaps(
-    basis: Basis, lane: Lane, usable: Bool[Array, " terms"], least: Float[Array, ""]
+    basis: Basis,
+    lane: Lane,
+    usable: Bool[Array, " terms"],
+    least: Float[Array, ""],
+    parents: Int[Array, "terms parts"] | None = None,
 ) -> tuple[Float[Array, " slots"], Int[Array, " slots"]]:
     """What the best exchange for every chosen term would bring, and the term to take.
 
     Without the term of slot i, whose unit dual direction is h, candidate j has
     b_j + <p_j, h> <h, y> and d_j + <p_j, h>^2; leaving out the term costs <h, y>^2. The
     difference is the decrease of the squared error. Candidates with less than `least`
-    of their squared norm left do not count.
+    of their squared norm left do not count, nor those of which the leaving term is a
+    part.
     """
     inverse = duals(basis)
     h = inverse / jnp.linalg.norm(inverse, axis=1)[:, None]
     b, d = remaining(basis, lane)
 
-    def of_slot(h):
+    def of_slot(slot):
+        h, index = slot
         along, cost = h @ basis.coordinate, h @ basis.gain
         free = d + along**2
         fine = usable & (free > least * lane.norm)
+        if parents is not None:
+            fine &= ~jnp.any(parents == index, axis=1)
         brings = (b + along * cost) ** 2 / jnp.where(fine, free, 1.0)
         best = jnp.argmax(jnp.where(fine, brings, -jnp.inf))
         return jnp.where(fine[best], brings[best], -jnp.inf) - cost**2, best
 
-    decrease, term = jax.lax.map(of_slot, h)
+    decrease, term = jax.lax.map(of_slot, (h, basis.index))
     return jnp.where(basis.used, decrease, -jnp.inf), term

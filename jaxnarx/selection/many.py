@@ -56,17 +56,14 @@ def select_weighted(
         flat = [flat_weights(w, data, longest)[rows.at] for w in part]
         flat += [flat[0]] * spare
         lanes = _lanes(rows, flat)
-        path, made = choose_terms(pool, lanes, method, usable, [[]] * lanes.y.shape[0])
+        choice = choose_terms(pool, lanes, method, usable, [[]] * lanes.y.shape[0])
         for n in range(len(part)):
             own = slice(n * outputs, (n + 1) * outputs)
-            solution = solution_of(
-                pool,
-                _of_lanes(lanes, own),
-                jax.tree.map(lambda a, own=own: a[own], path),
-                passed_over,
-                method,
-                made,
+            mine = choice._replace(
+                path=jax.tree.map(lambda a, own=own: a[own], choice.path),
+                collinear=choice.collinear[own],
             )
+            solution = solution_of(pool, lanes.of_lanes(own), mine, passed_over, method)
             found.append(_enough(solution, size))
     return found
 
@@ -75,10 +72,6 @@ def _lanes(rows: Rows, flat: list[Float[np.ndarray, " rows"]]) -> Rows:
     """Every weighting of every output as a lane of its own, weighting by weighting."""
     weight = jnp.concatenate([rows.weight * jnp.asarray(w)[None] for w in flat])
     return dataclasses.replace(rows, y=jnp.tile(rows.y, (len(flat), 1)), weight=weight)
-
-
-def _of_lanes(rows: Rows, own: slice) -> Rows:
-    return dataclasses.replace(rows, y=rows.y[own], weight=rows.weight[own])
 
 
 def _enough(solution: Solution[Selection], size: int) -> Solution[Selection]:
@@ -114,8 +107,8 @@ def select_each(
         rows, passed_over = item
         rows = _padded(rows, longest)
         usable = usable_terms(pool, passed_over)
-        path, made = choose_terms(pool, rows, method, usable, [[]] * len(pool.outputs))
-        found.append(solution_of(pool, rows, path, passed_over, method, made))
+        choice = choose_terms(pool, rows, method, usable, [[]] * len(pool.outputs))
+        found.append(solution_of(pool, rows, choice, passed_over, method))
     return found
 
 

@@ -69,13 +69,24 @@ class Path(eqx.Module):
     history: History
 
 
-def path_of(basis: Basis, lane: Lane, history: History) -> Path:
-    """Orthogonalise the chosen columns in order of entry, and take what follows."""
+def path_of(
+    basis: Basis,
+    lane: Lane,
+    history: History,
+    back: Float[Array, "slots slots"] | None = None,
+) -> Path:
+    """Orthogonalise the chosen columns in order of entry, and take what follows.
+
+    `back` makes the chosen columns of others, P; coefficients and their standard errors
+    are then those of P. Row n may hold the columns up to the n-th.
+    """
     used = basis.used
     both = used[:, None] & used[None]
     small, r = jnp.linalg.qr(basis.matrix)
     gain = jnp.where(used, small.T @ basis.gain, 0.0)
     inverse = jax.scipy.linalg.solve_triangular(r, jnp.eye(r.shape[0], dtype=r.dtype))
+    if back is not None:
+        inverse = back.T @ inverse
     sse, press = _nested_errors(basis, lane, small, gain)
     # Of R^-1 the model of the first n terms needs the first n columns.
     nested = jnp.cumsum(inverse * gain[None], axis=1).T

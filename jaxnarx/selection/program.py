@@ -83,6 +83,33 @@ def f_level(candidates: int, samples: int, terms: int, significance: float) -> f
     return float(scipy.special.stdtrit(spare, tail) ** 2)
 
 
+def adds_constant(method: Method) -> bool:
+    """Whether the constant joins the terms when they are chosen."""
+    return isinstance(method, ForwardOLS) and method.constant == "after"
+
+
+def allowed_terms(
+    pool: Pool, method: Method, usable: Bool[np.ndarray, " terms"]
+) -> Bool[np.ndarray, " terms"]:
+    """Those of the usable terms that are not forbidden."""
+    allowed = usable.copy()
+    for text in method.forbidden:
+        allowed[term_index(pool, text, "forbidden")] = False
+    return allowed
+
+
+def _with_parents(
+    terms: Sequence[int], parents: Int[np.ndarray, "terms parts"]
+) -> list[int]:
+    """The terms, each behind its parents."""
+    every: dict[int, None] = {}
+    for term in terms:
+        # Parents with more factors stand in front: fewer of these were dropped.
+        own = [int(p) for p in parents[term][::-1] if p < len(parents)]
+        every |= dict.fromkeys([*own, term])
+    return list(every)
+
+
 def plan(
     pool: Pool,
     method: Method,
@@ -90,17 +117,20 @@ def plan(
     chosen: Sequence[Sequence[int]],
     samples: int,
     dtype: np.dtype,
+    parents: Int[np.ndarray, "terms parts"] | None = None,
 ) -> Plan:
     """What `search` needs for `method`; `chosen` are the terms every lane starts from.
 
-    `usable` is False for terms that may not be chosen at all.
+    `usable` is False for terms that may not be chosen at all. With `parents` every term
+    enters behind its own, the constant before all others.
     """
-    allowed = usable.copy()
-    for text in method.forbidden:
-        allowed[term_index(pool, text, "forbidden")] = False
+    allowed = allowed_terms(pool, method, usable)
     constant = constant_term(pool)
-    keep = _kept(pool, method, allowed, constant)
-    if isinstance(method, ForwardOLS) and method.constant == "after":
+    keep = _kept(pool, method, allowed, constant, parents is not None)
+    if parents is not None:
+        keep = _with_parents(keep, parents)
+        chosen = [_with_parents(terms, parents) for terms in chosen]
+    if adds_constant(method):
         allowed[[constant] if constant is not None else []] = False
     starts = [[*keep, *(t for t in terms if t not in keep)] for terms in chosen]
     begun = isinstance(method, Backward) and any(len(c) for c in chosen)
@@ -126,6 +156,7 @@ def plan(
         f_out=number(levels[1]),
         f_last=number(levels[2]),
         rounds=jnp.asarray(ROUNDS if _enters_anew(method) else 0),
+        parents=None if parents is None else jnp.asarray(parents),
     )
     width = max(len(s) for s in starts)
     table = np.array([s + [0] * (width - len(s)) for s in starts], np.int64)
@@ -145,10 +176,16 @@ def _enters_anew(method: Method) -> bool:
     return isinstance(method, StepwiseF) and method.stages is None
 
 
-def _kept(pool: Pool, method: Method, allowed, constant: int | None) -> list[int]:
-    """Terms that enter first, in order, and never leave."""
+def _kept(
+    pool: Pool, method: Method, allowed, constant: int | None, far: bool
+) -> list[int]:
+    """Terms that enter first, in order, and never leave.
+
+    Where channels are `far` from zero the constant is no candidate like others.
+    """
     kept = []
     first = not isinstance(method, ForwardOLS) or method.constant == "first"
+    first |= far and not adds_constant(method)
     if first and constant is not None and allowed[constant]:
         kept.append(constant)
     for text in method.forced:

@@ -34,6 +34,7 @@ from jaxnarx.selection.basis import (
     Lane,
     empty,
     enter,
+    inside,
     leave,
     partial_f,
     project,
@@ -60,7 +61,8 @@ class Program(eqx.Module):
 
     `stages` says which terms may enter in each stage, `limits` how many; those of
     `keep` never leave. F levels of zero switch their test off. The search enters anew
-    after exchanges, at most `rounds` times.
+    after exchanges, at most `rounds` times. A term enters after its `parents` (places
+    past the pool are none), for which it makes way, and they do not leave before it.
     """
 
     stages: Bool[Array, "stages terms"]
@@ -73,16 +75,21 @@ class Program(eqx.Module):
     f_out: Float[Array, ""]
     f_last: Float[Array, ""]
     rounds: Int[Array, ""]
+    parents: Int[Array, "terms parts"] | None = None
 
 
 class State(eqx.Module):
-    """Where one lane stands. `alive` terms may still enter."""
+    """Where one lane stands. `alive` terms may still enter.
+
+    `awaited` is the product for which a part was just taken in, past the pool for none.
+    """
 
     basis: Basis
     alive: Bool[Array, "*lanes terms"]
     phase: Int[Array, "*lanes"]
     stage: Int[Array, "*lanes"]
     entered: Int[Array, "*lanes"]
+    awaited: Int[Array, "*lanes"]
     started: Int[Array, "*lanes"]
     rounds: Int[Array, "*lanes"]
     changed: Bool[Array, "*lanes"]
@@ -130,11 +137,12 @@ def search(
     max_terms: int,
     removes: bool,
     exchanges: bool,
-) -> tuple[Basis, History]:
+) -> tuple[Basis, History, Bool[Array, "lanes terms"]]:
     """Run the search on every lane at once; they share each pass over the pool.
 
     `removes` and `exchanges` are static: a plain forward search does not carry their
-    code.
+    code. Also returns which candidates were collinear with the chosen terms when they
+    were last looked at.
     """
     degree = factor.shape[1]
 
@@ -159,7 +167,59 @@ def search(
 
     begin = jax.vmap(partial(_start, program, max_terms, rounds))(lanes)
     end = jax.lax.while_loop(lambda s: jnp.any(s.phase != DONE), body, begin)
-    return end.basis, end.history
+    collinear = jax.vmap(partial(_collinear, program))(lanes, end)
+    return end.basis, end.history, collinear
+
+
+def _collinear(program: Program, lane: Lane, s: State) -> Bool[Array, " terms"]:
+    """Candidates of which too little is left beside the chosen terms."""
+    _, d = remaining(s.basis, lane)
+    candidates = jnp.any(program.stages, axis=0) & (lane.norm > 0)
+    candidates &= ~inside(s.basis, lane.norm.shape[0])
+    return candidates & ~_enough_left(program, lane, d)
+
+
+def _enough_left(program: Program, lane: Lane, d: Float[Array, " terms"]):
+    return (d > program.tau * lane.norm) & (d > program.tau_absolute)
+
+
+def _admitted(
+    program: Program, s: State, *, joining: bool = False
+) -> Bool[Array, " terms"] | bool:
+    """Terms of which every part is in the model, or may join it before them."""
+    if program.parents is None:
+        return True
+    there = inside(s.basis, s.alive.shape[0])
+    there = there | s.alive if joining else there
+    return jnp.all(jnp.append(there, True)[program.parents], axis=1)
+
+
+def _first_part(program: Program, s: State, term: Int[Array, ""]):
+    """The smallest part that a product still lacks, or the product itself."""
+    if program.parents is None:
+        return term
+    parts = jnp.append(program.parents[term][::-1], term).astype(term.dtype)
+    there = jnp.append(inside(s.basis, s.alive.shape[0]), True)
+    return parts[jnp.argmax(~there[parts] | (parts == term))]
+
+
+def _awaited(s: State, usable: Bool[Array, " terms"], best: Int[Array, ""]):
+    """The product for which a part made way, or else the best candidate."""
+    term = jnp.minimum(s.awaited, usable.shape[0] - 1).astype(best.dtype)
+    return jnp.where((s.awaited < usable.shape[0]) & usable[term], term, best)
+
+
+def _held(program: Program, s: State) -> Bool[Array, " slots"]:
+    """Terms that stay: kept ones, and parts of chosen or awaited terms."""
+    index = s.basis.index
+    keep = program.keep[index]
+    if program.parents is None:
+        return keep
+    part = jnp.any(program.parents[index][:, :, None] == index[None, None], axis=1)
+    waits = (s.phase == ENTERING) & (s.awaited < s.alive.shape[0])
+    wanted = program.parents[jnp.minimum(s.awaited, s.alive.shape[0] - 1)]
+    keep |= waits & jnp.any(wanted[:, None] == index[None], axis=0)
+    return keep | jnp.any(part & s.basis.used[:, None], axis=0)
 
 
 def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:
@@ -170,6 +230,7 @@ def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:
         phase=jnp.where(lane.power > 0, ENTERING, DONE),
         stage=zero,
         entered=zero,
+        awaited=jnp.asarray(lane.norm.shape[0]),
         started=zero,
         rounds=program.rounds,
         changed=jnp.asarray(False),
@@ -178,20 +239,29 @@ def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:
 
 
 def _candidate(program: Program, lane: Lane, s: State):
-    """Best term of this stage, whether there is one, and whether it was asked for."""
+    """Best term of this stage, whether there is one, and whether it was asked for.
+
+    Also the term for which it makes way, itself if none, and what that one would save.
+    """
     b, d = remaining(s.basis, lane)
     usable = s.alive & program.stages[s.stage]
-    usable &= (d > program.tau * lane.norm) & (d > program.tau_absolute)
+    usable &= _admitted(program, s, joining=True)
+    usable &= _enough_left(program, lane, d)
     score = jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf)
     # Of copies the first, whatever rounding says; in a pool that is the simplest one.
     best = jnp.argmax(score >= (1.0 - TIE) * jnp.max(score))
     found, asked = jnp.any(usable), jnp.asarray(False)
+    if program.parents is not None:
+        best = _awaited(s, usable, best)
+    wanted, promised = best, score[best]
+    best = _first_part(program, s, best)
     if lane.start.shape[0]:
         asked = s.started < lane.starts
         first = lane.start[jnp.minimum(s.started, lane.start.shape[0] - 1)]
         best = jnp.where(asked, first.astype(best.dtype), best)
+        wanted = jnp.where(asked, best, wanted)
         found = jnp.where(asked, s.alive[first], found)
-    return best, found, asked
+    return best, found, asked, wanted, promised
 
 
 def _take(
@@ -199,7 +269,8 @@ def _take(
 ):
     """Take in the best candidate, or `incoming`; say what phase follows."""
     entering = s.phase == ENTERING
-    best, found, asked = _candidate(program, lane, s)
+    best, found, asked, wanted, promised = _candidate(program, lane, s)
+    part = (best != wanted) & ~swapped
     term = jnp.where(swapped, incoming, best)
     full = s.basis.count >= s.basis.index.shape[0]
     room = asked | (s.entered < program.limits[s.stage])
@@ -209,7 +280,8 @@ def _take(
     fits = (exact > program.tau * lane.norm[term]) & (exact > program.tau_absolute)
     passes = jnp.asarray(True)
     if removes:
-        f = _entry_f(lane, s, (off @ lane.target) ** 2 / jnp.where(fits, exact, 1.0))
+        saved = (off @ lane.target) ** 2 / jnp.where(fits, exact, 1.0)
+        f = _entry_f(lane, s, jnp.where(part, promised, saved))
         passes = asked | swapped | (program.f_in <= 0) | (f > program.f_in)
     accept = tried & fits & passes
     basis, q = enter(s.basis, lane, term, off, along, accept)
@@ -218,6 +290,9 @@ def _take(
         s,
         basis=basis,
         alive=s.alive.at[term].set(s.alive[term] & ~gone),
+        awaited=jnp.where(accept & part, wanted, lane.norm.shape[0]).astype(
+            s.awaited.dtype
+        ),
         started=s.started + (entering & asked).astype(s.started.dtype),
         entered=s.entered + (accept & entering & ~asked).astype(s.entered.dtype),
     )
@@ -283,10 +358,10 @@ def _exchange(program: Program, lanes: Lane, s: State, exchanges: bool):
 
 def _best_exchange(program: Program, lane: Lane, s: State, active):
     basis = s.basis
-    inside = jnp.zeros(lane.norm.shape, bool).at[basis.index].max(basis.used)
-    usable = jnp.any(program.stages, axis=0) & ~inside & (lane.norm > 0)
-    saved, term = swaps(basis, lane, usable, program.tau)
-    saved = jnp.where(program.keep[basis.index], -jnp.inf, saved)
+    usable = jnp.any(program.stages, axis=0) & (lane.norm > 0) & _admitted(program, s)
+    usable &= ~inside(basis, lane.norm.shape[0])
+    saved, term = swaps(basis, lane, usable, program.tau, program.parents)
+    saved = jnp.where(_held(program, s), -jnp.inf, saved)
     slot = jnp.argmax(saved)
     least = WORTH * squared_error(basis, lane) + FEIGNED * lane.power
     worth = active & (saved[slot] > least)
@@ -302,7 +377,7 @@ def _tidy(program: Program, lanes: Lane, s: State, entered, rounds: int) -> Stat
 
     def weakest(s: State):
         f = jax.vmap(partial_f)(s.basis, lanes)
-        free = jnp.where(program.keep[s.basis.index], jnp.inf, f)
+        free = jnp.where(jax.vmap(partial(_held, program))(s), jnp.inf, f)
         slot = jnp.argmin(free, axis=1)
         level = jnp.where(s.phase == ENTERING, program.f_out, program.f_last)
         level = jnp.where(s.started < lanes.starts, 0.0, level)

@@ -2,13 +2,12 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset, match_channels
@@ -22,17 +21,29 @@ from jaxnarx.methods import (
     StepwiseF,
 )
 from jaxnarx.regressors import Pool, evaluate
+from jaxnarx.regressors.centring import Centring
 from jaxnarx.regressors.rows import Rows, regression_rows
 from jaxnarx.selection.anova import anova, significant_terms
+from jaxnarx.selection.basis import Basis, Lane
+from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
+from jaxnarx.selection.figures import figures_of, histories_of
 from jaxnarx.selection.own import own_choice
-from jaxnarx.selection.path import Path, padded, path_of
-from jaxnarx.selection.program import Method, Plan, constant_term, plan
+from jaxnarx.selection.path import History, Path, padded, path_of
+from jaxnarx.selection.program import (
+    Method,
+    Plan,
+    adds_constant,
+    allowed_terms,
+    constant_term,
+    plan,
+)
 from jaxnarx.selection.search import Program, make_lanes, search
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
-from jaxnarx.selection.sizes import criteria_of
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.solution import RESULTS, Solution
+
+COLLINEAR = "collinear with the chosen terms"
 
 # Three programs rather than one: compiled together they take twice the memory.
 _lanes = jax.jit(make_lanes)
@@ -60,7 +71,12 @@ def select(
     choice. `weights` holds one non-negative weight per sample and record; a validity
     function is one. Signals are scaled by their root mean square, never centred. Terms
     of constant or duplicate channels are passed over and listed in
-    `stats["passed_over"]`.
+    `stats["passed_over"]`, as are terms that are collinear with the chosen ones.
+
+    Where a channel's mean is more than `jaxnarx.regressors.centring.FAR` standard
+    deviations from zero a product of it is taken in after its parts, so that the choice
+    does not hang on the offset; the sums of squares of such an output, and its ERR, are
+    those about its mean.
 
     `stats` also holds, per output and nested size, the criteria of `criteria` ("aic",
     "bic", "press", ...) and `sse` (scaled); per output `count`, `samples`, `cond`; per
@@ -115,8 +131,8 @@ def select(
     elif isinstance(method, SimulationOLS):
         solution = _on_free_run(pool, data, rows, method, usable, chosen, progress)
     else:
-        path, made = choose_terms(pool, rows, method, usable, chosen)
-        return solution_of(pool, rows, path, passed_over, method, made)
+        choice = choose_terms(pool, rows, method, usable, chosen)
+        return solution_of(pool, rows, choice, passed_over, method)
     stats = solution.stats | {"passed_over": passed_over}
     return Solution(solution.value, solution.status, stats, solution.detail)
 
@@ -145,7 +161,7 @@ def _as_chosen(pool: Pool, rows: Rows, kept: list[list[int]], method):
     """The solution of terms that are chosen, in their order."""
     path = refit(pool, rows, kept)
     value = selection_of(pool, rows, path)
-    stats = _figures(value, path) | {"candidates": len(pool)}
+    stats = figures_of(value, path) | {"candidates": len(pool)}
     status, detail = _status(value, np.asarray(path.cond), method)
     return Solution(value, status, stats, detail)
 
@@ -167,14 +183,13 @@ def _on_free_run(
         )
     if not start:
         few = ForwardOLS(max_terms=min(method.start_terms, len(pool)))
-        path, _ = choose_terms(pool, rows, few, usable, [[]])
-        start = chosen_of(path)[0]
+        start = chosen_of(choose_terms(pool, rows, few, usable, [[]]).path)[0]
     path = refit(pool, rows, [start])
     theta = np.asarray(path.nested)[0, -1]
     found = simulation_ols(pool, data, rows.gain, start, theta, method, usable, tell)
     path = refit(pool, rows, [found.terms])
     value = selection_of(pool, rows, path)
-    stats = _figures(value, path) | {
+    stats = figures_of(value, path) | {
         "candidates": len(pool),
         "network": found.network,
         "loss": found.loss,
@@ -183,30 +198,53 @@ def _on_free_run(
     return Solution(value, found.status, stats, found.detail)
 
 
+class Choice(NamedTuple):
+    """What a search found: its path and plan, and the candidates it dropped."""
+
+    path: Path
+    made: Plan
+    collinear: Bool[np.ndarray, "lanes terms"]
+    centre: Centring | None
+
+
 def choose_terms(
     pool: Pool, rows: Rows, method: Method, usable, chosen: Sequence[Sequence[int]]
-) -> tuple[Path, Plan]:
-    """The search on rows that are made; every row of `rows.y` is a lane."""
+) -> Choice:
+    """The search on rows that are made; every row of `rows.y` is a lane.
+
+    Where channels are far from zero it searches in centred coordinates, in which a
+    product has no share of its parts, and takes in a product after its parts; the terms
+    and their coefficients are those of the pool all the same.
+    """
     samples = int(np.asarray((rows.weight > 0).sum(axis=1)).min())
-    dtype = rows.v.dtype
-    made = plan(pool, method, usable, chosen, samples, dtype)
-    path = run(rows.v, rows.y, rows.weight, pool.factor, made)
-    if isinstance(method, ForwardOLS) and method.constant == "after":
+    v, y, factor, parents, target = rows.v, rows.y, pool.factor, None, None
+    centre = rows.centring(pool.variables)
+    if centre is not None:
+        v, factor, parents = centred_search(pool, v, centre, method, usable)
+        target = target_of(pool, centre, allowed_terms(pool, method, usable))
+        y = y - target
+    made = plan(pool, method, usable, chosen, samples, v.dtype, parents)
+    basis, lanes, history, collinear = _run(v, y, rows.weight, factor, made)
+    back = None if centre is None else backs(pool, centre, basis)
+    path = jax.block_until_ready(_path(basis, lanes, history, back))
+    if target is not None:
+        path = given_back(pool, path, target)
+    if adds_constant(method):
         path = _with_constant(pool, rows, path)
-    return path, made
+    return Choice(path, made, np.asarray(collinear), centre)
 
 
-def run(
+def _run(
     v: Float[Array, "vars rows"],
     y: Float[Array, "lanes rows"],
     weight: Float[Array, "lanes rows"],
     factor: Int[np.ndarray, "terms degree"],
     made: Plan,
-) -> Path:
+) -> tuple[Basis, Lane, History, Bool[Array, "lanes terms"]]:
     """Run a plan on every lane."""
     place = positions(factor, v.shape[0])
     lanes = _lanes(v, y, weight, factor, place, made.start, made.starts)
-    basis, history = _search(
+    basis, history, collinear = _search(
         v,
         lanes,
         factor,
@@ -216,7 +254,7 @@ def run(
         removes=made.removes,
         exchanges=made.exchanges,
     )
-    return jax.block_until_ready(_path(basis, lanes, history))
+    return basis, lanes, history, collinear
 
 
 def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
@@ -247,7 +285,16 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
 
 
 def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
-    columns = evaluate(pool.factor[np.asarray(terms)], rows.v)
+    own, back, target = rows.of_lanes(slice(lane, lane + 1)), None, None
+    index, y = np.asarray(terms), own.y
+    centre = own.centring(pool.variables)
+    if centre is None:
+        columns = evaluate(pool.factor[index], rows.v)
+    else:
+        columns, back = centre.columns(pool.factor[index], rows.v)
+        target = target_of(pool, centre, np.isin(np.arange(len(pool)), index))
+        y = y - target
+        back = jnp.asarray(back, columns.dtype)[None]
     ones = jnp.ones((1, columns.shape[1]), columns.dtype)
     number = jnp.asarray(0.0, columns.dtype)
     size = len(terms)
@@ -273,15 +320,22 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
         candidates=0,
         f_level=0.0,
     )
-    path = run(
+    basis, lanes, history, _ = _run(
         jnp.concatenate([ones, columns]),
-        rows.y[lane][None],
-        rows.weight[lane][None],
+        y,
+        own.weight,
         np.arange(1, size + 1)[:, None],
         made,
     )
-    index = np.asarray(terms)[np.asarray(path.index)]
-    return dataclasses.replace(path, index=jnp.asarray(index))
+    if centre is not None and int(basis.count[0]) < size:
+        # Columns made without the terms that are left out.
+        kept = np.asarray(basis.index)[0, : int(basis.count[0])]
+        return padded(_refit_one(pool, rows, lane, index[kept].tolist()), size)
+    path = jax.block_until_ready(_path(basis, lanes, history, back))
+    path = dataclasses.replace(path, index=jnp.asarray(index[np.asarray(path.index)]))
+    if target is not None:
+        path = given_back(pool, path, target)
+    return path
 
 
 def selection_of(pool: Pool, rows: Rows, path: Path) -> Selection:
@@ -316,69 +370,33 @@ def _total(rows: Rows) -> Float[np.ndarray, " lanes"]:
 
 
 def solution_of(
-    pool: Pool, rows: Rows, path: Path, passed_over, method: Method, made: Plan
+    pool: Pool, rows: Rows, choice: Choice, passed_over, method: Method
 ) -> Solution[Selection]:
     """Value, figures and status from what the search returned."""
+    path, made = choice.path, choice.made
     value = selection_of(pool, rows, path)
-    stats = _figures(value, path)
-    stats |= {"passed_over": passed_over, "candidates": len(pool)}
+    stats = figures_of(value, path)
+    terms = np.flatnonzero(choice.collinear.any(axis=0)).tolist()
+    dropped = {pool.name(term): COLLINEAR for term in terms}
+    stats |= {"passed_over": passed_over | dropped, "candidates": len(pool)}
     if made.removes:
-        stats |= {"f_level": made.f_level, "history": _histories(pool, path)}
-    status, detail = _status(value, np.asarray(path.cond), method)
+        stats |= {"f_level": made.f_level, "history": histories_of(pool, path)}
+    status, detail = _status(value, np.asarray(path.cond), method, choice.centre)
     return Solution(value, status, stats, detail)
 
 
-def _figures(value: Selection, path: Path) -> dict[str, Any]:
-    t, p_value = _t_values(value)
-    return _tables(value) | {
-        "sse": value.sse,
-        "samples": value.samples,
-        "cond": np.asarray(path.cond),
-        "count": np.asarray(path.count),
-        "t": t,
-        "p_value": p_value,
-    }
-
-
-def _tables(value: Selection) -> dict[str, np.ndarray]:
-    """Criteria of all outputs; past an output's last size they repeat."""
-    slots = value.index.shape[1]
-    tables = [criteria_of(value, o) for o in range(len(value.index))]
-    return {
-        name: np.stack(
-            [np.pad(t[name], (0, slots - len(t[name])), mode="edge") for t in tables]
-        )
-        for name in tables[0]
-    }
-
-
-def _t_values(value: Selection):
-    """Coefficients over their standard errors, and the probability of larger ones."""
-    positive = value.error > 0
-    t = np.where(
-        positive, value.coefficient / np.where(positive, value.error, 1.0), 0.0
-    )
-    spare = np.maximum(value.samples - value.used.sum(axis=1), 1)[:, None]
-    p_value = 2.0 * scipy.special.stdtr(spare, -np.abs(t))
-    return t, np.where(value.used, p_value, 1.0)
-
-
-def _histories(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
-    h = jax.tree.map(np.asarray, path.history)
-    return [
-        [
-            {
-                pool.name(int(h.term[o, r, s])): float(h.f[o, r, s])
-                for s in np.flatnonzero(h.used[o, r])
-            }
-            for r in range(int(h.rounds[o]))
-        ]
-        for o in range(len(h.rounds))
-    ]
-
-
-def _status(value: Selection, cond, method: Any) -> tuple[RESULTS, str]:
+def _status(
+    value: Selection, cond, method: Any, centre: Centring | None = None
+) -> tuple[RESULTS, str]:
     pool, names = value.pool, value.output_names
+    for o, name in enumerate(names if centre is not None else []):
+        assert centre is not None
+        terms = value.terms(o)
+        factor, theta = pool.factor[terms], value.coefficient[o, : len(terms)]
+        size = float(np.sqrt(value.total[o] / max(value.samples[o], 1)))
+        detail = centre.warning(factor, theta, size, pool.channels, pool.variables)
+        if detail:
+            return RESULTS.unidentifiable, f"{name}: {detail}"
     limit = 1.0 / np.sqrt(np.finfo(value.sse.dtype).eps)
     if np.any(cond > limit):
         o = int(np.argmax(cond))

@@ -56,12 +56,14 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 
 
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
-    """True where a = c b but for rounding, that of a text file included."""
+    """True where a = c b but for rounding, that of a text file included.
+
+    Judged by how far a moves: far from zero every channel is a multiple of any other.
+    """
     if not a.size:
         return False
     ratio = float(np.vdot(a, b)) / float(np.vdot(b, b))
-    rms = float(np.sqrt(np.mean(a**2)))
-    return bool(np.max(np.abs(a - ratio * b)) <= 1e-4 * rms)
+    return bool(np.max(np.abs(a - ratio * b)) <= 1e-4 * float(np.std(a)))
 
 
 def usable_terms(pool: Pool, passed_over: dict[str, str]) -> Bool[np.ndarray, " terms"]:

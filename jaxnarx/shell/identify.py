@@ -302,9 +302,13 @@ def require_rows(parts: dict[str, Dataset], history: int) -> None:
 
 
 def _tell(solution: Solution) -> None:
-    passed_over = solution.stats.get("passed_over", {})
-    for channel, reason in passed_over.items():
-        say(f"  terms of {channel} are passed over: {reason}")
+    reasons: dict[str, list[str]] = {}
+    for name, reason in solution.stats.get("passed_over", {}).items():
+        reasons.setdefault(reason, []).append(name)
+    for reason, names in reasons.items():
+        more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+        listed = ", ".join(names[:8]) + more
+        say(f"  terms of {listed} are passed over: {reason}")
     if solution.detail:
         say(f"  {solution.status_name}: {solution.detail}")
 
