@@ -20,7 +20,6 @@ from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import local_fit
 from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.lolimot import validity_of_boxes
-from jaxnarx.regressors import evaluate
 
 SHARPNESS = 5.0
 """Steepness of log-sigmoids times the distance between borders: at the middle of a
@@ -50,20 +49,21 @@ def fitted(
     coefficients of the global model.
     """
     phi = validity(ground.z, jnp.arange(capacity(validity)) < count)[:count]
-    y, weight = ground.rows.y[output], ground.rows.weight[output]
+    weight = ground.rows.weight[output]
     mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))
-    p = evaluate(ground.factors[output], ground.rows.v)
+    p, y = ground.columns(output)
     ridge = jnp.asarray(method.ridge, p.dtype)
     everywhere = _fit(p, y, weight, prior=jnp.zeros(len(p), p.dtype), ridge=0.0 * ridge)
+    whole = ground.coefficients(output, everywhere)
     if method.local is not None:
         need = min(method.local.max_terms, len(p))
         theta = own_terms(ground, output, phi, method.local)
     else:
         need = len(p)
         fits = [_fit(p, y, w * weight, prior=everywhere, ridge=ridge) for w in phi]
-        theta = np.asarray(jnp.stack(fits))
+        theta = ground.coefficients(output, jnp.stack(fits))
     poor = np.flatnonzero(mass < need).tolist()
-    theta = np.where((mass < need)[:, None], np.asarray(everywhere)[None], theta)
+    theta = np.where((mass < need)[:, None], whole[None], theta)
     theta = np.pad(theta, ((0, capacity(validity) - count), (0, 0)))
     sparse = method.local is not None
     return ground.model(output, theta, validity, count, sparse=sparse), poor

@@ -1,6 +1,7 @@
 """What every partition starts from: rows, terms, and scaled scheduling variables."""
 
 import dataclasses
+import functools
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,14 @@ from jaxnarx.errors import DataError
 from jaxnarx.methods import ForwardOLS, StepwiseF
 from jaxnarx.models import AbstractValidity, OutputModel, local_models, output_model
 from jaxnarx.partition.scaffold import scheduling_table
-from jaxnarx.regressors import Pool, Variables, row_columns, variable_names
+from jaxnarx.regressors import (
+    Pool,
+    Variables,
+    evaluate,
+    row_columns,
+    variable_names,
+)
+from jaxnarx.regressors.centring import Centring
 from jaxnarx.regressors.rows import Rows, regression_rows
 
 
@@ -31,6 +39,57 @@ class Ground:
     offset: Float[np.ndarray, " dims"]
     span: Float[np.ndarray, " dims"]
     z: Float[Array, "dims rows"]
+
+    @functools.cached_property
+    def centre(self) -> Centring | None:
+        """Offsets of what is far from zero."""
+        return self.rows.centring(self.pool.variables)
+
+    def constant(self, output: int) -> int | None:
+        """Place of the constant among an output's candidates, if it is one."""
+        rows = np.flatnonzero(~self.factors[output].any(axis=1))
+        return int(rows[0]) if rows.size else None
+
+    def columns(
+        self, output: int
+    ) -> tuple[Float[Array, "terms rows"], Float[Array, " rows"]]:
+        """Columns to fit an output with, and what to fit.
+
+        Those of its terms, or, where channels are far from zero, columns of the same
+        span without their offsets; `coefficients` gives those of the terms.
+        """
+        factor, y = self.factors[output], self.rows.y[output]
+        if self.centre is None:
+            return evaluate(factor, self.rows.v), y
+        if self.constant(output) is not None:
+            y = y - float(self.centre.target[output])
+        return self.centre.columns(factor, self.rows.v)[0], y
+
+    def coefficients(
+        self, output: int, psi: Float[Array | np.ndarray, "*models terms"]
+    ) -> Float[np.ndarray, "*models terms"]:
+        """Coefficients of an output's terms from those of its `columns`."""
+        psi = np.asarray(psi)
+        if self.centre is None:
+            return psi
+        theta = psi @ self.centre.reduced(self.factors[output])[0].astype(psi.dtype)
+        if (at := self.constant(output)) is not None:
+            theta[..., at] += self.centre.target[output]
+        return theta
+
+    def warning(self, models: list[OutputModel]) -> str:
+        """What to tell where rounding spoils an output, or nothing."""
+        for o, model in enumerate(models if self.centre is not None else []):
+            assert self.centre is not None
+            local, y = model.local, np.asarray(self.rows.y[o])
+            size = float(np.std(y[np.asarray(self.rows.weight[o]) > 0]))
+            dense = np.asarray(local.dense())[np.asarray(model.active)]
+            named = self.pool.channels, self.pool.variables
+            told = self.centre.warning(np.asarray(local.factor), dense, size, *named)
+            if told:
+                place = self.pool.outputs[o]
+                return f"{self.pool.channels.output_names[place]}: {told}"
+        return ""
 
     @property
     def names(self) -> list[str]:

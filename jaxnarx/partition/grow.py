@@ -21,7 +21,7 @@ from jaxnarx.partition.ground import Ground, make_ground
 from jaxnarx.partition.growth import grow_output
 from jaxnarx.partition.own_feedback import with_feedback
 from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
-from jaxnarx.regressors import Pool, evaluate, variable_names
+from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
 
@@ -112,9 +112,8 @@ def _grow_global(ground: Ground) -> Solution[Network]:
     rows, factors = ground.rows, ground.factors
     models, ranks, conds = [], [], []
     for o, factor in enumerate(factors):
-        columns = evaluate(factor, rows.v)
-        theta, rank, cond = least_squares(columns, rows.y[o], rows.weight[o])
-        models.append(global_model(factor, theta))
+        psi, rank, cond = least_squares(*ground.columns(o), rows.weight[o])
+        models.append(global_model(factor, ground.coefficients(o, psi)))
         ranks.append(int(rank))
         conds.append(float(cond))
     network = _assembled(ground, models)
@@ -127,7 +126,16 @@ def _grow_global(ground: Ground) -> Solution[Network]:
             f"{len(factors[o])}; remove collinear terms"
         )
         return Solution(network, RESULTS.unidentifiable, stats, detail)
-    return Solution(network, RESULTS.ok, stats)
+    return _solution(ground, network, RESULTS.ok, stats)
+
+
+def _solution(
+    ground: Ground, network: Network, status: RESULTS, stats: dict, detail: str = ""
+) -> Solution[Network]:
+    """The solution, unless rounding spoils the network."""
+    if told := ground.warning(list(network.models)):
+        return Solution(network, RESULTS.unidentifiable, stats, told)
+    return Solution(network, status, stats, detail)
 
 
 def _scheduling(method: Method, pool: Pool, regions: list[Regions]) -> tuple[str, ...]:
@@ -170,7 +178,7 @@ def _as_told(
     stats: dict[str, Any] = {"poor": list(poor)} | found
     short = [o for o in outputs if poor[o]]
     if not short:
-        return Solution(network, RESULTS.ok, stats)
+        return _solution(ground, network, RESULTS.ok, stats)
     o = short[0]
     listed = ", ".join(str(m + 1) for m in poor[o][:8])
     detail = (
@@ -197,8 +205,8 @@ def _grow_stages(
     )
     stats = {k: [f[k] for f in figures] for k in figures[0]} | found
     if any(f["stopped"] == "criterion" for f in figures):
-        return Solution(network, RESULTS.no_improvement, stats)
-    return Solution(network, RESULTS.ok, stats, _refused(network, stats))
+        return _solution(ground, network, RESULTS.no_improvement, stats)
+    return _solution(ground, network, RESULTS.ok, stats, _refused(network, stats))
 
 
 def _refused(network: Network, stats: dict[str, Any]) -> str:

@@ -29,7 +29,6 @@ from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import Rows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
-from jaxnarx.regressors import evaluate
 from jaxnarx.selection.own import require_room
 
 _lolimot = jax.jit(
@@ -57,21 +56,22 @@ def grow_output(
     if method.local is not None:
         advice = "choose among them first, with `select`, and grow from the selection"
         require_room(len(factor), rows, "local", advice)
-    p = evaluate(factor, rows.v)
-    stages, validity = _run(ground, output, p, method, begin)
+    p, y = ground.columns(output)
+    stages, validity = _run(ground, output, p, y, method, begin)
     sparse = method.local is not None
 
     frame = assemble(
         ground.pool.of_output(output),
         ground.data,
         rows.gain,
-        [global_model(factor, stages.theta[0, 0])],
+        [global_model(factor, ground.coefficients(output, stages.theta[0, 0]))],
     )
 
     def at(stage: int, sparse: bool = False) -> Network:
         """The network of a stage; all slots, so that one program serves all stages."""
         slots, count = method.max_models, int(stages.count[stage])
-        theta, shape = stages.theta[stage], validity(stage, slots)
+        theta = ground.coefficients(output, stages.theta[stage])
+        shape = validity(stage, slots)
         model = ground.model(output, theta, shape, count, sparse=sparse)
         return dataclasses.replace(frame, models=(model,))
 
@@ -92,12 +92,14 @@ def grow_output(
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
         tree = jax.tree.map(lambda a: a[best], stages)
-        tree = prune(tree, _rows_of(ground, output, p, method), oblique=method.oblique)
+        tree = prune(
+            tree, _rows_of(ground, output, p, y, method), oblique=method.oblique
+        )
         stages, best, count = jax.tree.map(lambda a: a[None], tree), 0, int(tree.count)
         validity = functools.partial(validity_of_stage, stages)
         found["pruned_to"] = count
     if not sparse:
-        theta = stages.theta[best, :count]
+        theta = ground.coefficients(output, stages.theta[best, :count])
         return ground.model(output, theta, validity(best, count), count), found
     shape = validity(best, count)
     phi = shape(ground.z, jnp.ones(count, bool))
@@ -115,24 +117,28 @@ def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method)
         "ridge": number(method.ridge),
         "least": number(least),
         "picks": picks,
-        "first": _constant(ground, output) if picks else None,
+        "first": ground.constant(output) if picks else None,
     }
 
 
-def _rows_of(ground: Ground, output: int, p, method: SigmoidTree) -> Rows:
+def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> Rows:
     smoothness = jnp.asarray(method.smoothness, p.dtype)
-    y, weight = ground.rows.y[output], ground.rows.weight[output]
     fitting = _fitting(ground, output, p, method)
-    return Rows(p, ground.z, y, weight, smoothness, **fitting)
+    return Rows(p, ground.z, y, ground.rows.weight[output], smoothness, **fitting)
 
 
 def _run(
-    ground: Ground, output: int, p: Float[Array, "terms rows"], method, begin
+    ground: Ground,
+    output: int,
+    p: Float[Array, "terms rows"],
+    y: Float[Array, " rows"],
+    method,
+    begin,
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(jnp.asarray, dtype=p.dtype)
     common = _fitting(ground, output, p, method) | {"max_models": method.max_models}
-    data = p, ground.z, ground.rows.y[output], ground.rows.weight[output]
+    data = p, ground.z, y, ground.rows.weight[output]
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
         shape = {"oblique": method.oblique, "steps": method.steps}
@@ -171,9 +177,3 @@ def _beginning(method: Lolimot | SigmoidTree, shape: AbstractValidity, count: in
     gates = {name: getattr(shape, name)[: count - 1] for name in shape.trained}
     path = shape.path[:count, : count - 1]
     return dataclasses.replace(shape, **gates, path=path)
-
-
-def _constant(ground: Ground, output: int) -> int | None:
-    """Place of the constant among an output's candidates, if it is one."""
-    rows = np.flatnonzero(~ground.factors[output].any(axis=1))
-    return int(rows[0]) if rows.size else None
