@@ -5,6 +5,8 @@ sigma(u), so that every step of a solver stays inside. The derivative of that ma
 gradients by physical parameters into gradients by u.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.refinement.initial import Initial
+from jaxnarx.regressors.centring import Centring
 
 
 def freeze(
@@ -63,7 +66,9 @@ class Layout(eqx.Module):
 
     `low` and `high` are the limits of every entry, infinite where there are none. With
     `initial` the offsets of the records' initial conditions follow the network's
-    parameters.
+    parameters. With `back` an output's coefficients theta stand in the vector as psi,
+    theta = psi back for every local model: those of columns without the offsets of
+    channels that are far from zero.
     """
 
     base: Network
@@ -71,6 +76,7 @@ class Layout(eqx.Module):
     high: Float[Array, " params"]
     chosen: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
     initial: Initial | None = None
+    back: tuple[Float[Array, "models slots slots"], ...] | None = None
 
     @property
     def parameters(self) -> int:
@@ -87,7 +93,7 @@ class Layout(eqx.Module):
 
     def gather(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as a vector in solver coordinates."""
-        p = self.flat(network)
+        p = self.flat(self._turned(network, jnp.linalg.inv))
         bounded = jnp.isfinite(self.low)
         low = jnp.where(bounded, self.low, 0.0)
         span = jnp.where(bounded, self.high - self.low, 1.0)
@@ -123,7 +129,30 @@ class Layout(eqx.Module):
                     start += leaf.size
                 else:
                     new.append(leaf)
-        return eqx.tree_at(_where, self.base, new)
+        return self._turned(eqx.tree_at(_where, self.base, new), lambda back: back)
+
+    def _turned(self, network: Network, matrix: Callable[[Array], Array]) -> Network:
+        """With the outputs' trained coefficients times a matrix made of `back`."""
+        if self.back is None:
+            return network
+        models = []
+        for model, keep, back in zip(
+            network.models, self.chosen, self.back, strict=True
+        ):
+            if keep[0]:
+                value = model.local.coefficient
+                value = jnp.einsum("ms,mst->mt", value, matrix(back))
+                model = eqx.tree_at(lambda m: m.local.coefficient, model, value)
+            models.append(model)
+        return eqx.tree_at(lambda n: n.models, network, tuple(models))
+
+    def by_vector(
+        self, output: int, leaf: Float[Array, "models slots rows"]
+    ) -> Float[Array, "models slots rows"]:
+        """Derivatives by the vector's entries from those by coefficients."""
+        if self.back is None:
+            return leaf
+        return jnp.einsum("mst,mtr->msr", self.back[output], leaf)
 
     def flat(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as they stand; zeros for offsets."""
@@ -172,11 +201,14 @@ def make_layout(
     trainable: Network | None,
     width_band: tuple[float | int, float | int],
     initial: Initial | None = None,
+    *,
+    centred: bool = False,
 ) -> Layout:
     """Layout of the leaves that are True in `trainable` (default: all with an effect).
 
-    Only coefficients and validity functions can be trained; a True elsewhere raises
-    `SpecError`.
+    `centred` frees the vector's coefficients of the offsets of channels that are far
+    from zero, where there are any; host only. Only coefficients and validity functions
+    can be trained; a True elsewhere raises `SpecError`.
     """
     tree = freeze(network) if trainable is None else trainable
     flags = jax.tree.structure(tree) == jax.tree.structure(network)
@@ -205,4 +237,29 @@ def make_layout(
         more = 0 if initial is None else initial.size
         return jnp.pad(own, (0, more), constant_values=sign)
 
-    return Layout(network, bounds(0), bounds(1), chosen, initial)
+    back = _backs(network) if centred else None
+    return Layout(network, bounds(0), bounds(1), chosen, initial, back)
+
+
+def _backs(network: Network) -> tuple[Float[Array, "models slots slots"], ...] | None:
+    """From coefficients of columns without offsets to those of terms, by output."""
+    centre = Centring.of_ranges(
+        np.asarray(network.low),
+        np.asarray(network.high),
+        np.asarray(network.gain),
+        network.variables,
+    )
+    if centre is None:
+        return None
+    backs = []
+    for model in network.models:
+        local = model.local
+        used, index = np.asarray(local.used), np.asarray(local.index)
+        back = np.tile(np.eye(used.shape[1]), (len(used), 1, 1))
+        for m, slots in enumerate(used):
+            at = np.flatnonzero(slots)
+            if at.size:
+                terms = np.asarray(local.factor)[index[m, at]]
+                back[m][np.ix_(at, at)] = centre.reduced(terms)[0]
+        backs.append(jnp.asarray(back, local.coefficient.dtype))
+    return tuple(backs)

@@ -126,13 +126,14 @@ def direct_tangents(
         if model.own is not None:
             seen = with_own(network, o, v, jnp.moveaxis(history[:, at], 0, -1))
         leaves, by_coefficient = output_gradient(model, seen, x[o])
+        leaves[0] = layout.by_vector(o, leaves[0])
         pieces = [
             leaf.reshape(-1, rows) for leaf, k in zip(leaves, keep, strict=True) if k
         ]
         own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
         out.append(jnp.pad(own, ((0, 0), (start, total - stop)))[:, None])
         if model.own is not None:
-            local = _block_diagonal(by_coefficient, keep[0])
+            local = _block_diagonal(layout.by_vector(o, by_coefficient), keep[0])
             room = total - start - local.shape[2]
             alone.append(jnp.pad(local, ((0, 0), (0, 0), (start, room))))
     every = jnp.concatenate([*out, *alone], axis=1)

@@ -83,8 +83,10 @@ def refine(
     if validation is not None:
         validation = fitting(network, validation)
         guard, _ = make_task(network, validation, criterion=task.criterion)
+    # A prior is one of the coefficients as they stand.
+    plain = deviations is None
     if isinstance(method, PredictionError):
-        layout = make_layout(network, trainable, method.width_band)
+        layout = make_layout(network, trainable, method.width_band, centred=plain)
         prior = _prior(layout, deviations)
         return refine_prediction(layout, task, guard, method, prior, progress)
     if method.folds and validation is not None:
@@ -95,7 +97,8 @@ def refine(
     initial = None
     if method.initial_conditions == "estimated":
         initial = initial_conditions(network, task)
-    layout = make_layout(network, trainable, method.width_band, initial)
+    band = method.width_band
+    layout = make_layout(network, trainable, band, initial, centred=plain)
     return refine_task(layout, task, guard, method, progress, deviations=deviations)
 
 

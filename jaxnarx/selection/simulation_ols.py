@@ -36,10 +36,11 @@ from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.data import Dataset
 from jaxnarx.methods import SimulationError, SimulationOLS
 from jaxnarx.models import Network, assemble, depth, global_model
-from jaxnarx.refinement.layout import make_layout
+from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.normal import linearised, normal_equations, seen_history
 from jaxnarx.refinement.refine import make_task, refine_task
 from jaxnarx.regressors import Pool
+from jaxnarx.regressors.centring import Centring
 from jaxnarx.simulation import Drive, run
 from jaxnarx.solution import RESULTS
 
@@ -57,11 +58,12 @@ def pool_derivatives(
     weight: Float[Array, "records time outputs"],
     factor: Int[Array, "terms degree"] | Int[np.ndarray, "terms degree"],
     position: Int[Array, " terms"] | Int[np.ndarray, " terms"],
+    offset: tuple[Float[Array, " vars"], Float[Array, " vars"]] | None = None,
 ) -> tuple[Float[Array, " terms"], Float[Array, " terms"], Float[Array, ""]]:
     """Half the derivative of the loss by every pool term's coefficient, at zero.
 
     Also the weighted squared norm of every term along the run, and the loss. One
-    output.
+    output. With `offset`, shift and spread of the variables, those of the centred ones.
     """
     y = run(network, drive, anchor)
     past, own = seen_history(network, y, drive.measured, anchor)
@@ -76,6 +78,8 @@ def pool_derivatives(
 
     v, adjoint = jax.lax.map(lambda r: one(*r), (drive.v, drive.x, past, own, residual))
     v = jnp.moveaxis(v, 1, 0).reshape(v.shape[1], -1)
+    if offset is not None:
+        v = (v - offset[0][:, None]) / offset[1][:, None]
     degree = factor.shape[1]
     derivative = contract(v, adjoint.reshape(1, -1), degree)[0, position]
     norm = contract(v, weight.reshape(1, -1), degree, squared=True)[0, position]
@@ -106,6 +110,13 @@ class _Rounds:
         first = global_model(pool.factor[:1], np.zeros(1, gain.dtype))
         self.base = assemble(pool, data, gain, [first])
         self.task, _ = make_task(self.base, data)
+        low, high = np.asarray(self.base.low), np.asarray(self.base.high)
+        self.centre = Centring.of_ranges(low, high, gain, pool.variables)
+        self.offset, self.parents = None, None
+        if self.centre is not None:
+            pair = self.centre.shift, self.centre.spread
+            self.offset = jnp.asarray(pair[0]), jnp.asarray(pair[1])
+            self.parents, _ = self.centre.parents(pool.factor, self.usable)
         # One slot to spare: a full model takes a term in before it drops another.
         self.slots = method.max_terms + 1
 
@@ -127,10 +138,31 @@ class _Rounds:
             max_steps=self.method.steps,
             window_steps=10,
         )
-        layout = make_layout(network, None, (0.5, 2.0))
+        layout = self.layout(network)
         solution = refine_task(layout, self.task, self.task, steps)
         theta = np.asarray(solution.value.models[0].local.coefficient)[0, : len(terms)]
         return theta, solution
+
+    def layout(self, network: Network) -> Layout:
+        """All coefficients, those of columns without offsets."""
+        return make_layout(network, None, (0.5, 2.0), centred=True)
+
+    def admitted(self, terms: list[int]) -> Bool[np.ndarray, " terms"]:
+        """Terms whose parts are in the model, see `Centring.parents`."""
+        there = np.zeros(len(self.pool) + 1, bool)
+        there[[*terms, -1]] = True
+        if self.parents is None:
+            return np.ones(len(self.pool), bool)
+        return np.all(there[self.parents], axis=1)
+
+    def without(self, terms: list[int], theta, place: int):
+        """Terms and coefficients without one of them, its column's share taken off."""
+        fewer = [t for n, t in enumerate(terms) if n != place]
+        if self.centre is not None:
+            back = self.centre.reduced(self.pool.factor[terms])[0]
+            psi = np.linalg.solve(back.T, theta)
+            theta = theta - psi[place] * back[place]
+        return fewer, np.delete(theta, place)
 
     def candidates(self, terms, theta):
         """The shortlist, and the Gram matrix of chosen and shortlisted columns."""
@@ -143,9 +175,11 @@ class _Rounds:
             self.task.weight,
             self.pool.factor,
             self.position,
+            self.offset,
         )
         g, norm = np.asarray(g), np.asarray(norm)
         open_ = self.usable & (norm > 0)
+        open_ &= self.admitted(terms)
         open_[terms] = False
         score = np.where(open_, g**2 / np.where(open_, norm, 1.0), -np.inf)
         count = min(self.method.shortlist, int(open_.sum()))
@@ -153,7 +187,7 @@ class _Rounds:
         slots = self.slots + self.method.shortlist
         both = [*terms, *short]
         wide = self.network(both, np.r_[theta, np.zeros(len(short))], slots)
-        layout = make_layout(wide, None, (0.5, 2.0))
+        layout = self.layout(wide)
         _, slope, gram = normal_equations(
             layout, layout.gather(wide), self.task.drive, anchor, self.task.weight
         )
@@ -187,7 +221,7 @@ class _Rounds:
         None where the loss would come out above `before`, unless a term must go.
         """
         network = self.network(terms, theta, self.slots)
-        layout = make_layout(network, None, (0.5, 2.0))
+        layout = self.layout(network)
         _, _, gram = normal_equations(
             layout,
             layout.gather(network),
@@ -196,14 +230,18 @@ class _Rounds:
             self.task.weight,
         )
         size = len(terms)
-        cost = costs(theta, np.asarray(gram)[:size, :size])
+        value = np.asarray(layout.gather(network))[:size]
+        cost = costs(value, np.asarray(gram)[:size, :size])
+        if self.parents is not None:
+            # A part of another term stays.
+            cost[np.isin(terms, self.parents[terms])] = np.inf
         weakest = int(np.argmin(cost[:-1]))
         loss = float(solution.stats["loss"])
         full = size > self.method.max_terms
         if not full and loss + cost[weakest] >= before:
             return None, theta, solution
-        fewer = [t for n, t in enumerate(terms) if n != weakest]
-        after, tried = self.refined(fewer, np.delete(theta, weakest))
+        fewer, rest = self.without(terms, theta, weakest)
+        after, tried = self.refined(fewer, rest)
         return fewer, after, tried
 
     def tell(self, terms: list[int], term: int, solution, what: str) -> None:
