@@ -91,3 +91,11 @@ def test_siso_models_of_chapter_4(tmp_path):
     assert refined > plain - 0.1
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     assert len(drawn) == 11
+
+
+@pytest.mark.slow
+def test_check_of_long_data(tmp_path):
+    figures = run("check.py", results=tmp_path)["check"]
+    assert figures["now"]["responses_seen"] == figures["responses"]
+    for one in figures["targets"].values():
+        assert_target(one)
