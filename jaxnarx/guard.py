@@ -71,7 +71,8 @@ def _fits(value: Any, wanted: Any) -> bool:
         return several and all(_fits(each, inner[-1]) for each in values)
     wanted = origin or wanted
     if wanted in (str, os.PathLike) or _is_ours(wanted):
-        return isinstance(value, wanted)
+        # A class can be called as a function of one's own can, and is none.
+        return isinstance(value, wanted) and not isinstance(value, type)
     return not _is_noun(value)
 
 

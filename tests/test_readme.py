@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnarx.shell.cli import _parse, run
+from jaxnarx.shell.cli import run
+from jaxnarx.shell.parse import parse
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -52,14 +53,14 @@ def test_the_two_commands_are_one_line_each():
     assert first[0].endswith("jaxnarx demo") and "pytest" in second[0]
 
 
-def test_the_commands_parse():
+def test_the_commandsparse():
     (console,) = blocks("console")
     commands = [shlex.split(line.removeprefix("$ ")) for line in console.splitlines()]
     assert [words[1] for words in commands] == [
         *("check", "identify", "simulate", "report")
     ]
     for words in commands:
-        _parse(words[1:])
+        parse(words[1:])
 
 
 def test_the_python_block_works_on_a_folder_of_25_records(folder, capsys):

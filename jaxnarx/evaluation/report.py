@@ -157,10 +157,14 @@ class Report:
 class Reportable(Protocol):
     """What a report is made of: a `Network`, or what can be run and shown as one."""
 
-    channels: Any
-    models: Any
-    output_channels: Any
-    equations: Any
+    @property
+    def channels(self) -> Any: ...
+    @property
+    def models(self) -> Any: ...
+    @property
+    def output_channels(self) -> Any: ...
+    @property
+    def equations(self) -> Any: ...
 
 
 def report(

@@ -37,8 +37,11 @@ def test_blanks_and_leading_zeros_do_not_matter(text, expected):
     assert parse_variable(CHANNELS, text) == (*expected, None)
 
 
-# Whatever may stand in a channel's name: brackets, operators, blanks, other scripts.
-names = st.text(min_size=1, max_size=12).filter(lambda s: bool(s.strip()))
+# Whatever may stand in a channel's name: brackets, operators, blanks, other scripts,
+# but nothing that is not seen.
+names = st.text(min_size=1, max_size=12).filter(
+    lambda s: bool(s.strip()) and s.isprintable()
+)
 
 
 # No deadline: the run-time shape check makes the first call slow.

@@ -71,7 +71,9 @@ def every(label):
         figures.partition(gated(label)),
         figures.every_record(records(label)),
         figures.error_map(
-            ErrorMap(label, label, (label, "b"), (np.arange(3.0),) * 2, *cells)
+            ErrorMap(
+                label, label, (label, "b"), (np.arange(3.0), np.arange(3.0)), *cells
+            )
         ),
     ]
 

@@ -6,8 +6,8 @@ import shlex
 import pytest
 
 from jaxnarx.evaluation.verdict import REMEDIES, Finding, Verdict
-from jaxnarx.shell.cli import _parse
 from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.parse import parse
 from jaxnarx.shell.remedies import next_words, words_of
 
 TYPED = (
@@ -29,9 +29,9 @@ def following(command, remedy, outputs=("NOx",)):
 
 
 def test_words_make_the_command_again():
-    command = _parse(shlex.split(TYPED))
+    command = parse(shlex.split(TYPED))
     assert isinstance(command, Identify)
-    assert _parse(words_of(command)[1:]) == command
+    assert parse(words_of(command)[1:]) == command
 
 
 def test_a_good_model_is_simulated():
@@ -46,7 +46,7 @@ def test_every_remedy_ends_and_changes_something(remedy, outputs):
     command = dataclasses.replace(Identify("a.toml", outputs), out="x", force=True)
     for _ in range(6):
         words, then = following(command, remedy, outputs)
-        new = _parse(words[1:])
+        new = parse(words[1:])
         assert isinstance(new, Identify) and new.out is None and not new.force
         assert then or new != dataclasses.replace(command, out=None, force=False)
         command = new
@@ -55,6 +55,6 @@ def test_every_remedy_ends_and_changes_something(remedy, outputs):
 def test_what_cannot_diverge_is_proposed_in_the_end():
     command = Identify("a.toml", ("NOx",))
     for _ in range(3):
-        command = _parse(following(command, "bounded")[0][1:])
+        command = parse(following(command, "bounded")[0][1:])
         assert isinstance(command, Identify)
     assert command.output_lags == () and command.filters == (0.4, 1.6, 6.4)

@@ -257,7 +257,7 @@ def test_a_description_is_settings_and_cases(tmp_path):
         ("ridge = [1e-6, 1e-4]", "ridge = 1e-6", "ridge must be a list"),
         ("ridge = [1e-6, 1e-4]", 'ridge = ["a"]', "ridge must be a number, got 'a'"),
         ("ridge = [1e-6, 1e-4]", "terms = [1.5]", "terms must be whole numbers"),
-        ("ridge = [1e-6, 1e-4]", 'train = ["all"]', "train must be one of joint"),
+        ("ridge = [1e-6, 1e-4]", 'train = ["all"]', "train must be one of staged"),
         ("ridge = [1e-6, 1e-4]", "rige = [1.0]", "Did you mean 'ridge'"),
         ("[cases]", "[random]\n[cases]", "not both"),
         ("[identification]", "[", "not valid TOML"),

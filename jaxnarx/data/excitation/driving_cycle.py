@@ -25,12 +25,13 @@ _CORNERS = {
     ),
 }
 """Time [s] and speed [km/h] between which the speed is a straight line."""
+WHOLE: tuple[Phase, ...] = ("urban", "urban", "urban", "urban", "extra-urban")
 
 
 def driving_cycle(
     *,
     sample_time: Number,
-    phases: Sequence[Phase] = (*("urban",) * 4, "extra-urban"),
+    phases: Sequence[Phase] = WHOLE,
 ) -> Float[Array, " time"]:
     """Vehicle speed in km/h at 0, sample_time [s], ... over `phases` in turn.
 

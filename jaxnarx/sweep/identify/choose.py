@@ -48,7 +48,7 @@ def choose(
         jnp.asarray([len(first)]),
     )
     allowed = jnp.all(variables[frame.factor], axis=1)
-    basis, history = search(
+    basis, history, _ = search(
         v,
         lanes,
         frame.factor,
