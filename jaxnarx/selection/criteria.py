@@ -12,14 +12,16 @@ def criteria(
     *,
     total: float | None = None,
     press: Float[np.ndarray, " sizes"] | None = None,
+    variance: float | None = None,
 ) -> dict[str, Float[np.ndarray, " sizes"]]:
     """Criteria of models with 1, 2, ... terms from their sums of squared errors.
 
     With N samples and n terms: AIC = N ln(SSE/N) + 2 n, AICc = AIC + 2 n (n + 1) /
     (N - n - 1), BIC (Rissanen's MDL) = N ln(SSE/N) + n ln N, FPE (5.35) = N ln(SSE/N) +
-    N ln((N + n) / (N - n)), Cp (5.33, 5.34) = SSE/s^2 - N + 2 n with s^2 = SSE/(N - n)
-    of the largest model. Sizes for which N is too small give `inf`; a perfect fit -inf
-    is cut at the smallest positive number's logarithm.
+    N ln((N + n) / (N - n)), Cp (5.33, 5.34) = SSE/s^2 - N + 2 n with s^2 = `variance`,
+    that of the residuals of the largest candidate model; without it the largest of
+    these sizes stands in, and Cp = n there. Sizes for which N is too small give `inf`;
+    a perfect fit -inf is cut at the smallest positive number's logarithm.
 
     With `total`, the sum of squares about the mean, also R2 = 1 - SSE/total (4.44), its
     adjusted form 1 - (SSE/(N - n)) / (total/(N - 1)), and the overall F (5.9) =
@@ -35,8 +37,9 @@ def criteria(
         aic = fit + 2 * n
         correction = np.where(spare > 1, 2 * n * (n + 1) / (spare - 1), np.inf)
         fpe = fit + samples * np.log(np.where(spare > 0, (samples + n) / spare, np.inf))
-        variance = max(sse[-1], tiny) / max(samples - len(sse), 1)
-        cp = sse / variance - samples + 2 * n
+        if variance is None:
+            variance = sse[-1] / max(samples - len(sse), 1)
+        cp = sse / max(variance, tiny) - samples + 2 * n
     table = {
         "aic": aic,
         "aicc": aic + correction,

@@ -9,6 +9,8 @@ from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.models import Network, assemble, global_model
+from jaxnarx.regressors import evaluate
+from jaxnarx.regressors.rows import regression_rows
 from jaxnarx.selection.criteria import GREATER_IS_BETTER, criteria
 from jaxnarx.selection.selection import Selection
 from jaxnarx.simulation import Trajectories, predict, simulate
@@ -19,7 +21,7 @@ ALIASES = {"mdl": "bic"}
 
 
 def criteria_of(
-    selection: Selection, output: int = 0
+    selection: Selection, output: int = 0, *, variance: float | None = None
 ) -> dict[str, Float[np.ndarray, " sizes"]]:
     """Criteria of the nested models of one output; see `criteria`."""
     size = max(selection.size(output), 1)
@@ -28,7 +30,37 @@ def criteria_of(
         int(selection.samples[output]),
         total=float(selection.total[output]),
         press=selection.press[output, :size],
+        variance=variance,
     )
+
+
+def largest_variance(
+    selection: Selection, train: Dataset, output: int = 0
+) -> float | None:
+    """s^2 of Mallows' Cp (5.34): SSE/(N - rank) of all terms of the pool together.
+
+    Scaled as `sse`. None where the records have not more rows than the pool terms, so
+    that this model cannot be estimated.
+    """
+    pool = selection.pool
+    train, _ = match_channels(train, pool.channels)
+    rows = regression_rows(
+        train,
+        pool.variables,
+        pool.outputs,
+        history=pool.variables.longest,
+        gain=selection.gain,
+    )
+    root = np.sqrt(np.asarray(rows.weight[output]))
+    samples = int(np.count_nonzero(root))
+    if samples <= len(pool):
+        return None
+    columns = (np.asarray(evaluate(pool.factor, rows.v)) * root).T
+    size = np.linalg.norm(columns, axis=0)
+    columns /= np.where(size > 0, size, 1.0)
+    y = np.asarray(rows.y[output]) * root
+    theta, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
+    return float(np.sum((y - columns @ theta) ** 2) / (samples - rank))
 
 
 def choose(
@@ -42,10 +74,12 @@ def choose(
     """The size, 1, 2, ..., that `criterion` calls best among the nested models.
 
     "aic", "aicc", "bic" (or "mdl"), "fpe", "cp", "press", "adjusted_r2" and "overall_f"
-    come from the search itself; "one_step" and "free_run" are the normalised errors on
-    the records of `validation`, with bounds and ranges from `train`. A size whose free
-    run diverges counts as infinitely bad. Of several outputs `output` names one; among
-    equals the smallest size wins. `selection.head(size)` is the selection of that size.
+    come from the search itself, "cp" with the noise of the largest chosen model, or,
+    where `train` is given and has rows enough, of the whole pool; "one_step" and
+    "free_run" are the normalised errors on the records of `validation`, with bounds and
+    ranges from `train`. A size whose free run diverges counts as infinitely bad. Of
+    several outputs `output` names one; among equals the smallest size wins.
+    `selection.head(size)` is the selection of that size.
     """
     place = _place(selection, output)
     name = ALIASES.get(criterion, criterion)
@@ -57,7 +91,10 @@ def choose(
             )
         values = errors_along(selection, train, validation)[name][:, place]
         return int(np.argmin(values[: selection.size(place)])) + 1
-    table = criteria_of(selection, place)
+    noise = None
+    if name == "cp" and train is not None:
+        noise = largest_variance(selection, train, place)
+    table = criteria_of(selection, place, variance=noise)
     if name not in table:
         known = [*table, *ALIASES, *MEASURED]
         raise SpecError(

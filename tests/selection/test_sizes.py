@@ -3,12 +3,14 @@
 import common
 import numpy as np
 import pytest
-from test_select import pool, rows_of
+import selection_oracles as oracles
+from test_select import formed, pool, rows_of
 
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import ForwardOLS, Global
 from jaxnarx.partition import grow
 from jaxnarx.selection import choose, criteria_of, errors_along, select
+from jaxnarx.selection.sizes import largest_variance
 from jaxnarx.simulation import predict, simulate
 
 TERMS = 8
@@ -36,6 +38,21 @@ def test_the_smallest_criterion_names_the_size(solution, name):
     size = choose(solution.value, name)
     assert values[size - 1] == values.min()
     np.testing.assert_array_equal(criteria_of(solution.value)[name], values)
+
+
+def test_cp_takes_the_noise_of_the_whole_pool(solution, data):
+    p, y, _ = formed(rows_of("white"), pool())
+    terms, every = solution.value.terms(), range(len(pool()))
+    expected = [oracles.cp(p, y, terms[: n + 1], every) for n in range(len(terms))]
+    noise = largest_variance(solution.value, data)
+    found = criteria_of(solution.value, variance=noise)["cp"]
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-6)
+    assert choose(solution.value, "cp", train=data) == np.argmin(expected) + 1
+
+
+def test_a_pool_with_more_terms_than_rows_tells_no_noise(solution):
+    few = common.from_rows([rows_of("white")[0][: len(pool())]])
+    assert largest_variance(solution.value, few) is None
 
 
 @pytest.mark.parametrize("name", ["adjusted_r2", "overall_f"])
