@@ -9,7 +9,7 @@ from jaxnarx.data.excitation import assess
 from jaxnarx.shell import style
 from jaxnarx.shell.excitation_figure import excitation
 
-EVIL = "<script>alert(1)</script> $x_$ & \x07"
+EVIL = "<script>alert(1)</script> $x_$ & 転"
 
 
 def data(length=400, inputs=2, *, records=1, name="u", constant=False):

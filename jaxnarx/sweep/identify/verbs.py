@@ -218,6 +218,7 @@ def _outcome(
         "steps": len(history),
         "history": np.array([row["loss"] for row in history], float),
         "guard": np.array([row["validation"] for row in history], float),
+        "shrunk": np.array(1.0),
     }
     found = {
         "index": terms,
