@@ -14,12 +14,18 @@ from jaxnarx import methods
 from jaxnarx.texts import field_texts
 
 SETTINGS = [n for n in jnx.__all__ if isinstance(getattr(methods, n, None), type)]
+FUNCTIONS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))}
+VERBS = FUNCTIONS | {"Dataset.from_arrays": jnx.Dataset.from_arrays}
 EXAMPLES = {
     n: textwrap.dedent(found[1])
-    for n in jnx.__all__
-    if inspect.isfunction(verb := getattr(jnx, n))
-    and (found := re.search(r"\nExample:\n(.*)", inspect.getdoc(verb) or "", re.S))
+    for n, verb in VERBS.items()
+    if (found := re.search(r"\nExample:\n(.*)", inspect.getdoc(verb) or "", re.S))
 }
+MAIN = (
+    "simulate predict select grow refine report check suggest_lags read read_split "
+    "Dataset.from_arrays polynomial_pool stability uncertainty bands cost diagnose "
+    "fit_linear run_sweep"
+).split()
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -33,10 +39,23 @@ def test_every_setting_is_explained_in_help(name):
     assert not settings.__doc__.startswith("Args:")
 
 
+@pytest.mark.parametrize("name", MAIN)
+def test_a_verb_explains_its_arguments_and_what_it_returns(name):
+    sections = re.split(r"\n\n(?=\S)", inspect.getdoc(VERBS[name]) or "")
+    (args,) = [s for s in sections if s.startswith("Args:\n")]
+    explained = re.findall(r"^    (\w+): \S", args, re.M)
+    assert explained == list(inspect.signature(VERBS[name]).parameters)
+    assert any(s.startswith("Returns:\n    ") for s in sections)
+
+
 @pytest.fixture(scope="module")
 def scope():
-    network = common.named("coupled")
-    return {"jnx": jnx, "network": network, "data": common.dataset()}
+    data = common.dataset()
+    pool = jnx.polynomial_pool(
+        data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
+    )
+    named = {"network": common.named("coupled"), "data": data, "pool": pool}
+    return {"jnx": jnx} | named
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -49,7 +68,8 @@ def test_an_example_runs_as_it_is_printed(name, scope, tmp_path, monkeypatch):
 
 
 def test_there_are_examples():
-    assert {"simulate", "predict", "save", "load"} <= EXAMPLES.keys()
+    told = {"simulate", "predict", "save", "load", "select", "grow", "refine", "report"}
+    assert told | {"check", "polynomial_pool", "Dataset.from_arrays"} <= EXAMPLES.keys()
 
 
 def test_a_network_prints_its_outputs_regions_terms_and_limits():
@@ -63,11 +83,8 @@ def test_a_network_prints_its_outputs_regions_terms_and_limits():
     )
 
 
-def test_a_selection_prints_its_terms_in_order():
-    data = common.dataset()
-    pool = jnx.polynomial_pool(
-        data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
-    )
+def test_a_selection_prints_its_terms_in_order(scope):
+    pool, data = scope["pool"], scope["data"]
     selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=2)).value
     lines = str(selection).splitlines()
     assert lines[0] == f"y: 2 of {len(pool.factor)} terms"

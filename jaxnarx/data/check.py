@@ -18,9 +18,20 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
 
     Constant, copied, saturated, stuck and outlying channels, and those far from zero;
     gaps; records that are too short or repeated; missing units; whether inputs excite a
-    model with lags up to `max_lag` samples; dead times; memory beyond `max_lag`; and
-    signs of feedback from
-    outputs to inputs. Findings are hints with their places, nothing is changed.
+    model; dead times; long memory; and signs of feedback from outputs to inputs.
+    Nothing is changed.
+
+    Args:
+        data: The records.
+        max_lag: The longest lag [samples] a model shall have, which excitation and
+            memory are held against.
+
+    Returns:
+        Findings, hints with their places, errors first; `is_okay` while none is an
+        error.
+
+    Example:
+        print(jnx.check(data, max_lag=10))
     """
     if max_lag < 1:
         raise SpecError(

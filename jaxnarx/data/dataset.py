@@ -86,17 +86,34 @@ class Dataset:
     ) -> "Dataset":
         """Records from (time, channels) arrays in physical units.
 
-        `u` and `y` are arrays, or lists of arrays, one per record. One-dimensional
-        arrays stand for a single channel; integers and booleans become float64, float32
-        stays if every channel has it. `u=None` with no `inputs` is a free series.
-        `sample_time` in s, `units` by channel name, `names` of the records (default
-        "record 1", ...).
+        One-dimensional arrays stand for a single channel; integers and booleans become
+        float64, float32 stays if every channel has it. A channel without any finite
+        sample in a record, or with magnitudes whose squares overflow, is always a
+        DataError.
 
-        `missing` says what NaN and inf mean: "refuse" raises DataError, "mask" holds
-        the previous sample (the next at the beginning) and marks it invalid, "split"
-        begins a new record after every gap, "interpolate" joins neighbours by a line
-        and masks the ends. A channel without any finite sample in a record, or with
-        magnitudes whose squares overflow, is always a DataError.
+        Args:
+            u: Inputs, an array or a list of arrays, one per record; None with no
+                `inputs` is a free series.
+            y: Outputs, likewise.
+            inputs: Names or channels of `u`.
+            outputs: Names or channels of `y`.
+            sample_time: Time from one sample to the next [s].
+            units: Units by channel name.
+            names: Names of the records (default "record 1", ...).
+            missing: What NaN and inf mean: "refuse" raises DataError, "mask" holds the
+                previous sample (the next at the beginning) and marks it invalid,
+                "split" begins a new record after every gap, "interpolate" joins
+                neighbours by a line and masks the ends.
+
+        Returns:
+            The dataset, with one or more records.
+
+        Example:
+            u, y = [r.u for r in data], [r.y for r in data]
+            again = jnx.Dataset.from_arrays(
+                u, y, inputs=["a", "b"], outputs=["y", "w"], sample_time=0.1
+            )
+            print(again.names)
         """
         from jaxnarx.data.construct import from_arrays
 

@@ -44,13 +44,18 @@ def read(
     root: str | os.PathLike[str] | None = None,
     max_bytes: float = MAX_BYTES,
 ) -> Dataset:
-    """All records of the TOML description at `path`: train, then validate, then test.
+    """All records of a TOML description: train, then validate, then test.
 
-    See `jaxnarx.methods.description` for the format. `root` is the folder that paths in
-    the description are relative to; default the environment variable `JAXNARX_DATA`,
-    else the folder of the description. Records are named after their files, with the
-    parent folder where two names collide. More than `max_bytes` when expanded is
-    refused before reading.
+    Records are named after their files, with the parent folder where two names collide.
+
+    Args:
+        path: The description; see `jaxnarx.methods.description` for the format.
+        root: The folder that paths in it are relative to; default the environment
+            variable `JAXNARX_DATA`, else the folder of the description.
+        max_bytes: More than this when expanded is refused before reading.
+
+    Returns:
+        The records as one dataset.
     """
     return _read(Path(path), load_description(Path(path)), root, max_bytes)[0]
 
@@ -61,10 +66,18 @@ def read_split(
     root: str | os.PathLike[str] | None = None,
     max_bytes: float = MAX_BYTES,
 ) -> Split:
-    """The parts `train`, `validate`, `test` of a description, and `all` as by `read`.
+    """The parts of a TOML description.
 
-    A description that lists `files` gives only `all`. A record that is in two parts, by
-    its path or by its contents, is a SpecError.
+    A record that is in two parts, by its path or by its contents, is a SpecError.
+
+    Args:
+        path: The description, as in `read`.
+        root: As in `read`.
+        max_bytes: As in `read`.
+
+    Returns:
+        `train`, `validate`, `test`, None where it does not name them, and `all` as by
+        `read`. A description that lists `files` gives only `all`.
     """
     path = Path(path)
     description = load_description(path)

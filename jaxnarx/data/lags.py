@@ -57,9 +57,20 @@ def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
     """Input and output lags for `data`: 0, 1, 2, 4, 8, ... up to the settling time.
 
     The ladder covers the longest settling time that is seen, and where none is, 16
-    samples, but never exceeds `max_lag` samples or a quarter of the longest record;
-    what settles later gets filters. It includes the delay after which each input first
-    shows in any output. Output lags are 1 and 2.
+    samples; what settles later gets filters. It includes the delay after which each
+    input first shows in any output. Output lags are 1 and 2.
+
+    Args:
+        data: The records.
+        max_lag: The longest lag [samples]; a quarter of the longest record is never
+            exceeded either.
+
+    Returns:
+        `input_lags` and `output_lags` for a pool, time constants of `filters`, and the
+        delays they come from.
+
+    Example:
+        print(jnx.suggest_lags(data))
     """
     if not data.samples:
         raise DataError("suggest_lags needs at least one record with samples")

@@ -106,9 +106,7 @@ def cost(network: Network, *, shared: bool = False) -> Cost:
     - terms: a multiplication for a linear term, two for a product of two variables,
       three for one of three, none for the constant, in each local model that has the
       term (thesis, section 6.3); n terms take n - 1 additions. Coefficients belong to
-      physical units, so nothing is scaled. With `shared` a product of variables is
-      formed once for all local models of its output, from the product of its first
-      factors, and each use takes the one multiplication by the coefficient;
+      physical units, so nothing is scaled;
     - weights: see `weighing`; none for a single local model;
     - blend: a multiplication per local model, and their sum;
     - filters: see `filtering`; what outputs have in common counts once in the total.
@@ -116,6 +114,18 @@ def cost(network: Network, *, shared: bool = False) -> Cost:
     With `Boxes` one local model speaks at a time: there is no blend, and terms are
     those of the costliest one. Shifting the past and limiting the feedback is not
     counted.
+
+    Args:
+        network: The model.
+        shared: A product of variables is formed once for all local models of its
+            output, from the product of its first factors, and each use takes the one
+            multiplication by the coefficient.
+
+    Returns:
+        Operations by purpose and sizes of the model, `outputs` those of each output.
+
+    Example:
+        print(jnx.cost(network, shared=True))
     """
     outputs = {
         name: _output(network, model, shared)

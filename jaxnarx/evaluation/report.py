@@ -183,20 +183,36 @@ def report(
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
 
-    `data` is one dataset, or several by the name of their part: `"train"`,
-    `"validate"`, `"test"`. A record that is in two parts is noted loudly. `simulated`
-    takes the free run where it is at hand already: what `simulate` returned, or a dict
-    of that by part. The other options are stored; `Report` tells their form. Without
-    `partition` the network's own is shown; `describe_partition(network, start=before)`
-    shows it beside that of the network before refinement.
-
-    Stability is assessed on up to 2000 samples of the main part; `stability=False`
-    leaves it out, and a `Stability` at hand already is shown as it is. Likewise
-    `diagnostics`: the tests of the one-step residuals of the main part. `beside` takes
-    other networks by name, whose free run on the main part is scored as well.
-
     Every figure is in physical units over the samples that are valid and have enough
-    history. Divergence is reported as a status, never as a number.
+    history. Divergence is reported as a status, never as a number. A record that is in
+    two parts is noted loudly.
+
+    Args:
+        network: The model.
+        data: One dataset, or several by the name of their part: `"train"`,
+            `"validate"`, `"test"`.
+        horizons: Numbers of steps ahead to predict.
+        simulated: The free run where it is at hand: what `simulate` returned, or a dict
+            of that by part.
+        selection: Stored in the form that `Report` tells, as is `history`.
+        history: The steps of the refinement.
+        partition: Shown instead of the network's own; that of
+            `describe_partition(network, start=before)` also shows the network before
+            refinement.
+        stability: True assesses up to 2000 samples of the main part, False leaves it
+            out; a `Stability` at hand is shown as it is.
+        diagnostics: Likewise the tests of the one-step residuals of the main part.
+        beside: Other networks by name, whose free run on the main part is scored as
+            well.
+        provenance: Stored beside the versions and data hashes.
+
+    Returns:
+        A `Report`: `print` shows its table, `verdict` what the model is good for.
+
+    Example:
+        report = jnx.report(network, data, stability=False, diagnostics=False)
+        print(report)
+        print(report.verdict)
     """
     parts = dict(data) if isinstance(data, Mapping) else {"data": data}
     _check(parts, horizons)

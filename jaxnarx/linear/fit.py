@@ -30,12 +30,8 @@ def fit_linear(
 ) -> Solution[LinearModel]:
     """Fit a linear model (2.3) to all records together.
 
-    `FIR`, `ARX`, `ARMAX`, `OutputError`, `BoxJenkins`, or all polynomials together,
-    `GeneralLinear`.
-
-    `output` names the output where there are several; others take no part. Windows
-    never cross a record's border; samples whose window holds a missing one are not
-    scored. The constant term stands for the operating point, see
+    Windows never cross a record's border; samples whose window holds a missing one are
+    not scored. The constant term stands for the operating point, see
     `jaxnarx.methods.linear`.
 
     FIR and ARX are solved by one QR factorisation. The others minimise the squared
@@ -50,10 +46,17 @@ def fit_linear(
     `detail` says so, `simulate` will report `diverged`. Fewer usable samples than
     parameters, a delay beyond the records, and a constant output raise `DataError`.
 
-    `stats`: `loss` (sum of squared innovations, physical units), `samples`,
-    `parameters`, `fit` (4.43, one step ahead, per cent), `cond`, `rank`, `steps`,
-    `pole`, the largest modulus of the model's poles, and after a search `initial`, the
-    states of every record as deviations from the mean.
+    Args:
+        data: The records.
+        method: `FIR`, `ARX`, `ARMAX`, `OutputError`, `BoxJenkins`, or all polynomials
+            together, `GeneralLinear`.
+        output: Name of the output where there are several; others take no part.
+
+    Returns:
+        `value` is the model. `stats`: `loss` (sum of squared innovations, physical
+        units), `samples`, `parameters`, `fit` (4.43, one step ahead, per cent), `cond`,
+        `rank`, `steps`, `pole`, the largest modulus of the model's poles, and after a
+        search `initial`, the states of every record as deviations from the mean.
     """
     place = output_place(data, output)
     structure = structure_of(method, data.channels)

@@ -40,25 +40,37 @@ def grow(
 
     `Global()` is one local model by orthogonal least squares. `Lolimot(...)` and
     `SigmoidTree(...)` divide the space of their scheduling variables until their
-    criterion deteriorates `patience` times in a row and return the best stage; `stats`
-    keeps the figures of all stages per output (`models`, `sse`, `aicc`, `bic`,
-    `effective`, with criterion `"validation"` also the free-run NRMSE on the records of
-    `validation`), `best` and why growth `stopped`: `criterion`, `capacity`, or `data`
-    where every further split was refused, as a side's validity would have summed to
-    less than `least`; and `stages`, every stage of an output as a network of that
-    output alone. They go on from the regions of `start`, a network or a validity
-    function of the same scheduling variables, whose local models are fitted first:
-    Gaussians of any place and width count as boxes of 1/k_sigma times their width.
+    criterion deteriorates `patience` times in a row and return the best stage.
     `Grid(...)` takes a partition as it is told, `Given(...)` that of a network, a
-    validity function, or what a function of one's own returns. A pool stands for all
-    its terms; with `local` every region chooses its own, and with `feedback="choose"`
-    whether it is fed back its own output or the network's (`stats["own"]`,
-    `stats["feedback_nrmse"]`).
+    validity function, or what a function of one's own returns. With `local` every
+    region chooses its own terms, and with `feedback="choose"` whether it is fed back
+    its own output or the network's.
 
     Too few rows and constant scheduling variables raise `DataError`. Status
     `no_improvement` where a criterion ended the growth; `unidentifiable` where terms
     are collinear, or regions of a grid have fewer samples than parameters
     (`stats["poor"]`): those keep the coefficients of the global model.
+
+    Args:
+        source: The terms; a pool stands for all of its.
+        data: Records with its channels, to be fitted.
+        method: How to divide the space.
+        validation: Records that criterion `"validation"` scores the free run on.
+        start: A network or a validity function of the same scheduling variables, from
+            whose regions growth goes on; their local models are fitted first. Gaussians
+            of any place and width count as boxes of 1/k_sigma times their width.
+
+    Returns:
+        `value` is the network. `stats` of a growth has the figures of all stages per
+        output (`models`, `sse`, `aicc`, `bic`, `effective`, `validation` as NRMSE),
+        `best`, why it `stopped`: `criterion`, `capacity`, or `data` where every further
+        split was refused, as a side's validity would have summed to less than `least`;
+        and `stages`, every stage of an output as a network of that output alone. Chosen
+        feedback adds `own` and `feedback_nrmse`.
+
+    Example:
+        selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=2))
+        print(jnx.grow(selection.value, data, jnx.Global()).value)
     """
     pool, factors = chosen_terms(source)
     data, _ = match_channels(data, pool.channels)

@@ -67,12 +67,22 @@ def bands(
     are quantiles of Student's t. The start of `data` is taken as independent of the
     estimate, as it is on records that were not fitted.
 
-    `uncertainty` is that of `network`, or of one with the same structure. Statuses and
-    the run are those of `simulate`. Where the feedback bound holds a sample, parameters
-    move it no more and the band of the run has no width; it never leaves the bound.
-    Where sensitivities overflow, it is the whole range between the bounds. Before the
-    first prediction the run repeats the measurement, and both bands are those of its
-    noise. Always finite.
+    Statuses and the run are those of `simulate`. Where the feedback bound holds a
+    sample, parameters move it no more and the band of the run has no width; it never
+    leaves the bound. Where sensitivities overflow, it is the whole range between the
+    bounds. Before the first prediction the run repeats the measurement, and both bands
+    are those of its noise. Always finite.
+
+    Args:
+        network: The model.
+        uncertainty: That of `network`, or of one with the same structure.
+        data: Records with its channels, at its sample time.
+        level: Probability of a band, between 0 and 1.
+
+    Returns:
+        `value` holds by record, in physical units, `lower` and `upper` of the run,
+        `measured_lower` and `measured_upper` of a new measurement, and the `run`
+        itself.
 
     Reference: T. Soderstrom and P. Stoica, System Identification, 1989, section 11.3;
     G. Seber and C. Wild, Nonlinear Regression, Wiley 1989, section 5.1.

@@ -41,21 +41,10 @@ def refine(
     The loss is the mean squared free-run error over the variance of each output, or
     what `method.loss` and `method.box_cox` make of it. Windows started from the
     measurement grow through `method.horizons` to whole records. After every accepted
-    step the free run of `validation` (default: of `data`) is scored by the same loss,
-    and the best network by that score is returned: it is never worse there than the
-    start, whether that diverges or not. With `method.folds` the records of `data` take
-    turns as validation.
-
-    `PredictionError` trains on the one-step error instead, and is judged by it.
-
-    `trainable` is a tree of booleans with the network's structure, see `freeze`.
-    `weights` holds one number per record of `data`. `deviations`, a tree like the
-    network's, holds the standard deviation of a Gaussian prior around the start for
-    every trained parameter (as it stands in the network; infinite for none); the
-    noise it is weighed against is what is left at the start of a stage. `progress` is
-    called on the host with a dictionary after every accepted step. `stats["history"]`
-    lists these: stage, horizon, step, loss, minimised (the loss and the pull of the
-    ridge, which falls from step to step), validation, damping, seconds.
+    step the free run of `validation` is scored by the same loss, and the best network
+    by that score is returned: it is never worse there than the start, whether that
+    diverges or not. `PredictionError` trains on the one-step error instead, and is
+    judged by it.
 
     `method.train` says in what order: by default the coefficients alone go through
     the windows and the full record before everything moves together. The full record
@@ -63,13 +52,36 @@ def refine(
 
     Where the start diverges, windows shorter than its escape still train it; if that
     does not lead to a network that runs, the search begins anew from the least squares
-    of the one-step error, from shrunk feedback, and from random starts, in this order;
-    `stats["remedy"]` and `detail` name what worked.
+    of the one-step error, from shrunk feedback, and from random starts, in this order.
 
     Statuses: `ok` (relative decrease below tolerance), `budget_spent` (the usual end:
     free-run fits have nearly flat directions), `no_improvement` (validation stopped
     it), `stalled`, `unidentifiable`, and `start_diverged` when neither the start nor
     any later network runs within its bounds.
+
+    Args:
+        network: The start.
+        data: Records with its channels, to be trained on.
+        method: `SimulationError` (the default) or `PredictionError`.
+        validation: Records that judge each step (default `data`; with `method.folds`
+            its records take turns).
+        trainable: A tree of booleans with the network's structure, see `freeze`.
+        weights: One number per record of `data`.
+        deviations: A tree like the network's: the standard deviation of a Gaussian
+            prior around the start for every trained parameter (as it stands in the
+            network; infinite for none). The noise it is weighed against is what is left
+            at the start of a stage.
+        progress: Called on the host with a dictionary after every accepted step.
+
+    Returns:
+        `value` is the best network. `stats["history"]` lists the steps: stage, horizon,
+        step, loss, minimised (the loss and the pull of the ridge, which falls from step
+        to step), validation, damping, seconds. `stats["remedy"]` and `detail` name what
+        has helped a start that diverged.
+
+    Example:
+        refined = jnx.refine(network, data, jnx.SimulationError(max_steps=2))
+        print(refined.status_name, refined.stats["history"][-1]["loss"])
     """
     method = SimulationError() if method is None else method
     data = fitting(network, data)

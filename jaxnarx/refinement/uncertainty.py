@@ -110,26 +110,36 @@ def uncertainty(
     """Covariance of the parameters that `refine` fitted to the free run of `data`.
 
     To first order about `network`, which should be the minimum on just these records.
-    `trainable` as in `refine`: what was frozen there is known exactly here. `noise` is
-    "white", or "coloured" for residuals that are correlated in time, as those of engine
-    models are: an autoregression of each output's residuals, its order chosen by AIC up
-    to 10 log10 n, takes the place of white noise. Outputs are independent of one
-    another either way. Strong correlation leaves few independent samples, part of which
-    the parameters absorb: 24 parameters on 800 samples of noise with pole 0.9 give
-    bands of 95 % that cover 91 %; as white noise they would cover 48 %. `start` says
-    whether the measured samples a run starts from carry that noise ("measured") or none
-    ("exact"). `ridge` as in `SimulationError`: it
-    shrinks the covariance, and the bias it causes is not part of it. The estimate is
-    taken to be that of least squares: after a robust loss, a transform, or weights of
-    records the covariance is that of another estimator.
+    The estimate is taken to be that of least squares: after a robust loss, a transform,
+    or weights of records the covariance is that of another estimator.
+
+    Residuals of engine models are correlated in time: with `noise="coloured"` an
+    autoregression of each output's residuals, its order chosen by AIC up to 10 log10 n,
+    takes the place of white noise. Outputs are independent of one another either way.
+    Strong correlation leaves few independent samples, part of which the parameters
+    absorb: 24 parameters on 800 samples of noise with pole 0.9 give bands of 95 % that
+    cover 91 %; as white noise they would cover 48 %.
 
     Validity functions are often over-parametrised: two Gaussians in one variable have
     four parameters, but their ratio only three. Status `unidentifiable` names such
     groups (`stats["group"]`); everything stays finite, see `Uncertainty`, and bands
-    rest on what is determined. `stats` further holds `rank`, `cond` (of the scaled
-    Jacobian) and the chosen `order` of each output's noise. `diverged`: the run leaves
-    its bounds, so the residuals say nothing; `too_short`: no more samples than
-    parameters.
+    rest on what is determined. `diverged`: the run leaves its bounds, so the residuals
+    say nothing; `too_short`: no more samples than parameters.
+
+    Args:
+        network: The refined model.
+        data: The records it was refined on.
+        trainable: As in `refine`: what was frozen there is known exactly here.
+        noise: "white" or "coloured".
+        start: Whether the measured samples a run starts from carry that noise
+            ("measured") or none ("exact").
+        ridge: As in `SimulationError`: it shrinks the covariance, and the bias it
+            causes is not part of it.
+
+    Returns:
+        `value` holds `names`, `estimate`, `covariance` and what `bands` needs; `stats`
+        has `rank`, `cond` (of the scaled Jacobian) and the chosen `order` of each
+        output's noise.
     """
     _one_of(noise, ("white", "coloured"), "noise")
     _one_of(start, ("measured", "exact"), "start")

@@ -148,15 +148,31 @@ def polynomial_pool(
 ) -> Pool:
     """All products of up to `degree` lagged variables, the constant among them.
 
-    `outputs` names the modelled outputs (default: all); their lags are fed back in a
-    free run. Lags are in samples, a tuple for all channels or a dict by channel name
-    (channels it leaves out get none); inputs from 0, outputs from 1. With V variables
-    the pool has C(V + degree, degree) terms. Wrong names or lags raise `SpecError`.
+    With V variables the pool has C(V + degree, degree) terms. The order of variables
+    is: lagged inputs, filtered inputs, lagged outputs. Wrong names or lags raise
+    `SpecError`.
 
-    `filters` adds filtered inputs, `LowPass(4.0)` and its like: a sequence for all
-    inputs or a dict by channel name, each of them at `filter_lags`. They remember the
-    inputs of long ago; with `output_lags=()` the model has no feedback and cannot
-    diverge. The order of variables is: lagged inputs, filtered inputs, lagged outputs.
+    Args:
+        channels: The channels of the data.
+        outputs: Names of the modelled outputs (default: all); their lags are fed back
+            in a free run.
+        input_lags: Samples from 0, a tuple for all inputs or a dict by channel name
+            (channels it leaves out get none).
+        output_lags: Likewise from 1. Without any, `()`, the model has no feedback and
+            cannot diverge.
+        degree: Most factors of a term.
+        filters: Filtered inputs as well, `LowPass(4.0)` and its like, which remember
+            the inputs of long ago: a sequence for all inputs or a dict by channel name.
+        filter_lags: Samples at which each of them enters.
+
+    Returns:
+        The pool, a table of variables and one of terms.
+
+    Example:
+        pool = jnx.polynomial_pool(
+            data.channels, outputs=["y"], input_lags=(0, 1), output_lags=(1,), degree=2
+        )
+        print(len(pool.factor), "terms")
     """
     if isinstance(outputs, str):
         outputs = [outputs]

@@ -67,39 +67,49 @@ def select(
 ) -> Solution[Selection]:
     """Choose terms of a pool for every modelled output by `method`.
 
-    A selection as `source` is a start: its terms are in the model before the first
-    choice. `weights` holds one non-negative weight per sample and record; a validity
-    function is one. Signals are scaled by their root mean square, never centred. Terms
-    of constant or duplicate channels are passed over and listed in
-    `stats["passed_over"]`, as are terms that are collinear with the chosen ones.
+    Signals are scaled by their root mean square, never centred. Terms of constant or
+    duplicate channels are passed over, as are terms that are collinear with the chosen
+    ones.
 
     Where a channel's mean is more than `jaxnarx.regressors.centring.FAR` standard
     deviations from zero a product of it is taken in after its parts, so that the choice
     does not hang on the offset; the sums of squares of such an output, and its ERR, are
     those about its mean.
 
-    `stats` also holds, per output and nested size, the criteria of `criteria` ("aic",
-    "bic", "press", ...) and `sse` (scaled); per output `count`, `samples`, `cond`; per
-    output and term the `t` values and two-sided `p_value` of the coefficients, which
-    know nothing of the search before them. With partial F, `f_level` is the level at
-    the end, and `history` lists for every output the partial F of all terms in the
-    model after each round (thesis Table 5.2), by term text in order of entry.
-
-    `Anova` keeps all terms whose variables lie in a significant effect; the tables of
-    effects are `stats["anova"]`, one per output. It narrows a pool: choose further from
-    `value.narrowed()`.
-
-    `SimulationOLS` takes one output, no weights, and calls `progress` on the host with
-    a dictionary after every round. Its selection holds the one-step coefficients;
-    `stats["network"]` is the network with those refined on the free run, `history` the
-    rounds, `loss` the mean squared free-run error over the output's variance.
-
-    A function of one's own chooses, too: `jaxnarx.methods.Selector` says what it is
-    given and returns.
+    `Anova` keeps all terms whose variables lie in a significant effect. It narrows a
+    pool: choose further from `value.narrowed()`. `SimulationOLS` takes one output and
+    no weights; its selection holds the one-step coefficients.
 
     Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
     when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,
     constant outputs and data without excitation raise `DataError`.
+
+    Args:
+        source: The pool, or a selection as a start: its terms are in the model before
+            the first choice.
+        data: Records with the channels of the pool.
+        method: How to choose (default `ForwardOLS()`); a function of one's own, too,
+            see `jaxnarx.methods.Selector`.
+        weights: For every record one non-negative weight per sample; a validity
+            function is one.
+        progress: Called on the host with a dictionary after every round of
+            `SimulationOLS`.
+
+    Returns:
+        `value` holds the terms of every output in order of choice. `stats` holds, per
+        output and nested size, the criteria of `criteria` ("aic", "bic", "press", ...)
+        and `sse` (scaled); per output `count`, `samples`, `cond`; per output and term
+        the `t` values and two-sided `p_value` of the coefficients, which know nothing
+        of the search before them; and why channels and terms were `passed_over`.
+        Partial F adds `f_level`, the level at the end, and as `history`, per output,
+        the partial F of all terms in the model after each round (thesis Table 5.2), by
+        term text in order of entry; `Anova` as `anova` a table of effects per output;
+        `SimulationOLS` the `network` refined on the free run, the rounds as `history`
+        and `loss`, the mean squared free-run error over the output's variance.
+
+    Example:
+        selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=2))
+        print(selection.value)
     """
     method = ForwardOLS() if method is None else method
     if isinstance(method, SimulationOLS) and weights is not None:

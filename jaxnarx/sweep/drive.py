@@ -33,25 +33,33 @@ def run_sweep(
 ) -> Solution[SweepTable]:
     """Compute all members of a sweep; the folder is its record.
 
-    Members are computed `chunk` by chunk. Each finished chunk is a file in the folder,
-    so that the same call continues a sweep that was stopped, at the loss of the chunks
-    in flight; a folder with other settings or data is refused, and one with chunks of
-    another size keeps them. Several
-    calls, of other processes or machines too, may share the folder: each chunk is
-    computed by one of them. `workers` processes, each with a core of its own, compute
-    instead of this one where it is more than 1; a script that asks for them needs the
-    guard `if __name__ == "__main__"`. `client` is a dask.distributed `Client`, on whose
-    workers chunks are computed. `new` sets an earlier sweep in the folder aside.
+    Each finished chunk is a file in the folder, so that the same call continues a sweep
+    that was stopped, at the loss of the chunks in flight; a folder with other settings
+    or data is refused, and one with chunks of another size keeps them. Several calls,
+    of other processes or machines too, may share the folder: each chunk is computed by
+    one of them.
 
     A member that fails is a row with status `crashed` and its message. The solution's
-    status is `ok` once all rows are there, whatever they say; `stats` has the number of
-    `members`, `statuses` with their counts, the `seconds` all members took together,
-    `redone` chunks whose files were damaged, and `notes`. An interrupted call keeps
+    status is `ok` once all rows are there, whatever they say. An interrupted call keeps
     what is finished and says so in a note of its KeyboardInterrupt. Files that cannot
     be written raise a DataFileError.
 
-    `progress` is called with a dictionary whenever chunks were added, see
-    `jaxnarx.sweep.Progress`.
+    Args:
+        work: The members and how to compute them, `IdentificationWork` say.
+        folder: Where the sweep is kept.
+        chunk: Members computed together.
+        workers: Where more than 1, so many processes, each with a core of its own,
+            compute instead of this one; a script that asks for them needs the guard
+            `if __name__ == "__main__"`.
+        client: A dask.distributed `Client`, on whose workers chunks are computed.
+        new: Set an earlier sweep in the folder aside.
+        progress: Called with a dictionary whenever chunks were added, see
+            `jaxnarx.sweep.Progress`.
+
+    Returns:
+        `value` is the table, one row per member; `stats` has the number of `members`,
+        `statuses` with their counts, the `seconds` all members took together, `redone`
+        chunks whose files were damaged, and `notes`.
     """
     _require(work, chunk, workers, client)
     asked = make_manifest(work, chunk=chunk, float64=is_float64())

@@ -59,15 +59,28 @@ def diagnose(
 ) -> Solution[Diagnostics]:
     """Test the one-step residuals of every output; see `Diagnostics`.
 
-    Correlations are taken over `lags` samples within records and between valid samples;
-    their bounds are wrong with probability `level`, if the model is right and its noise
-    independent with one variance. `over` names the variables of the operating point,
-    `"speed[t]"` (default: those of the scheduling, else the inputs). `estimated` says
-    how the coefficients follow from these data (see `OneStep`); by default it is found
-    out. `selection` gives each term's ERR. `predicted` is the one-step run at hand.
+    Correlations are taken within records and between valid samples; their bounds are
+    wrong with probability `level`, if the model is right and its noise independent with
+    one variance.
 
     The status is `too_short` where an output has too few samples for a test; it is left
     out, and `detail` says so.
+
+    Args:
+        network: The model.
+        data: Records with its channels, at its sample time.
+        lags: Samples over which correlations are taken.
+        level: Probability that a bound is wrong.
+        selection: Gives each term's ERR.
+        over: Variables of the operating point, `"speed[t]"` (default: those of the
+            scheduling, else the inputs).
+        estimated: How the coefficients follow from these data (see `OneStep`); by
+            default it is found out.
+        predicted: The one-step run where it is at hand.
+
+    Returns:
+        `value` holds the tests by output, `value["y"]`; `print` shows their tables,
+        `value.summary` a sentence for each.
     """
     _check(network, lags, level, estimated)
     matched = fitting(network, data)

@@ -153,12 +153,20 @@ def stability(
     Poles are those of each local model alone, at measured samples where its validity
     exceeds one half, and of the blended network along its free run. The bound says how
     fast two runs with the same inputs approach each other; `Bound.kind` tells whether
-    it is proven for the inputs given or sampled along the run. `samples` thins the
-    samples the bound is checked on (default: all). `simulated` takes the free run where
-    it is at hand already.
+    it is proven for the inputs given or sampled along the run.
 
     Status `ok`, or `diverged` with record, time and channel when the free run leaves
-    its bounds. `stats`: `contracts`, `rate`, `fails`, `time_constant`.
+    its bounds.
+
+    Args:
+        network: The model.
+        data: Records with its channels, at its sample time.
+        samples: Thins the samples the bound is checked on to so many (default: all).
+        simulated: The free run of `data` where it is at hand.
+
+    Returns:
+        `value` holds `poles` and `bounds`; `stats` has `contracts`, `rate`, `fails`,
+        `time_constant`.
     """
     run = simulate(network, data) if simulated is None else simulated
     matched = fitting(network, data)
