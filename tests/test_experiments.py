@@ -102,7 +102,7 @@ def test_bouc_wen(tmp_path, measured, monkeypatch):
 
 @pytest.mark.slow
 def test_beds_of_chapter_3(tmp_path):
-    experiment("thesis/chapter3_test_beds.py", "--out", str(tmp_path))
+    experiment("thesis/chapter3_test_beds.py", "--results", str(tmp_path))
     content = json.loads((tmp_path / "chapter3_test_beds.json").read_text())
     columns = content["figures"]["steady_states"]["pfi_free"]
     assert len(columns) == 5 and all(row["within"] for row in columns.values())
@@ -111,7 +111,7 @@ def test_beds_of_chapter_3(tmp_path):
 
 @pytest.mark.slow
 def test_models_of_chapter_5(tmp_path):
-    done = experiment("thesis/chapter5_miso.py", "--out", str(tmp_path))
+    done = experiment("thesis/chapter5_miso.py", "--results", str(tmp_path))
     assert "F history of CORR" in done.stdout
     content = json.loads((tmp_path / "chapter5_miso.json").read_text())
     for output in ("TRQ", "AFR"):
@@ -138,7 +138,7 @@ def test_models_of_chapter_5(tmp_path):
 
 @pytest.mark.slow
 def test_optimal_excitation_of_chapter_6(tmp_path):
-    experiment("thesis/chapter6_optimal_excitation.py", "--out", str(tmp_path))
+    experiment("thesis/chapter6_optimal_excitation.py", "--results", str(tmp_path))
     content = json.loads((tmp_path / "chapter6_optimal_excitation.json").read_text())
     figures = content["figures"]
     assert figures["seeds"] == 2 and figures["log_det_rises_in"] == 2

@@ -6,7 +6,7 @@ figures as printed there); shows what makes the diesel worth a multi-model: clos
 turbine raises the air flow from 75 % and lowers it from 30 %, and opening the EGR valve
 first raises and then lowers the intake pressure (non-minimum phase).
 
-Run as `python experiments/thesis/chapter3_test_beds.py [--out DIR] [--smoke]`.
+Run as `python experiments/thesis/chapter3_test_beds.py [--results DIR] [--smoke]`.
 Writes chapter3_test_beds.json, steady.png, diesel_steps.png and one PNG for each bed.
 """
 
@@ -241,11 +241,11 @@ def bed_record(name: str, seconds: float) -> tuple[dict, matplotlib.figure.Figur
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="The four test beds.")
-    parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
+    parser.add_argument("--results", default=str(Path(__file__).with_name("results")))
     parser.add_argument("--smoke", action="store_true", help="one table, one short bed")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    folder = Path(options.out)
+    folder = Path(options.results)
     folder.mkdir(parents=True, exist_ok=True)
     tables = ["pfi_free"] if options.smoke else list(TABLES)
     beds = ["pfi"] if options.smoke else list(BEDS)

@@ -43,7 +43,7 @@ ratio (69.1 %, one of ten diverges), where Backward() is (78.4 %). StepwiseF() i
 strict here: it stops at 4 terms of the air-fuel ratio, where no single candidate has
 the F of 23 it asks for, and its free run explains nothing.
 
-Run as `python experiments/thesis/chapter5_miso.py [--out DIR] [--smoke]`. Writes
+Run as `python experiments/thesis/chapter5_miso.py [--results DIR] [--smoke]`. Writes
 chapter5_miso.json, chapter5_TRQ.png and chapter5_AFR.png (figures 5.6 and 5.7) and
 chapter5_spread.png. Tables are those of the first of ten seeds.
 """
@@ -321,11 +321,11 @@ def measured(seed: int, *, smoke: bool) -> dict[str, dict]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="CORR against ERR on pfi-dyno.")
-    parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
+    parser.add_argument("--results", default=str(Path(__file__).with_name("results")))
     parser.add_argument("--smoke", action="store_true", help="two seeds, short delays")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    folder = Path(options.out)
+    folder = Path(options.results)
     folder.mkdir(parents=True, exist_ok=True)
     seeds: dict[str, list[dict]] = {"TRQ": [], "AFR": []}
     first: dict[str, dict] = {}

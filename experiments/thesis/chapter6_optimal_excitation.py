@@ -11,8 +11,8 @@ parameters are identified from speed and manifold pressure by Gauss-Newton, star
 the wrong values. The error is the root mean square over parameters of the relative
 error, the bound that of Cramer and Rao at the true parameters.
 
-Run as `python experiments/thesis/chapter6_optimal_excitation.py [--out DIR] [--smoke]`.
-Writes chapter6_optimal_excitation.json and .png.
+Run as `python experiments/thesis/chapter6_optimal_excitation.py [--results DIR]
+[--smoke]`. Writes chapter6_optimal_excitation.json and .png.
 """
 
 import argparse
@@ -170,7 +170,7 @@ def draw(rows: list[dict], example: dict) -> matplotlib.figure.Figure:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Optimal excitation on pfi.")
-    parser.add_argument("--out", default=str(Path(__file__).with_name("results")))
+    parser.add_argument("--results", default=str(Path(__file__).with_name("results")))
     parser.add_argument("--smoke", action="store_true", help="two seeds, short plans")
     options = parser.parse_args()
     seeds, length, steps = (2, 300, 3) if options.smoke else (SEEDS, LENGTH, STEPS)
@@ -189,7 +189,7 @@ def main() -> None:
         )
     found = summary(rows)
     print(json.dumps(found, indent=1))
-    folder = Path(options.out)
+    folder = Path(options.results)
     record("chapter6_optimal_excitation", found | {"rows": rows}, folder=folder)
     draw(rows, plans).savefig(folder / "chapter6_optimal_excitation.png", dpi=130)
 
