@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.findings import Finding
+from jaxnarx.data.scaling import unit_of
 
 HUGE = 1e3
 """Mean in standard deviations from which a channel is named: cubic terms then cancel to
@@ -22,7 +23,8 @@ def offsets(data: Dataset) -> Iterator[Finding]:
         )
         if not x.size or x.min() == x.max():
             continue
-        mean, spread = float(x.mean()), float(x.std())
+        unit = unit_of(x)
+        mean, spread = float((x / unit).mean() * unit), float((x / unit).std() * unit)
         if abs(mean) <= HUGE * spread:
             continue
         ratio = abs(mean) / spread if spread > 0 else np.inf

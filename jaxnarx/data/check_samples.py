@@ -8,6 +8,7 @@ from jaxtyping import Float, Int, Shaped
 
 from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.findings import Finding
+from jaxnarx.data.scaling import unit_of
 
 _SHOWN = 20
 _MIN_RUN = 20
@@ -120,7 +121,8 @@ def precision(data: Dataset) -> Iterator[Finding]:
 
 def duplicates(data: Dataset) -> Iterator[Finding]:
     """Pairs of channels that are equal, or equal up to scale and offset."""
-    mean, gram = _moments(data)
+    unit = unit_of(*(limit.T for limit in _limits(data)))
+    mean, gram = _moments(data, unit)
     size = np.sqrt(np.diag(gram))
     safe = np.where(size > 0, size, 1)
     close = np.abs(gram / safe[:, None] / safe[None]) > 1 - 1e-9
@@ -130,13 +132,17 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
             continue
         gain = gram[i, j] / gram[i, i]
         offset = mean[j] - gain * mean[i]
-        worst = max(_misfit(r, i, j, gain, offset) for r in data)
+        worst = max(_misfit(signals(r) / unit, i, j, gain, offset) for r in data)
         if worst > 1e-4 * size[j] / np.sqrt(data.samples):
             continue
         equal = all(np.array_equal(signal(r, i), signal(r, j)) for r in data)
-        how = "equals" if equal else f"is {gain:.6g} times"
+        how = "equals" if equal else f"is {gain * (unit[j] / unit[i]):.6g} times"
         use = f"Selection uses {names[i]} and passes {names[j]} over: leave one out."
-        plus = "" if equal or abs(offset) < 1e-9 * safe[j] else f" plus {offset:.6g}"
+        plus = (
+            ""
+            if equal or abs(offset) < 1e-9 * safe[j]
+            else f" plus {offset * unit[j]:.6g}"
+        )
         if plus:
             use = "Leave one out."
         yield Finding(
@@ -147,23 +153,21 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
         )
 
 
-def _moments(data):
+def _moments(data, unit):
+    """Means of all signals in their units, and the products of what is left."""
     count = data.samples
-    sums = [
-        np.concatenate([x.sum(axis=0, dtype=np.float64) for x in (r.u, r.y)])
-        for r in data
-    ]
+    sums = [(x / unit).sum(axis=0) for r in data for _, x in blocks(r)]
     mean = np.sum(sums, axis=0) / count
     gram = np.zeros((len(data.channels.names),) * 2)
     for record in data:
         for _, x in blocks(record):
-            x = x - mean
+            x = x / unit - mean
             gram += x.T @ x
     return mean, gram
 
 
-def _misfit(record, i, j, gain, offset):
-    return float(np.abs(signal(record, j) - gain * signal(record, i) - offset).max())
+def _misfit(x, i, j, gain, offset):
+    return float(np.abs(x[:, j] - gain * x[:, i] - offset).max())
 
 
 def stuck(data: Dataset) -> Iterator[Finding]:

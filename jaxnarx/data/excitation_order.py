@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.scaling import unit_of
 
 _PE_TOLERANCE = 1e-9
 
@@ -16,12 +17,13 @@ def excitation_order(data: Dataset, i: int, *, order: int) -> int:
     2, a sum of m sines 2 m (Söderström and Stoica 1989, section 5.4). Windows do not
     cross records.
     """
-    level = float(data.records[0].u[:, i].mean())
+    unit = unit_of(*(record.u[:, i] for record in data))
+    level = float((data.records[0].u[:, i] / unit).mean())
     gram, total, count = np.zeros((order, order)), np.zeros(order), 0
     for record in data:
         if len(record) < order:
             continue
-        x = record.u[:, i].astype(np.float64) - level
+        x = record.u[:, i].astype(np.float64) / unit - level
         own, sums = _lagged(x, order)
         gram += own
         total += sums

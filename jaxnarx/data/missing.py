@@ -11,8 +11,9 @@ from jaxnarx.data.dataset import Dataset, Record
 from jaxnarx.data.place import Place
 from jaxnarx.errors import DataError, SpecError
 
-_HUGE = {"float64": 1e150, "float32": 1e18}
-"""Beyond this, or below its inverse, the square of a number leaves its type."""
+_HUGE = {"float64": 1e151, "float32": 1e18}
+"""Beyond this, or below its inverse, sums of squares soon leave the type, and the ratio
+of two channels, the coefficient of a linear term, may as well."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.scaling import unit_of
 
 _ROWS = 1 << 15
 """About as many rows are looked at; statistics gain little from more."""
@@ -64,6 +65,8 @@ def _thinned(
 
 
 def _scaled(parts: list[np.ndarray]) -> list[np.ndarray]:
+    unit = unit_of(*parts)[:, None]
+    parts = [p / unit for p in parts]
     count = sum(p.shape[1] for p in parts)
     mean = np.sum([p.sum(axis=1) for p in parts], axis=0) / count
     parts = [p - mean[:, None] for p in parts]

@@ -6,6 +6,16 @@ from jaxtyping import Float
 from jaxnarx.data.dataset import Dataset
 
 
+def unit_of(*parts: Float[np.ndarray, "*axes _"]) -> Float[np.ndarray, "*axes"]:
+    """The power of two below the largest magnitude along the last axis of all `parts`.
+
+    Dividing by it is exact, and leaves numbers whose powers neither overflow nor
+    vanish. One for zeros.
+    """
+    peak = np.max([np.abs(x).max(axis=-1, initial=0.0) for x in parts], axis=0)
+    return np.where(peak > 0, np.ldexp(0.5, np.frexp(peak)[1]), 1.0)
+
+
 def gains(data: Dataset) -> Float[np.ndarray, " signals"]:
     """Root mean square of each signal over its valid samples, in its physical unit.
 

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
+from jaxnarx.data.scaling import unit_of
 from jaxnarx.evaluation.rows import Samples
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns, variable_names
@@ -96,6 +97,7 @@ def _share(
     if len(edges) < 2 or not np.ptp(y):
         return 0.0
     at = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
+    y = y / unit_of(y)
     count = np.bincount(at)
     mean = np.bincount(at, y - y.mean()) / np.maximum(count, 1)
     return float(np.sum(count * mean**2) / (len(y) * y.var()))

@@ -102,12 +102,15 @@ def _offsets(rows: list[Row]) -> list[str]:
     """
     total: dict[tuple[str, str], float] = {}
     constant: dict[tuple[str, str], float] = {}
+    largest: dict[str, float] = {}
+    for row in rows:
+        largest[row.output] = max(largest.get(row.output, 0.0), row.rmse or 0.0)
     for row in rows:
         if row.record == POOLED or row.offset is None or row.rmse is None:
             continue
-        key = row.output, row.part
-        total[key] = total.get(key, 0.0) + row.samples * row.rmse**2
-        constant[key] = constant.get(key, 0.0) + row.samples * row.offset**2
+        key, size = (row.output, row.part), largest[row.output] or 1.0
+        total[key] = total.get(key, 0.0) + row.samples * (row.rmse / size) ** 2
+        constant[key] = constant.get(key, 0.0) + row.samples * (row.offset / size) ** 2
     return [
         f"{output}, {part}, free run: {constant[key] / value:.0%} of the error's mean "
         "square is an offset of each record: look for slow memory that the model "

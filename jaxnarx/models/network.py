@@ -207,8 +207,11 @@ class Network(eqx.Module):
         factor = np.asarray(local.factor)[np.asarray(local.index)[m, slots]]
         signal = [s for s, _ in self.variables]
         scale = np.concatenate([[1.0], np.asarray(self.gain)[signal]])
-        value = np.asarray(local.coefficient)[m, slots] / np.prod(scale[factor], axis=1)
-        value = value * float(self.gain[self.signals[o]])
+        value = np.asarray(local.coefficient)[m, slots]
+        # Of channels of extreme units it may be beyond every number: inf then, or zero.
+        with np.errstate(all="ignore"):
+            value = value / np.prod(scale[factor], axis=1)
+            value = value * float(self.gain[self.signals[o]])
         output, names = self.output_names[o], self.variable_names
         own = self.models[o].own
         alone = own is not None and bool(own[m])

@@ -41,6 +41,17 @@ def test_clean_data_give_no_warning():
     assert findings.is_okay and all(f.severity == "note" for f in findings)
 
 
+@pytest.mark.parametrize("scale", [1e-150, 1e150])
+def test_findings_are_the_same_in_any_unit(scale):
+    u, y = system(rows=600)
+    u = np.stack([u, 2 * u], axis=1)
+    expected = [(f.kind, f.channel) for f in check(dataset(u, y))]
+    for data in (dataset(u * scale, y / scale), dataset(u * scale, y * scale)):
+        findings = check(data)
+        assert [(f.kind, f.channel) for f in findings] == expected
+        assert "is 2 times u1" in str(findings)
+
+
 def test_constant_channels():
     u, y = system()
     (found,) = check(dataset(np.stack([u, 0 * u + 3], 1), y)).of("constant")

@@ -144,6 +144,27 @@ def test_what_many_samples_find_is_weighed_by_its_extent(data):
     assert "15000 samples" in sentence or "14999 samples" in sentence
 
 
+@pytest.mark.parametrize("inputs", [2.0**-498, 2.0**498])
+@pytest.mark.parametrize("outputs", [2.0**-498, 2.0**498])
+def test_units_beyond_all_reason_do_not_matter(data, found, linear, inputs, outputs):
+    """About 1e-150 and 1e150: powers of two, so that nothing is rounded otherwise."""
+    records = [
+        dataclasses.replace(r, u=r.u * inputs, y=r.y * outputs) for r in data.records
+    ]
+    other = dataclasses.replace(data, records=tuple(records))
+    network = grown(other, 1)
+    one = diagnose(network, other).value["y"]
+    for mine, given in zip(one.rows, found.rows, strict=True):
+        assert mine[0] == given[0] and mine[1] == pytest.approx(given[1], rel=1e-6)
+    assert one.deviation / outputs == pytest.approx(found.deviation, rel=1e-9)
+    for mine, given in zip(one.coefficients, found.coefficients, strict=True):
+        assert mine.term == given.term and mine.t == pytest.approx(given.t, rel=1e-6)
+        assert mine.error is not None and 0 < mine.error < np.inf
+    rows, others = (report(n, d).rows for n, d in [(linear, data), (network, other)])
+    for mine, given in zip(others, rows, strict=True):
+        assert mine.nrmse == pytest.approx(given.nrmse, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_a_whole_model_passes(data):
     whole = diagnose(grown(data, 2), data).value

@@ -19,6 +19,7 @@ from jaxnarx.data.preparation.samples import (
     with_units,
 )
 from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep
+from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
 
 Kind = Literal["min-max", "mean", "standard"]
@@ -62,15 +63,20 @@ class Scale(AbstractStep):
         )
 
     def _of(self, x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
-        low, high, mean = float(x.min()), float(x.max()), float(x.mean())
+        low, high, unit = float(x.min()), float(x.max()), unit_of(x)
+        mean = float((x / unit).mean() * unit)
         if self.kind == "mean":
-            size = float(np.sqrt(np.mean(x**2)))
+            size = float(unit * np.sqrt(np.mean((x / unit) ** 2)))
             gain = size if abs(mean) < _NEAR_ZERO * size else abs(mean)
             return 0.0, gain or 1.0
         if low == high:
             # the mean of equal numbers is rounded, and would leave a remainder
             return low, 1.0
-        return (low, high - low) if self.kind == "min-max" else (mean, float(x.std()))
+        return (
+            (low, high - low)
+            if self.kind == "min-max"
+            else (mean, float((x / unit).std() * unit))
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -62,12 +62,16 @@ def coefficients(
     equations = network.equations()
     equations = [e for e in equations if e["output"] == one.output.name]
     unit = _units(network, one)
-    known = np.isfinite(np.array(_conditions(one)))[one.owner]
+    known = np.isfinite(np.array(_conditions(one)))[one.owner] & (error > 0)
+    # Both for scaled terms: the physical ones may be beyond every number.
+    ratio = _scaled(network, one) / np.where(known, error, 1.0)
+    with np.errstate(over="ignore"):
+        error = error * unit
     rows = []
     terms = [(m, *term) for m, e in enumerate(equations) for term in e["terms"]]
     for n, (m, name, value) in enumerate(terms):
-        own = float(error[n] * unit[n]) if known[n] and error[n] > 0 else None
-        t = None if own is None else value / own
+        own = float(error[n]) if known[n] else None
+        t = float(ratio[n]) if known[n] else None
         p = None if t is None else float(2 * scipy.stats.t.sf(abs(t), residual.freedom))
         number = int(equations[m]["model"])
         rows.append(Coefficient(number, name, value, own, t, p, err.get(name)))
@@ -78,13 +82,24 @@ def coefficients(
 def _units(network: Network, one: OneStep) -> np.ndarray:
     """Of every coefficient: one over the gains of its term's factors.
 
-    Residuals have the output's unit already.
+    Residuals have the output's unit already, up to a factor.
     """
     local = network.models[one.place].local
     gain = np.asarray(network.gain)
     scale = np.concatenate([[1.0], gain[[s for s, _ in network.variables]]])
     own = np.concatenate(slots(network.models[one.place]))
-    return 1 / np.prod(scale[np.asarray(local.factor)[own]], axis=1)
+    with np.errstate(over="ignore", divide="ignore"):
+        return one.unit / np.prod(scale[np.asarray(local.factor)[own]], axis=1)
+
+
+def _scaled(network: Network, one: OneStep) -> np.ndarray:
+    """Every coefficient, of scaled terms, in the residual's unit."""
+    model = network.models[one.place]
+    value, used = np.asarray(model.local.coefficient, float), model.local.used
+    active = np.flatnonzero(np.asarray(model.active))
+    gain = float(np.asarray(network.gain)[network.signals[one.place]])
+    each = [value[m, np.asarray(used)[m]] for m in active]
+    return np.concatenate(each) * (gain / one.unit)
 
 
 def _conditions(one: OneStep) -> list[float]:

@@ -152,13 +152,13 @@ def _output(
         mean_test(residual),
     )
     whole = residual.value + (residual.mean if residual.centred else 0.0)
-    whole = np.where(residual.known, whole, np.nan)
+    whole = np.where(residual.known, whole * one.unit, np.nan)
     return OutputDiagnostics(
         output=one.output,
         samples=residual.samples,
         parameters=residual.parameters,
-        mean=residual.mean,
-        deviation=residual.deviation,
+        mean=residual.mean * one.unit,
+        deviation=residual.deviation * one.unit,
         estimated=one.estimated,
         errors=tuple(row[: len(r)] for row, r in zip(whole, data, strict=True)),
         lag_tests=tests,
@@ -200,7 +200,7 @@ def _operating_points(
         by_operating_point(one.residual, x.astype(float), variable=name, unit=unit)
         for x, name, unit in zip(table, names, units, strict=True)
     ]
-    return tuple(point for point in found if point is not None)
+    return tuple(p.times(one.unit) for p in found if p is not None)
 
 
 def _variables(network: Network, place: int, over: Sequence[str]) -> Variables:

@@ -87,10 +87,10 @@ class OutputDiagnostics:
             for t in self.lag_tests
         }
         own = self.test("autocorrelation")
-        whole = self.mean**2 + self.deviation**2
+        whole = float(np.hypot(self.mean, self.deviation))
         single = {
             "Ljung-Box": float(np.sum(own.value[own.tested] ** 2)),
-            "mean": self.mean**2 / whole if whole > 0 else 0.0,
+            "mean": (self.mean / whole) ** 2 if whole > 0 else 0.0,
         }
         return (
             lags

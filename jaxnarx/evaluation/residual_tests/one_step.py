@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Channel
 from jaxnarx.data.batch import Batch
+from jaxnarx.data.scaling import unit_of
 from jaxnarx.evaluation.residual_tests.fits import Fit, global_fit, local_fit, no_fit
 from jaxnarx.evaluation.residual_tests.residual import Residual, make_residual
 from jaxnarx.models import Network, OutputModel, scheduling_values
@@ -36,7 +37,8 @@ class OneStep:
     `estimated` tells how the coefficients follow from these very samples: `"global"` by
     one least squares problem, `"local"` by one for each local model, `"no"` not at all.
     `design` is what the global problem would be on the rows `residual.at`; the columns
-    belong to active local models in turn, `owner` tells which (from 0).
+    belong to active local models in turn, `owner` tells which (from 0). `residual` and
+    `measured` are in units of `unit`, a power of two, so that their powers are finite.
     """
 
     output: Channel
@@ -46,6 +48,7 @@ class OneStep:
     estimated: str
     design: Fit
     owner: Int[np.ndarray, " params"]
+    unit: float
 
 
 def one_step(
@@ -64,6 +67,9 @@ def one_step(
         length = len(predicted)
         known[n, :length] = scored[:, place]
         value[n, :length] = signals[n, :length, signal] - predicted[:, place]
+    measured = np.where(known, signals[..., signal], 0.0)
+    unit = float(unit_of(measured.ravel()))
+    value = value / unit
     every = np.flatnonzero(known)
     rows = _rows(sum(map(len, slots(model))))
     at = every[np.unique(np.linspace(0, len(every) - 1, rows).astype(int))]
@@ -73,7 +79,7 @@ def one_step(
     design = global_fit(np.concatenate(blended, axis=1))
     if estimated is None:
         estimated = _found(
-            network, model, batch, place, every, value, design, (own, phi)
+            network, model, batch, place, every, value * unit, design, (own, phi)
         )
     fits = {"global": lambda: design, "local": lambda: local_fit(own, phi)}
     fit = fits.get(estimated, lambda: no_fit(len(at)))()
@@ -81,10 +87,11 @@ def one_step(
         network.output_channels[place],
         place,
         make_residual(np.where(known, value, 0.0), known, at=at, fit=fit),
-        np.where(known, signals[..., signal], 0.0),
+        measured / unit,
         estimated,
         design if estimated != "local" else fit,
         np.repeat(np.arange(len(own)), [c.shape[1] for c in own]),
+        unit,
     )
 
 
@@ -190,7 +197,8 @@ def _explained(
 def usable_inputs(
     batch: Batch, signal: int
 ) -> tuple[Float[np.ndarray, "records time"], Bool[np.ndarray, "records time"]]:
-    """A signal in physical units, zero where missing, and where it is known."""
+    """A signal over the power of two at its size, zero where missing; where known."""
     known = np.asarray(batch.valid[..., signal])
     values = np.asarray(batch.signals[..., signal], float)
-    return np.where(known, values, 0.0), known
+    values = np.where(known, values, 0.0)
+    return values / unit_of(values.ravel()), known

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
+from jaxnarx.data.scaling import unit_of
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
 BINS = 10
@@ -37,9 +38,17 @@ class OperatingPoint:
     @property
     def effect(self) -> float:
         """Share of the residual's mean square that the means of the bins explain."""
-        between = float(np.sum(self.samples * self.mean**2))
-        within = float(np.sum((self.samples - 1).clip(0) * self.deviation**2))
+        unit = unit_of(self.mean, self.deviation)
+        between = float(np.sum(self.samples * (self.mean / unit) ** 2))
+        spare = (self.samples - 1).clip(0)
+        within = float(np.sum(spare * (self.deviation / unit) ** 2))
         return between / (between + within) if between > 0 else 0.0
+
+    def times(self, unit: float) -> "OperatingPoint":
+        """The same with residuals `unit` times as large."""
+        sizes = ("mean", "deviation", "error")
+        larger = {name: getattr(self, name) * unit for name in sizes}
+        return dataclasses.replace(self, **larger)
 
 
 def by_operating_point(
