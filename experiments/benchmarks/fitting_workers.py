@@ -136,8 +136,8 @@ def _fit(
 
     data, start = _datasets(name, parts), SETS[name]["start"]
     pool = _pool(name, data["train"].channels)
-    # The score that refinement reports is a mean square over that of the training.
-    spread = _spread(data["train"], start)
+    # The score that refinement reports is a mean square over that of the same records.
+    spread = _spread(data[judge], start)
     history = []
     clock = Clock()
 
