@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     interrupt.listen()
     _open_streams()
     code = run(arguments)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to be interrupted
+    for number in interrupt.ENDING:  # nothing is left to be interrupted
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
 

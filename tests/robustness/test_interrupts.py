@@ -118,7 +118,8 @@ def require_sound(name: str, number: int) -> bool:
         assert there in (set(), FILES)
         return there == FILES
     if any(Path("run/chunks").glob("*.parquet")):
-        assert set(read_sweep("run").column("status")) <= {"ok", "budget_spent"}
+        # A start may diverge with so few samples; nothing may be missing.
+        assert not {"crashed", "not_run"} & set(read_sweep("run").column("status"))
     return Path("run/table.csv").exists()
 
 
