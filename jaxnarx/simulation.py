@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.blocks import map_blocks
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recurrence import free_run, history_of
 from jaxnarx.arrays.time_parallel import parallel_run
 from jaxnarx.arrays.windows import usable
@@ -97,7 +98,7 @@ def tables(network: Network) -> tuple[tuple[int, int], ...]:
     return tuple(dict.fromkeys(rows))
 
 
-@eqx.filter_jit
+@program
 def make_drive(network: Network, batch: Batch) -> Drive:
     """Lagged and scheduling variables of every record."""
     return drive_of(network, batch.signals, jnp.asarray(batch.valid))
@@ -123,14 +124,15 @@ def make_masks(network: Network, batch: Batch) -> Masks:
     """Starts, possible anchors and scored samples, see `Masks`."""
     rows = tables(network)
     inputs = tuple(r for r in rows if r[0] not in network.signals)
-    anchors = usable(batch.valid, rows, network.history)
+    present = np.any(batch.valid, axis=2)
+    time: int = present.shape[1]
+    end = time - np.argmax(present[:, ::-1], axis=1)
+    there = np.arange(time)[None] < end[:, None]
+    anchors = usable(batch.valid, rows, network.history) & there
     good = usable(batch.valid, inputs, network.history)
-    time: int = anchors.shape[1]
     start = np.where(np.any(anchors, axis=1), np.argmax(anchors, axis=1), time)
     after = np.arange(time)[None] >= start[:, None]
     scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
-    present = np.any(batch.valid, axis=2)
-    end = time - np.argmax(present[:, ::-1], axis=1)
     return Masks(start, end, anchors, scored)
 
 
@@ -173,7 +175,7 @@ def run_states(
     return free_run(*inputs, start, anchor, *bounds, depth=depth(network))
 
 
-@eqx.filter_jit
+@program
 def run(
     network: Network, drive: Drive, anchor: Bool[Array, "records time"]
 ) -> Float[Array, "records time outputs"]:
@@ -182,7 +184,7 @@ def run(
     return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
 
 
-@eqx.filter_jit
+@program
 def states(
     network: Network, drive: Drive, anchor: Bool[Array, "records time"]
 ) -> Float[Array, "records time states"]:
@@ -191,7 +193,7 @@ def states(
     return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
 
 
-@eqx.filter_jit
+@program
 def run_parallel(
     network: Network, drive: Drive, anchor: Bool[Array, "records time"]
 ) -> tuple[Float[Array, "records time outputs"], Bool[Array, " records"]]:
@@ -211,7 +213,7 @@ def run_parallel(
     return jax.lax.map(one, (drive.v, drive.x, drive.measured, anchor))
 
 
-@eqx.filter_jit
+@program
 def run_steps(
     network: Network, drive: Drive, k: Int[Array, ""]
 ) -> tuple[Float[Array, "records time outputs"], Bool[Array, "records time outputs"]]:
@@ -468,7 +470,7 @@ def simulate(
         print(run.status_name, run.value[0].shape)
     """
     matched, batch, masks, drive = _prepare(network, data)
-    anchor = jnp.asarray(first_anchor(masks))
+    anchor = jax.device_put(first_anchor(masks))
     stats = {}
     if time_parallel:
         scaled, converged = run_parallel(network, drive, anchor)
@@ -504,7 +506,7 @@ def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectorie
     if k < 1:
         raise SpecError(f"k must be at least 1, got {k}", field="k")
     matched, batch, masks, drive = _prepare(network, data)
-    scaled, held = run_steps(network, drive, jnp.asarray(k))
+    scaled, held = run_steps(network, drive, jax.device_put(np.asarray(k)))
     ready = np.zeros_like(masks.anchors)
     ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
     scored = masks.scored & ready[:, :, None]

@@ -28,7 +28,8 @@ def problem(x: np.ndarray, y: np.ndarray, degree: int = 2) -> tuple[Pool, Rows]:
     pool = polynomial_pool(
         data.channels, input_lags=(0,), output_lags=(), degree=degree
     )
-    return pool, regression_rows(data, pool.variables, pool.outputs, history=0)
+    outputs = pool.variables, pool.outputs
+    return pool, regression_rows(data, *outputs, history=0, exact=True)
 
 
 def table(x: np.ndarray, y: np.ndarray, method: Anova | None = None) -> AnovaTable:

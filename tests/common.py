@@ -14,6 +14,7 @@ import oracles
 from jax import monitoring
 from jaxtyping import Float
 
+from jaxnarx.arrays.sizes import bucket
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.models import Gaussians, LocalModels, Network, OutputModel
 from jaxnarx.regressors import Variables
@@ -204,6 +205,8 @@ def signals(length: int, seed: int = 0) -> Float[np.ndarray, "time signals"]:
 
 
 LENGTHS = (60, 45, 3, 52)
+TIME = bucket(max(LENGTHS))
+"""Samples that a batch of such records has room for."""
 """Record lengths: of the third, every network can predict the last sample only."""
 
 

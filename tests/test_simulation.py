@@ -538,7 +538,7 @@ def test_gradient_of_a_run_is_the_central_difference(kind, bound):
     d = make_drive(net, stack(data()))
     args = d.v[0], tuple(x[0] for x in d.x), d.measured[0]
     # Two starts: the gradient must respect them.
-    anchor = jnp.isin(jnp.arange(60), jnp.array([net.history, 25]))
+    anchor = jnp.isin(jnp.arange(common.TIME), jnp.array([net.history, 25]))
     trained = eqx.tree_at(
         lambda n: [
             leaf

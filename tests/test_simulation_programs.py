@@ -40,7 +40,9 @@ def test_networks_of_one_capacity_compile_once():
     data = common.dataset()
     whole = common.named("by inputs", spare_models=5, spare_slots=2)
     drive = make_drive(whole, stack(data))
-    anchor = jnp.asarray(np.arange(60) == whole.history)[None].repeat(len(data), 0)
+    anchor = jnp.asarray(np.arange(common.TIME) == whole.history)[None].repeat(
+        len(data), 0
+    )
     local = whole.models[0].local
 
     def member(n: int) -> Network:

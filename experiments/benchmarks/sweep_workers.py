@@ -84,7 +84,7 @@ def make_work(samples: int, count: int, lanes: int, at_once: int) -> Any:
         degree=2,
     )
     pool = dataclasses.replace(pool, factor=pool.factor[:POOL])
-    # Everything from the first step on: what earlier records of this benchmark measured.
+    # Everything moves from the first step on, as in earlier records of this benchmark.
     cases = (jnx.Case(train="joint"),)
     return jnx.IdentificationWork(
         fleet, method, cases, pool=pool, lanes=lanes, at_once=at_once

@@ -5,6 +5,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.sizes import bucket
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import SpecError
 
@@ -12,6 +13,7 @@ from jaxnarx.errors import SpecError
 class Batch(eqx.Module):
     """Records padded to one length. Signals are inputs, then outputs, physical units.
 
+    Padding repeats a record's last sample: a free run goes on quietly and unscored.
     `valid` is False for missing samples and for padding alike.
     """
 
@@ -36,12 +38,15 @@ def check_precision(dtype: np.dtype) -> None:
 
 
 def stack(data: Dataset) -> Batch:
-    """Pad the records to the longest and stack them. Needs at least one record."""
+    """Pad the records to one length and stack them. Needs at least one record.
+
+    The length is that of the longest, rounded up so that few programs serve all.
+    """
     if not len(data):
         raise SpecError("the dataset has no records", field="data")
     dtype = data.records[0].u.dtype
     check_precision(dtype)
-    longest = max(len(r) for r in data)
+    longest = bucket(max(len(r) for r in data))
     width, inputs = len(data.channels.all), len(data.channels.inputs)
     signals = np.zeros((len(data), longest, width), dtype)
     valid = np.zeros((len(data), longest, width), bool)
@@ -49,7 +54,6 @@ def stack(data: Dataset) -> Batch:
         signals[n, : len(record), :inputs] = record.u
         signals[n, : len(record), inputs:] = record.y
         valid[n, : len(record)] = record.valid
-        # Padding repeats the last sample: the free run goes on quietly and unscored.
         signals[n, len(record) :] = signals[n, len(record) - 1 : len(record)]
     # device_put takes the memory over where it can; jnp.asarray would copy it.
     return Batch(jax.device_put(signals), valid)

@@ -1,6 +1,7 @@
 """Named, unit-carrying channels: the schema every dataset and every model carries."""
 
 import dataclasses
+import functools
 import unicodedata
 
 from jaxnarx.errors import SpecError, suggest
@@ -95,3 +96,12 @@ class Channels:
                 f"unknown channel {name!r}. {suggest(name, self.names)}", field=name
             )
         return self.names.index(name)
+
+
+@functools.cache
+def numbered(inputs: int, outputs: int) -> Channels:
+    """Channels `u1`, `u2`, ... and `y1`, ... without units."""
+    return Channels(
+        tuple(Channel(f"u{n + 1}") for n in range(inputs)),
+        tuple(Channel(f"y{n + 1}") for n in range(outputs)),
+    )

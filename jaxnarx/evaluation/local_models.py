@@ -3,11 +3,11 @@
 import dataclasses
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
@@ -117,7 +117,7 @@ def _shown(network: Network, o: int, over: Sequence[str]) -> Variables:
     return network.models[o].scheduling
 
 
-@eqx.filter_jit
+@program
 def _slopes(
     network: Network,
     v: Float[Array, "vars points"],

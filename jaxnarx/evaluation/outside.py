@@ -53,13 +53,14 @@ def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
     if not isinstance(network, Network):
         return ()
     found = []
+    lows, highs = (np.asarray(a).tolist() for a in (network.low, network.high))
     for part, data in parts.items():
         data = match_channels(data, network.channels)[0]
         used = {s for s, _ in network.variables}
         used |= {s for model in network.models for s, _ in model.scheduling}
         for s, channel in enumerate(network.channels.inputs):
             value = np.concatenate([r.u[r.valid[:, s], s] for r in data])
-            low, high = float(network.low[s]), float(network.high[s])
+            low, high = lows[s], highs[s]
             slack = 1e-9 * (high - low)
             out = (value < low - slack) | (value > high + slack)
             if s in used and out.any():

@@ -2,14 +2,18 @@
 
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.regions import scheduling_cloud
-from jaxnarx.models import AbstractValidity, Gaussians, Network, OutputModel
+from jaxnarx.models import (
+    AbstractValidity,
+    Gaussians,
+    Network,
+    scaled_points,
+    weights_of,
+)
 from jaxnarx.regressors import variable_names
 
 NOTICEABLE = 0.05
@@ -50,7 +54,7 @@ def _rise(
     centre = np.asarray(validity.centre, float)
     weight = np.exp(-2 * np.asarray(validity.log_width, float))
     # All points in one call: compilation is what it costs.
-    phi = _weights(validity, active, np.concatenate([z, centre]))
+    phi = weights_of(validity, np.concatenate([z, centre]).T, active)
     there, at_centres = phi[:, : len(z)], phi[:, len(z) :]
     own = np.diagonal(at_centres)
     pair = at_centres + own[None]
@@ -63,16 +67,6 @@ def _rise(
     return np.where(behind, np.maximum(there[:, None] - share[..., None], 0.0), 0.0)
 
 
-def _weights(validity: Gaussians, active, points) -> Float[np.ndarray, "models points"]:
-    scaled = jnp.asarray(points.T, validity.centre.dtype)
-    return np.asarray(_evaluated(validity, scaled, jnp.asarray(active)), float)
-
-
-@eqx.filter_jit
-def _evaluated(validity, z, active):
-    return validity(z, active)
-
-
 def reactivation_notes(network: Any, data: Dataset) -> list[str]:
     """A sentence for every output whose data meet reactivation above 5 %."""
     if not isinstance(network, Network):
@@ -83,7 +77,7 @@ def reactivation_notes(network: Any, data: Dataset) -> list[str]:
         if not isinstance(validity, Gaussians) or active.sum() < 2:
             continue
         x = scheduling_cloud(data, model.scheduling)
-        rise = _rise(validity, active, _scaled(model, x))
+        rise = _rise(validity, active, scaled_points(model, x))
         if rise.size and rise.max() > NOTICEABLE:
             m, j, p = np.unravel_index(rise.argmax(), rise.shape)
             variables = variable_names(network.channels, model.scheduling)
@@ -96,10 +90,3 @@ def reactivation_notes(network: Any, data: Dataset) -> list[str]:
                 "or smaller widths, a sigmoid tree or compact curves do not."
             )
     return notes
-
-
-def _scaled(
-    model: OutputModel, x: Float[np.ndarray, "points dims"]
-) -> Float[np.ndarray, "points dims"]:
-    offset, span = np.asarray(model.offset, float), np.asarray(model.span, float)
-    return (x - offset[None]) / span[None]

@@ -3,15 +3,14 @@
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.models import Network, OutputModel, SigmoidTree, scheduling_values
+from jaxnarx.models import Network, OutputModel, SigmoidTree, weights_at
 from jaxnarx.regressors import Variables, row_columns, variable_names
 
 POINTS = 2000
@@ -85,22 +84,6 @@ def scheduling_cloud(
     at = np.flatnonzero(good)
     step = max(1, -(-len(at) // points))
     return row_columns(batch, at[::step], scheduling, data.sample_time).T.astype(float)
-
-
-@eqx.filter_jit
-def _weights(
-    model: OutputModel, x: Float[Array, "dims points"]
-) -> Float[Array, "models points"]:
-    return model.validity(scheduling_values(model, x), model.active)
-
-
-def weights_at(
-    model: OutputModel, x: Float[np.ndarray, "points dims"]
-) -> Float[np.ndarray, "models points"]:
-    """The active local models' weights at points in physical units."""
-    dtype = model.offset.dtype
-    phi = np.asarray(_weights(model, jnp.asarray(x.T.astype(dtype))), float)
-    return phi[np.asarray(model.active)]
 
 
 def _side(network: Network, o: int, ranges: list[tuple[float, float]]) -> dict:

@@ -4,7 +4,6 @@ import time as clock
 from collections.abc import Callable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.data import Dataset
@@ -141,7 +140,7 @@ class _Search:
             self.progress(row)
 
     def _solution(self, status: RESULTS) -> Solution[Network]:
-        network = self.layout.place(jnp.asarray(self.best))
+        network = self.layout.place(self.best)
         if not self.score < self.start_score:
             # Limits of the bounded coordinates may have moved the start by rounding.
             network = self.layout.base

@@ -9,12 +9,12 @@ H the filters that variables pass. Slopes are total: through terms and schedulin
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
@@ -149,7 +149,7 @@ def require_shared(network: Network) -> None:
         )
 
 
-@eqx.filter_jit
+@program
 def _slopes(
     network: Network,
     v: Float[Array, "vars points"],

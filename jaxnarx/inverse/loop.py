@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.programs import program, twin
 from jaxnarx.arrays.recurrence import free_run
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.inverse.wiring import Place, Wiring, wire
@@ -41,6 +42,12 @@ class Loop(eqx.Module):
     low: Float[Array, " commands"]
     high: Float[Array, " commands"]
     move: Float[Array, " commands"]
+
+    @property
+    def nameless(self) -> "Loop":
+        """That of the networks without names, for programs."""
+        plain = self.inverse.nameless, self.forward.nameless
+        return twin(self, inverse=plain[0], forward=plain[1])
 
     @property
     def command_gain(self) -> Float[Array, " commands"]:
@@ -221,7 +228,7 @@ def run_record(
     )
 
 
-@eqx.filter_jit
+@program
 def run(
     loop: Loop,
     signals: Float[Array, "records time signals"],

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.inverse.loop import Loop, run_record
 from jaxnarx.inverse.task import CascadeTask, Signals
 from jaxnarx.refinement.layout import Layout
@@ -51,7 +52,7 @@ def _residuals(
     return error.reshape(-1), change.reshape(-1)
 
 
-@eqx.filter_jit
+@program
 def _losses(
     loop: Loop, layout: Layout, u: Float[Array, " params"], data: Weighed
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -65,7 +66,7 @@ def _losses(
     return jnp.sum(error), jnp.sum(change)
 
 
-@eqx.filter_jit
+@program
 def _normal_equations(
     loop: Loop, layout: Layout, u: Float[Array, " params"], data: Weighed
 ):
@@ -90,7 +91,7 @@ class TrackingProblem(AbstractProblem):
 
     def __init__(self, loop: Loop, layout: Layout, data: Weighed):
         self.loop, self.layout, self.data = loop, layout, data
-        self.wall = np.asarray(layout.wall)
+        self.wall = np.asarray(layout.wall())
 
     def _parts(self, u: np.ndarray) -> tuple[float, float]:
         error, change = _losses(self.loop, self.layout, jnp.asarray(u), self.data)

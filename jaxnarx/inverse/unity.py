@@ -2,12 +2,12 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.loop import Loop, connect, run_record
@@ -104,7 +104,7 @@ def _places(task: CascadeTask, points: int) -> Float[np.ndarray, "points signals
     return signals.reshape(-1, signals.shape[-1])[at]
 
 
-@eqx.filter_jit
+@program
 def _respond(
     loop: Loop, place: Float[Array, "points signals"], before: int, settle: int
 ) -> tuple[Float[Array, "points time states"], Float[Array, "points targets time out"]]:

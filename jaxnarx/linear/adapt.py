@@ -98,11 +98,14 @@ def _samples(network: Network, data: Dataset, window: int, simulated: bool) -> S
         jnp.asarray(anchor),
         start,
     )
-    return Samples(*jax.tree.map(partial(_windows, window=window), every))
+    longest = max(len(r) for r in data)
+    cut = partial(_windows, longest=longest, window=window)
+    return Samples(*jax.tree.map(cut, every))
 
 
-def _windows(a: jax.Array, window: int) -> jax.Array:
+def _windows(a: jax.Array, longest: int, window: int) -> jax.Array:
     """(records, time, ...) as (windows, window, ...), zeros behind the last."""
+    a = a[:, :longest]
     flat = a.reshape(a.shape[0] * a.shape[1], *a.shape[2:])
     more = -len(flat) % window
     flat = jnp.pad(flat, ((0, more), *((0, 0) for _ in flat.shape[1:])))

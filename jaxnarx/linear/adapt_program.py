@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recursive_least_squares import Recursion, update
 from jaxnarx.linear.adapt_parts import Plan, Rows, coefficients, output_rows
 from jaxnarx.models import Network, with_history
@@ -145,7 +146,7 @@ def _mean(total, count):
     return total / jnp.maximum(count, 1).astype(total.dtype)
 
 
-@eqx.filter_jit
+@program
 def adapt_windows(
     network: Network, plan: Plan, samples: Samples, limits: Limits, simulated: bool
 ) -> tuple[tuple[Float[Array, "_ _"], ...], Record]:

@@ -76,7 +76,12 @@ def extended_least_squares(
     place = pool.outputs[0]
     need = len(pool) + residual_lags + 1
     rows = regression_rows(
-        data, pool.variables, pool.outputs, history=pool.variables.longest, need=need
+        data,
+        pool.variables,
+        pool.outputs,
+        history=pool.variables.longest,
+        need=need,
+        exact=True,
     )
     design = np.asarray(evaluate(pool.factor, rows.v), float)
     found = _iterate(design, rows, residual_lags, max_rounds, tolerance)

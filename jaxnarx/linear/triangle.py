@@ -111,6 +111,7 @@ def triangle(
         history=history,
         need=need,
         gain=ones,
+        exact=True,
     )
     columns = np.concatenate([np.asarray(found.v)[1:], np.asarray(found.y)])
     return factorise(columns.astype(float), constant=constant)

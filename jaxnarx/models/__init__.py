@@ -22,7 +22,14 @@ from jaxnarx.models.feedback import (
     with_history,
     with_own,
 )
-from jaxnarx.models.network import LocalModels, Network, OutputModel, scheduling_values
+from jaxnarx.models.network import (
+    LocalModels,
+    Network,
+    OutputModel,
+    scaled_points,
+    scheduling_values,
+    weights_at,
+)
 from jaxnarx.models.storage import load, load_about, save
 from jaxnarx.models.validity import (
     AbstractValidity,
@@ -32,6 +39,7 @@ from jaxnarx.models.validity import (
     LogSigmoids,
     SigmoidTree,
     register_validity,
+    weights_of,
 )
 
 __all__ = [
@@ -62,9 +70,12 @@ __all__ = [
     "register_validity",
     "respond",
     "save",
+    "scaled_points",
     "scheduling_values",
     "sources",
     "widened",
+    "weights_at",
+    "weights_of",
     "with_history",
     "with_own",
 ]

@@ -1,6 +1,6 @@
 """The parts of a network that come from data and terms, whatever the partition."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -28,20 +28,20 @@ def local_models(
     sparse: bool = False,
 ) -> LocalModels:
     """Local models with given coefficients: all terms, or those that are not zero."""
-    theta = jnp.asarray(theta)
+    theta = np.asarray(theta)
     models, terms = theta.shape
     if not sparse:
-        index = np.broadcast_to(np.arange(terms), (models, terms))
-        used = jnp.ones((models, terms), bool)
-        return LocalModels(jnp.asarray(factor), jnp.asarray(index), used, theta)
-    there = np.asarray(theta) != 0
+        index = np.tile(np.arange(terms), (models, 1))
+        used = np.ones((models, terms), bool)
+        return LocalModels(*jax.device_put((factor, index, used, theta)))
+    there = theta != 0
     kept = np.flatnonzero(there.any(axis=0) | (np.arange(terms) == 0))
     there = there[:, kept]
     slots = max(int(there.sum(axis=1).max(initial=0)), 1)
     index = np.argsort(~there, axis=1, kind="stable")[:, :slots]
     used = np.take_along_axis(there, index, axis=1)
-    value = np.take_along_axis(np.asarray(theta)[:, kept], index, axis=1)
-    return LocalModels(*map(jnp.asarray, (factor[kept], index, used, value)))
+    value = np.take_along_axis(theta[:, kept], index, axis=1)
+    return LocalModels(*jax.device_put((factor[kept], index, used, value)))
 
 
 def output_model(
@@ -50,13 +50,13 @@ def output_model(
     scheduling: Variables,
     offset: Float[np.ndarray, " dims"],
     span: Float[np.ndarray, " dims"],
-    active: Bool[Array, " models"] | None = None,
+    active: Bool[Array | np.ndarray, " models"] | None = None,
 ) -> OutputModel:
     """Local models behind their validity functions; all active unless said."""
     if active is None:
-        active = jnp.ones(local.index.shape[0], bool)
-    at, size = jnp.asarray(offset), jnp.asarray(span)
-    return OutputModel(scheduling, at, size, validity, active, local)
+        active = np.ones(local.index.shape[0], bool)
+    at, size, on = jax.device_put((offset, span, active))
+    return OutputModel(scheduling, at, size, validity, on, local)
 
 
 def global_model(
@@ -64,10 +64,9 @@ def global_model(
     theta: Float[Array, " terms"] | Float[np.ndarray, " terms"],
 ) -> OutputModel:
     """One local model that is valid everywhere, of given terms and coefficients."""
-    local = local_models(factor, jnp.asarray(theta)[None])
-    nowhere = jnp.zeros((1, 0), local.coefficient.dtype)
+    local = local_models(factor, np.asarray(theta)[None])
     nothing = np.zeros(0, local.coefficient.dtype)
-    validity = Gaussians(nowhere, nowhere)
+    validity = Gaussians(*jax.device_put((nothing[None], nothing[None])))
     return output_model(local, validity, Variables(()), nothing, nothing)
 
 
@@ -81,15 +80,7 @@ def assemble(
     low, high = ranges(data)
     signal = len(data.channels.inputs) + np.array(pool.outputs)
     wider = MARGIN * (high - low)[signal]
-    return Network(
-        data.channels,
-        pool.outputs,
-        pool.variables,
-        tuple(models),
-        jnp.asarray(gain),
-        jnp.asarray((low[signal] - wider) / gain[signal]),
-        jnp.asarray((high[signal] + wider) / gain[signal]),
-        jnp.asarray(low),
-        jnp.asarray(high),
-        jnp.asarray(data.sample_time, gain.dtype),
-    )
+    held = (low[signal] - wider) / gain[signal], (high[signal] + wider) / gain[signal]
+    time = np.asarray(data.sample_time, gain.dtype)
+    leaves = jax.device_put((gain, *held, low, high, time))
+    return Network(data.channels, pool.outputs, pool.variables, tuple(models), *leaves)

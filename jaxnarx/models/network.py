@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.programs import twin
 from jaxnarx.data import Channel, Channels
+from jaxnarx.data.channels import numbered
 from jaxnarx.errors import SpecError
-from jaxnarx.models.validity import AbstractValidity
+from jaxnarx.models.validity import AbstractValidity, weights_of
 from jaxnarx.regressors import (
     Variables,
     equation,
@@ -39,6 +41,7 @@ class LocalModels(eqx.Module):
     used: Bool[Array, "models slots"]
     coefficient: Float[Array, "models slots"]
 
+    @eqx.filter_jit
     def dense(self) -> Float[Array, "models terms"]:
         """Coefficients over the table of distinct terms."""
         models, _ = self.index.shape
@@ -113,8 +116,10 @@ class Network(eqx.Module):
         for o, (name, model) in enumerate(
             zip(self.output_names, self.models, strict=True)
         ):
-            gain = float(self.gain[self.signals[o]])
-            low, high = float(self.lower[o]) * gain, float(self.upper[o]) * gain
+            gain = float(np.asarray(self.gain)[self.signals[o]])
+            low, high = (
+                float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper)
+            )
             unit = f" {unit}" if (unit := self.output_channels[o].unit) else ""
             active = np.flatnonzero(np.asarray(model.active)).tolist()
             kind = type(model.validity).__name__
@@ -133,6 +138,12 @@ class Network(eqx.Module):
                 more = f", {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
                 lines.append(f"  {m + 1}{where}: {shown}{more}")
         return "\n".join(lines)
+
+    @property
+    def nameless(self) -> "Network":
+        """The same with channels that have numbers for names, for programs."""
+        counts = len(self.channels.inputs), len(self.channels.outputs)
+        return twin(self, channels=numbered(*counts))
 
     @property
     def history(self) -> int:
@@ -208,10 +219,11 @@ class Network(eqx.Module):
         signal = [s for s, _ in self.variables]
         scale = np.concatenate([[1.0], np.asarray(self.gain)[signal]])
         value = np.asarray(local.coefficient)[m, slots]
+        unit = float(np.asarray(self.gain)[self.signals[o]])
         # Of channels of extreme units it may be beyond every number: inf then, or zero.
         with np.errstate(all="ignore"):
             value = value / np.prod(scale[factor], axis=1)
-            value = value * float(self.gain[self.signals[o]])
+            value = value * unit
         output, names = self.output_names[o], self.variable_names
         own = self.models[o].own
         alone = own is not None and bool(own[m])
@@ -269,3 +281,19 @@ def scheduling_values(
     """Min-max scaled scheduling variables from physical ones."""
     tail = (1,) * (x.ndim - 1)
     return (x - model.offset.reshape(-1, *tail)) / model.span.reshape(-1, *tail)
+
+
+def weights_at(
+    model: OutputModel, x: Float[np.ndarray, "points dims"]
+) -> Float[np.ndarray, "models points"]:
+    """The active local models' weights at points in physical units, on the host."""
+    active = np.asarray(model.active)
+    return weights_of(model.validity, scaled_points(model, x).T, active)[active]
+
+
+def scaled_points(
+    model: OutputModel, x: Float[np.ndarray, "points dims"]
+) -> Float[np.ndarray, "points dims"]:
+    """`scheduling_values` of points, on the host; float64."""
+    offset, span = np.asarray(model.offset, float), np.asarray(model.span, float)
+    return (x - offset[None]) / span[None]

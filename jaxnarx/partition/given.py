@@ -122,7 +122,8 @@ def placed(
         return own, validity, regions.count
     p = evaluate(own.factors[output], own.rows.v)
     y, weight = own.rows.y[output], own.rows.weight[output]
-    found = validity(*map(np.asarray, (own.z, p, y, weight)))
+    real = (np.asarray(a)[..., : own.rows.count] for a in (own.z, p, y, weight))
+    found = validity(*real)
     if not isinstance(found, AbstractValidity):
         raise SpecError(
             "a partition function returns a validity function of jaxnarx.models, got "

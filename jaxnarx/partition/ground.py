@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -58,9 +58,10 @@ class Ground:
         Those of its terms, or, where channels are far from zero, columns of the same
         span without their offsets; `coefficients` gives those of the terms.
         """
-        factor, y = self.factors[output], self.rows.y[output]
+        factor = self.factors[output]
         if self.centre is None:
-            return evaluate(factor, self.rows.v), y
+            return _columns(factor, self.rows.v, self.rows.y, output)
+        y = self.rows.y[output]
         if self.constant(output) is not None:
             y = y - float(self.centre.target[output])
         return self.centre.columns(factor, self.rows.v)[0], y
@@ -98,7 +99,7 @@ class Ground:
 
     def samples(self, output: int) -> float:
         """Rows that count for an output."""
-        return float(np.sum(np.asarray(self.rows.weight[output]) > 0))
+        return float(np.sum(np.asarray(self.rows.weight)[output] > 0))
 
     def model(
         self,
@@ -114,10 +115,15 @@ class Ground:
         With `sparse` every local model has the terms whose coefficient is not zero.
         """
         local = local_models(self.factors[output], theta, sparse=sparse)
-        active = jnp.arange(len(theta)) < count
+        active = np.arange(len(theta)) < count
         return output_model(
             local, validity, self.scheduling, self.offset, self.span, active
         )
+
+
+@jax.jit
+def _columns(factor, v, y, output):
+    return evaluate(factor, v), y[output]
 
 
 def make_ground(
@@ -143,7 +149,7 @@ def make_ground(
     )
     x = row_columns(rows.batch, rows.at, table, data.sample_time)
     low, span = _ranges(pool, x, table)
-    z = (jnp.asarray(x) - low[:, None]) / span[:, None]
+    z = jax.device_put((x - low[:, None]) / span[:, None])
     return Ground(pool, factors, data, rows, table, low, span, z)
 
 

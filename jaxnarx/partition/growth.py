@@ -35,6 +35,8 @@ _lolimot = jax.jit(
     lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")
 )
 
+_boxes = jax.jit(validity_of_boxes, static_argnames="kind")
+
 _sigmoid_tree = jax.jit(
     sigmoid_tree, static_argnames=("max_models", "oblique", "steps", "picks", "first")
 )
@@ -58,6 +60,7 @@ def grow_output(
         require_room(len(factor), rows, "local", advice)
     p, y = ground.columns(output)
     stages, validity = _run(ground, output, p, y, method, begin)
+    stages = jax.tree.map(np.asarray, stages)
     sparse = method.local is not None
 
     frame = assemble(
@@ -80,9 +83,9 @@ def grow_output(
         return free_run_nrmse(at(stage), validation)
 
     best, found = choose_stage(
-        np.asarray(stages.count),
-        np.asarray(stages.sse),
-        np.asarray(stages.effective),
+        stages.count,
+        stages.sse,
+        stages.effective,
         ground.samples(output),
         method,
         score,
@@ -91,7 +94,7 @@ def grow_output(
     found["least"] = float(_fitting(ground, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
-        tree = jax.tree.map(lambda a: a[best], stages)
+        tree = jax.device_put(jax.tree.map(lambda a: a[best], stages))
         tree = prune(
             tree, _rows_of(ground, output, p, y, method), oblique=method.oblique
         )
@@ -108,9 +111,17 @@ def grow_output(
     return ground.model(output, theta, shape, count, sparse=True), found
 
 
+def _number(value: float | int, dtype: np.dtype) -> Array:
+    return jax.device_put(np.asarray(value, dtype))
+
+
+def _weight(ground: Ground, output: int) -> Array:
+    return jax.device_put(np.asarray(ground.rows.weight)[output])
+
+
 def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method):
     """How local models are fitted, the same for every growth."""
-    number = functools.partial(jnp.asarray, dtype=p.dtype)
+    number = functools.partial(_number, dtype=p.dtype)
     picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
     least = picks or p.shape[0] if method.least is None else method.least
     return {
@@ -122,9 +133,9 @@ def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method)
 
 
 def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> Rows:
-    smoothness = jnp.asarray(method.smoothness, p.dtype)
+    smoothness = _number(method.smoothness, p.dtype)
     fitting = _fitting(ground, output, p, method)
-    return Rows(p, ground.z, y, ground.rows.weight[output], smoothness, **fitting)
+    return Rows(p, ground.z, y, _weight(ground, output), smoothness, **fitting)
 
 
 def _run(
@@ -136,9 +147,9 @@ def _run(
     begin,
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
-    number = functools.partial(jnp.asarray, dtype=p.dtype)
+    number = functools.partial(_number, dtype=p.dtype)
     common = _fitting(ground, output, p, method) | {"max_models": method.max_models}
-    data = p, ground.z, y, ground.rows.weight[output]
+    data = p, ground.z, y, _weight(ground, output)
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
         shape = {"oblique": method.oblique, "steps": method.steps}
@@ -152,8 +163,8 @@ def _run(
     )
 
     def validity(stage: int, slots: int) -> AbstractValidity:
-        low, high = boxes.low[stage, :slots], boxes.high[stage, :slots]
-        return validity_of_boxes(kind, low, high, method.k_sigma)
+        low, high = (np.asarray(a)[stage, :slots] for a in (boxes.low, boxes.high))
+        return _boxes(kind, low, high, k_sigma)
 
     return boxes, validity
 

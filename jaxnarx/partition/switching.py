@@ -9,12 +9,12 @@ back the output that acted, so that a change of models starts where the last one
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recurrence import free_run
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
@@ -131,7 +131,7 @@ def _held(
     return good
 
 
-@eqx.filter_jit
+@program
 def _run(
     networks: tuple[Network, ...],
     drives: list[Drive],

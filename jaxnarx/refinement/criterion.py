@@ -19,6 +19,7 @@ import math
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -103,7 +104,7 @@ class Criterion(eqx.Module):
 
 def squares(outputs: int, dtype) -> Criterion:
     """Plain least squares."""
-    one = jnp.ones(outputs, dtype)
+    one = jax.device_put(np.ones(outputs, dtype))
     return Criterion("squares", None, one, one)
 
 
@@ -139,7 +140,7 @@ def make_criterion(
             jnp.ones(len(power), measured.dtype),
         )
     spread = spread_of(rule, measured, scored)
-    bend = jnp.asarray((corner * spread).astype(measured.dtype))
+    bend = jax.device_put((corner * spread).astype(measured.dtype))
     return Criterion(loss, rule.power, rule.floor, bend), spread
 
 
@@ -149,7 +150,9 @@ def spread_of(
     scored: Bool[np.ndarray, "records time outputs"],
 ) -> Float[np.ndarray, " outputs"]:
     """Standard deviation of every transformed output; one where it rests."""
-    shown = np.asarray(rule.transformed(jnp.asarray(measured))[0])
+    shown = measured
+    if rule.power is not None:
+        shown = np.asarray(rule.transformed(jnp.asarray(measured))[0])
     counted = [shown[..., o][scored[..., o]] for o in range(shown.shape[-1])]
     spread = np.array([v.std() if v.size else 0.0 for v in counted], measured.dtype)
     return np.where(spread > 0, spread, 1.0).astype(measured.dtype)

@@ -8,11 +8,11 @@ by the measured samples the run started from, both obey the recursion of
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.models import Network, depth, folded
 from jaxnarx.refinement.layout import Layout
@@ -138,7 +138,7 @@ def coloured(shape: Float[Array, " order"], j, past):
     return end[:, 0], z[:, 0]
 
 
-@eqx.filter_jit
+@program
 def sums(
     network: Network,
     layout: Layout,
@@ -185,7 +185,7 @@ def sums(
     return found
 
 
-@eqx.filter_jit
+@program
 def variances(
     network: Network,
     layout: Layout,

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.arrays.programs import program, twin
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.refinement.initial import Initial
@@ -29,7 +30,9 @@ def freeze(
     """
     tree = jax.tree.map(lambda _: False, network)
     models = tuple(
-        _trained(model, coefficients, partition and bool(np.sum(model.active) > 1))
+        _trained(
+            model, coefficients, partition and int(np.asarray(model.active).sum()) > 1
+        )
         for model in network.models
     )
     return eqx.tree_at(lambda n: n.models, tree, models)
@@ -79,6 +82,11 @@ class Layout(eqx.Module):
     back: tuple[Float[Array, "models slots slots"], ...] | None = None
 
     @property
+    def nameless(self) -> "Layout":
+        """That of the network without names, for programs."""
+        return twin(self, base=self.base.nameless)
+
+    @property
     def parameters(self) -> int:
         """Number of the network's own parameters, which come first."""
         return self.low.shape[0] - (0 if self.initial is None else self.initial.size)
@@ -91,6 +99,7 @@ class Layout(eqx.Module):
             return measured
         return self.initial.begin(u[self.parameters :], measured)
 
+    @program
     def gather(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as a vector in solver coordinates."""
         p = self.flat(self._turned(network, jnp.linalg.inv))
@@ -101,7 +110,7 @@ class Layout(eqx.Module):
         share = jnp.where(bounded, share, 0.5)
         return jnp.where(bounded, jnp.log(share / (1 - share)), p)
 
-    @property
+    @program
     def wall(self) -> Float[Array, " params"]:
         """Largest useful magnitude of each coordinate: where a limit is EDGE away."""
         edge = jnp.log((1 - EDGE) / EDGE)
@@ -114,12 +123,18 @@ class Layout(eqx.Module):
         span = jnp.where(bounded, self.high - self.low, 1.0)
         return jnp.where(bounded, low + span * jax.nn.sigmoid(u), u)
 
+    @program
     def slope(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
         """Derivative of `physical`, entry by entry."""
         return jax.jvp(self.physical, (u,), (jnp.ones_like(u),))[1]
 
-    def place(self, u: Float[Array, " params"]) -> Network:
+    def place(self, u: Float[Array | np.ndarray, " params"]) -> Network:
         """The network with these parameters."""
+        return eqx.tree_at(_where, self.base, self._leaves(jax.device_put(u)))
+
+    @program
+    def _leaves(self, u: Float[Array, " params"]) -> list:
+        """What may be trained, with these parameters."""
         p = self.physical(u)
         new, start = [], 0
         for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
@@ -129,7 +144,8 @@ class Layout(eqx.Module):
                     start += leaf.size
                 else:
                     new.append(leaf)
-        return self._turned(eqx.tree_at(_where, self.base, new), lambda back: back)
+        placed = eqx.tree_at(_where, self.base, new)
+        return _where(self._turned(placed, lambda back: back))
 
     def _turned(self, network: Network, matrix: Callable[[Array], Array]) -> Network:
         """With the outputs' trained coefficients times a matrix made of `back`."""
@@ -225,20 +241,30 @@ def make_layout(
             "only coefficients and validity functions can be trained",
             field="trainable",
         )
-    limits = [m.validity.limits(width_band) for m in network.models]
+    more = 0 if initial is None else initial.size
+    low, high = _bounds(network, width_band, chosen, more)
+    back = _backs(network) if centred else None
+    return Layout(network, low, high, chosen, initial, back)
 
-    def bounds(side: int) -> Float[Array, " params"]:
-        sign = jnp.inf if side else -jnp.inf
+
+@program
+def _bounds(
+    network: Network,
+    width_band: tuple[float | int, float | int],
+    chosen: tuple[tuple[bool, ...], ...],
+    more: int,
+) -> list[Float[Array, " params"]]:
+    """Lower and upper limits of what is trained, and of so many offsets behind it."""
+    limits = [m.validity.limits(width_band) for m in network.models]
+    found = []
+    for side, sign in enumerate((-jnp.inf, jnp.inf)):
         pieces = [
             [jnp.full_like(m.local.coefficient, sign), *limit[side].parameters]
             for m, limit in zip(network.models, limits, strict=True)
         ]
         own = _concatenate(pieces, chosen)
-        more = 0 if initial is None else initial.size
-        return jnp.pad(own, (0, more), constant_values=sign)
-
-    back = _backs(network) if centred else None
-    return Layout(network, bounds(0), bounds(1), chosen, initial, back)
+        found.append(jnp.pad(own, (0, more), constant_values=sign))
+    return found
 
 
 def _backs(network: Network) -> tuple[Float[Array, "models slots slots"], ...] | None:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recurrence import (
     history_of,
     linear_recurrence,
@@ -42,7 +43,7 @@ cache.
 """
 
 
-@eqx.filter_jit
+@program
 def loss(
     layout: Layout,
     u: Float[Array, " params"],
@@ -214,7 +215,7 @@ def seen_history(
     return jax.vmap(one)(y, measured, anchor)
 
 
-@eqx.filter_jit
+@program
 def normal_equations(
     layout: Layout,
     u: Float[Array, " params"],

@@ -3,7 +3,7 @@
 import time as clock
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from jaxnarx.methods import PredictionError
@@ -70,7 +70,7 @@ class _Prediction:
         pull = self.method.ridge * np.diagonal(whole.gram)
         if prior is not None:
             # Weighed against the noise that least squares of all coefficients leaves.
-            slope = np.asarray(self.layout.slope(jnp.asarray(self.best)))
+            slope = np.asarray(self.layout.slope(jax.device_put(self.best)))
             noise = self.part.loss(p) / max(int(self.part.samples), 1)
             pull = pull + noise * (slope * prior) ** 2
         self.part.pull = pull[self.part.inner]
@@ -119,5 +119,5 @@ def refine_prediction(
         "end": NAMES[int(code(status))],
     }
     detail = f"one-step loss {search.start_score:.4g} -> {search.score:.4g}"
-    network = layout.place(jnp.asarray(search.best))
+    network = layout.place(search.best)
     return Solution(network, status, stats, detail)

@@ -5,10 +5,12 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.refinement.stability import (
@@ -79,18 +81,17 @@ def restraint(
     """The penalty in the norm that suits the network at `u`; None without weight."""
     if not weight:
         return None
-    network = layout.place(jnp.asarray(u))
+    network = layout.place(u)
     points = penalty_points(network, task.drive, task.masks)
     dtype = task.weight.dtype
     return Restraint(
         points,
         find_metric(network, points),
-        jnp.asarray(target, dtype),
-        jnp.asarray(weight, dtype),
+        *(jax.device_put(np.asarray(x, dtype)) for x in (target, weight)),
     )
 
 
-@eqx.filter_jit
+@program
 def _restrained(held: Restraint, layout: Layout, u: Float[Array, " params"]):
     return held(layout, u)
 
@@ -119,21 +120,23 @@ class Problem(AbstractProblem):
         )
         self.restraint = restraint
         self.still = still
-        self.wall = np.asarray(layout.wall)
+        self.wall = np.asarray(layout.wall())
 
     def loss(self, u: np.ndarray) -> float:
         layout, *rest = self.data
-        value = float(loss(layout, jnp.asarray(u), *rest))
+        at = jax.device_put(u)
+        value = float(loss(layout, at, *rest))
         if self.restraint is None:
             return value
-        return value + float(_restrained(self.restraint, layout, jnp.asarray(u)))
+        return value + float(_restrained(self.restraint, layout, at))
 
     def linear(self, u: np.ndarray) -> Linear:
         layout, *rest = self.data
-        value, gradient, gram = normal_equations(layout, jnp.asarray(u), *rest)
+        at = jax.device_put(u)
+        value, gradient, gram = normal_equations(layout, at, *rest)
         value, gradient, gram = float(value), np.array(gradient), np.array(gram)
         if self.restraint is not None:
-            more = self.restraint.linear(layout, jnp.asarray(u))
+            more = self.restraint.linear(layout, at)
             value += more.loss
             gradient += more.gradient
             gram += more.gram

@@ -17,6 +17,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays.programs import plain, program, twin
 from jaxnarx.refinement.normal import loss
 from jaxnarx.refinement.problem import Linear, Problem, Restraint
 from jaxnarx.solution import RESULTS
@@ -37,6 +38,11 @@ class Scaled(eqx.Module):
     height: Float[Array, ""]
     data: Any
     restraint: Restraint | None
+
+    @property
+    def nameless(self) -> "Scaled":
+        """That of the network without names, for programs."""
+        return twin(self, data=plain(self.data))
 
     def place(self, w: Float[Array, " params"]) -> Float[Array, " params"]:
         """Solver coordinates of the layout, inside its walls."""
@@ -80,7 +86,7 @@ def objective(w: Float[Array, " params"], s: Scaled):
     return value / s.height, None
 
 
-@eqx.filter_jit
+@program
 def trial(solver: optx.AbstractMinimiser, w, s: Scaled, inner):
     """One trial of the solver: where it stands, its state, and that in `u`."""
     with jax.numpy_dtype_promotion("standard"):

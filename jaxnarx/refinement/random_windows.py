@@ -10,13 +10,13 @@ import dataclasses
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.models import depth
 from jaxnarx.refinement.problem import Linear, Problem
 from jaxnarx.refinement.quasi_newton import Scaled, scaled
@@ -62,7 +62,7 @@ def batch_loss(
     return (value + s.penalties(u)) / s.height
 
 
-@eqx.filter_jit
+@program
 def updates(w, moments, s: Scaled, windows, share, key, rate, *, length, batch):
     """Several updates by Adam on fresh batches."""
     adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())

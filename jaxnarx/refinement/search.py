@@ -4,11 +4,13 @@ import time as clock
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
+from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.levenberg import Levenberg
 from jaxnarx.refinement.problem import Linear, Problem, restraint
@@ -16,7 +18,7 @@ from jaxnarx.refinement.quasi_newton import QuasiNewton
 from jaxnarx.refinement.random_windows import RandomWindows
 from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation import has_diverged, run
+from jaxnarx.simulation import Drive, has_diverged, run
 from jaxnarx.solution import NAMES, RESULTS, Solution, code
 
 ROUNDING = 1e-24
@@ -33,13 +35,14 @@ class Guard:
 
     def __call__(self, u: np.ndarray) -> tuple[bool, float]:
         """Whether any record diverges, and the loss."""
-        return self.network(self.layout.place(jnp.asarray(u)))
+        return self.network(self.layout.place(u))
 
     def network(self, network: Network) -> tuple[bool, float]:
         """The same for a network."""
         task = self.task
-        y = run(network, task.drive, task.anchors(None))
-        error = task.criterion(y, task.drive.measured, task.weight)
+        y, error = _judged(
+            network, task.drive, task.anchors(None), task.weight, task.criterion
+        )
         value = np.asarray(y)
         held = (value <= np.asarray(network.lower)) | (
             value >= np.asarray(network.upper)
@@ -52,6 +55,12 @@ class Guard:
         )
         score = float(error)
         return (bad, score) if np.isfinite(score) else (True, np.inf)
+
+
+@program
+def _judged(network: Network, drive: Drive, anchor, weight, criterion: Criterion):
+    y = run(network, drive, anchor)
+    return y, criterion(y, drive.measured, weight)
 
 
 class Search:
@@ -136,7 +145,7 @@ class Search:
             return pull
         # The noise's variance, in units of the loss, by what is left at the start.
         count = max(int(self.task.masks.scored.sum()), 1)
-        slope = np.asarray(self.layout.slope(jnp.asarray(u)))
+        slope = np.asarray(self.layout.slope(jax.device_put(u)))
         return pull + linear.loss / count * (slope * self.prior) ** 2
 
     def stage(self, u: np.ndarray, stage: Stage) -> tuple[np.ndarray, RESULTS]:
@@ -214,9 +223,7 @@ class Search:
         """The best network, and how it was found."""
         # Entries near their limits return a little off them: the start stays as it is.
         same = self.best is self.start
-        network = (
-            self.layout.base if same else self.layout.place(jnp.asarray(self.best))
-        )
+        network = self.layout.base if same else self.layout.place(self.best)
         detail = f"free-run loss {self.start_score:.4g} -> {self.score:.4g}"
         if self.diverged:
             status = RESULTS.start_diverged if self.start_diverged else status

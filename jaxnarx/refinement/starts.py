@@ -45,7 +45,7 @@ def random_start(
     Without a trained partition the coefficients are moved instead.
     """
     bounded = np.isfinite(np.asarray(layout.low))
-    wall = np.asarray(layout.wall)
+    wall = np.asarray(layout.wall())
     if bounded.any():
         moved = u + np.where(bounded, REACH * rng.normal(size=u.size), 0.0)
         moved = np.clip(moved, -wall, wall).astype(u.dtype)

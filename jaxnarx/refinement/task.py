@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -34,7 +34,7 @@ class Task:
             time = np.arange(anchor.shape[1])[None]
             every = (time - self.masks.start[:, None]) % horizon == 0
             anchor = anchor | (every & self.masks.anchors)
-        return jnp.asarray(anchor)
+        return jax.device_put(anchor)
 
     def only(self, records: Int[np.ndarray, " _"]) -> "Task":
         """The same task with weight on these records alone; shapes stay."""
@@ -43,14 +43,14 @@ class Task:
         total = np.asarray(self.weight).sum(axis=(0, 1))
         kept = weight.sum(axis=(0, 1))
         share = np.where(kept > 0, total / np.where(kept > 0, kept, 1.0), 0.0)
-        weight = jnp.asarray((weight * share).astype(self.weight.dtype))
+        weight = jax.device_put((weight * share).astype(self.weight.dtype))
         masks = dataclasses.replace(self.masks, scored=self.masks.scored & there)
         return dataclasses.replace(self, weight=weight, masks=masks)
 
     def one_step(self) -> "Task":
         """The same task, counting samples with a complete measured history alone."""
         ready = self.masks.anchors[:, :, None]
-        weight = jnp.where(ready, self.weight, 0.0)
+        weight = jax.device_put(np.where(ready, np.asarray(self.weight), 0.0))
         masks = dataclasses.replace(self.masks, scored=self.masks.scored & ready)
         return dataclasses.replace(self, weight=weight, masks=masks)
 
@@ -102,7 +102,7 @@ def make_task(
     total = share.sum(axis=(0, 1))
     total = np.where(total > 0, total, 1.0)
     weight = share / (total * spread**2 * len(spread))[None, None]
-    weight = jnp.asarray(weight.astype(spread.dtype))
+    weight = jax.device_put(weight.astype(spread.dtype))
     return Task(drive, masks, weight, criterion), spread
 
 

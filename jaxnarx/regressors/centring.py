@@ -136,7 +136,7 @@ class Centring:
         """Columns r of the terms at rows `v`, and T_in^-1."""
         back, table, weight = self.reduced(factor)
         z = self.centred(v)
-        r = evaluate(factor, z)
+        r = jnp.asarray(evaluate(factor, z))
         if len(table):
             r = r + jnp.asarray(weight, z.dtype) @ evaluate(table, z)
         return r, back

@@ -27,8 +27,8 @@ Filters = Sequence[AbstractFilter] | Mapping[str, Sequence[AbstractFilter]]
 
 def evaluate(
     factor: Int[Array, "terms degree"] | Int[np.ndarray, "terms degree"],
-    v: Float[Array, "vars *rows"],
-) -> Float[Array, "terms *rows"]:
+    v: Float[Array | np.ndarray, "vars *rows"],
+) -> Float[Array | np.ndarray, "terms *rows"]:
     """Values of polynomial terms, `v = [1, x_1 ... x_V]` at one sample or at many.
 
     The one evaluation of a regressor: design rows, simulation steps and derivatives are

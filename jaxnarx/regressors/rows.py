@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.sizes import bucket
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.data.dataset import Dataset
@@ -21,7 +22,8 @@ class Rows(eqx.Module):
     """Scaled lagged variables and targets of one-step prediction.
 
     `v` carries a leading row of ones; `weight` is zero where a target or a lag is
-    missing; `at` is the sample's place in `batch.flat`.
+    missing; `at` is the sample's place in `batch.flat`. The last row is repeated with
+    weight zero for all outputs up to a size that programs are made for.
     """
 
     v: Float[Array, "vars rows"]
@@ -30,6 +32,11 @@ class Rows(eqx.Module):
     at: Int[np.ndarray, " rows"]
     batch: Batch
     gain: Float[np.ndarray, " signals"]
+
+    @property
+    def count(self) -> int:
+        """Rows that are not padding; host only."""
+        return int(np.count_nonzero(np.any(np.asarray(self.weight) > 0, axis=0)))
 
     def of_lanes(self, lanes: slice) -> "Rows":
         """The same rows for some of the outputs."""
@@ -49,11 +56,13 @@ def regression_rows(
     need: int = 1,
     weights: list[Float[np.ndarray, " _"]] | None = None,
     gain: Float[np.ndarray, " signals"] | None = None,
+    exact: bool = False,
 ) -> Rows:
     """Rows of all records after `history` samples; windows never cross a border.
 
     `need` is the number of usable rows the caller cannot do without: fewer raise
-    `DataError`. `weights` holds one non-negative weight per sample and record.
+    `DataError`. `weights` holds one non-negative weight per sample and record. With
+    `exact` no row is padding, for those who compile nothing.
     """
     batch = stack(data)
     inputs = len(data.channels.inputs)
@@ -65,13 +74,17 @@ def regression_rows(
         counted &= positive.reshape(good.shape)[:, :, None]
     enough(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
+    rows = len(at)
+    at = np.pad(at, (0, 0 if exact else bucket(rows) - rows), mode="edge")
     gain = gains(data) if gain is None else gain
     weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T
     weight = weight.astype(gain.dtype)
+    weight[:, rows:] = 0.0
     if weights is not None:
         weight = weight * flat_weights(weights, data, good.shape[1])[at][None]
     v = row_columns(batch, at, variables, data.sample_time, gain=gain, ones=1)
-    y = np.asarray(batch.flat)[at[:, None], targets[None]] / gain[targets][None]
+    flat = np.asarray(batch.signals).reshape(-1, len(data.channels.all))
+    y = flat[at[:, None], targets[None]] / gain[targets][None]
     # device_put takes the memory over where it can; jnp.asarray would copy it.
     v, y, weight = jax.device_put((v, y.T, weight))
     return Rows(v, y, weight, at, batch, gain)

@@ -125,7 +125,9 @@ def _triangle(
         filters=low_pass_bank(grid),
     )
     need = len(pool.variables) + 2
-    rows = regression_rows(data, pool.variables, pool.outputs, history=0, need=need)
+    rows = regression_rows(
+        data, pool.variables, pool.outputs, history=0, need=need, exact=True
+    )
     columns = np.concatenate([np.asarray(rows.v), np.asarray(rows.y)]).astype(float)
     r = np.zeros((0, len(columns)))
     for start in range(0, columns.shape[1], BLOCK):

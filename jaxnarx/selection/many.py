@@ -44,7 +44,7 @@ def select_weighted(
     rows = regression_rows(
         data, pool.variables, pool.outputs, history=history, need=size + 1
     )
-    longest = max(len(r) for r in data)
+    longest = rows.batch.signals.shape[1]
     outputs = len(pool.outputs)
     width = max(int(MEMORY / (8 * size * rows.v.shape[1] * outputs)), 1)
     usable = usable_terms(pool, passed_over)

@@ -31,9 +31,10 @@ def own_choice(
     require_room(
         len(places), rows, "method", "narrow the pool first, with ForwardOLS or Anova"
     )
-    columns = np.asarray(evaluate(pool.factor[places], rows.v))
+    columns = np.asarray(evaluate(pool.factor[places], rows.v))[:, : rows.count]
     names = [pool.channels.output_names[o] for o in pool.outputs]
-    lanes = zip(names, np.asarray(rows.y), np.asarray(rows.weight), strict=True)
+    y, weight = (np.asarray(a)[:, : rows.count] for a in (rows.y, rows.weight))
+    lanes = zip(names, y, weight, strict=True)
     return [
         places[_checked(method(columns, y, w), len(places), n)].tolist()
         for n, y, w in lanes

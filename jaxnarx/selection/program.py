@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import scipy.special
 from jaxtyping import Bool, Int
@@ -139,25 +139,26 @@ def plan(
     slots = max(slots, *(len(s) for s in starts))
     candidates = int(stages.any(axis=0).sum())
     levels = _levels(method, candidates, samples, slots)
-    number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
     kept = np.zeros(len(pool), bool)
     kept[keep] = True
     forward = isinstance(method, ForwardOLS)
-    program = Program(
-        stages=jnp.asarray(stages),
-        limits=jnp.asarray(limits),
-        keep=jnp.asarray(kept),
-        rho=number(method.rho if isinstance(method, ForwardOLS) else 0.0),
-        tau=number(method.tau),
-        tau_absolute=number(
-            method.tau_absolute if isinstance(method, ForwardOLS) else 0.0
-        ),
-        f_in=number(levels[0]),
-        f_out=number(levels[1]),
-        f_last=number(levels[2]),
-        rounds=jnp.asarray(ROUNDS if _enters_anew(method) else 0),
-        parents=None if parents is None else jnp.asarray(parents),
-    )
+    numbers = {
+        "rho": method.rho if isinstance(method, ForwardOLS) else 0.0,
+        "tau": method.tau,
+        "tau_absolute": method.tau_absolute if isinstance(method, ForwardOLS) else 0.0,
+        "f_in": levels[0],
+        "f_out": levels[1],
+        "f_last": levels[2],
+    }
+    arrays = {
+        "stages": stages,
+        "limits": np.asarray(limits),
+        "keep": kept,
+        "rounds": np.asarray(ROUNDS if _enters_anew(method) else 0),
+        "parents": parents,
+    }
+    arrays |= {name: np.asarray(x, dtype) for name, x in numbers.items()}
+    program = Program(**jax.device_put(arrays))
     width = max(len(s) for s in starts)
     table = np.array([s + [0] * (width - len(s)) for s in starts], np.int64)
     return Plan(

@@ -226,7 +226,7 @@ def choose_terms(
     product has no share of its parts, and takes in a product after its parts; the terms
     and their coefficients are those of the pool all the same.
     """
-    samples = int(np.asarray((rows.weight > 0).sum(axis=1)).min())
+    samples = int((np.asarray(rows.weight) > 0).sum(axis=1).min())
     v, y, factor, parents, target = rows.v, rows.y, pool.factor, None, None
     centre = rows.centring(pool.variables)
     if centre is not None:
@@ -306,20 +306,17 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
         y = y - target
         back = jnp.asarray(back, columns.dtype)[None]
     ones = jnp.ones((1, columns.shape[1]), columns.dtype)
-    number = jnp.asarray(0.0, columns.dtype)
     size = len(terms)
-    nothing = Program(
-        stages=jnp.zeros((1, size), bool),
-        limits=jnp.zeros(1, int),
-        keep=jnp.zeros(size, bool),
-        rho=number - 1.0,
-        tau=jnp.asarray(1e-24, columns.dtype),
-        tau_absolute=number,
-        f_in=number,
-        f_out=number,
-        f_last=number,
-        rounds=jnp.asarray(0),
-    )
+    zeros = dict.fromkeys(("tau_absolute", "f_in", "f_out", "f_last"), 0.0)
+    numbers = zeros | {"rho": -1.0, "tau": 1e-24}
+    arrays = {
+        "stages": np.zeros((1, size), bool),
+        "limits": np.zeros(1, int),
+        "keep": np.zeros(size, bool),
+        "rounds": np.asarray(0),
+    }
+    arrays |= {name: np.asarray(x, columns.dtype) for name, x in numbers.items()}
+    nothing = Program(**jax.device_put(arrays))
     made = Plan(
         nothing,
         start=np.arange(size)[None],

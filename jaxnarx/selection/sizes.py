@@ -50,6 +50,7 @@ def largest_variance(
         pool.outputs,
         history=pool.variables.longest,
         gain=selection.gain,
+        exact=True,
     )
     root = np.sqrt(np.asarray(rows.weight[output]))
     samples = int(np.count_nonzero(root))

@@ -5,6 +5,7 @@ from functools import cache
 
 import common
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import oracles
@@ -233,11 +234,12 @@ def test_poles_and_contraction_are_those_of_the_whole_state():
     assert every.shape[2] == 1 + 3
     points = points_of(net, drive, masks, count=6, outputs=every)
     slopes, h = jacobians(net, points), 1e-6
+    v, x = jax.device_put((points.v, points.x))
     for i, d in np.ndindex(4, 2):
         to = np.zeros((1, 4, 2))
         to[0, i, d] = h
         one, two = (
-            np.asarray(advance(net, points.v, points.x, jnp.moveaxis(past, 0, -1)))
+            np.asarray(advance(net, v, x, jnp.moveaxis(past, 0, -1)))
             for past in (points.history + to, points.history - to)
         )
         expected = (one - two).T / (2 * h)

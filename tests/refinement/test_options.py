@@ -270,7 +270,7 @@ def test_random_starts_differ_and_stay_inside():
     layout = make_layout(net, None, BAND)
     u, rng = np.asarray(layout.gather(net)), np.random.default_rng(0)
     ends = [random_start(layout, task, u, rng) for _ in range(2)]
-    assert np.all(np.abs(ends[0]) <= np.asarray(layout.wall))
+    assert np.all(np.abs(ends[0]) <= np.asarray(layout.wall()))
     assert np.abs(ends[0] - ends[1]).max() > 0.1
 
 

@@ -141,7 +141,7 @@ def test_windows_restart_at_measured_histories_only():
     anchor = np.asarray(task.anchors(6))
     # From sample 2 every sixth, except where one of two lags is missing.
     expected = [n for n in range(2, 60, 6) if not 21 <= n <= 25]
-    assert np.flatnonzero(anchor[0]).tolist() == expected
+    assert np.flatnonzero(anchor[0][:60]).tolist() == expected
     # A free run has one start; what follows a record's end does not matter.
     free = np.asarray(task.anchors(None))
     assert np.flatnonzero(free[1][:45]).tolist() == [2]

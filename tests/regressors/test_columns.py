@@ -7,7 +7,7 @@ import numpy as np
 import oracles
 import pytest
 import scipy.signal
-from common import A, B, W, Y
+from common import TIME, A, B, W, Y
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import stack
@@ -73,7 +73,7 @@ def rows(data):
 def test_rows_are_the_filtered_signals_of_their_record(data, rows):
     # Missing values of a `Record` are held at the last valid one, the next at the
     # beginning: what the filters do as well.
-    wanted = np.full((5, 3, 60), np.nan)
+    wanted = np.full((5, 3, TIME), np.nan)
     for n, record in enumerate(data):
         wanted[:, n, : len(record)] = expected(record)
     wanted = wanted.reshape(5, -1)[:, rows.at]
@@ -103,9 +103,9 @@ def test_unfiltered_rows_are_the_oracles(data):
     wanted, start = [], 0
     for n, record in enumerate(data):
         x, _ = oracles.lagged(common.rows_of(data, n) / gains(data), variables.rows)
-        at = found.at[(found.at >= start) & (found.at < start + 60)] - start
+        at = found.at[(found.at >= start) & (found.at < start + TIME)] - start
         wanted.append(x[at])
-        start += 60
+        start += TIME
         assert at.max() < len(record)
     np.testing.assert_array_equal(found.v[1:], np.concatenate(wanted).T)
 
@@ -127,7 +127,7 @@ def test_one_record_in_a_trace_is_the_same_as_rows(data, columns):
     for n in range(3):
         at = np.flatnonzero(batch.valid[n].all(axis=1))[3:]
         one = np.asarray(columns(batch.signals[n], batch.valid[n]))[:, at]
-        many = row_columns(batch, at + 60 * n, TABLE, 0.1)
+        many = row_columns(batch, at + TIME * n, TABLE, 0.1)
         np.testing.assert_allclose(one, many, rtol=1e-12, atol=1e-14)
 
 
@@ -143,8 +143,8 @@ def test_the_columns_are_linear_and_do_not_depend_on_what_is_missing(data, colum
 
 def test_the_order_of_records_does_not_matter(data, rows):
     turned = regression_rows(data[[2, 0, 1]], TABLE, (0,), history=3)
-    # records 0, 1, 2 now begin at 60, 120 and 0
-    place = (np.array([60, 120, 0])[rows.at // 60]) + rows.at % 60
+    # records 0, 1, 2 are now the second, the third and the first
+    place = TIME * np.array([1, 2, 0])[rows.at // TIME] + rows.at % TIME
     at = np.searchsorted(turned.at, place)
     np.testing.assert_array_equal(turned.at[at], place)
     np.testing.assert_allclose(np.asarray(turned.v)[:, at], rows.v, rtol=1e-12)

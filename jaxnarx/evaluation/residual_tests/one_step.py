@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float, Int
@@ -14,7 +13,7 @@ from jaxnarx.data.batch import Batch
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.evaluation.residual_tests.fits import Fit, global_fit, local_fit, no_fit
 from jaxnarx.evaluation.residual_tests.residual import Residual, make_residual
-from jaxnarx.models import Network, OutputModel, scheduling_values
+from jaxnarx.models import Network, OutputModel, weights_at
 from jaxnarx.regressors import evaluate, row_columns
 
 ROWS, FEWEST = 20_000, 4_000
@@ -108,10 +107,9 @@ def columns(
     time = float(network.sample_time)
     gain = np.asarray(network.gain)
     v = row_columns(batch, at, network.variables, time, gain=gain, ones=1)
-    p = np.asarray(evaluate(model.local.factor, jnp.asarray(v)), float)
+    p = np.asarray(evaluate(np.asarray(model.local.factor), v), float)
     x = row_columns(batch, at, model.scheduling, time)
-    phi = model.validity(scheduling_values(model, jnp.asarray(x)), model.active)
-    return p, np.asarray(phi, float)[np.asarray(model.active)]
+    return p, weights_at(model, x.T)
 
 
 def slots(model: OutputModel) -> list[Int[np.ndarray, " used"]]:
@@ -199,6 +197,6 @@ def usable_inputs(
 ) -> tuple[Float[np.ndarray, "records time"], Bool[np.ndarray, "records time"]]:
     """A signal over the power of two at its size, zero where missing; where known."""
     known = np.asarray(batch.valid[..., signal])
-    values = np.asarray(batch.signals[..., signal], float)
+    values = np.asarray(np.asarray(batch.signals)[..., signal], float)
     values = np.where(known, values, 0.0)
     return values / unit_of(values.ravel()), known

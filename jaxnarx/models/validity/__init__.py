@@ -3,7 +3,7 @@
 import dataclasses
 
 from jaxnarx.errors import SpecError
-from jaxnarx.models.validity.abstract import EDGE, AbstractValidity
+from jaxnarx.models.validity.abstract import EDGE, AbstractValidity, weights_of
 from jaxnarx.models.validity.boxes import Boxes
 from jaxnarx.models.validity.compact import Compact
 from jaxnarx.models.validity.gaussians import Gaussians
@@ -53,4 +53,5 @@ __all__ = [
     "LogSigmoids",
     "SigmoidTree",
     "register_validity",
+    "weights_of",
 ]

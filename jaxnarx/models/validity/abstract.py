@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+from jaxnarx.arrays.sizes import bucket
 
 EDGE = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""
@@ -64,6 +67,23 @@ class AbstractValidity(eqx.Module):
     def replaced(self, values: Sequence[Array]) -> "AbstractValidity":
         """With these values of the trained fields."""
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
+
+
+@eqx.filter_jit
+def _called(validity: AbstractValidity, z, active):
+    return validity(z, active)
+
+
+def weights_of(
+    validity: AbstractValidity,
+    z: Float[np.ndarray, "dims points"],
+    active: Bool[Array, " models"] | Bool[np.ndarray, " models"],
+) -> Float[np.ndarray, "models points"]:
+    """Values at scaled points, on the host, by one program for many sizes; float64."""
+    points = z.shape[1]
+    rounded = np.zeros((len(z), bucket(points)), jax.tree.leaves(validity)[0].dtype)
+    rounded[:, :points] = z
+    return np.asarray(_called(validity, rounded, active), float)[:, :points]
 
 
 def column(values: Array, rows: int) -> Array:

@@ -7,11 +7,11 @@ any two histories of the box is a mean of such A along their connection, so it l
 the interval too.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.models import Network, collapse, collapses, depth, fed_back
 from jaxnarx.models.feedback import monomials
 from jaxnarx.refinement.stability.points import Points, chunked
@@ -50,7 +50,7 @@ def _slopes(
     return low, high
 
 
-@eqx.filter_jit
+@program
 def _collapse(network: Network, v, x, history):
     del history
     return jnp.moveaxis(collapse(network, v, x), -1, 0)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.models import Network, general_step
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.stability.norm import contracting_norm
@@ -117,7 +118,7 @@ def penalty_residuals(
     return jnp.concatenate(out)
 
 
-@eqx.filter_jit
+@program
 def penalty(
     layout: Layout,
     u: Float[Array, " params"],

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError
 from jaxnarx.models import Network, depth, sources
 from jaxnarx.refinement.normal import linearised
@@ -27,9 +28,9 @@ class Points(eqx.Module):
     seen, newest first, scaled. `record` and `step` say where the samples come from.
     """
 
-    v: Float[Array, "vars points"]
-    x: tuple[Float[Array, "_ points"], ...]
-    history: Float[Array, "points outputs depth"]
+    v: Float[Array | np.ndarray, "vars points"]
+    x: tuple[Float[Array | np.ndarray, "_ points"], ...]
+    history: Float[Array | np.ndarray, "points outputs depth"]
     record: Int[np.ndarray, " points"]
     step: Int[np.ndarray, " points"]
 
@@ -82,11 +83,11 @@ def points_of(
     lag = np.arange(depth(network))[None]
     history = np.swapaxes(y[record[:, None], step[:, None] - 1 - lag], 1, 2)
 
-    def columns(a: Float[Array, "records rows time"]) -> Float[Array, "rows points"]:
-        return jnp.asarray(np.asarray(a)[record, :, step].T)
+    def columns(a: Float[Array, "records rows time"]) -> np.ndarray:
+        return np.asarray(a)[record, :, step].T
 
     x = tuple(columns(x) for x in drive.x)
-    return Points(columns(drive.v), x, jnp.asarray(history), record, step)
+    return Points(columns(drive.v), x, history, record, step)
 
 
 def chunked(f, points: Points, *, axis: int) -> np.ndarray:
@@ -100,7 +101,7 @@ def chunked(f, points: Points, *, axis: int) -> np.ndarray:
     return np.concatenate(out, axis=axis)
 
 
-@eqx.filter_jit
+@program
 def _jacobians(network: Network, v, x, history):
     own = jnp.ones((history.shape[0], history.shape[2]), bool)
     return linearised(unlimited(network), v, x, history, own)[0]

@@ -6,11 +6,11 @@ past; what other outputs feed into it counts as an input.
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.models import Network, fed_back, scheduling_values
 from jaxnarx.refinement.stability.points import (
     Points,
@@ -57,7 +57,7 @@ def time_constant(modulus: float) -> float:
     return -1 / float(np.log(modulus)) if modulus > 0 else 0.0
 
 
-@eqx.filter_jit
+@program
 def _local(network: Network, v, x, history, *, output: int):
     """Slopes of every local model by its own output's lags, and its validity."""
     model, factor = network.models[output], network.models[output].local.factor

@@ -129,8 +129,9 @@ def _row_weights(ground: Ground, part: Part) -> Float[np.ndarray, "records time"
     """Weights of the rows, at their places in the padded records."""
     longest = ground.rows.batch.signals.shape[1]
     weight = np.zeros(part.anchors.shape, ground.rows.gain.dtype)
-    record, time = np.divmod(ground.rows.at, longest)
-    weight[record, time] = np.asarray(ground.rows.weight[0])
+    rows = ground.rows.count
+    record, time = np.divmod(ground.rows.at[:rows], longest)
+    weight[record, time] = np.asarray(ground.rows.weight[0])[:rows]
     return weight
 
 

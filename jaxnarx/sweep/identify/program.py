@@ -190,7 +190,7 @@ def _scattered(
     key = jax.random.fold_in(jax.random.key(settings.seed), 1)
     noise = scatter * jax.random.normal(key, u.shape, u.dtype)
     moved = jnp.where(jnp.isfinite(layout.low), u + noise, u)
-    placed = layout.place(jnp.clip(moved, -layout.wall, layout.wall))
+    placed = layout.place(jnp.clip(moved, -layout.wall(), layout.wall()))
     model = placed.models[0]
     theta = fitted(rows, model.validity, model.active, settings)
     placed = eqx.tree_at(lambda n: n.models[0].local.coefficient, placed, theta)

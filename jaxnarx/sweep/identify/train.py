@@ -324,6 +324,6 @@ def _damped(
     """Where a damped step leads; not finite where the equations have no solution."""
     slope = s.gradient + s.pull * (s.u - s.origin)
     delta = -cholesky_solve(s.gram + jnp.diag(s.pull), slope, damping, least=0.0)
-    wall = layout.wall
+    wall = layout.wall()
     reach = jnp.where(jnp.isfinite(wall), REACH, jnp.inf)
     return jnp.clip(s.u + jnp.clip(delta, -reach, reach), -wall, wall)

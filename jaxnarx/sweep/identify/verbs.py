@@ -7,11 +7,11 @@ included; rows, statuses and scores are those of the program.
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import (
@@ -232,7 +232,7 @@ def _outcome(
     return Outcome(chosen=own, validity=model.validity, scores=scores, **arrays[1])
 
 
-@eqx.filter_jit
+@program
 def _both(network: Network, part: Part) -> Score:
     drive = drive_of(network, jnp.asarray(part.signals), jnp.asarray(part.valid))
     modes = [score(network, drive, part, jnp.asarray(free)) for free in (False, True)]
