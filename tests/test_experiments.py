@@ -277,3 +277,14 @@ def test_before_and_after(tmp_path):
         # Without another checkout both are this one.
         assert row["before"] > 0 and row["after"] > 0
         assert_target(row["ratio"])
+
+
+@pytest.mark.slow
+def test_compilations_are_counted(tmp_path):
+    found = run("compilations.py", results=tmp_path)["compilations"]
+    programs = found["after"]["programs"]
+    assert programs["first"] > 0 and programs["one more lag"] > 0
+    assert programs["same"] == programs["one more sample"] == programs["renamed"] == 0
+    assert 0 < found["after"]["command"]["warm"] < found["after"]["command"]["cold"]
+    for aim in found["aims"].values():
+        assert_target(aim)

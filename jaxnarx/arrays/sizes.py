@@ -2,16 +2,18 @@
 
 LEAST = 32
 """Smallest step between sizes."""
-SHARE = 16
-"""A size is rounded up by less than one part in so many, or by less than `LEAST`."""
+SMALL, COARSE, FINE = 1024, 2, 16
+"""Up to `SMALL` there are two sizes an octave, for there compilation costs more than
+any run; beyond it 16."""
 
 
 def bucket(size: int) -> int:
     """The size rounded up to the next one that programs are made for.
 
     A compiled program fits one size of arrays. What is added has weight zero and no
-    effect, so that a sample more compiles nothing anew: 600 gives 608, 1,800 gives
-    1,856, and 100,000 gives 102,400.
+    effect, so that a sample more compiles nothing anew: 400 and 480 give 512, 1,800
+    gives 1,856, and 100,000 gives 102,400.
     """
-    step = max(1 << max(size // SHARE, 1).bit_length() - 1, LEAST)
+    octave = 1 << max(size, 1).bit_length() - 1
+    step = max(octave // (COARSE if size <= SMALL else FINE), LEAST)
     return -(-size // step) * step

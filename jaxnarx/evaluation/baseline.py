@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 
 from jaxnarx.arrays.windows import usable
@@ -56,7 +55,7 @@ def _runs(
     lags = [lag for s, lag, f in entries if s == signal and f is None]
     known = [e for e in entries if e[0] not in network.signals]
     table = Variables.of([*known, *((signal, lag, None) for lag in lags)])
-    y = np.asarray(train.signals[..., signal])
+    y = np.asarray(train.signals)[..., signal]
     good = usable(train.valid, tables(network), network.history)
     at = np.flatnonzero(good & train.valid[..., signal])
     x = row_columns(train, at, table, step, ones=1).T
@@ -82,12 +81,14 @@ def _run(
     bounds: tuple[float, float],
 ) -> Samples:
     """One record: from the samples the network's own run started from."""
+    from scipy.signal import lfilter, lfiltic  # takes longer to load than it runs
+
     y = one.measured[:, 0].copy()
     start = int(np.argmax(one.scored)) if one.scored.any() else len(y)
     with np.errstate(over="ignore", invalid="ignore"):
         before = y[:start][::-1]
-        state = scipy.signal.lfiltic([1.0], recursion, before)
-        y[start:] = scipy.signal.lfilter([1.0], recursion, drive[start:], zi=state)[0]
+        state = lfiltic([1.0], recursion, before)
+        y[start:] = lfilter([1.0], recursion, drive[start:], zi=state)[0]
     held = ~((y > bounds[0]) & (y < bounds[1]))[:, None]
     held[:start] = False
     return dataclasses.replace(

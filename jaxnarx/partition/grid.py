@@ -49,7 +49,7 @@ def fitted(
     coefficients of the global model.
     """
     phi = validity(ground.z, jnp.arange(capacity(validity)) < count)[:count]
-    weight = ground.rows.weight[output]
+    weight = ground.weight(output)
     mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))
     p, y = ground.columns(output)
     ridge = jnp.asarray(method.ridge, p.dtype)

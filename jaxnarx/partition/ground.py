@@ -97,6 +97,10 @@ class Ground:
         """Texts of the scheduling variables."""
         return variable_names(self.pool.channels, self.scheduling)
 
+    def weight(self, output: int) -> Float[Array, " rows"]:
+        """Weights of the rows for an output."""
+        return jax.device_put(np.asarray(self.rows.weight)[output])
+
     def samples(self, output: int) -> float:
         """Rows that count for an output."""
         return float(np.sum(np.asarray(self.rows.weight)[output] > 0))

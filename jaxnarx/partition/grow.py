@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxnarx.arrays.least_squares import least_squares
@@ -24,6 +25,8 @@ from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
+
+_least_squares = jax.jit(least_squares)
 
 Method = Given | Global | Grid | Lolimot | SigmoidTree
 
@@ -121,10 +124,10 @@ def _assembled(ground: Ground, models: list[OutputModel]) -> Network:
 
 
 def _grow_global(ground: Ground) -> Solution[Network]:
-    rows, factors = ground.rows, ground.factors
+    factors = ground.factors
     models, ranks, conds = [], [], []
     for o, factor in enumerate(factors):
-        psi, rank, cond = least_squares(*ground.columns(o), rows.weight[o])
+        psi, rank, cond = _least_squares(*ground.columns(o), ground.weight(o))
         models.append(global_model(factor, ground.coefficients(o, psi)))
         ranks.append(int(rank))
         conds.append(float(cond))

@@ -115,10 +115,6 @@ def _number(value: float | int, dtype: np.dtype) -> Array:
     return jax.device_put(np.asarray(value, dtype))
 
 
-def _weight(ground: Ground, output: int) -> Array:
-    return jax.device_put(np.asarray(ground.rows.weight)[output])
-
-
 def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method):
     """How local models are fitted, the same for every growth."""
     number = functools.partial(_number, dtype=p.dtype)
@@ -135,7 +131,7 @@ def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method)
 def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> Rows:
     smoothness = _number(method.smoothness, p.dtype)
     fitting = _fitting(ground, output, p, method)
-    return Rows(p, ground.z, y, _weight(ground, output), smoothness, **fitting)
+    return Rows(p, ground.z, y, ground.weight(output), smoothness, **fitting)
 
 
 def _run(
@@ -149,7 +145,7 @@ def _run(
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(_number, dtype=p.dtype)
     common = _fitting(ground, output, p, method) | {"max_models": method.max_models}
-    data = p, ground.z, y, _weight(ground, output)
+    data = p, ground.z, y, ground.weight(output)
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
         shape = {"oblique": method.oblique, "steps": method.steps}

@@ -14,8 +14,6 @@ from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.levenberg import Levenberg
 from jaxnarx.refinement.problem import Linear, Problem, restraint
-from jaxnarx.refinement.quasi_newton import QuasiNewton
-from jaxnarx.refinement.random_windows import RandomWindows
 from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import Drive, has_diverged, run
@@ -129,7 +127,11 @@ class Search:
         if method.solver == "levenberg":
             return Levenberg(problem)
         if method.solver != "windows":
+            from jaxnarx.refinement.quasi_newton import QuasiNewton
+
             return QuasiNewton(problem, limited_memory=method.solver == "lbfgs")
+        from jaxnarx.refinement.random_windows import RandomWindows
+
         return RandomWindows(
             problem,
             horizon or self.task.longest,

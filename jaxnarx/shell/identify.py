@@ -215,10 +215,10 @@ def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
     _tell(grown)
     for name, model in zip(plan.outputs, grown.value.models, strict=True):
         terms = count(model.local.index.shape[1], "term")
-        of = "of" if model.local.used.all() else "of up to"
+        of = "of" if np.asarray(model.local.used).all() else "of up to"
         own = 0 if model.own is None else int(model.own.sum())
         fed = f", {own} with feedback of their own" if own else ""
-        models = count(int(model.active.sum()), "local model")
+        models = count(int(np.asarray(model.active).sum()), "local model")
         say(f"{name}: {models} {of} {terms}{fed}")
     say("Refining on the free run")
     with refinement_progress() as progress:

@@ -52,6 +52,9 @@ def _configure() -> None:
 
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache")
     jax.config.update("jax_enable_x64", True)
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        # Small programs are many: together they take longer than the large ones.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         return
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -61,7 +64,6 @@ def _configure() -> None:
     except OSError:
         return
     jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def _check(command: commands.Check) -> int:
