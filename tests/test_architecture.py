@@ -157,6 +157,24 @@ def test_the_rule_catches_what_it_should():
     assert allowed("jaxnarx.engines.engine", "jaxnarx.data")
 
 
+def drives(path: Path) -> bool:
+    """Whether a module takes steps of a search itself: `state, status = s.step(state)`."""
+    return any(
+        isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Tuple)
+        and len(node.targets[0].elts) == 2
+        and isinstance(node.value, ast.Call)
+        and isinstance(node.value.func, ast.Attribute)
+        and node.value.func.attr == "step"
+        for node in ast.walk(ast.parse(path.read_text()))
+    )
+
+
+def test_searches_on_the_host_have_one_driver():
+    known = modules()
+    assert {m for m in known if drives(known[m])} == {"jaxnarx.arrays.minimise"}
+
+
 def loaded(statement: str) -> set[str]:
     """Top-level modules that a fresh interpreter has loaded after `statement`."""
     code = f"{statement}\nimport sys\nprint(*{{m.split('.')[0] for m in sys.modules}})"

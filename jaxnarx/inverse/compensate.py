@@ -1,11 +1,9 @@
 """The verb `compensate`: train an inverse on the tracking error of its cascade."""
 
-import time as clock
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
+from jaxnarx.arrays.levenberg import Levenberg, State
+from jaxnarx.arrays.minimise import Course, Progress, minimise
 from jaxnarx.data import Dataset
 from jaxnarx.inverse.loop import Loop, connect
 from jaxnarx.inverse.task import CascadeTask, make_task, spreads
@@ -13,10 +11,7 @@ from jaxnarx.inverse.tracking_problem import TrackingProblem, tracking_problem
 from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
 from jaxnarx.models import Network
 from jaxnarx.refinement.layout import Layout, make_layout
-from jaxnarx.refinement.levenberg import Levenberg
-from jaxnarx.solution import NAMES, RESULTS, Solution, code
-
-Progress = Callable[[dict[str, Any]], None]
+from jaxnarx.solution import RESULTS, Solution
 
 
 def compensate(
@@ -72,16 +67,12 @@ class _Search:
         method: TrackingError,
         progress: Progress | None,
     ):
-        self.loop, self.layout, self.task = loop, layout, task
-        self.method, self.progress = method, progress
+        self.loop, self.layout, self.task, self.method = loop, layout, task, method
         self.spread = spreads(loop, task)
-        self.judge = self._problem(guard, None)
-        self.begin = clock.perf_counter()
-        self.best = np.asarray(layout.gather(layout.base))
-        self.score = self.start_score = self.judge.loss(self.best)
-        self.start_tracking = self.judge.tracking(self.best)
-        self.since = 0
-        self.history: list[dict[str, Any]] = []
+        self.guard = self._problem(guard, None)
+        start = np.asarray(layout.gather(layout.base))
+        self.course = Course(self.guard.loss, start, progress)
+        self.start_tracking = self.guard.tracking(start)
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
         return tracking_problem(
@@ -90,14 +81,15 @@ class _Search:
 
     def solve(self) -> Solution[Network]:
         """Stages of growing windows, then whole records."""
-        u, longest = self.best, int(self.task.scored.any(axis=2).sum(axis=1).max())
+        u, scored = self.course.best, self.task.scored
+        longest = int(scored.any(axis=2).sum(axis=1).max())
         for horizon in self.method.horizons:
             if horizon < longest:
                 u, _ = self._stage(u, horizon, self.method.window_steps)
-        problem = self._problem(self.task, None)
+        problem, best = self._problem(self.task, None), self.course.best
         # Windows may end where the whole record does not hold.
-        if self.method.horizons and problem.loss(self.best) < problem.loss(u):
-            u = self.best
+        if self.method.horizons and problem.loss(best) < problem.loss(u):
+            u = best
         return self._solution(self._stage(u, None, self.method.max_steps)[1])
 
     def _stage(
@@ -105,55 +97,31 @@ class _Search:
     ) -> tuple[np.ndarray, RESULTS]:
         problem = self._problem(self.task, horizon)
         solver, linear = Levenberg(problem), problem.linear(u)
-        state = solver.init(u, linear, self.method.ridge * np.diagonal(linear.gram))
-        small = self.since = 0
-        for _ in range(steps):
-            state, status = solver.step(state)
-            if status != RESULTS.ok:
-                if status == RESULTS.stalled and solver.arrived(state):
-                    status = RESULTS.ok
-                return state.u, status
-            self._offer(state, horizon)
-            small = small + 1 if state.gain < self.method.tolerance else 0
-            if small >= 2:
-                return state.u, RESULTS.ok
-            if horizon is None and self.since >= self.method.patience:
-                return state.u, RESULTS.no_improvement
-        return state.u, RESULTS.budget_spent
+        self.course.since = 0
 
-    def _offer(self, state, horizon: int | None) -> None:
-        """Keep the state if its validation is the best so far, and note it."""
-        score = self.judge.loss(state.u)
-        self.since = 0 if score < self.score else self.since + 1
-        if score < self.score:
-            self.best, self.score = state.u, score
-        row = {
-            "step": len(self.history) + 1,
-            "horizon": horizon,
-            "loss": state.loss,
-            "validation": score,
-            "damping": state.damping,
-            "seconds": clock.perf_counter() - self.begin,
-        }
-        self.history.append(row)
-        if self.progress is not None:
-            self.progress(row)
+        def accepted(state: State) -> bool:
+            self.course.note(state, horizon=horizon)
+            return horizon is None and self.course.since >= self.method.patience
+
+        state, _, status = minimise(
+            solver,
+            solver.init(u, linear, self.method.ridge * np.diagonal(linear.gram)),
+            steps=steps,
+            tolerance=self.method.tolerance,
+            accepted=accepted,
+        )
+        return state.u, status
 
     def _solution(self, status: RESULTS) -> Solution[Network]:
-        network = self.layout.place(self.best)
-        if not self.score < self.start_score:
+        course = self.course
+        network = self.layout.place(course.best)
+        if not course.score < course.start_score:
             # Limits of the bounded coordinates may have moved the start by rounding.
             network = self.layout.base
-        stats = {
-            "history": self.history,
-            "loss": self.score,
-            "loss_start": self.start_score,
-            "tracking": self.judge.tracking(self.best),
+        stats = course.stats(status, self.layout.parameters)
+        stats |= {
+            "tracking": self.guard.tracking(course.best),
             "tracking_start": self.start_tracking,
-            "steps": len(self.history),
-            "parameters": self.layout.parameters,
-            "seconds": clock.perf_counter() - self.begin,
-            "end": NAMES[int(code(status))],
         }
-        detail = f"tracking loss {self.start_score:.4g} -> {self.score:.4g}"
+        detail = f"tracking loss {course.start_score:.4g} -> {course.score:.4g}"
         return Solution(network, status, stats, detail)

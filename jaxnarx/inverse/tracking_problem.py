@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.levenberg import AbstractProblem, Linear
 from jaxnarx.arrays.programs import program
 from jaxnarx.inverse.loop import Loop, run_record
 from jaxnarx.inverse.task import CascadeTask, Signals
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.problem import AbstractProblem, Linear
 
 
 class Weighed(eqx.Module):

@@ -9,7 +9,7 @@ from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.linear.orders import output_place, require_varying
-from jaxnarx.linear.prediction_error import Found, minimise
+from jaxnarx.linear.prediction_error import Found, least_innovations
 from jaxnarx.linear.recursion import signals, window_start
 from jaxnarx.linear.scaled import Scale
 from jaxnarx.linear.starts import starts
@@ -124,7 +124,7 @@ def _searched(data: Dataset, structure: Structure, output: int, method) -> Solut
     scaled = scale.apply(whole)
     _require_motion(np.asarray(scaled.y)[valid], data, output)
     begin = starts(structure, np.asarray(scaled.u), np.asarray(scaled.y), valid)
-    found = minimise(
+    found = least_innovations(
         structure,
         begin,
         scaled,

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.levenberg import AbstractProblem, Levenberg, Linear
+from jaxnarx.arrays.minimise import ROUNDING, minimise
 from jaxnarx.linear.recursion import (
     Signals,
     best_states,
@@ -23,12 +25,8 @@ from jaxnarx.linear.recursion import (
 )
 from jaxnarx.linear.stability import radius
 from jaxnarx.linear.structure import Structure
-from jaxnarx.refinement.levenberg import Levenberg
-from jaxnarx.refinement.problem import AbstractProblem, Linear
 from jaxnarx.solution import RESULTS
 
-ROUNDING = 1e-24
-"""Mean square of scaled innovations that is rounding alone."""
 CUT = 1e-12
 """Directions of the initial states with less than this share of the information of the
 best known one are taken as known."""
@@ -99,7 +97,7 @@ class Found:
     status: RESULTS
 
 
-def minimise(
+def least_innovations(
     structure: Structure,
     starts: list[Float[np.ndarray, " params"]],
     data: Signals,
@@ -113,7 +111,15 @@ def minimise(
     losses = [problem.loss(u) for u in vectors]
     losses = [loss if np.isfinite(loss) else np.inf for loss in losses]
     u = vectors[int(np.argmin(losses))]
-    state, steps, status = _search(problem, u, max_steps, tolerance)
+    stepper = Levenberg(problem)
+    state, steps, status = minimise(
+        stepper,
+        stepper.init(u, problem.linear(u), np.zeros(problem.size)),
+        steps=max_steps,
+        tolerance=tolerance,
+        quiet=1,
+        rounding=ROUNDING * problem.samples,
+    )
     count = structure.size
     freedom = problem.samples - problem.size
     return Found(
@@ -126,21 +132,6 @@ def minimise(
         freedom,
         status,
     )
-
-
-def _search(problem: PredictionErrorProblem, u: np.ndarray, max_steps, tolerance):
-    stepper, linear = Levenberg(problem), problem.linear(u)
-    state = stepper.init(u, linear, np.zeros(problem.size))
-    for n in range(max_steps):
-        state, status = stepper.step(state)
-        small = state.loss <= ROUNDING * problem.samples
-        if status != RESULTS.ok:
-            # Where no step promises a decrease the search has converged.
-            done = status == RESULTS.stalled and (small or stepper.arrived(state))
-            return state, n, RESULTS.ok if done else status
-        if small or state.gain < tolerance:
-            return state, n + 1, RESULTS.ok
-    return state, max_steps, RESULTS.budget_spent
 
 
 def eliminated(

@@ -1,7 +1,5 @@
 """One stage of a refinement as its solvers see it: a loss and its linearisation."""
 
-import abc
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.levenberg import AbstractProblem, Linear
 from jaxnarx.arrays.programs import program
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.normal import loss, normal_equations
@@ -22,33 +21,6 @@ from jaxnarx.refinement.stability import (
     penalty_residuals,
 )
 from jaxnarx.refinement.task import Task
-
-
-@dataclasses.dataclass(frozen=True)
-class Linear:
-    """Loss, J'r (half the gradient) and J'J at a point."""
-
-    loss: float
-    gradient: np.ndarray
-    gram: np.ndarray
-
-
-class AbstractProblem(abc.ABC):
-    """What is minimised.
-
-    Entries with a finite `wall`, the largest magnitude they may take, are the bounded
-    ones; a solver must not throw them from one limit to the other.
-    """
-
-    wall: np.ndarray
-
-    @abc.abstractmethod
-    def loss(self, u: np.ndarray) -> float:
-        """The loss alone: one run."""
-
-    @abc.abstractmethod
-    def linear(self, u: np.ndarray) -> Linear:
-        """The loss and its normal equations: a run and its sensitivities."""
 
 
 class Restraint(eqx.Module):

@@ -17,9 +17,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import plain, program, twin
 from jaxnarx.refinement.normal import loss
-from jaxnarx.refinement.problem import Linear, Problem, Restraint
+from jaxnarx.refinement.problem import Problem, Restraint
 from jaxnarx.solution import RESULTS
 
 TRIALS = 40

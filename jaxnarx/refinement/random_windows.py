@@ -16,9 +16,10 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import program
 from jaxnarx.models import depth
-from jaxnarx.refinement.problem import Linear, Problem
+from jaxnarx.refinement.problem import Problem
 from jaxnarx.refinement.quasi_newton import Scaled, scaled
 from jaxnarx.simulation import Drive, run
 from jaxnarx.solution import RESULTS

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
+from jaxnarx.arrays.minimise import Progress
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import PredictionError, SimulationError
@@ -14,7 +15,7 @@ from jaxnarx.refinement.folds import best_position, curve
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
-from jaxnarx.refinement.search import Progress, Search
+from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.stability import first_horizon
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies

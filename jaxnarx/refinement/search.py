@@ -1,28 +1,23 @@
 """The search on the host: stages of growing horizon, the guard, the history."""
 
-import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxnarx.arrays.levenberg import Levenberg, Linear
+from jaxnarx.arrays.minimise import Course, Progress, State, minimise
 from jaxnarx.arrays.programs import program
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.levenberg import Levenberg
-from jaxnarx.refinement.problem import Linear, Problem, restraint
+from jaxnarx.refinement.problem import Problem, restraint
 from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import Drive, has_diverged, run
-from jaxnarx.solution import NAMES, RESULTS, Solution, code
-
-ROUNDING = 1e-24
-"""Loss (mean squared NRMSE) that is nothing but rounding errors of float64."""
-
-Progress = Callable[[dict[str, Any]], None]
+from jaxnarx.solution import RESULTS, Solution
 
 
 class Guard:
@@ -61,8 +56,8 @@ def _judged(network: Network, drive: Drive, anchor, weight, criterion: Criterion
     return y, criterion(y, drive.measured, weight)
 
 
-class Search:
-    """One refinement: where it stands, the best so far by the guard, and the history.
+class Search(Course):
+    """One refinement, judged by whether a free run diverges and by its loss.
 
     `limit` ends it at that position of the schedule, as cross-validation asks. `lead`
     is the best of the attempts that are under way: whether it diverges, its score, the
@@ -82,15 +77,13 @@ class Search:
         limit: int | None = None,
     ):
         self.layout, self.task, self.method = layout, task, method
-        self.schedules, self.prior, self.progress = schedules, prior, progress
-        self.limit, self.judge = limit, Guard(layout, guard)
-        self.history: list[dict[str, Any]] = []
-        self.begin = clock.perf_counter()
-        self.best = self.start = np.asarray(layout.gather(layout.base))
-        self.start_diverged, self.start_score = self.judge.network(layout.base)
-        self.diverged, self.score = self.start_diverged, self.start_score
-        self.since = self.passed = 0
-        self.attempt = self.winner = ""
+        self.schedules, self.prior = schedules, prior
+        self.limit, self.guard = limit, Guard(layout, guard)
+        self.start = np.asarray(layout.gather(layout.base))
+        self.start_diverged, score = self.guard.network(layout.base)
+        self.diverged = self.start_diverged
+        super().__init__(lambda _: score, self.start, progress)
+        self.passed, self.attempt, self.winner = 0, "", ""
         self.last = next(iter(schedules.values()))[-1]
         self.total = max(sum(s.steps for s in one) for one in schedules.values())
 
@@ -162,64 +155,41 @@ class Search:
         linear = problem.linear(u)
         if not np.any(np.diagonal(linear.gram) > 0):
             return u, RESULTS.unidentifiable
-        state = stepper.init(u, linear, self.pull(linear, u))
-        small = self.since = 0
-        for n in range(steps):
-            state, status = stepper.step(state)
-            if status != RESULTS.ok:
-                # Where no step promises a decrease, or at a loss of rounding errors
-                # alone, the search has converged; it stalls only short of that.
-                done = state.loss < ROUNDING
-                if status == RESULTS.stalled and (done or stepper.arrived(state)):
-                    status = RESULTS.ok
-                return state.u, status
-            self._consider(state.u, horizon, n, state)
-            # Batches are noisy: their loss may rest for a while.
-            quiet = state.gain < self.method.tolerance
-            small = small + 1 if quiet and self.method.solver != "windows" else 0
-            if small >= 2:
-                return state.u, RESULTS.ok
-            if stage is self.last and self.since >= self.method.patience:
-                return state.u, RESULTS.no_improvement
-        return state.u, RESULTS.budget_spent
+        first, self.since = len(self.history), 0
 
-    def offer(self, u: np.ndarray) -> tuple[bool, float]:
+        def accepted(state: State) -> bool:
+            n = len(self.history) - first + 1
+            where: dict[str, Any] = {"of": self.total, "done": self.passed + n}
+            where["stage"] = "full record" if horizon is None else f"{horizon} samples"
+            self.note(state, **where, horizon=horizon, stage_step=n)
+            return stage is self.last and self.since >= self.method.patience
+
+        # Batches are noisy: their loss may rest for a while.
+        noisy = self.method.solver == "windows"
+        state, _, status = minimise(
+            stepper,
+            stepper.init(u, linear, self.pull(linear, u)),
+            steps=steps,
+            tolerance=-np.inf if noisy else self.method.tolerance,
+            accepted=accepted,
+        )
+        return state.u, status
+
+    def offer(self, u: np.ndarray) -> dict[str, Any]:
         """Keep `u` if its guard score is the best.
 
         A network that runs beats one that does not, but no loss above the start's is
         kept.
         """
-        diverged, score = found = self.judge(u)
+        diverged, score = found = self.guard(u)
         self.since += 1
         if found < self.lead[:2]:
             self.lead, self.since = (diverged, score, u, self.attempt), 0
         if found < (self.diverged, self.score) and score <= self.start_score:
             self.best, self.score, self.diverged = u, score, diverged
             self.winner = self.attempt
-        return found
-
-    def _consider(self, u: np.ndarray, horizon: int | None, n: int, state) -> None:
-        """Offer `u`, and note it."""
-        diverged, score = self.offer(u)
-        row = {
-            "step": len(self.history) + 1,
-            "of": self.total,
-            "done": self.passed + n + 1,
-            "stage": "full record" if horizon is None else f"{horizon} samples",
-            "horizon": horizon,
-            "stage_step": n + 1,
-            "loss": state.loss,
-            "minimised": state.minimised,
-            "validation": score,
-            "diverged": diverged,
-            "damping": state.damping,
-            "seconds": clock.perf_counter() - self.begin,
-        }
-        if self.attempt:
-            row["start"] = self.attempt
-        self.history.append(row)
-        if self.progress is not None:
-            self.progress(row)
+        told = {"validation": score, "diverged": diverged}
+        return told | ({"start": self.attempt} if self.attempt else {})
 
     def solution(self, status: RESULTS) -> Solution[Network]:
         """The best network, and how it was found."""
@@ -233,16 +203,10 @@ class Search:
         elif self.start_diverged:
             way = self.winner or "growing horizons"
             detail += f"; the start diverged, {way} led to one that does not"
-        stats = {
-            "history": self.history,
-            "loss": self.score,
-            "loss_start": self.start_score,
+        stats = self.stats(status, self.layout.parameters)
+        stats |= {
             "start_diverged": self.start_diverged,
             "remedy": self.winner if self.start_diverged else "",
-            "steps": len(self.history),
-            "parameters": self.layout.parameters,
-            "seconds": clock.perf_counter() - self.begin,
-            "end": NAMES[int(code(status))],
         }
         if self.layout.initial is not None:
             offset = self.best[self.layout.parameters :]

@@ -12,7 +12,8 @@ variable projection of Golub and Pereyra (SIAM J. Numer. Anal. 10, 1973).
 import numpy as np
 import scipy.linalg
 
-from jaxnarx.refinement.problem import AbstractProblem, Linear, Problem
+from jaxnarx.arrays.levenberg import AbstractProblem, Linear
+from jaxnarx.refinement.problem import Problem
 
 TINY = 1e-13
 """Share of their diagonal added to the normal equations of the coefficients: enough

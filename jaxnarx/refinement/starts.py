@@ -84,7 +84,7 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
     yield "one-step least squares", one_step_least_squares(layout, task, search.start)
     for factor in SHRINK:
         u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
-        if not search.judge(u)[0]:
+        if not search.guard(u)[0]:
             yield f"feedback shrunk to {factor:g}", u
             break
     rng = np.random.default_rng(search.method.seed)

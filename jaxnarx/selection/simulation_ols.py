@@ -21,7 +21,6 @@ simulate for every candidate.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -32,6 +31,7 @@ import scipy.linalg
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.contraction import contract, positions
+from jaxnarx.arrays.minimise import Progress
 from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.data import Dataset
 from jaxnarx.methods import SimulationError, SimulationOLS
@@ -43,8 +43,6 @@ from jaxnarx.regressors import Pool
 from jaxnarx.regressors.centring import Centring
 from jaxnarx.simulation import Drive, run
 from jaxnarx.solution import RESULTS
-
-Progress = Callable[[dict[str, Any]], None]
 
 HORIZONS = (10, 30, 100, 300)
 """Windows of the first refinement, in samples."""

@@ -25,13 +25,18 @@ from test_refine import (
     used,
 )
 
+from jaxnarx.arrays.levenberg import (
+    DAMPING_LIMIT,
+    DAMPING_START,
+    AbstractProblem,
+    Levenberg,
+    Linear,
+)
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement import refine
-from jaxnarx.refinement.levenberg import DAMPING_LIMIT, DAMPING_START, Levenberg
-from jaxnarx.refinement.problem import AbstractProblem, Linear
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 

@@ -15,15 +15,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.least_squares import cholesky_solve
-from jaxnarx.methods import Identification
-from jaxnarx.refinement import Layout, Stage, loss, normal_equations, stages
-from jaxnarx.refinement.levenberg import (
+from jaxnarx.arrays.levenberg import (
     DAMPING_LIMIT,
     DAMPING_START,
     GROW,
     REACH,
     SHRINK,
 )
+from jaxnarx.methods import Identification
+from jaxnarx.refinement import Layout, Stage, loss, normal_equations, stages
 from jaxnarx.refinement.starts import SHRINK as FACTORS
 from jaxnarx.refinement.starts import shrunk
 from jaxnarx.simulation import Drive, run

@@ -5,12 +5,12 @@ and own stops: these are why no library solver is used. Each trial costs one run
 accepted step one pass of the normal equations.
 """
 
+import abc
 import dataclasses
 
 import numpy as np
 import scipy.linalg
 
-from jaxnarx.refinement.problem import AbstractProblem, Linear
 from jaxnarx.solution import RESULTS
 
 DAMPING_START = 1e-3
@@ -21,6 +21,33 @@ REACH = 2.0
 bounded map a step by curvature would throw them from one limit to the other."""
 ARRIVED = 1e-10
 """Share of the loss below which a promised decrease counts as none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Linear:
+    """Loss, J'r (half the gradient) and J'J at a point."""
+
+    loss: float
+    gradient: np.ndarray
+    gram: np.ndarray
+
+
+class AbstractProblem(abc.ABC):
+    """What is minimised.
+
+    Entries with a finite `wall`, the largest magnitude they may take, are the bounded
+    ones; a solver must not throw them from one limit to the other.
+    """
+
+    wall: np.ndarray
+
+    @abc.abstractmethod
+    def loss(self, u: np.ndarray) -> float:
+        """The loss alone: one run."""
+
+    @abc.abstractmethod
+    def linear(self, u: np.ndarray) -> Linear:
+        """The loss and its normal equations: a run and its sensitivities."""
 
 
 @dataclasses.dataclass(frozen=True)
