@@ -158,7 +158,7 @@ def test_the_rule_catches_what_it_should():
 
 
 def drives(path: Path) -> bool:
-    """Whether a module takes steps of a search itself: `state, status = s.step(state)`."""
+    """Whether a module takes steps of a search: `state, status = s.step(state)`."""
     return any(
         isinstance(node, ast.Assign)
         and isinstance(node.targets[0], ast.Tuple)
