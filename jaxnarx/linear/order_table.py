@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.arrays.criteria import information
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.triangle import Triangle
 from jaxnarx.methods.linear import ARX
@@ -126,18 +127,14 @@ def order_search(
     samples = table.samples
     parameters = na + nb.sum(axis=1)
     n = parameters + int(table.constant)
-    fit = samples * np.log(np.maximum(sse, PERFECT * table.total) / samples)
-    spare = samples - n
+    found = information(sse, n, samples, least=PERFECT * table.total)
     return OrderSearch(
         na,
         nb,
         nk,
         parameters,
         100 * sse / table.total,
-        fit + 2 * n,
-        fit + 2 * n + 2 * n * (n + 1) / np.maximum(spare - 1, 0.5),
-        fit + n * np.log(samples),
-        fit + samples * np.log((samples + n) / spare),
+        *found.values(),
         identifiable,
         samples,
         tuple(input_names),

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.arrays.criteria import information
 from jaxnarx.partition.local_fit import effective
 from jaxnarx.partition.split import Rows
-from jaxnarx.partition.stages import information
 from jaxnarx.partition.tree import TreeStage, validity_of_stage
 
 
@@ -73,7 +73,7 @@ class _Tree:
     def criterion(self) -> float:
         """AICc."""
         sse, size = np.array([self.sse]), np.array([self.effective])
-        return float(information(sse, size, self.samples)[0][0])
+        return float(information(sse, size, self.samples)["aicc"][0])
 
 
 def _begin(stage: TreeStage, rows: Rows, oblique: bool) -> _Tree:

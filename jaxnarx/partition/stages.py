@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.arrays.criteria import information
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import metrics
 from jaxnarx.methods import Lolimot, SigmoidTree
@@ -13,20 +14,6 @@ from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
 
 Numbers = Float[np.ndarray, " stages"]
-
-
-def information(
-    sse: Numbers, effective: Numbers, samples: float
-) -> tuple[Numbers, Numbers]:
-    """AICc and BIC of every stage, with the effective number of parameters.
-
-    AICc = N ln(SSE/N) + 2 n + 2 n (n + 1)/(N - n - 1), C. Hurvich and C.-L. Tsai 1989;
-    BIC = N ln(SSE/N) + n ln N, G. Schwarz 1978.
-    """
-    n = effective
-    spare = np.maximum(samples - n - 1, 1.0)
-    fit = samples * np.log(np.maximum(sse, np.finfo(sse.dtype).tiny) / samples)
-    return fit + 2 * n + 2 * n * (n + 1) / spare, fit + n * np.log(samples)
 
 
 def free_run_nrmse(network: Network, data: Dataset) -> float:
@@ -56,8 +43,8 @@ def choose_stage(
     """
     distinct = int(np.sum(np.diff(count) > 0)) + 1
     sse, effective = sse[:distinct], effective[:distinct]
-    aicc, bic = information(sse, effective, samples)
-    known = {"aicc": aicc, "bic": bic, "none": -np.arange(float(distinct))}
+    known = information(sse, effective, samples)
+    known["none"] = -np.arange(float(distinct))
     validation = np.full(distinct, np.inf)
 
     def value(stage: int) -> float:
@@ -80,8 +67,8 @@ def choose_stage(
     figures = {
         "models": count[:distinct],
         "sse": sse,
-        "aicc": aicc,
-        "bic": bic,
+        "aicc": known["aicc"],
+        "bic": known["bic"],
         "effective": effective,
         "best": best,
         "stopped": stopped,
