@@ -2,27 +2,26 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 
-P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def program(function: Callable[P, R]) -> Callable[P, R]:
+def program(function: Callable[..., R]) -> Callable[..., R]:
     """`equinox.filter_jit` for functions that take models.
 
     An argument that has a `nameless` twin, equal but for the names that it carries as
     static data, is replaced by that: other names compile nothing anew. So the function
-    may return arrays, but no model.
+    may return arrays, but no model. Arrays of numpy may be given for those of jax.
     """
     compiled = eqx.filter_jit(function)
 
     @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        given: Any = [plain(a) for a in args], {k: plain(a) for k, a in kwargs.items()}
-        return compiled(*given[0], **given[1])
+    def call(*args: Any, **kwargs: Any) -> R:
+        named = {k: plain(a) for k, a in kwargs.items()}
+        return compiled(*(plain(a) for a in args), **named)
 
     return call
 

@@ -130,7 +130,7 @@ class Layout(eqx.Module):
 
     def place(self, u: Float[Array | np.ndarray, " params"]) -> Network:
         """The network with these parameters."""
-        return eqx.tree_at(_where, self.base, self._leaves(jax.device_put(u)))
+        return eqx.tree_at(_where, self.base, self._leaves(u))
 
     @program
     def _leaves(self, u: Float[Array, " params"]) -> list:

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 
 from jaxnarx.arrays.levenberg import Levenberg, State
@@ -56,7 +55,7 @@ def _search(
     pull = method.ridge * np.diagonal(whole.gram)
     if prior is not None:
         # Weighed against the noise that least squares of all coefficients leaves.
-        slope = np.asarray(layout.slope(jax.device_put(start)))
+        slope = np.asarray(layout.slope(start))
         noise = part.loss(p) / max(int(part.samples), 1)
         pull = pull + noise * (slope * prior) ** 2
     part.pull = pull[part.inner]

@@ -36,7 +36,7 @@ class Restraint(eqx.Module):
         excess = penalty_residuals(layout, u, self.points, self.metric, self.target)
         return self.weight * jnp.mean(excess**2)
 
-    def linear(self, layout: Layout, u: Float[Array, " params"]) -> Linear:
+    def linear(self, layout: Layout, u: Float[Array | np.ndarray, " params"]) -> Linear:
         """The penalty with its normal equations, on the host."""
         value, gradient, gram = penalty(
             layout, u, self.points, self.metric, self.target
@@ -96,19 +96,17 @@ class Problem(AbstractProblem):
 
     def loss(self, u: np.ndarray) -> float:
         layout, *rest = self.data
-        at = jax.device_put(u)
-        value = float(loss(layout, at, *rest))
+        value = float(loss(layout, u, *rest))
         if self.restraint is None:
             return value
-        return value + float(_restrained(self.restraint, layout, at))
+        return value + float(_restrained(self.restraint, layout, u))
 
     def linear(self, u: np.ndarray) -> Linear:
         layout, *rest = self.data
-        at = jax.device_put(u)
-        value, gradient, gram = normal_equations(layout, at, *rest)
+        value, gradient, gram = normal_equations(layout, u, *rest)
         value, gradient, gram = float(value), np.array(gradient), np.array(gram)
         if self.restraint is not None:
-            more = self.restraint.linear(layout, at)
+            more = self.restraint.linear(layout, u)
             value += more.loss
             gradient += more.gradient
             gram += more.gram

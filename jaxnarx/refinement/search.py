@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.arrays.levenberg import Levenberg, Linear
@@ -25,22 +26,21 @@ class Guard:
 
     def __init__(self, layout: Layout, task: Task):
         self.layout, self.task = layout, task
+        self.data = task.drive, task.anchors(None), task.weight, task.criterion
+        self.edges = [np.asarray(a) for a in (layout.base.lower, layout.base.upper)]
 
     def __call__(self, u: np.ndarray) -> tuple[bool, float]:
         """Whether any record diverges, and the loss."""
-        return self.network(self.layout.place(u))
+        return self._judge(u, False)
 
-    def network(self, network: Network) -> tuple[bool, float]:
-        """The same for a network."""
-        task = self.task
-        y, error = _judged(
-            network, task.drive, task.anchors(None), task.weight, task.criterion
-        )
-        value = np.asarray(y)
-        held = (value <= np.asarray(network.lower)) | (
-            value >= np.asarray(network.upper)
-        )
-        masks = task.masks
+    def start(self, u: np.ndarray) -> tuple[bool, float]:
+        """The same for the network as it was given; `u` is its vector."""
+        return self._judge(u, True)
+
+    def _judge(self, u: np.ndarray, given: bool) -> tuple[bool, float]:
+        y, error = _judged(self.layout, u, np.asarray(given), *self.data)
+        value, (lower, upper), masks = np.asarray(y), self.edges, self.task.masks
+        held = (value <= lower) | (value >= upper)
         bad = any(
             has_diverged(held[n, masks.start[n] : masks.end[n], o])
             for n in np.flatnonzero(masks.scored.any(axis=(1, 2)))
@@ -51,9 +51,16 @@ class Guard:
 
 
 @program
-def _judged(network: Network, drive: Drive, anchor, weight, criterion: Criterion):
+def _judged(layout: Layout, u, given, drive: Drive, anchor, weight, rule: Criterion):
+    """Free run and loss; of the base itself where it is `given`."""
+    placed = layout.place(u)
+
+    def chosen(base, moved):
+        return base if base is moved else jnp.where(given, base, moved)
+
+    network = jax.tree.map(chosen, layout.base, placed)
     y = run(network, drive, anchor)
-    return y, criterion(y, drive.measured, weight)
+    return y, rule(y, drive.measured, weight)
 
 
 class Search(Course):
@@ -80,7 +87,7 @@ class Search(Course):
         self.schedules, self.prior = schedules, prior
         self.limit, self.guard = limit, Guard(layout, guard)
         self.start = np.asarray(layout.gather(layout.base))
-        self.start_diverged, score = self.guard.network(layout.base)
+        self.start_diverged, score = self.guard.start(self.start)
         self.diverged = self.start_diverged
         super().__init__(lambda _: score, self.start, progress)
         self.passed, self.attempt, self.winner = 0, "", ""
@@ -140,7 +147,7 @@ class Search(Course):
             return pull
         # The noise's variance, in units of the loss, by what is left at the start.
         count = max(int(self.task.masks.scored.sum()), 1)
-        slope = np.asarray(self.layout.slope(jax.device_put(u)))
+        slope = np.asarray(self.layout.slope(u))
         return pull + linear.loss / count * (slope * self.prior) ** 2
 
     def stage(self, u: np.ndarray, stage: Stage) -> tuple[np.ndarray, RESULTS]:
