@@ -78,8 +78,8 @@ def programs(samples: int) -> dict[str, int]:
     jax.config.update("jax_enable_x64", True)
     count = [0]
 
-    def heard(event: str, seconds: float, **_: Any) -> None:
-        del seconds
+    def heard(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        del duration_secs, kwargs
         count[0] += event == "/jax/core/compile/backend_compile_duration"
 
     monitoring.register_event_duration_secs_listener(heard)
