@@ -32,7 +32,7 @@ def damage(folder, rng: np.random.Generator) -> None:
     for _ in range(int(rng.integers(1, 3))):
         path, other = (files[int(i)] for i in rng.integers(0, len(files), 2))
         kind = int(rng.integers(0, 10))
-        if kind == 0:
+        if kind == 0 and not path.is_dir():
             path.unlink(missing_ok=True)
         elif kind == 1 and other.is_file():
             shutil.copyfile(other, path) if path != other else None
