@@ -81,7 +81,7 @@ def test_dead_time_and_memory_of_a_bed(bed):
                 of[names[k], output] for of in (lags.dead_time, lags.settling)
             )
             told = f"{names[k]} -> {output}: {dead}, {settled} for {late}, {known}"
-            assert dead is not None, told
+            assert dead is not None and settled is not None, told
             if abs(dead - late) > 2 or not known / 2 - 1 <= settled <= 2 * known + 1:
                 wrong.append(told)
     assert pairs > 0
