@@ -81,7 +81,9 @@ def weights_of(
 ) -> Float[np.ndarray, "models points"]:
     """Values at scaled points, on the host, by one program for many sizes; float64."""
     points = z.shape[1]
-    rounded = np.zeros((len(z), bucket(points)), jax.tree.leaves(validity)[0].dtype)
+    numbers = [x for x in jax.tree.leaves(validity) if eqx.is_inexact_array(x)]
+    dtype = numbers[0].dtype if numbers else z.dtype
+    rounded = np.zeros((len(z), bucket(points)), dtype)
     rounded[:, :points] = z
     return np.asarray(_called(validity, rounded, active), float)[:, :points]
 
