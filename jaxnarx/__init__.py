@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from jaxnarx.evaluation import diagnose as diagnose
     from jaxnarx.evaluation import pareto as pareto
     from jaxnarx.evaluation import report as report
+    from jaxnarx.identification import identify as identify
     from jaxnarx.inverse import cascade as cascade
     from jaxnarx.inverse import compensate as compensate
     from jaxnarx.inverse import inverse_data as inverse_data
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from jaxnarx.methods import Anova as Anova
     from jaxnarx.methods import Backward as Backward
     from jaxnarx.methods import BoxJenkins as BoxJenkins
-    from jaxnarx.methods import Case as Case
     from jaxnarx.methods import ForwardOLS as ForwardOLS
     from jaxnarx.methods import GeneralLinear as GeneralLinear
     from jaxnarx.methods import Given as Given
@@ -62,6 +62,8 @@ if TYPE_CHECKING:
     from jaxnarx.methods import LeastSquares as LeastSquares
     from jaxnarx.methods import Lolimot as Lolimot
     from jaxnarx.methods import OutputError as OutputError
+    from jaxnarx.methods import Placed as Placed
+    from jaxnarx.methods import Polynomial as Polynomial
     from jaxnarx.methods import PredictionError as PredictionError
     from jaxnarx.methods import Recursive as Recursive
     from jaxnarx.methods import SigmoidTree as SigmoidTree
@@ -123,14 +125,15 @@ _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
     "evaluation": "Cost Diagnostics Report cost diagnose pareto report",
+    "identification": "identify",
     "inverse": "cascade compensate inverse_data invertible reachable unity_gain",
     "linear": "LinearModel NoiseModel Regression TransferFunction adapt "
     "extended_least_squares fit_linear fit_noise least_squares nonlinearity "
     "search_orders spectra",
-    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins Case FIR "
+    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins FIR "
     "ForwardOLS GeneralLinear Given Global Grid Identification LeastSquares Lolimot "
-    "OutputError PredictionError Recursive SigmoidTree SimulationError SimulationOLS "
-    "StepwiseF TrackingError",
+    "OutputError Placed Polynomial PredictionError Recursive SigmoidTree "
+    "SimulationError SimulationOLS StepwiseF TrackingError",
     "models": "Network load save",
     "partition": "grow switch",
     "refinement": "Bands Stability Uncertainty bands freeze refine stability "

@@ -5,21 +5,34 @@ import dataclasses
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import Case, Identification
+from jaxnarx.methods import (
+    ForwardOLS,
+    Identification,
+    Lolimot,
+    Polynomial,
+    SimulationError,
+)
+from jaxnarx.methods.settings import changed
 from jaxnarx.sweep.fleet import Fleet
 
 METHOD = Identification(
-    ["a[t-1]"],
-    input_lags=(0, 1),
-    output_lags=(1, 2),
-    degree=2,
-    max_terms=5,
-    max_models=3,
-    steps=3,
+    pool=Polynomial(input_lags=(0, 1), output_lags=(1, 2), degree=2),
+    select=ForwardOLS(max_terms=5),
+    grow=Lolimot(["a[t-1]"], max_models=3, criterion="none"),
+    # Without a tolerance every search makes all its steps.
+    refine=SimulationError(horizons=(), window_steps=5, max_steps=3, tolerance=0),
+)
+SMALL = changed(
+    METHOD, {"select.max_terms": 3, "grow.max_models": 2, "refine.max_steps": 2}
 )
 CASES = [
-    Case(terms=4, models=2, ridge=1e-4, k_sigma=0.4),
-    Case(train="coefficients", steps=2, growth_ridge=1e-3),
+    {
+        "select.max_terms": 4,
+        "grow.max_models": 2,
+        "refine.ridge": 1e-4,
+        "grow.k_sigma": 0.4,
+    },
+    {"refine.train": "coefficients", "refine.max_steps": 2, "grow.ridge": 1e-3},
 ]
 
 

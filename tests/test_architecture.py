@@ -40,6 +40,7 @@ HOUSE = [
     ["selection"],
     ["partition"],
     ["linear", "inverse", "design", "evaluation"],
+    ["identification"],
     ["sweep"],
     # Floor 4.
     ["shell"],

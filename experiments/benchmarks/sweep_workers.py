@@ -71,12 +71,6 @@ def make_work(samples: int, count: int, lanes: int, at_once: int) -> Any:
         for n in range(count)
     }
     fleet = jnx.Fleet.from_datasets(data, train=slice(None))
-    method = jnx.Identification(
-        ("u1[t-1]", "u2[t-2]"),
-        max_terms=TERMS,
-        max_models=MODELS,
-        steps=STEPS,
-    )
     pool = jnx.polynomial_pool(
         fleet.channels,
         input_lags=range(INPUT_LAGS),
@@ -84,11 +78,16 @@ def make_work(samples: int, count: int, lanes: int, at_once: int) -> Any:
         degree=2,
     )
     pool = dataclasses.replace(pool, factor=pool.factor[:POOL])
-    # Everything moves from the first step on, as in earlier records of this benchmark.
-    cases = (jnx.Case(train="joint"),)
-    return jnx.IdentificationWork(
-        fleet, method, cases, pool=pool, lanes=lanes, at_once=at_once
+    method = jnx.Identification(
+        pool=pool,
+        select=jnx.ForwardOLS(max_terms=TERMS),
+        grow=jnx.Lolimot(("u1[t-1]", "u2[t-2]"), max_models=MODELS, criterion="none"),
+        # Everything moves from the first step on, and all steps are made.
+        refine=jnx.SimulationError(
+            horizons=(), max_steps=STEPS, train="joint", tolerance=0, patience=1000
+        ),
     )
+    return jnx.IdentificationWork(fleet, method, lanes=lanes, at_once=at_once)
 
 
 def sweep(

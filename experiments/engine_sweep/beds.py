@@ -30,8 +30,8 @@ SIDE_BY_SIDE = 32
 class Bed:
     """A test bed, what of it is modelled, and from what.
 
-    `down` is the distance of samples in events. `settings` are those of the
-    `Identification` that differ from bed to bed.
+    `down` is the distance of samples in events. `settings` are those of
+    the identification that differ from bed to bed, by path.
     """
 
     make: Callable[[], AbstractEngine]
@@ -44,29 +44,29 @@ BEDS = {
     "pfi": Bed(
         *(Pfi, "speed", 2),
         {
-            "scheduling": ("duty[t-2]", "speed[t-1]"),
-            "input_lags": (1, 2, 3, 4, 6, 8),
+            "grow.scheduling": ("duty[t-2]", "speed[t-1]"),
+            "pool.input_lags": (1, 2, 3, 4, 6, 8),
         },
     ),
     "diesel": Bed(
         *(Diesel, "p_im", 2),
         {
-            "scheduling": ("VGT[t-1]", "fuel[t-1]"),
-            "input_lags": (0, 1, 2, 4),
+            "grow.scheduling": ("VGT[t-1]", "fuel[t-1]"),
+            "pool.input_lags": (0, 1, 2, 4),
         },
     ),
     "gtdi": Bed(
         *(Gtdi, "TRQ", 4),
         {
-            "scheduling": ("speed[t]", "THR[t-1]"),
-            "input_lags": (0, 1, 2, 4),
+            "grow.scheduling": ("speed[t]", "THR[t-1]"),
+            "pool.input_lags": (0, 1, 2, 4),
         },
     ),
     "vct": Bed(
         *(Vct, "torque", 4),
         {
-            "scheduling": ("throttle[t-1]", "speed[t]"),
-            "input_lags": (0, 1, 2, 4),
+            "grow.scheduling": ("throttle[t-1]", "speed[t]"),
+            "pool.input_lags": (0, 1, 2, 4),
         },
     ),
 }

@@ -42,6 +42,7 @@ from draw import draw_partitions, draw_terms, draw_transfer
 from structures import RefitWork, restricted
 
 import jaxnarx as jnx
+from jaxnarx.methods.settings import changed
 from jaxnarx.shell.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -54,14 +55,27 @@ NAME = "engine_sweep"
 FULL = Size(engines=256, repetitions=48, lengths=(1000, 500, 500), spread=0.1)
 SMALL = Size(engines=6, repetitions=3, lengths=(600, 600, 600), spread=0.1)
 SETTINGS: dict[str, Any] = {
-    **{"output_lags": (1, 2), "degree": 2, "max_terms": 10, "max_models": 4},
-    **{"steps": 10, "horizons": (10, 50)},
+    "pool.output_lags": (1, 2),
+    "pool.degree": 2,
+    "select.max_terms": 10,
+    "grow": {"method": "lolimot", "max_models": 4, "criterion": "none"},
+    "refine.max_steps": 10,
+    "refine.window_steps": 5,
+    "refine.horizons": (10, 50),
+    # A search makes all its steps.
+    **{"refine.tolerance": 0, "refine.patience": 1000},
 }
-LITTLE = {"max_terms": 6, "max_models": 2, "steps": 1, "horizons": (), "degree": 1}
-CASES = {
-    "LOLIMOT": jnx.Case(train="coefficients"),
-    "refined": jnx.Case(),
-    "one model": jnx.Case(models=1),
+LITTLE = {
+    "pool.degree": 1,
+    "select.max_terms": 6,
+    "grow.max_models": 2,
+    "refine.max_steps": 1,
+    "refine.horizons": (),
+}
+CASES: dict[str, dict[str, Any]] = {
+    "LOLIMOT": {"refine.train": "coefficients"},
+    "refined": {},
+    "one model": {"grow.max_models": 1},
 }
 """What is refined: coefficients alone, the partition too; and no partition."""
 CHUNK, LANES, REFITTED = 32, 16, 128
@@ -78,27 +92,23 @@ def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row
     """Everything that is computed for a bed, and what is known of its engines."""
     records = records_of(bed, size, folder)
     fleet = fleet_of(records, size.seed)
-    method = jnx.Identification(**(settings | BEDS[bed].settings))
+    method = changed(jnx.Identification(), settings | BEDS[bed].settings)
     work = jnx.IdentificationWork(fleet, method, list(CASES.values()), lanes=LANES)
     rows = swept(work, folder / bed)
     names = list(CASES)
     rows = [row | {"structure": names[row["case"]]} for row in rows]
     chosen = {r["engine"]: r for r in rows if r["structure"] == "refined"}
     nominal = chosen["noise 0"]
-    few = restricted(fleet, method, nominal, LANES)
+    few = restricted(work, nominal)
     few_rows = swept(few, folder / f"{bed}_terms")
     rows += [row | {"structure": "nominal terms"} for row in few_rows]
-    refinement = jnx.SimulationError(
-        horizons=method.horizons,
-        window_steps=method.window_steps,
-        max_steps=method.steps,
-    )
+    refinement = changed(method.refine, {"tolerance": 1e-4, "patience": 15})
     pairs = pairs_of(chosen, min(REFITTED, size.engines), size.repetitions)
-    refit = RefitWork(fleet, method, chosen, pairs, refinement)
+    refit = RefitWork(work, chosen, pairs, refinement)
     rows += swept(refit, folder / f"{bed}_refitted")
     known = {
         "records": records,
-        "pool": len(work.pool_of_all),
+        "pool": len(work.pool),
         "seconds": round(sum(row["seconds"] for row in rows), 1),
     }
     return [row | {"bed": bed} for row in rows], known
@@ -140,7 +150,7 @@ def figures_of(rows: list[Row], records: Records, seed: int) -> dict[str, Any]:
         s: [r for r in rows if r["structure"] == s]
         for s in {r["structure"]: 0 for r in rows}
     }
-    k_sigma = CASES["LOLIMOT"].k_sigma
+    k_sigma = jnx.Lolimot.k_sigma
     varied = list(records.bed.make().varied)
     engines = {
         s: [r for r in own if r["engine"].startswith("engine")] for s, own in by.items()

@@ -1,7 +1,6 @@
 """A structure found on one engine, refitted on another: work for a sweep's folder."""
 
 import dataclasses
-import functools
 import hashlib
 from collections.abc import Sequence
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import jaxnarx as jnx
+from jaxnarx.methods.settings import changed
 from jaxnarx.refinement import freeze
 
 Row = dict[str, Any]
@@ -18,15 +18,15 @@ Row = dict[str, Any]
 class RefitWork:
     """Terms and regions of a donor; coefficients made anew on every engine.
 
-    `pairs` are (engine, structure, donor): the name of the engine to fit, what the
-    table calls the structure, and the engine in whose row of `rows` it was found. The
-    regions are the donor's refined ones, in physical units. Local least squares, then
-    the coefficients alone by `refinement`, judged by the validation record. Structure
-    `"as it is"` is the donor's network without any fit.
+    `work` is the sweep that found them; `pairs` are (engine, structure, donor): the
+    name of the engine to fit, what the table calls the structure, and the engine in
+    whose row of `rows` it was found. The regions are the donor's refined ones, in
+    physical units. Local least squares, then the coefficients alone by `refinement`,
+    judged by the validation record. Structure `"as it is"` is the donor's network
+    without any fit.
     """
 
-    fleet: jnx.Fleet
-    method: jnx.Identification
+    work: jnx.IdentificationWork
     rows: dict[str, Row]
     pairs: Sequence[tuple[str, str, str]]
     refinement: jnx.SimulationError
@@ -44,9 +44,9 @@ class RefitWork:
         told = repr([[self.rows[d][key] for key in keys] for d in donors])
         return {
             "kind": "refitted structures",
-            "fleet": self.fleet.digest(),
+            "fleet": self.work.fleet.digest(),
             "donors": hashlib.sha256(told.encode()).hexdigest(),
-            "method": repr(self.method),
+            "method": repr(self.work.method),
             "refinement": repr(self.refinement),
         }
 
@@ -54,21 +54,17 @@ class RefitWork:
         """A row for each pair."""
         return [self._one(*self.pairs[n]) for n in indices]
 
-    @functools.cached_property
-    def pool(self) -> jnx.Pool:
-        """The candidates of the sweep that found the structures."""
-        return jnx.IdentificationWork(self.fleet, self.method).pool_of_all
-
     def _one(self, engine: str, structure: str, donor: str) -> Row:
-        own = self.fleet.index(engine)
-        if self.fleet.status[own] != "ok":
-            return {"status": self.fleet.status[own]} | _figures({})
-        data = {p: self.fleet.dataset(own, p) for p in self.fleet.parts}
+        fleet = self.work.fleet
+        own = fleet.index(engine)
+        if fleet.status[own] != "ok":
+            return {"status": fleet.status[own]} | _figures({})
+        data = {p: fleet.dataset(own, p) for p in fleet.parts}
         row = self.rows[donor]
-        network = jnx.network_of(self.fleet, row, self.method)
+        network = jnx.network_of(self.work, row)
         status = "ok"
         if structure != "as it is":
-            terms = terms_of(self.pool, row["term_index"])
+            terms = terms_of(self.work.pool, row["term_index"])
             start = jnx.grow(terms, data["train"], jnx.Given(network)).value
             solution = jnx.refine(
                 *(start, data["train"], self.refinement),
@@ -104,11 +100,9 @@ def free_run(network: jnx.Network, data: jnx.Dataset) -> float:
     return float(np.sqrt(np.mean((y - run) ** 2)) / np.std(y))
 
 
-def restricted(
-    fleet: jnx.Fleet, method: jnx.Identification, row: Row, lanes: int
-) -> jnx.IdentificationWork:
+def restricted(work: jnx.IdentificationWork, row: Row) -> jnx.IdentificationWork:
     """Every engine with the terms of a row, and regions of its own."""
-    pool = jnx.IdentificationWork(fleet, method).pool_of_all
-    few = dataclasses.replace(method, max_terms=len(row["term_index"]))
-    terms = terms_of(pool, row["term_index"])
-    return jnx.IdentificationWork(fleet, few, pool=terms, lanes=lanes)
+    terms = terms_of(work.pool, row["term_index"])
+    few = changed(work.method, {"select.max_terms": len(row["term_index"])})
+    method = dataclasses.replace(few, pool=terms)
+    return jnx.IdentificationWork(work.fleet, method, lanes=work.lanes)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.methods import Case, Identification
+from jaxnarx.methods import Identification
 from jaxnarx.sweep import (
     Comparison,
     Fleet,
@@ -18,6 +18,7 @@ from jaxnarx.sweep import (
     SweepTable,
     run_sweep,
 )
+from jaxnarx.sweep.cases import Case, label_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import results_folder  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -29,7 +30,15 @@ SCORES = tuple(
     for part in ("validation", "test")
     for mode in ("one_step", "free_run")
 )
-KEPT = ("engine", "models", "train", "scatter", "seed", "k_sigma", "status")
+KEPT = ("engine", "status")
+SETTINGS = {
+    "models": "grow.max_models",
+    "train": "refine.train",
+    "scatter": "grow.scatter",
+    "seed": "grow.seed",
+    "k_sigma": "grow.k_sigma",
+}
+"""Short names of the settings that a row tells, swept or not."""
 
 Row = dict[str, Any]
 
@@ -64,7 +73,14 @@ def identified(
     work = IdentificationWork(fleet, method, cases, lanes=LANES)
     solution = run_sweep(work, place, chunk=CHUNK, progress=shown(place.name))
     wanted = KEPT + SCORES + tuple(f"{s}_start" for s in SCORES)
-    return [names | {k: row[k] for k in wanted} for row in solution.value.rows()]
+    told = [
+        {name: label_of(method, path) or 0 for name, path in SETTINGS.items()}
+        for method in work.methods
+    ]
+    return [
+        names | told[row["case"]] | {k: row[k] for k in wanted}
+        for row in solution.value.rows()
+    ]
 
 
 def shown(name: str) -> Callable[[dict[str, Any]], None]:

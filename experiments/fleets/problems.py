@@ -16,7 +16,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -43,10 +42,10 @@ SHARES = {
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Records by seed, and the settings of `Identification` that describe them."""
+    """Records by seed, and how they are identified where nothing else is said."""
 
     make: Callable[[int, int], jnx.Dataset]
-    settings: dict[str, Any]
+    method: jnx.Identification
     _: dataclasses.KW_ONLY
     length: int = 1000
     """Most samples of a record."""
@@ -164,15 +163,17 @@ def _affine(
     input_lags: Sequence[int],
     max_terms: int,
     output_lags: Sequence[int] = (1, 2),
-) -> dict[str, Any]:
-    """Affine local models."""
-    return {
-        "scheduling": tuple(scheduling),
-        "input_lags": tuple(input_lags),
-        "output_lags": tuple(output_lags),
-        "degree": 1,
-        "max_terms": max_terms,
-    }
+) -> jnx.Identification:
+    """Affine local models, as many as LOLIMOT is asked for."""
+    return jnx.Identification(
+        pool=jnx.Polynomial(input_lags=input_lags, output_lags=output_lags, degree=1),
+        select=jnx.ForwardOLS(max_terms=max_terms),
+        grow=jnx.Lolimot(scheduling, criterion="none"),
+        # A search makes all its steps.
+        refine=jnx.SimulationError(
+            horizons=(), window_steps=5, max_steps=10, tolerance=0, patience=1000
+        ),
+    )
 
 
 PROCESSES = {

@@ -25,8 +25,8 @@ from typing import Any
 
 import jax
 
-from jaxnarx.methods import Case, Identification
-from jaxnarx.sweep import SweepTable, paired_comparison
+from jaxnarx.methods.settings import changed
+from jaxnarx.sweep import SweepTable, grid_cases, paired_comparison
 
 HERE = Path(__file__).resolve().parent
 for folder in ("fleets", "benchmarks"):
@@ -57,10 +57,10 @@ NAME = "lolimot_refinement"
 SEEDS = dict.fromkeys(PROCESSES, 20) | dict.fromkeys(ENGINES, 8)
 SHORT, LONG = "to 100", "to full"
 SCHEDULES: dict[str, dict[str, Any]] = {
-    LONG: {"horizons": (10, 30, 100, 1000), "window_steps": 8, "steps": 30},
-    "one step": {"objective": "prediction", "steps": 30},
-    "at once": {"horizons": (), "steps": 60},
-    SHORT: {"horizons": (10, 30, 100), "window_steps": 8, "steps": 30},
+    LONG: {"horizons": (10, 30, 100, 1000), "window_steps": 8, "max_steps": 30},
+    "one step": {"max_steps": 30, "ridge": 1e-5},
+    "at once": {"horizons": (), "max_steps": 60},
+    SHORT: {"horizons": (10, 30, 100), "window_steps": 8, "max_steps": 30},
 }
 """How the refinement gets to its end; `to full`: windows up to the whole record."""
 MOVED = ("coefficients", "partition", "joint")
@@ -78,7 +78,7 @@ PLAN = [
 ]
 """Schedule, problem, numbers of local models, what is moved."""
 SMOKE = [(LONG, "difference equation", (2,), ("coefficients", "staged"))]
-SMALL = {"horizons": (10, 1000), "window_steps": 3, "steps": 3}
+SMALL = {"horizons": (10, 1000), "window_steps": 3, "max_steps": 3}
 START = "LOLIMOT"
 PAIRS = [
     *(
@@ -108,8 +108,11 @@ def part(
     problem = PROBLEMS[name]
     fleet = problem.fleet(*((2, 300) if small else (SEEDS[name],)))
     how = SMALL if small else SCHEDULES[schedule]
-    method = Identification(**problem.settings, max_models=max(sizes), **how)
-    cases = [Case(models=m, train=t) for m in sizes for t in moved]  # pyright: ignore
+    told = {f"refine.{field}": value for field, value in how.items()}
+    if schedule == "one step":
+        told["refine"] = "prediction"
+    method = changed(problem.method, told)
+    cases = grid_cases({"grow.max_models": sizes, "refine.train": moved})
     size = " ".join(map(str, sizes))
     names = {"problem": name, "schedule": schedule, "sizes": size}
     return identified(fleet, method, cases, folder, **names)

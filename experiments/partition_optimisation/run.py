@@ -23,10 +23,12 @@ partition_optimisation.json and .parquet and two figures; README.md tells what c
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 
-from jaxnarx.methods import Case, Identification
+from jaxnarx.methods.settings import changed
+from jaxnarx.sweep.cases import Case, grid_cases
 
 HERE = Path(__file__).resolve().parent
 for folder in ("fleets", "benchmarks"):
@@ -76,8 +78,22 @@ PARTITIONS = ("lolimot", "tree", "random", "cluster")
 SIZES, MODELS = (1, 2, 3, 4, 6, 8), 4
 DRAWN, SCATTERED, SCATTER = 10, 12, 0.7
 """Starts drawn at random and by clusters, starts moved from LOLIMOT's, and how far."""
-REFINEMENT = {"horizons": (10, 30, 100, 1000), "window_steps": 8, "steps": 30}
-SMALL = {"horizons": (10, 1000), "window_steps": 3, "steps": 3}
+REFINEMENT = {
+    "refine.horizons": (10, 30, 100, 1000),
+    "refine.window_steps": 8,
+    "refine.max_steps": 30,
+}
+SMALL = {
+    "refine.horizons": (10, 1000),
+    "refine.window_steps": 3,
+    "refine.max_steps": 3,
+}
+KINDS = {
+    "lolimot": {},
+    "tree": {"grow": "tree"},
+    "random": {"grow": "placed", "grow.at": "samples"},
+    "cluster": {"grow": "placed", "grow.at": "clusters"},
+}
 MOVED = ("coefficients", "staged")
 
 
@@ -85,22 +101,15 @@ def cases(partition: str, small: bool) -> list[Case]:
     """What is tried of a partition."""
     sizes, drawn, scattered = (SIZES, DRAWN, SCATTERED) if not small else ((2,), 2, 2)
     models = min(MODELS, max(sizes))
+    moved: dict[str, Any] = {"refine.train": MOVED}
     if partition in ("random", "cluster"):
-        return [
-            Case(models=models, train=train, seed=seed)  # pyright: ignore
-            for train in MOVED
-            for seed in range(drawn)
-        ]
-    found = [
-        Case(models=size, train=train)  # pyright: ignore
-        for size in sizes
-        for train in MOVED
-    ]
+        own = {"grow.max_models": [models]} | moved | {"grow.seed": range(drawn)}
+        return grid_cases(own)
+    found = grid_cases({"grow.max_models": sizes} | moved)
     if partition == "lolimot":
-        found += [
-            Case(models=models, train="staged", scatter=SCATTER, seed=seed)
-            for seed in range(scattered)
-        ]
+        own = {"grow.max_models": [models], "refine.train": ["staged"]}
+        own |= {"grow.scatter": [SCATTER], "grow.seed": range(scattered)}
+        found += grid_cases(own)
     return found
 
 
@@ -109,12 +118,8 @@ def part(name: str, partition: str, small: bool, folder: Path) -> list[Row]:
     problem = PROBLEMS[name]
     fleet = problem.fleet(*((2, 300) if small else (SEEDS[name],)))
     tried = cases(partition, small)
-    method = Identification(
-        **problem.settings,
-        max_models=max(c.models or 1 for c in tried),
-        partition=partition,  # pyright: ignore
-        **(SMALL if small else REFINEMENT),
-    )
+    how = SMALL if small else REFINEMENT
+    method = changed(problem.method, KINDS[partition] | how)
     names = {"problem": name, "partition": partition}
     rows = identified(fleet, method, tried, folder, **names)
     for row in rows:

@@ -1,15 +1,19 @@
 """Information criteria: fit and number of parameters weighed against each other."""
 
-import numpy as np
-from jaxtyping import Float, Int
+from typing import Any
 
-Numbers = Float[np.ndarray, " models"]
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+Numbers = Float[np.ndarray | Array, " models"]
 
 
 def information(
     sse: Numbers,
-    parameters: Numbers | Int[np.ndarray, " models"],
-    samples: float | int,
+    parameters: Numbers | Int[np.ndarray | Array, " models"],
+    samples: float | int | Float[Array, ""],
     *,
     least: float | int | None = None,
 ) -> dict[str, Numbers]:
@@ -20,17 +24,19 @@ def information(
     MDL), FPE = fit + N ln((N + n)/(N - n)) (thesis 5.35). n may be an effective number.
     A sum of squares below `least` counts as that (default: the smallest positive
     number). Where N is too small for a correction it is infinite.
+    Arrays of numpy give those, arrays of jax theirs.
     """
-    n, sse = np.asarray(parameters), np.asarray(sse)
+    xp: Any = jnp if isinstance(sse, jax.Array) else np
+    n, sse = xp.asarray(parameters), xp.asarray(sse)
     least = float(np.finfo(sse.dtype).tiny) if least is None else least
-    fit = samples * np.log(np.maximum(sse, least) / samples)
+    fit = samples * xp.log(xp.maximum(sse, least) / samples)
     spare = samples - n
     with np.errstate(divide="ignore", invalid="ignore"):
-        more = np.where(spare > 1, 2 * n * (n + 1) / (spare - 1), np.inf)
-        odds = np.where(spare > 0, (samples + n) / spare, np.inf)
+        more = xp.where(spare > 1, 2 * n * (n + 1) / (spare - 1), np.inf)
+        odds = xp.where(spare > 0, (samples + n) / spare, np.inf)
     return {
         "aic": fit + 2 * n,
         "aicc": fit + 2 * n + more,
-        "bic": fit + n * np.log(samples),
-        "fpe": fit + samples * np.log(odds),
+        "bic": fit + n * xp.log(samples),
+        "fpe": fit + samples * xp.log(odds),
     }

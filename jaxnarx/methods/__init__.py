@@ -2,6 +2,7 @@
 
 from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.design import OptimalDesign
+from jaxnarx.methods.identification import Identification
 from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
 from jaxnarx.methods.least_squares import LeastSquares, Recursive
 from jaxnarx.methods.linear import (
@@ -13,11 +14,18 @@ from jaxnarx.methods.linear import (
     OutputError,
 )
 from jaxnarx.methods.own import Partitioner, Selector
-from jaxnarx.methods.partition import Given, Global, Grid, Lolimot, SigmoidTree
+from jaxnarx.methods.partition import (
+    Given,
+    Global,
+    Grid,
+    Lolimot,
+    Placed,
+    SigmoidTree,
+)
+from jaxnarx.methods.pool import Polynomial
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
-from jaxnarx.methods.sweep import Case, Identification
 
 __all__ = [
     "ARMAX",
@@ -27,7 +35,6 @@ __all__ = [
     "Anova",
     "Backward",
     "BoxJenkins",
-    "Case",
     "ForwardOLS",
     "GeneralLinear",
     "Given",
@@ -39,6 +46,8 @@ __all__ = [
     "OptimalDesign",
     "OutputError",
     "Partitioner",
+    "Placed",
+    "Polynomial",
     "PredictionError",
     "Recursive",
     "Selector",

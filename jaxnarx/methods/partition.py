@@ -106,9 +106,28 @@ class _Grown(_Scheduled):
     least: float | int | None = dataclasses.field(default=None, kw_only=True)
     """Least sum of a local model's validity over the samples; default: its number of
     parameters. A split that would leave less is forbidden."""
+    scatter: float | int = dataclasses.field(default=0.0, kw_only=True)
+    """Standard deviation of a random move of the grown partition, in the coordinates of
+    the refinement (0.7 is that of `SimulationError.starts`); the local models are then
+    fitted anew."""
+    seed: int = dataclasses.field(default=0, kw_only=True)
+    """Of that move."""
 
     def __post_init__(self):
         super().__post_init__()
+        _require(
+            0 <= self.scatter < float("inf"),
+            "scatter",
+            f"scatter must be finite and not negative, got {self.scatter}",
+        )
+        _require(
+            not self.scatter or self.local is None,
+            "scatter",
+            "a partition whose models have terms of their own is not moved",
+        )
+        _require(
+            0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
+        )
         _require(
             self.max_models >= 1,
             "max_models",
@@ -184,6 +203,45 @@ class SigmoidTree(_Grown):
         )
         _require(
             self.steps >= 1, "steps", f"steps must be at least 1, got {self.steps}"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Placed(_Scheduled):
+    """Gaussians at samples drawn at random, or at the means of clusters from there.
+
+    Clusters: S. Lloyd, "Least squares quantization in PCM", 1982.
+    """
+
+    max_models: int = 8
+    """Number of local models."""
+    k_sigma: float | int = 1 / 3
+    """Width of a Gaussian as a share of the extension of one of as many equal boxes; of
+    a cluster, of its own."""
+    _: dataclasses.KW_ONLY
+    at: Literal["samples", "clusters"] = "clusters"
+    """Where the centres lie."""
+    seed: int = 0
+    """Of the samples that are drawn."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        _require(
+            self.max_models >= 1,
+            "max_models",
+            f"max_models must be at least 1, got {self.max_models}",
+        )
+        _require(
+            self.k_sigma > 0,
+            "k_sigma",
+            f"k_sigma must be positive, got {self.k_sigma}",
+        )
+        _require(
+            self.local is None, "local", "models that are placed have terms in common"
+        )
+        _choice("at", self.at, ("samples", "clusters"))
+        _require(
+            0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
         )
 
 

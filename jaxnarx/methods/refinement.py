@@ -31,11 +31,12 @@ class SimulationError:
     window_steps: int = 20
     """Accepted steps at each window length, and of the coefficients alone on the full
     record."""
-    train: Literal["staged", "joint", "either"] = "staged"
+    train: Literal["staged", "joint", "either", "coefficients", "partition"] = "staged"
     """Order of training. `"staged"`: the coefficients alone in the windows, and for up
     to `window_steps` on the full record, then all together; `"joint"`: everything from
     the first window; `"either"`: one after the other, each to its end, and the better
-    one by validation, at two to three times the cost. With noisy outputs a partition
+    one by validation, at two to three times the cost; `"coefficients"` and
+    `"partition"`: one kind alone, the other as it is. With noisy outputs a partition
     that moves in the windows adapts to biased coefficients and does not come back
     (`experiments/nelles`)."""
     tolerance: float | int = 1e-4
@@ -101,6 +102,7 @@ class SimulationError:
             f"ridge and tolerance must be finite and not negative, got "
             f"{self.ridge} and {self.tolerance}",
         )
+        object.__setattr__(self, "width_band", tuple(self.width_band))
         _check_width_band(self.width_band)
         for name in ("patience", "starts", "batch"):
             value = getattr(self, name)
@@ -141,7 +143,11 @@ class SimulationError:
             'solver="windows" needs at least one horizon, the length of its windows',
         )
         _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
-        _choice("train", self.train, ("staged", "joint", "either"))
+        _choice(
+            "train",
+            self.train,
+            ("staged", "joint", "either", "coefficients", "partition"),
+        )
         _require(
             not (self.folds and self.train == "either"),
             "train",
@@ -175,6 +181,8 @@ class PredictionError:
     information about it."""
     width_band: tuple[float | int, float | int] = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
+    train: Literal["joint", "coefficients", "partition"] = "joint"
+    """What is trained: everything, or one kind alone."""
 
     def __post_init__(self):
         _require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
@@ -189,7 +197,9 @@ class PredictionError:
             "patience",
             f"patience must be at least 1, got {self.patience}",
         )
+        object.__setattr__(self, "width_band", tuple(self.width_band))
         _check_width_band(self.width_band)
+        _choice("train", self.train, ("joint", "coefficients", "partition"))
 
 
 def _choice(field: str, value: str, known: tuple[str, ...]) -> None:

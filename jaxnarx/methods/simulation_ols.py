@@ -16,8 +16,9 @@ class SimulationOLS:
 
     max_terms: int = 20
     """Largest number of terms, the constant included."""
-    start_terms: int = 4
-    """Terms chosen by one-step ERR to begin with; their model must run."""
+    start_terms: int | None = None
+    """Terms chosen by one-step ERR to begin with, whose model must run; default: 4, or
+    `max_terms` where that is less."""
     shortlist: int = 150
     """Candidates, the best by the plain derivative, whose filtered columns are made."""
     steps: int = 8
@@ -41,12 +42,13 @@ class SimulationOLS:
             "patience",
             "max_rounds",
         ):
-            if getattr(self, field) < 1:
+            value = getattr(self, field)
+            if value is not None and value < 1:
                 raise SpecError(
-                    f"{field} must be at least 1, got {getattr(self, field)}",
+                    f"{field} must be at least 1, got {value}",
                     field=field,
                 )
-        if self.start_terms > self.max_terms:
+        if self.start_terms is not None and self.start_terms > self.max_terms:
             raise SpecError(
                 f"start_terms ({self.start_terms}) exceeds max_terms "
                 f"({self.max_terms})",
@@ -58,3 +60,8 @@ class SimulationOLS:
                     f"{field} must lie in [0, 1), got {getattr(self, field)}",
                     field=field,
                 )
+
+    @property
+    def first_terms(self) -> int:
+        """Terms to begin with."""
+        return self.start_terms or min(4, self.max_terms)

@@ -2,18 +2,23 @@
 
 from jaxnarx.partition.ground import Ground, make_ground
 from jaxnarx.partition.grow import grow
-from jaxnarx.partition.local_fit import local_fit
+from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
+from jaxnarx.partition.placed import place, scattered
 from jaxnarx.partition.scaffold import scheduling_table
+from jaxnarx.partition.stages import best_stage
 from jaxnarx.partition.switching import switch
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 
 __all__ = [
     "Ground",
+    "best_stage",
+    "fit_models",
     "grow",
-    "local_fit",
     "lolimot",
     "make_ground",
+    "place",
+    "scattered",
     "scheduling_table",
     "sigmoid_tree",
     "switch",

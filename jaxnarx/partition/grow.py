@@ -8,7 +8,7 @@ import numpy as np
 from jaxnarx.arrays.least_squares import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Given, Global, Grid, Lolimot, SigmoidTree
+from jaxnarx.methods import Given, Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.models import (
     AbstractValidity,
     Network,
@@ -21,6 +21,7 @@ from jaxnarx.partition.grid import grid_output
 from jaxnarx.partition.ground import Ground, make_ground
 from jaxnarx.partition.growth import grow_output
 from jaxnarx.partition.own_feedback import with_feedback
+from jaxnarx.partition.placed import placed_output
 from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
@@ -28,7 +29,7 @@ from jaxnarx.solution import RESULTS, Solution
 
 _least_squares = jax.jit(least_squares)
 
-Method = Given | Global | Grid | Lolimot | SigmoidTree
+Method = Given | Global | Grid | Lolimot | Placed | SigmoidTree
 
 
 def grow(
@@ -44,8 +45,9 @@ def grow(
     `Global()` is one local model by orthogonal least squares. `Lolimot(...)` and
     `SigmoidTree(...)` divide the space of their scheduling variables until their
     criterion deteriorates `patience` times in a row and return the best stage.
-    `Grid(...)` takes a partition as it is told, `Given(...)` that of a network, a
-    validity function, or what a function of one's own returns. With `local` every
+    `Placed(...)` takes samples or clusters, `Grid(...)` a partition as it is told,
+    `Given(...)` that of a network, a validity function, or what a function of one's own
+    returns. With `local` every
     region chooses its own terms, and with `feedback="choose"` whether it is fed back
     its own output or the network's.
 
@@ -91,6 +93,9 @@ def grow(
         return _grow_global(ground)
     if isinstance(method, Grid):
         made = [grid_output(ground, o, method) for o in range(len(factors))]
+        return _as_told(ground, made, method, validation)
+    if isinstance(method, Placed):
+        made = [(placed_output(ground, o, method), []) for o in range(len(factors))]
         return _as_told(ground, made, method, validation)
     if isinstance(method, Given):
         made = [given_output(ground, *own, method) for own in enumerate(regions)]
@@ -181,7 +186,7 @@ def _judges(ground: Ground, validation: Dataset | None) -> Dataset:
 def _as_told(
     ground: Ground,
     made: list[tuple[OutputModel, list[int]]],
-    method: Given | Grid,
+    method: Given | Grid | Placed,
     validation: Dataset | None,
 ) -> Solution[Network]:
     """A network on a partition that was not grown."""

@@ -25,6 +25,7 @@ from jaxnarx.partition.given import Regions, placed
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.lolimot import boxes_of_validity, lolimot, validity_of_boxes
+from jaxnarx.partition.placed import moved_output
 from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import Rows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
@@ -103,7 +104,11 @@ def grow_output(
         found["pruned_to"] = count
     if not sparse:
         theta = ground.coefficients(output, stages.theta[best, :count])
-        return ground.model(output, theta, validity(best, count), count), found
+        model = ground.model(output, theta, validity(best, count), count)
+        if method.scatter:
+            grown = dataclasses.replace(frame, models=(model,))
+            model = moved_output(ground, output, grown, method)
+        return model, found
     shape = validity(best, count)
     phi = shape(ground.z, jnp.ones(count, bool))
     assert method.local is not None

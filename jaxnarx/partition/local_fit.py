@@ -50,6 +50,23 @@ def local_fit(
     return cholesky_solve(gram * own[:, None] * own[None], moment * own)
 
 
+def fit_models(
+    p: Float[Array, "terms rows"],
+    y: Float[Array, " rows"],
+    phi: Float[Array, "models rows"],
+    weight: Float[Array, " rows"],
+    active: Bool[Array, " models"],
+    ridge: Float[Array, ""],
+) -> Float[Array, "models terms"]:
+    """Coefficients of all local models, pulled towards those of the global one."""
+    start = jnp.zeros(len(p), p.dtype)
+    prior = local_fit(p, y, weight, prior=start, ridge=jnp.zeros_like(ridge))
+    theta = jax.lax.map(
+        lambda w: local_fit(p, y, w, prior=prior, ridge=ridge), phi * weight[None]
+    )
+    return jnp.where(active[:, None], theta, 0.0)
+
+
 def pick(
     gram: Float[Array, "terms terms"],
     moment: Float[Array, " terms"],

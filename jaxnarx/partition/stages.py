@@ -2,9 +2,10 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.criteria import information
 from jaxnarx.data import Dataset
@@ -76,3 +77,38 @@ def choose_stage(
     if method.criterion == "validation":
         figures["validation"] = validation
     return best, figures
+
+
+def best_stage(
+    sse: Float[Array, " stages"],
+    effective: Float[Array, " stages"],
+    count: Int[Array, " stages"],
+    samples: Float[Array, ""],
+    models: Int[Array, ""],
+    *,
+    criterion: str,
+    patience: int,
+) -> Int[Array, ""]:
+    """The choice of `choose_stage` inside a program, by figures of the training data.
+
+    Stages beyond `models` local models do not take part.
+    """
+    at = jnp.arange(sse.size)
+    there = (at < models) & ((at == 0) | (jnp.diff(count, prepend=count[:1]) > 0))
+    last = jnp.sum(there) - 1
+    if criterion == "none":
+        return last
+    values = information(sse, effective, samples)[criterion]
+
+    def look(carry, now):
+        best, smallest, going = carry
+        n, value, here = now
+        going = going & here
+        better = going & (value < smallest)
+        best = jnp.where(better, n, best)
+        going = going & (n - best < patience)
+        return (best, jnp.where(better, value, smallest), going), None
+
+    begin = jnp.asarray(0), values[0], jnp.asarray(True)
+    (best, _, _), _ = jax.lax.scan(look, begin, (at[1:], values[1:], there[1:]))
+    return best

@@ -13,7 +13,7 @@ from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement.folds import best_position, curve
 from jaxnarx.refinement.initial import initial_conditions
-from jaxnarx.refinement.layout import Layout, make_layout
+from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
 from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.stability import first_horizon
@@ -96,6 +96,7 @@ def refine(
     if validation is not None:
         validation = fitting(network, validation)
         guard, _ = make_task(network, validation, criterion=task.criterion)
+    trainable = _moving(network, trainable, method)
     # A prior is one of the coefficients as they stand.
     plain = deviations is None
     if isinstance(method, PredictionError):
@@ -184,6 +185,22 @@ def _schedules(
         order: stages(horizons, method.window_steps, steps, staged=order == "staged")
         for order in (("staged", "joint") if train == "either" else (train,))
     }
+
+
+def _moving(
+    network: Network,
+    trainable: Network | None,
+    method: SimulationError | PredictionError,
+) -> Network | None:
+    """What is trained, of that what `method.train` moves."""
+    kinds = ("coefficients", "partition")
+    train = getattr(method, "train", "joint")
+    if train not in kinds:
+        return trainable
+    own = freeze(network, **{kind: kind == train for kind in kinds})
+    if trainable is None:
+        return own
+    return jax.tree.map(lambda a, b: bool(a and b), own, trainable)
 
 
 def _prior(layout: Layout, deviations: Network | None) -> np.ndarray | None:

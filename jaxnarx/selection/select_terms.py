@@ -192,7 +192,7 @@ def _on_free_run(
             field="max_terms",
         )
     if not start:
-        few = ForwardOLS(max_terms=min(method.start_terms, len(pool)))
+        few = ForwardOLS(max_terms=min(method.first_terms, len(pool)))
         start = chosen_of(choose_terms(pool, rows, few, usable, [[]]).path)[0]
     path = refit(pool, rows, [start])
     theta = np.asarray(path.nested)[0, -1]

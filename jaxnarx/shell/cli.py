@@ -22,14 +22,6 @@ from jaxnarx.shell.messages import say, warn
 
 OK, NOT_ACCEPTABLE, USAGE, DATA, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-_FLAGS = {
-    "max_terms": "--terms",
-    "max_models": "--models",
-    "scheduling": "--schedule",
-    "max_steps": "--steps",
-    "outputs": "--output",
-}
-"""Options by the name the library has for them, where it is not the same."""
 _WORDS = (
     (
         "Use missing='mask', 'split' or 'interpolate'.",
@@ -116,9 +108,10 @@ def _open_streams() -> None:
 
 def _as_flag(error: SpecError) -> str:
     """The message with the option it is about as it is typed."""
-    text, field = str(error), error.field or ""
-    flag = _FLAGS.get(field, "--" + field.replace("_", "-"))
-    return re.sub(rf"^{re.escape(field)}\b", flag, text) if field else text
+    from jaxnarx.shell.flags import flag_of
+
+    text, field = str(error), error.field
+    return re.sub(rf"^{re.escape(field)}\b", flag_of(field), text) if field else text
 
 
 def _fail(text: str, exit_code: int) -> int:

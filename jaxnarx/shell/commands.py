@@ -11,6 +11,12 @@ from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import Positional, arg
 
+from jaxnarx.methods import (
+    ForwardOLS,
+    Identification,
+    Polynomial,
+    SimulationError,
+)
 from jaxnarx.methods.description import DESCRIPTION
 
 
@@ -63,7 +69,8 @@ class Identify:
     The description (TOML) names files, channels, units and which records train,
     validate and test; `jaxnarx check --help` shows one. Without validation records some
     are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT or
-    a tree of sigmoids, and all parameters are refined together on the free-run error.
+    a tree of sigmoids, and all parameters are refined together on the free-run error;
+    --steps 0 keeps the one-step model.
     The last lines are a verdict (good, usable with limits, or not usable, and why) and
     the command that would help.
 
@@ -73,64 +80,8 @@ class Identify:
 
     description: Positional[_Description]
     """TOML description of the records."""
-    output: _Names = ()
-    """Outputs to model; default: all of the description."""
-    input_lags: _Lags = (0, 1, 2, 4, 8, 16)
-    """Input lags in samples, or none; `jaxnarx check` suggests some."""
-    output_lags: _Lags = (1, 2)
-    """Output lags in samples, fed back in a free run; none: it cannot diverge."""
-    filters: _Seconds = ()
-    """Time constants [s] of first-order lags; inputs enter through each of them too."""
-    degree: int = 2
-    """Largest number of factors of a term."""
-    terms: int = 25
-    """Number of terms of every local model, the largest where F decides."""
-    select: Literal["err", "stepwise", "backward", "simulation"] = "err"
-    """How terms are chosen: forward by error reduction ratio; stepwise by partial F;
-    forward, then backward by partial F; or by what they bring to the free run."""
-    significance: float = 0.01
-    """Probability with which noise alone reaches the partial F to enter or stay."""
-    constant: Literal["first", "candidate", "after"] = "first"
-    """Constant term of --select err: chosen first, a candidate, or added after the
-    choice (thesis)."""
-    models: int = 1
-    """Largest number of local models."""
-    schedule: _Names = ()
-    """Variables that divide the operating space, as "speed[t]"; for --models > 1."""
-    partition: Literal["lolimot", "tree", "axis-tree"] = "lolimot"
-    """How it is divided: boxes with Gaussians; a tree of sigmoids with oblique borders;
-    or such a tree with borders across one variable each."""
-    local_terms: int = 0
-    """Every region keeps this many of the chosen terms, chosen anew by error reduction
-    ratio; 0: all regions have all --terms."""
-    criterion: Literal["aicc", "bic", "validation", "none"] = "aicc"
-    """What decides on the number of regions up to --models: an information criterion,
-    the free run on the validation records, or nothing."""
-    feedback: Literal["network", "own", "choose"] = "network"
-    """What a region's model is fed back in the free run: the network's output, its own
-    (an output-error model), or what serves the validation records better, region by
-    region."""
-    k_sigma: Annotated[float, arg(help_behavior_hint="(default: 1/3)")] = 1 / 3
-    """Width of a region's Gaussian as a share of its box."""
-    horizons: _Ints = (10, 30, 100, 300, 1000)
-    """Window lengths of the refinement before the full record, in samples."""
-    steps: int = 40
-    """Refinement steps on full records; 0 keeps the one-step model."""
-    window_steps: int = 20
-    """Refinement steps at each window length."""
-    train: Literal["staged", "joint", "either"] = "staged"
-    """What moves when: the coefficients of the local models in the windows and regions
-    on full records alone; everything from the first window; or both ways to their end,
-    and the better one by validation (two to three times the time)."""
-    ridge: float = 1e-5
-    """Pull of the parameters towards the one-step model."""
-    loss: Literal["squares", "huber", "log-cosh"] = "squares"
-    """What errors cost in the refinement; the robust ones forgive outliers."""
-    log: _Names = ()
-    """Outputs whose error is refined on a logarithmic scale, such as HC or particle
-    number; they must be positive."""
-    starts: int = 1
-    """Starting points of the refinement, those beyond the first at random."""
+    method: Identification = Identification()
+    """How it is identified; its options are made from the settings tree."""
     hold_out: float = 0.2
     """Share of the training samples that validates, where no record is named for it."""
     root: _Folder = None
@@ -205,22 +156,13 @@ class Invert:
     """Further measured outputs that the inverse may use, at lags of 1 or more."""
     lead: _Whole = None
     """Samples by which targets are seen ahead; default: the model's dead times."""
-    input_lags: _Lags = (0, 1, 2, 4)
-    """Lags of everything the inverse sees, in samples."""
-    output_lags: _Lags = (1,)
-    """Lags of its own commands; none: it cannot run away."""
-    degree: int = 2
-    """Largest number of factors of a term."""
-    terms: int = 20
-    """Number of terms of every local model."""
-    models: int = 1
-    """Largest number of local models."""
-    schedule: _Names = ()
-    """Variables that divide the operating space, as "MAP[t-1]"; for --models > 1."""
-    partition: Literal["lolimot", "tree", "axis-tree"] = "axis-tree"
-    """How it is divided, as for `jaxnarx identify`."""
-    direct_steps: int = 20
-    """Refinement steps of the inverse by itself, on its free run; 0 for none."""
+    method: Identification = Identification(
+        pool=Polynomial(input_lags=(0, 1, 2, 4), output_lags=(1,)),
+        select=ForwardOLS(max_terms=20),
+        refine=SimulationError(horizons=(10, 30, 100), max_steps=20, window_steps=10),
+    )
+    """The inverse by itself, before it is trained through the model: input lags are
+    those of everything that it sees, output lags those of its own commands."""
     steps: int = 40
     """Training steps through the model; 0 keeps the direct inverse."""
     effort: float = 1e-3
@@ -399,15 +341,18 @@ class Sweep:
         bed = "pfi-dyno"
         count = 16
         spread = 0.05
-        [identification]
-        output = "MAP"
+        [identification.pool]
+        outputs = ["MAP"]
+        [identification.grow]
+        method = "lolimot"
         scheduling = ["speed[t]"]
         [cases]
-        ridge = [1e-6, 1e-4]
-        train = ["coefficients", "joint"]
+        refine.ridge = [1e-6, 1e-4]
+        refine.train = ["coefficients", "joint"]
 
     In place of bed: engines = ["engines/*.toml"], descriptions of measured ones. In
-    place of [cases]: [random] with count, seed and ranges as ["log", 1e-6, 1e-2].
+    place of [cases]: [random] with count, seed and ranges as ["log", 1e-6, 1e-2]. The
+    sections of [identification] are those of `jaxnarx identify --settings`.
     """
 
     description: Positional[_Description]

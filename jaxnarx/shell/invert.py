@@ -12,6 +12,7 @@ import numpy as np
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import report
+from jaxnarx.identification import identify
 from jaxnarx.inverse import (
     Tracking,
     cascade,
@@ -22,22 +23,14 @@ from jaxnarx.inverse import (
 )
 from jaxnarx.methods import (
     ActuatorLimits,
-    ForwardOLS,
-    Global,
-    Lolimot,
-    SigmoidTree,
-    SimulationError,
     TrackingError,
 )
+from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
-from jaxnarx.partition import grow
-from jaxnarx.refinement import refine
-from jaxnarx.regressors import polynomial_pool
-from jaxnarx.selection import select
 from jaxnarx.shell.commands import Invert
+from jaxnarx.shell.identify import Teller
 from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import write_report, write_text, written_together
-from jaxnarx.shell.progress import refinement_progress
 from jaxnarx.shell.style import save as save_figure
 from jaxnarx.shell.tracking_figure import draw_tracking
 from jaxnarx.simulation import simulate
@@ -70,10 +63,6 @@ def _numbers(text: str, option: str, form: str, wanted: int) -> tuple[Any, ...]:
 
 def check_command(command: Invert, forward: Network) -> tuple[str, ...]:
     """The targets; `SpecError` where the flags do not fit each other or the model."""
-    if command.models < 1:
-        raise SpecError(f"--models must be at least 1, got {command.models}")
-    if (command.models > 1) != bool(command.schedule):
-        raise SpecError("--models above 1 and --schedule belong together")
     if not 0 < command.hold_out < 1:
         raise SpecError(f"--hold-out must lie between 0 and 1, got {command.hold_out}")
     targets = command.target or tuple(forward.output_names)
@@ -147,45 +136,15 @@ def invert(
 
 def _direct(command: Invert, data: dict[str, Dataset]) -> Network:
     """The inverse by itself: terms, regions, and its own free run."""
-    train = data["train"]
-    references = {name: command.input_lags for name in train.channels.input_names}
+    train, lags = data["train"], command.method.pool.input_lags
+    references = {name: lags for name in train.channels.input_names}
     for name in command.state:
-        references[name] = tuple(k for k in command.input_lags if k) or (1,)
-    pool = polynomial_pool(
-        train.channels,
-        input_lags=references,
-        output_lags=command.output_lags,
-        degree=command.degree,
-    )
-    say(f"Choosing {min(command.terms, len(pool))} of {len(pool)} terms of the inverse")
-    chosen = select(pool, train, ForwardOLS(max_terms=command.terms)).value
-    network = grow(chosen, train, _growth(command)).value
-    for name, model in zip(network.output_names, network.models, strict=True):
-        say(f"{name}: {count(int(model.active.sum()), 'local model')}")
-    if not command.direct_steps:
-        return network
-    say("Refining the inverse by itself, on its free run")
-    method = SimulationError(
-        horizons=(10, 30, 100), max_steps=command.direct_steps, window_steps=10
-    )
-    with refinement_progress() as progress:
-        fit = refine(
-            network, train, method, validation=data["validate"], progress=progress
-        )
-    say(f"  {fit.status_name}: {fit.detail}")
+        references[name] = tuple(k for k in lags if k) or (1,)
+    method = changed(command.method, {"pool.input_lags": references})
+    say("The inverse by itself")
+    with Teller(method) as tell:
+        fit = identify(train, method, validation=data["validate"], progress=tell)
     return fit.value
-
-
-def _growth(command: Invert) -> Global | Lolimot | SigmoidTree:
-    if command.models == 1:
-        return Global()
-    if command.partition == "lolimot":
-        return Lolimot(scheduling=command.schedule, max_models=command.models)
-    return SigmoidTree(
-        scheduling=command.schedule,
-        max_models=command.models,
-        oblique=command.partition == "tree",
-    )
 
 
 def _trained(

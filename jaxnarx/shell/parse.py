@@ -7,6 +7,7 @@ import tyro
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import COMMANDS, Command, help_of
+from jaxnarx.shell.flags import settled, with_options
 
 _ABOUT = (
     "Identify engines from measurements: polynomial NARX models, each valid in one "
@@ -21,14 +22,15 @@ def parse(arguments: Sequence[str]) -> Command:
     """The command that was typed. Help and usage errors raise `SystemExit`."""
     name = arguments[0] if arguments else ""
     if name in COMMANDS:
-        return tyro.cli(
-            COMMANDS[name],
+        parsed = tyro.cli(
+            with_options(COMMANDS[name]),
             args=arguments[1:],
             prog=f"jaxnarx {name}",
             # given here because tyro drops the examples from a docstring it parses
             description=help_of(COMMANDS[name]),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
         )
+        return settled(COMMANDS[name], parsed)
     if name and not name.startswith("-"):
         raise SpecError(f"there is no command {name!r}. {suggest(name, COMMANDS)}")
     listed: Any = tuple(

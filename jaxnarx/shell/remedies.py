@@ -2,9 +2,13 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 from jaxnarx.evaluation import Verdict
+from jaxnarx.methods import Global, Lolimot, SigmoidTree, SimulationOLS
+from jaxnarx.methods.settings import KIND, changed
 from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.flags import words_of
 
 SLOW = (4, 16, 64)
 """Time constants of filters that are proposed, in samples."""
@@ -36,18 +40,23 @@ def next_words(
     again = dataclasses.replace(command, out=None, force=False)
     if verdict.remedy in ADVICE:
         return words_of(again), ADVICE[verdict.remedy]
+    method = command.method
+    pool, terms = method.pool, getattr(method.select, "max_terms", 2)
     filters = tuple(float(f"{n * sample_time:.3g}") for n in SLOW)
-    linear = {"degree": 1} if command.degree > 1 else {}
-    choice = {"select": "simulation", "constant": "first"}
-    choice = {} if len(outputs) > 1 or command.select == "simulation" else choice
-    memory = {} if command.filters else {"filters": filters}
-    safe = {"filters": command.filters or filters, "output_lags": ()}
-    safe = safe if command.output_lags else {}
-    regions = {"models": 2 * command.models}
-    if command.models == 1:
-        regions = {"models": 6, "schedule": tuple(f"{n}[t]" for n in inputs[:2])}
-    fewer = {"terms": max(command.terms // 2, 2)} if command.terms > 2 else {}
-    orders = {
+    linear = {"pool.degree": 1} if pool.degree > 1 else {}
+    free = isinstance(method.select, SimulationOLS)
+    choice = {} if len(outputs) > 1 or free else {"select": "simulation"}
+    memory = {} if pool.filters else {"pool.filters": filters}
+    safe = {"pool.filters": pool.filters or filters, "pool.output_lags": ()}
+    safe = safe if pool.output_lags else {}
+    regions: dict[str, Any] = {}
+    if isinstance(method.grow, Global):
+        divided = tuple(f"{n}[t]" for n in inputs[:2])
+        regions = {"grow": {KIND: "lolimot", "scheduling": divided, "max_models": 6}}
+    elif isinstance(method.grow, Lolimot | SigmoidTree):
+        regions = {"grow.max_models": 2 * method.grow.max_models}
+    fewer = {"select.max_terms": max(terms // 2, 2)} if terms > 2 else {}
+    orders: dict[str, tuple[dict[str, Any], ...]] = {
         "bounded": (choice, linear, safe),
         "linear": (linear, choice, memory),
         "richer": (choice, memory, regions),
@@ -56,18 +65,5 @@ def next_words(
     change = next((c for c in orders[verdict.remedy] if c), None)
     if change is None:
         return words_of(again), "  (with more training records)"
-    return words_of(dataclasses.replace(again, **change)), ""
-
-
-def words_of(command: Identify) -> list[str]:
-    """The command as it is typed: its description, and what differs from defaults."""
-    words = ["jaxnarx", "identify", command.description]
-    for field in dataclasses.fields(command):
-        value = getattr(command, field.name)
-        if field.default is dataclasses.MISSING or value == field.default:
-            continue
-        words.append("--" + field.name.replace("_", "-"))
-        if not isinstance(value, bool):
-            listed = value if isinstance(value, tuple) else (value,)
-            words += [f"{v:g}" if isinstance(v, float) else str(v) for v in listed]
-    return words
+    changes = dataclasses.replace(again, method=changed(method, change))
+    return words_of(changes), ""

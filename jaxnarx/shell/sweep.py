@@ -89,11 +89,7 @@ def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
     judge = "validation" if fleet.validation is not None else "train"
     scores = [f"{part}_free_run" for part in fleet.parts]
     best = best_per_group(table, "engine", f"{judge}_free_run")
-    varied = [
-        name
-        for name in work.cases[0].labels()
-        if len({str(case.labels()[name]) for case in work.cases}) > 1
-    ]
+    varied = list(dict.fromkeys(path for case in work.cases for path in case))
     if len(best):
         say(f"\nBest of each engine by the free run on {judge} records, NRMSE")
         for line in best_lines(best, ["engine", *varied, "status", *scores]):

@@ -12,32 +12,35 @@ noise = 1.0                           # as a multiple of the bed's own
 # engines = ["engines/*.toml"]
 # root = "."                          # folder of their data
 
-[identification]                      # fields of jaxnarx.Identification
-output = "MAP"
+[identification.pool]                 # the settings of jaxnarx.Identification
+outputs = ["MAP"]
+[identification.grow]
+method = "lolimot"
 scheduling = ["speed[t]"]
 max_models = 4
 
-[cases]                               # fields of jaxnarx.Case: all combinations
-ridge = [1e-6, 1e-4]
-train = ["coefficients", "joint"]
+[cases]                               # any of them, by path: all combinations
+refine.ridge = [1e-6, 1e-4]
+refine.train = ["coefficients", "joint"]
 # or points drawn at random:
 # [random]
 # count = 20
 # seed = 1
-# ridge = ["log", 1e-8, 1e-2]         # or "uniform", "integer", or a list of values
+# refine.ridge = ["log", 1e-8, 1e-2]  # or "uniform", "integer", or a list of values
 ```
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
-from jaxnarx.methods import Case, Identification
+from jaxnarx.methods import Identification
+from jaxnarx.methods.settings import changed, made, paths
 
 SECTIONS = ("data", "identification", "cases", "random")
-SCALES = (["log"], ["uniform"], ["integer"])
+Case = Mapping[str, Any]
 SHORTEST = 50
 """Samples of the shortest record of a virtual engine."""
 
@@ -48,10 +51,10 @@ class Relatives:
 
     bed: str
     count: int = 16
-    spread: float = 0.05
+    spread: float | int = 0.05
     length: int = 1000
     seed: int = 1
-    noise: float = 1.0
+    noise: float | int = 1.0
 
     def __post_init__(self):
         for name, least in (("count", 1), ("length", SHORTEST), ("seed", 0)):
@@ -72,7 +75,7 @@ class Relatives:
 class Measured:
     """Engines that are described by files, found by patterns."""
 
-    engines: tuple[str, ...]
+    engines: Sequence[str]
     root: str | None = None
 
 
@@ -96,18 +99,20 @@ def load_sweep(path: Path) -> Description:
     table = load_toml(path)
     with reading(path, "a description of a sweep", advice="Correct it."):
         try:
-            _require_known(table, SECTIONS, "the description")
-            return Description(
-                data=_data(_section(table, "data")),
-                method=_made(
-                    Identification,
-                    _section(table, "identification"),
-                    "[identification]",
-                ),
-                cases=tuple(_cases(table)),
-                folder=path.parent,
-            )
-        except (SpecError, TypeError) as error:
+            for key in table:
+                if key not in SECTIONS:
+                    raise SpecError(
+                        f"the description has the unknown key {key!r}. "
+                        f"{suggest(key, SECTIONS)}",
+                        field=key,
+                    )
+            data = _data(_section(table, "data"))
+            method = made(Identification, _section(table, "identification"))
+            cases = tuple(_cases(table))
+            for case in cases:
+                changed(method, case)  # what does not fit is said now
+            return Description(data, method, cases, path.parent)
+        except SpecError as error:
             raise DataFileError(f"{path}: {error}", path=path) from error
 
 
@@ -126,14 +131,14 @@ def _data(data: dict[str, Any]) -> Relatives | Measured:
                     f"[data] files are relative to the description, got {name!r}",
                     field="engines",
                 )
-        return _made(Measured, {**data, "engines": tuple(patterns)}, "[data]")
+        return made(Measured, data, "data")
     if "bed" not in data:
         raise SpecError(
             "[data] needs bed, a virtual engine, or engines, descriptions of measured "
             "ones",
             field="data",
         )
-    return _made(Relatives, data, "[data]")
+    return made(Relatives, data, "data")
 
 
 def _cases(table: Mapping[str, Any]) -> list[Case]:
@@ -142,8 +147,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
     if "cases" in table and "random" in table:
         raise SpecError("give [cases] or [random], not both", field="cases")
     if "random" not in table:
-        _require_values(_section(table, "cases", {}))
-        return grid_cases(**_section(table, "cases", {}))
+        return grid_cases(paths(_section(table, "cases", {})))
     settings = dict(_section(table, "random"))
     count, seed = settings.pop("count", 10), settings.pop("seed", 1)
     for name, value in (("count", count), ("seed", seed)):
@@ -151,56 +155,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
             raise SpecError(
                 f"[random] {name} must be a whole number, got {value!r}", field=name
             )
-    _require_values(
-        {
-            k: v[1:] if isinstance(v, list) and v[:1] in SCALES else v
-            for k, v in settings.items()
-        }
-    )
-    return random_cases(seed, count, **settings)
-
-
-def _require_values(settings: Mapping[str, Any]) -> None:
-    """SpecError unless every setting has a list of values of its kind."""
-    fields = {f.name: f for f in dataclasses.fields(Case)}
-    _require_known(settings, fields, "[cases]")
-    for name, values in settings.items():
-        if not isinstance(values, list) or not values:
-            raise SpecError(f"{name} must be a list, got {values!r}", field=name)
-        for value in values:
-            _require_kind(fields[name], value)
-            if fields[name].default is None and isinstance(value, str | float | bool):
-                raise SpecError(
-                    f"{name} must be whole numbers, got {value!r}", field=name
-                )
-
-
-def _made(kind: type, settings: dict[str, Any], where: str) -> Any:
-    """An object of settings, its fields' kinds checked against their defaults."""
-    fields = {f.name: f for f in dataclasses.fields(kind) if f.name != "_"}
-    _require_known(settings, fields, where)
-    for name, value in settings.items():
-        _require_kind(fields[name], value)
-    return kind(**settings)
-
-
-def _require_kind(field: dataclasses.Field, value: Any) -> None:
-    """SpecError unless `value` is of the kind of the field's default, or a choice."""
-    usual, name = type(field.default), field.name
-    if get_origin(field.type) is Literal:
-        known = get_args(field.type)
-        if value not in known:
-            raise SpecError(
-                f"{name} must be one of {', '.join(known)}, got {value!r}", field=name
-            )
-    elif usual in _KINDS and (
-        isinstance(value, bool) or not isinstance(value, _KINDS[usual])
-    ):
-        raise SpecError(f"{name} must be {_WORDS[usual]}, got {value!r}", field=name)
-
-
-_KINDS = {int: int, float: (int, float), str: str, tuple: (list, tuple, dict, str)}
-_WORDS = {int: "a whole number", float: "a number", str: "text", tuple: "a list"}
+    return random_cases(seed, count, paths(settings))
 
 
 def _section(
@@ -211,11 +166,3 @@ def _section(
     if not isinstance(table.get(name), dict):
         raise SpecError(f"the section [{name}] is missing", field=name)
     return table[name]
-
-
-def _require_known(table: Mapping[str, Any], known, where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise SpecError(
-                f"{where} has the unknown key {key!r}. {suggest(key, known)}", field=key
-            )

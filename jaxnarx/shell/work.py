@@ -145,22 +145,23 @@ def _demo(command: commands.Demo, typed: str) -> int:
     import jax
 
     from jaxnarx.engines import pfi_siso_records
-    from jaxnarx.methods import ForwardOLS, Lolimot, SimulationError
+    from jaxnarx.methods import ForwardOLS, Identification, Lolimot, Polynomial
     from jaxnarx.shell.identify import Plan, identify
     from jaxnarx.shell.output import run_folder
 
     if command.events < 200:
         raise SpecError("--events must be at least 200", field="events")
-    plan = Plan(
-        outputs=("speed",),
-        input_lags=(2, 3, 4, 6, 8, 12, 16, 24),
-        output_lags=(1, 2),
-        degree=1,
+    method = Identification(
+        pool=Polynomial(
+            outputs=("speed",),
+            input_lags=(2, 3, 4, 6, 8, 12, 16, 24),
+            output_lags=(1, 2),
+            degree=1,
+        ),
         select=ForwardOLS(max_terms=10),
         grow=Lolimot(scheduling=("duty[t-3]", "speed[t-1]"), max_models=command.models),
-        refine=SimulationError(),
-        command=typed,
     )
+    plan = Plan(method, typed)
     with run_folder(command.out, "demo", force=command.force, marks=RUN) as folder:
         say(
             f"Simulating the port-injected engine: 3 records of {command.events} events"
@@ -176,15 +177,17 @@ def _demo(command: commands.Demo, typed: str) -> int:
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
-    from jaxnarx.shell.identify import identify, make_plan, prepared_by
+    from jaxnarx.shell.identify import Plan, checked, identify, prepared_by
     from jaxnarx.shell.output import run_folder
     from jaxnarx.shell.remedies import next_words
 
     _require_finite("require_fit", command.require_fit)
-    plan = make_plan(command, typed)
+    _require_share(command.hold_out)
     split = read_description(command.description, command.root)
-    plan = prepared_by(split.preparation, plan.on(split.all.channels))
-    name = f"{Path(command.description).stem}-{'-'.join(plan.outputs[:3])}"
+    method = checked(command.method, split.all.channels)
+    plan = prepared_by(split.preparation, Plan(method, typed))
+    outputs = method.pool.outputs
+    name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, command.hold_out)
         result = identify(plan, parts, folder)
@@ -194,7 +197,7 @@ def _identify(command: commands.Identify, typed: str) -> int:
         command,
         result.verdict,
         model=str(folder / "model.safetensors"),
-        outputs=plan.outputs,
+        outputs=outputs,
         inputs=channels.input_names,
         sample_time=parts["train"].sample_time,
     )
@@ -213,6 +216,11 @@ def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
         say("Held out for validation: " + ", ".join(validate.names))
     parts = {"train": train, "validate": validate}
     return parts if split.test is None else parts | {"test": split.test}
+
+
+def _require_share(hold_out: float) -> None:
+    if not 0 < hold_out < 1:
+        raise SpecError(f"--hold-out must lie between 0 and 1, got {hold_out}")
 
 
 def _require_finite(option: str, value: float | None) -> None:

@@ -6,11 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from jaxnarx.methods import Case, SimulationError
+from jaxnarx.methods import Identification, Lolimot, StepwiseF
+from jaxnarx.methods import SigmoidTree as TreeOfSigmoids
 from jaxnarx.models import SigmoidTree, load
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import Identify
-from jaxnarx.shell.identify import make_plan
+from jaxnarx.shell.parse import parse
 
 ROWS = 300
 NAMES = ("speed", "load", "temp")
@@ -55,9 +56,16 @@ def test_an_oblique_tree_with_terms_of_each_region_from_the_command_line(place, 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["--local-terms", "3"], "--local-terms needs --models above 1"),
-        (["--feedback", "own"], "--feedback needs --models above 1"),
-        (["--local-terms", "-1"], "--local-terms must not be negative, got -1"),
+        (["--local-terms", "3"], "--local-terms needs --schedule"),
+        (["--feedback", "own"], "--feedback needs --schedule"),
+        (["--models", "2"], "--models needs --schedule"),
+        (
+            ["--local-terms", "-1", "--schedule", "speed[t]"],
+            "--local-terms must be at least 1, got -1",
+        ),
+        (["--set", "grow.k=1"], "there is no setting 'grow.k'"),
+        (["--set", "grow.patience"], "--set takes PATH=VALUE"),
+        (["--set", "refine.tolerance=-1"], "--set refine.tolerance"),
         (["--partition", "voronoi"], "invalid choice"),
         (
             ["--models", "2", "--schedule", "speed[t]", "speed[t]"],
@@ -71,9 +79,23 @@ def test_partitions_that_make_no_sense_are_usage(place, capsys, given, words):
     assert not (place / "none").exists()
 
 
-def test_the_order_of_training_is_one_for_command_verb_and_sweep():
-    def trained(command: Identify) -> str:
-        return make_plan(command, "").refine.train
+def test_options_settings_and_files_are_one_tree(place):
+    def method(*words: str):
+        command = parse(["identify", "a.toml", *words])
+        assert isinstance(command, Identify)
+        return command.method
 
-    assert trained(Identify("a.toml")) == SimulationError().train == Case().train
-    assert trained(Identify("a.toml", train="joint")) == "joint"
+    assert method() == Identification()
+    assert method("--train", "joint").refine.train == "joint"
+    regions = ["--schedule", "speed[t]", "--models", "3", "--log", "temp"]
+    found = method(*regions, "--set", "grow.patience=4", "refine.tolerance=1e-5")
+    assert found.grow == Lolimot(["speed[t]"], max_models=3, patience=4)
+    assert found.refine.box_cox == {"temp": 0.0} and found.refine.tolerance == 1e-5
+    (place / "method.toml").write_text(
+        '[select]\nmethod = "stepwise"\nmax_terms = 9\n[grow]\nmethod = "tree"\n'
+        'scheduling = ["load[t]"]\n'
+    )
+    found = method("--settings", "method.toml", "--models", "5")
+    assert found.select == StepwiseF(max_terms=9)
+    assert found.grow == TreeOfSigmoids(["load[t]"], max_models=5)
+    assert method("--steps", "0").refine is None

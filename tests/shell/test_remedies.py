@@ -6,13 +6,19 @@ import shlex
 import pytest
 
 from jaxnarx.evaluation.verdict import REMEDIES, Finding, Verdict
+from jaxnarx.methods import Identification, Polynomial
 from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.flags import words_of
 from jaxnarx.shell.parse import parse
-from jaxnarx.shell.remedies import next_words, words_of
+from jaxnarx.shell.remedies import next_words
 
 TYPED = (
     'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'
 )
+
+
+def of(outputs):
+    return Identification(pool=Polynomial(outputs=outputs))
 
 
 def following(command, remedy, outputs=("NOx",)):
@@ -43,7 +49,7 @@ def test_a_good_model_is_simulated():
 @pytest.mark.parametrize("outputs", [("NOx",), ("NOx", "CO")])
 def test_every_remedy_ends_and_changes_something(remedy, outputs):
     """Followed again and again, each command parses and differs from the last."""
-    command = dataclasses.replace(Identify("a.toml", outputs), out="x", force=True)
+    command = dataclasses.replace(Identify("a.toml", of(outputs)), out="x", force=True)
     for _ in range(6):
         words, then = following(command, remedy, outputs)
         new = parse(words[1:])
@@ -53,8 +59,9 @@ def test_every_remedy_ends_and_changes_something(remedy, outputs):
 
 
 def test_what_cannot_diverge_is_proposed_in_the_end():
-    command = Identify("a.toml", ("NOx",))
+    command = Identify("a.toml", of(("NOx",)))
     for _ in range(3):
         command = parse(following(command, "bounded")[0][1:])
         assert isinstance(command, Identify)
-    assert command.output_lags == () and command.filters == (0.4, 1.6, 6.4)
+    pool = command.method.pool
+    assert pool.output_lags == () and pool.filters == (0.4, 1.6, 6.4)

@@ -63,7 +63,7 @@ def test_every_choice_ends_in_a_report(description, tmp_path, how, capsys):
 def test_what_does_not_fit_together_is_refused(description, tmp_path, capsys):
     wrong = ["--select", "stepwise", "--constant", "after"]
     assert identify(description, tmp_path / "a", *wrong) == 2
-    assert "--constant after belongs to --select err" in capsys.readouterr().err
+    assert "--constant does not go with --select stepwise" in capsys.readouterr().err
     assert identify(
         description, tmp_path / "b", "--select", "backward", "--significance", "2"
     )

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import DataFileError
-from jaxnarx.methods import Case
 from jaxnarx.shell import sweep as command
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.sweep_description import Measured, Relatives, load_sweep
@@ -20,15 +19,17 @@ bed = "pfi-cc"
 count = 2
 spread = 0.02
 length = 120
-[identification]
-output = "speed"
+[identification.pool]
+outputs = ["speed"]
 input_lags = [0, 1]
 degree = 1
+[identification.select]
 max_terms = 3
-max_models = 1
-steps = 1
+[identification.refine]
+horizons = []
+max_steps = 1
 [cases]
-ridge = [1e-6, 1e-4]
+refine.ridge = [1e-6, 1e-4]
 """
 
 
@@ -84,7 +85,7 @@ def test_a_sweep_of_a_bed_is_run_told_and_continued(jaxnarx, quick):
     assert "wrote table.parquet and table.csv to runs/bed" in out
     text = Path("runs/bed/table.csv").read_text()
     rows = list(csv.DictReader(text.splitlines()))
-    assert [row["ridge"] for row in rows] == ["1e-06", "0.0001"] * 2
+    assert [row["refine.ridge"] for row in rows] == ["1e-06", "0.0001"] * 2
     assert len(read_sweep("runs/bed")) == 4
     before = Path("runs/bed/table.parquet").stat().st_mtime_ns
     assert jaxnarx("bed.toml --chunk 2")[0] == 0
@@ -96,10 +97,10 @@ def test_changed_settings_are_wrong_usage_until_a_new_run(jaxnarx, quick, place)
     (place / "other.toml").write_text(BED.replace("1e-4", "1e-3"))
     code, _, err = jaxnarx("other.toml --folder x")
     assert code == 2 and err.count("\n") == 1
-    assert "begin anew with --new-run" in err and "cases[1].ridge" in err
+    assert "begin anew with --new-run" in err and "cases[1].refine.ridge" in err
     assert jaxnarx("other.toml --folder x --new-run")[0] == 0
-    assert read_sweep("x").column("ridge")[1] == 1e-3
-    assert read_sweep("x-1").column("ridge")[1] == 1e-4
+    assert read_sweep("x").column("refine.ridge")[1] == 1e-3
+    assert read_sweep("x-1").column("refine.ridge")[1] == 1e-4
 
 
 def test_an_interrupt_is_told_with_what_is_finished(jaxnarx, monkeypatch):
@@ -192,7 +193,7 @@ def measured(place):
     folder.mkdir(exist_ok=True)
     engine(folder, "a", {"train": 2, "validate": 1}, 2.0)
     engine(folder, "b", {"train": 1, "validate": 2}, 3.0)
-    text = '[data]\nengines = ["engines/*.toml"]\n[identification]\nmax_models = 1\n'
+    text = '[data]\nengines = ["engines/*.toml"]\n[identification.select]\n'
     (place / "measured.toml").write_text(text + "max_terms = 3\n")
     return folder
 
@@ -234,13 +235,14 @@ def load(folder, text):
 def test_a_description_is_settings_and_cases(tmp_path):
     found = load(tmp_path, BED)
     assert found.data == Relatives("pfi-cc", 2, 0.02, 120)
-    assert found.method.max_terms == 3 and found.method.input_lags == (0, 1)
-    assert [case.ridge for case in found.cases] == [1e-6, 1e-4]
+    method = found.method
+    assert method.select.max_terms == 3 and method.pool.input_lags == (0, 1)
+    assert found.cases == ({"refine.ridge": 1e-6}, {"refine.ridge": 1e-4})
     text = BED.split("[cases]")[0]
-    assert load(tmp_path, text).cases == (Case(),)
-    drawn = text + '[random]\ncount = 5\nseed = 2\nridge = ["log", 1e-6, 1e-2]\n'
+    assert load(tmp_path, text).cases == ({},)
+    drawn = text + '[random]\ncount = 5\nseed = 2\nrefine.ridge = ["log", 1e-6, 1e-2]\n'
     assert load(tmp_path, drawn) == load(tmp_path, drawn)
-    assert len({case.ridge for case in load(tmp_path, drawn).cases}) == 5
+    assert len({c["refine.ridge"] for c in load(tmp_path, drawn).cases}) == 5
 
 
 @pytest.mark.parametrize(
@@ -251,16 +253,23 @@ def test_a_description_is_settings_and_cases(tmp_path):
         ("count = 2", 'count = "2"', "count must be a whole number, got '2'"),
         ("count = 2", "count = 0", "count must be at least 1"),
         ("spread = 0.02", "spread = nan", "spread must be a number"),
-        ("steps = 1", "stps = 1", "Did you mean 'steps'"),
-        ("steps = 1", "steps = true", "steps must be a whole number"),
-        ("steps = 1", 'partition = "round"', "partition must be one of"),
-        ("ridge = [1e-6, 1e-4]", "ridge = 1e-6", "ridge must be a list"),
-        ("ridge = [1e-6, 1e-4]", 'ridge = ["a"]', "ridge must be a number, got 'a'"),
-        ("ridge = [1e-6, 1e-4]", "terms = [1.5]", "terms must be whole numbers"),
-        ("ridge = [1e-6, 1e-4]", 'train = ["all"]', "train must be one of staged"),
-        ("ridge = [1e-6, 1e-4]", "rige = [1.0]", "Did you mean 'ridge'"),
+        ("max_steps = 1", "stps = 1", "Did you mean 'max_steps'"),
+        ("max_steps = 1", "max_steps = true", "refine.max_steps must be a whole"),
+        ("max_steps = 1", "max_steps = -1", "must not be negative"),
+        ("[cases]", "[identification.grow]\n[cases]", "grow needs a method: one of"),
+        (
+            "[cases]",
+            '[identification.grow]\nmethod = "round"\n[cases]',
+            "grow must be one of global, lolimot",
+        ),
+        ("[1e-6, 1e-4]", "1e-6", "refine.ridge must be a list"),
+        ("[1e-6, 1e-4]", '["a"]', "refine.ridge must be a number, got 'a'"),
+        ("refine.ridge = [1e-6, 1e-4]", "select.max_terms = [1.5]", "a whole number"),
+        ("refine.ridge = [1e-6, 1e-4]", 'refine.train = ["all"]', "one of staged"),
+        ("refine.ridge", "refine.rige", "Did you mean 'ridge'"),
+        ("refine.ridge", "ridge", "there is no setting 'ridge'"),
         ("[cases]", "[random]\n[cases]", "not both"),
-        ("[identification]", "[", "not valid TOML"),
+        ("[identification.pool]", "[", "not valid TOML"),
         ('bed = "pfi-cc"', "engines = []", "must be a list of files"),
         ('bed = "pfi-cc"', 'engines = ["/x"]', "relative to the description"),
     ],

@@ -1,4 +1,4 @@
-"""Grids and random points of a sweep, and what cases and identifications refuse."""
+"""Grids and random points of a sweep: paths into the settings tree."""
 
 import json
 
@@ -6,83 +6,75 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Case, Identification
-from jaxnarx.sweep.cases import grid_cases, random_cases
-from jaxnarx.sweep.identify.settings import within
+from jaxnarx.methods import Identification
+from jaxnarx.methods.settings import changed
+from jaxnarx.sweep.cases import grid_cases, label_of, random_cases
 
 
-def test_a_grid_is_the_product_with_the_last_setting_fastest():
-    cases = grid_cases(ridge=[0.0, 1e-3], terms=[4, 6, 8])
-    assert [(c.ridge, c.terms) for c in cases] == [
+def test_a_grid_is_the_product_with_the_last_path_fastest():
+    cases = grid_cases({"refine.ridge": [0.0, 1e-3], "select.max_terms": [4, 6, 8]})
+    assert [tuple(c.values()) for c in cases] == [
         (r, t) for r in (0.0, 1e-3) for t in (4, 6, 8)
     ]
-    assert cases[0].models is None
-    assert grid_cases() == [Case()]
-    (of_array,) = grid_cases(k_sigma=np.array([0.5]))
-    assert type(of_array.k_sigma) is float
+    assert list(cases[0]) == ["refine.ridge", "select.max_terms"]
+    assert grid_cases({}) == [{}]
+    (of_array,) = grid_cases({"grow.k_sigma": np.array([0.5])})
+    assert type(of_array["grow.k_sigma"]) is float
 
 
 def test_random_cases_follow_their_ranges_and_their_seed():
     ranges = {
-        "ridge": ("log", 1e-6, 1e-2),
-        "k_sigma": ("uniform", 0.2, 0.5),
-        "terms": ("integer", 3, 5),
-        "train": ["joint", "partition"],
+        "refine.ridge": ("log", 1e-6, 1e-2),
+        "grow.k_sigma": ("uniform", 0.2, 0.5),
+        "select.max_terms": ("integer", 3, 5),
+        "refine.train": ["joint", "partition"],
     }
-    cases = random_cases(1, 400, **ranges)
-    assert cases == random_cases(1, 400, **ranges)
-    assert cases != random_cases(2, 400, **ranges)
-    ridge = np.log10([c.ridge for c in cases])
+    cases = random_cases(1, 400, ranges)
+    assert cases == random_cases(1, 400, ranges)
+    assert cases != random_cases(2, 400, ranges)
+    column = {path: [c[path] for c in cases] for path in ranges}
+    ridge = np.log10(column["refine.ridge"])
     assert ridge.min() >= -6 and ridge.max() <= -2
     # The mean of 400 uniform numbers over 4 decades strays by 0.06.
     assert abs(ridge.mean() + 4) < 0.25
-    assert {c.terms for c in cases} == {3, 4, 5}
-    assert {c.train for c in cases} == {"joint", "partition"}
-    assert all(0.2 <= c.k_sigma <= 0.5 for c in cases)
+    assert set(column["select.max_terms"]) == {3, 4, 5}
+    assert set(column["refine.train"]) == {"joint", "partition"}
+    assert all(0.2 <= k <= 0.5 for k in column["grow.k_sigma"])
 
 
-def test_labels_are_plain_and_tell_the_capacity():
-    method = Identification(["a[t]"], max_terms=7, max_models=3, steps=4)
-    case = within(Case(lags={"b": 2, "a": 1}), method)
-    labels = case.labels()
-    assert (labels["terms"], labels["models"], labels["steps"]) == (7, 3, 4)
-    assert labels["lags"] == "a 1, b 2"
+def test_labels_are_plain_scalars():
+    method = changed(
+        Identification(), {"pool.input_lags": {"a": (1, 2)}, "refine": "none"}
+    )
+    paths = ("pool.input_lags", "pool.output_lags", "select", "refine", "grow.k_sigma")
+    labels = {path: label_of(method, path) for path in paths}
+    assert labels == {
+        "pool.input_lags": "a [1, 2]",
+        "pool.output_lags": "1 2",
+        "select": "forward",
+        "refine": "none",
+        "grow.k_sigma": None,
+    }
     assert json.loads(json.dumps(labels)) == labels
-    assert hash(Case(lags={"b": 2, "a": 1})) == hash(Case(lags={"a": 1, "b": 2}))
 
 
 @pytest.mark.parametrize(
     ("make", "field"),
     [
-        (lambda: grid_cases(rigde=[1.0]), "rigde"),
-        (lambda: grid_cases(ridge=1.0), "ridge"),
-        (lambda: random_cases(0, 2, ridge=("log", 0.0, 1.0)), "ridge"),
-        (lambda: random_cases(0, 2, ridge=("uniform", 1.0, 0.0)), "ridge"),
-        (lambda: random_cases(0, 0), "count"),
-        (lambda: Case(terms=0), "terms"),
-        (lambda: Case(ridge=float("nan")), "ridge"),
-        (lambda: Case(k_sigma=0.0), "k_sigma"),
-        (lambda: Case(rho=1.0), "rho"),
-        (lambda: Case(seed=-1), "seed"),
-        (lambda: Identification(), "scheduling"),
-        (lambda: Identification(["a[t]"], horizons=(1,)), "horizons"),
-        (lambda: Identification(["a[t]"], width_band=(1.5, 2.0)), "width_band"),
+        (lambda: grid_cases({"refine.rigde": [1.0]}), "rigde"),
+        (lambda: grid_cases({"refine.ridge": 1.0}), "refine.ridge"),
         (
-            lambda: Identification(["a[t]"], partition="tree", validity="boxes"),
-            "validity",
+            lambda: random_cases(0, 2, {"refine.ridge": ("log", 0.0, 1.0)}),
+            "refine.ridge",
         ),
-        (lambda: within(Case(terms=9), Identification(["a[t]"])), "terms"),
-        (lambda: within(Case(steps=11), Identification(["a[t]"])), "steps"),
+        (
+            lambda: random_cases(0, 2, {"grow.ridge": ("uniform", 1.0, 0.0)}),
+            "grow.ridge",
+        ),
+        (lambda: random_cases(0, 0, {}), "count"),
     ],
 )
-def test_wrong_settings_are_named(make, field):
+def test_wrong_ranges_are_named(make, field):
     with pytest.raises(SpecError) as error:
         make()
     assert error.value.field == field
-
-
-def test_an_identification_is_hashable_with_lags_by_name():
-    one = Identification(["a[t]"], input_lags={"a": [0, 1]}, horizons=[5])
-    two = Identification(["a[t]"], input_lags={"a": (0, 1)}, horizons=(5,))
-    assert one == two and hash(one) == hash(two)
-    assert one.lags == {"input_lags": {"a": (0, 1)}, "output_lags": (1, 2)}

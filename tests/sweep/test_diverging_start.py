@@ -5,11 +5,9 @@ import pytest
 from identify_problems import METHOD, fleet_of, parts
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import Case, SimulationError
 from jaxnarx.refinement import refine
 from jaxnarx.simulation import simulate
-from jaxnarx.sweep import identify_each
-from jaxnarx.sweep.identify import network_of
+from jaxnarx.sweep.identify import IdentificationWork, identify_each, network_of
 
 
 def runaway() -> Dataset:
@@ -31,17 +29,17 @@ def runaway() -> Dataset:
 def test_feedback_is_shrunk_as_by_the_verb():
     data = runaway()
     fleet = fleet_of({"one": data})
-    cases = [Case(train="none", terms=3, models=1), Case(terms=3, models=1)]
+    few = {"select.max_terms": 3, "grow.max_models": 1}
+    cases = [few | {"refine": "none"}, few]
     none, row = identify_each(fleet, METHOD, cases, chunk=2)
     # Without refinement there is nothing to mend it with, and the row says so.
     assert none["status"] == "start_diverged" and "diverges" in none["detail"]
     assert row["validation_free_run_start"] == np.inf
     assert row["status"] == "ok" and np.isfinite(row["validation_free_run"])
     assert row["guard_history"][-1] < row["guard_history"][0]
-    grown = network_of(fleet, none, METHOD)
+    grown = network_of(IdentificationWork(fleet, METHOD, cases), none)
     train, validation, _ = parts(data)
     assert simulate(grown, validation).status_name == "diverged"
-    method = SimulationError(horizons=(), max_steps=METHOD.steps, tolerance=0)
-    verb = refine(grown, train, method, validation=validation)
+    verb = refine(grown, train, METHOD.refine, validation=validation)
     assert verb.stats["remedy"] in row["detail"]
     assert row["guard_history"][-1] == pytest.approx(verb.stats["loss"], rel=1e-7)

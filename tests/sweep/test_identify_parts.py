@@ -6,14 +6,21 @@ import pytest
 from identify_problems import METHOD, engine, fleet_of
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Case, Identification
-from jaxnarx.regressors import polynomial_pool
+from jaxnarx.identification import joint_pool, make_pool, terms_of
+from jaxnarx.methods import (
+    Lolimot,
+    Polynomial,
+    PredictionError,
+    SigmoidTree,
+    SimulationError,
+)
+from jaxnarx.methods.settings import changed
+from jaxnarx.partition.placed import clusters
+from jaxnarx.partition.stages import best_stage, choose_stage
 from jaxnarx.simulation import IN_A_ROW
 from jaxnarx.simulation import has_diverged as on_host
-from jaxnarx.sweep.identify.divide import Rows, clusters
-from jaxnarx.sweep.identify.frame import make_frame, make_pool
 from jaxnarx.sweep.identify.score import has_diverged
-from jaxnarx.sweep.identify.settings import allowed_variables
+from jaxnarx.sweep.identify.settings import shapes
 from jaxnarx.sweep.identify.train import FULL, schedule
 from jaxnarx.sweep.identify.work import IdentificationWork
 
@@ -44,11 +51,9 @@ def test_clusters_find_clear_groups_and_pass_over_weightless_samples():
     weight = np.ones(len(z))
     weight[::7] = 0.0
     far = np.where(weight[:, None] > 0, z, 50.0)
-    y = jnp.zeros(len(z))
-    rows = Rows(y[None], jnp.asarray(far.T), y, jnp.asarray(weight))
     start = jnp.array([[0.3, 0.1], [0.6, 0.4], [0.5, 0.6], [0.2, 0.2]])
     active = jnp.array([True, True, True, False])
-    centre, spread = clusters(rows, start, active)
+    centre, spread = clusters(jnp.asarray(far.T), jnp.asarray(weight), start, active)
     for m in range(3):
         own = z[50 * m : 50 * m + 50][weight[50 * m : 50 * m + 50] > 0]
         np.testing.assert_allclose(centre[m], own.mean(axis=0), atol=1e-12)
@@ -57,61 +62,81 @@ def test_clusters_find_clear_groups_and_pass_over_weightless_samples():
     np.testing.assert_array_equal(centre[3], start[3])
 
 
-def test_lag_limits_narrow_the_variables():
+def test_cases_choose_among_the_terms_of_one_pool():
     channels = engine(1).channels
-    pool = polynomial_pool(channels, input_lags=(0, 2), output_lags=(1, 3), degree=1)
+    wide = Polynomial(input_lags=(0, 2), output_lags=(1, 3), degree=1)
+    few = Polynomial(input_lags={"b": (0,)}, output_lags=(1,), degree=1)
+    other = Polynomial(input_lags=(1,), output_lags=(), degree=2)
+    pool = joint_pool([wide, few, other], channels)
+    assert pool.degree == 2
     assert pool.variable_names == [
-        "a[t]",
-        "a[t-2]",
-        "b[t]",
-        "b[t-2]",
-        "y[t-1]",
-        "y[t-3]",
+        *("a[t]", "a[t-1]", "a[t-2]", "b[t]", "b[t-1]", "b[t-2]"),
+        *("y[t-1]", "y[t-3]"),
     ]
-
-    def kept(lags):
-        allowed = allowed_variables(Case(lags=lags), pool)
-        assert allowed[0]
-        pairs = zip(pool.variable_names, allowed[1:], strict=True)
-        return [name for name, there in pairs if there]
-
-    assert kept(None) == pool.variable_names
-    assert kept(1) == ["a[t]", "b[t]", "y[t-1]"]
-    assert kept({"a": -1, "y": 2}) == ["b[t]", "b[t-2]", "y[t-1]"]
-    with pytest.raises(SpecError, match="lags names 'c'"):
-        kept({"c": 1})
+    for method in (wide, few, other):
+        own = make_pool(method, channels).names
+        there = terms_of(method, pool)
+        assert sorted(np.array(pool.names)[there]) == sorted(own)
+    assert joint_pool([wide, wide], channels).names == make_pool(wide, channels).names
+    two = Polynomial(outputs=["z"])
+    with pytest.raises(SpecError, match="unknown output 'z'"):
+        joint_pool([wide, two], channels)
 
 
 def test_the_schedule_takes_stock_at_the_head_of_every_stage():
-    turns = schedule(
-        Identification(["a[t]"], horizons=(5, 20), window_steps=2, steps=3)
-    )
+    turns = schedule(SimulationError(horizons=(5, 20), window_steps=2), 3)
     assert turns.horizon.tolist() == [5] * 3 + [20] * 3 + [FULL] * 7
     assert turns.step.tolist() == [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 3]
     # Coefficients alone, on full records too, before everything.
     assert turns.apart.tolist() == [True] * 9 + [False] * 4
     assert turns.last.tolist() == [False] * 9 + [True] * 4
-    one_step = schedule(
-        Identification(["a[t]"], horizons=(5,), steps=2, objective="prediction")
-    )
+    one_step = schedule(PredictionError(), 2)
     assert one_step.horizon.tolist() == [1, 1, 1]
 
 
-def test_one_output_is_identified_at_a_time():
-    channels = engine(1).channels
-    pool = make_pool(METHOD, channels)
-    assert make_frame(METHOD, pool).constant == 0
-    with pytest.raises(SpecError, match="unknown output 'z'"):
-        make_pool(Identification(["a[t]"], output="z"), channels)
+def test_cases_that_differ_in_numbers_share_a_program():
+    cases = [
+        {},
+        {"select.max_terms": 2, "refine.train": "joint", "grow.k_sigma": 0.5},
+        {"refine": "none", "grow.max_models": 5, "pool.degree": 1},
+        {"grow": "tree"},
+        {"grow.criterion": "validation"},
+        {"select": "stepwise"},
+        {"refine.loss": "huber"},
+    ]
+    found = shapes([changed(METHOD, case) for case in cases])
+    assert found[0] == found[1] == found[2] != found[3]
+    assert found[4:] == [None] * 3
+    shape = found[0]
+    assert shape is not None
+    assert (shape.terms, shape.models, shape.steps) == (5, 5, 3)
+    assert isinstance(found[3].grow, SigmoidTree)
+
+
+def test_the_stage_is_chosen_as_on_the_host():
+    rng = np.random.default_rng(3)
+    for n in range(40):
+        sse = np.sort(rng.uniform(1.0, 3.0, 6))[::-1]
+        effective = 5.0 * np.arange(1, 7) + rng.uniform(size=6)
+        count = np.minimum(np.arange(1, 7), 3 + n % 4)
+        for criterion in ("aicc", "bic", "none"):
+            method = Lolimot(["a[t]"], max_models=6, criterion=criterion)
+            best, _ = choose_stage(count, sse, effective, 60.0, method)
+            ours = best_stage(
+                *(jnp.asarray(x) for x in (sse, effective, count, 60.0, 6)),
+                criterion=criterion,
+                patience=method.patience,
+            )
+            assert int(ours) == best, (criterion, sse)
 
 
 def test_work_refuses_what_does_not_fit():
     fleet = fleet_of({"a": engine(1)})
-    with pytest.raises(SpecError, match="max_terms"):
-        IdentificationWork(fleet, METHOD, [Case(terms=6)])
     with pytest.raises(SpecError, match="at least one case"):
         IdentificationWork(fleet, METHOD, [])
     with pytest.raises(SpecError, match="lanes"):
         IdentificationWork(fleet, METHOD, lanes=0)
+    with pytest.raises(SpecError, match="'grow.max_model'.*Did you mean"):
+        IdentificationWork(fleet, METHOD, [{"grow.max_model": 2}])
     with pytest.raises(SpecError, match="'aa'.*Did you mean 'a'"):
-        IdentificationWork(fleet, Identification(["aa[t]"]))
+        IdentificationWork(fleet, METHOD, [{"grow.scheduling": ["aa[t]"]}])

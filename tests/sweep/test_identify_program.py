@@ -10,12 +10,9 @@ from identify_problems import CASES, METHOD, engine, fleet_of, parts, replaced
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
-from jaxnarx.methods import Case, ForwardOLS, Lolimot, SimulationError
+from jaxnarx.identification import identify
+from jaxnarx.methods.settings import changed
 from jaxnarx.models import Gaussians
-from jaxnarx.partition import grow
-from jaxnarx.refinement import freeze, refine
-from jaxnarx.regressors import polynomial_pool
-from jaxnarx.selection import select
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify import identify_each, network_of, program
@@ -41,39 +38,14 @@ def rows(engines) -> list[dict]:
     return identify_each(fleet_of(engines), METHOD, CASES, chunk=LANES)
 
 
-def plain(data: Dataset, case: Case):
-    """The same by the verbs: selection, growth, refinement and both reports."""
+def plain(data: Dataset, case: dict):
+    """The same by the verbs, and both reports."""
     train, validation, test = parts(data)
-    pool = polynomial_pool(
-        data.channels, input_lags=(0, 1), output_lags=(1, 2), degree=2
-    )
-    terms = select(pool, train, ForwardOLS(max_terms=case.terms or 5)).value
-    growth = Lolimot(
-        METHOD.scheduling,
-        max_models=case.models or 3,
-        criterion="none",
-        k_sigma=case.k_sigma,
-        ridge=case.growth_ridge,
-    )
-    grown = grow(terms, train, growth).value
-    steps = METHOD.steps if case.steps is None else case.steps
-    method = SimulationError(
-        horizons=(),
-        max_steps=steps,
-        window_steps=METHOD.window_steps,
-        # Without a tolerance it makes all its steps, as the fused one does.
-        tolerance=0,
-        ridge=case.ridge,
-    )
-    refined = refine(
-        grown,
-        train,
-        method,
-        validation=validation,
-        trainable=freeze(grown, partition=case.train != "coefficients"),
-    )
+    fit = identify(train, changed(METHOD, case), validation=validation)
     records = {"train": train, "validate": validation, "test": test}
-    return terms, refined, report(grown, records), report(refined.value, records)
+    grown = fit.stats["grown"].value
+    terms, refined = fit.stats["selection"].value, fit.stats["refined"]
+    return terms, refined, report(grown, records), report(fit.value, records)
 
 
 @pytest.mark.parametrize(
@@ -102,10 +74,10 @@ def test_a_row_is_what_the_verbs_find_one_by_one(engines, rows, name, case):
                 key = f"{ours}_{mode.replace(' ', '_')}{when}"
                 assert row[key] == pytest.approx(nrmse, rel=1e-7), key
     losses = [h["loss"] for h in refined.stats["history"]]
-    full = METHOD.steps + 1
+    full = METHOD.refine.max_steps + 1
     # The first turn of a stage takes stock; only a staged case has two.
     ours = row["loss_history"][full + 1 :]
-    if CASES[case].train == "staged":
+    if "refine.train" not in CASES[case]:
         ours = row["loss_history"][1:full] + ours
     np.testing.assert_allclose(ours[: len(losses)], losses, rtol=1e-7)
 
@@ -121,9 +93,9 @@ def test_refinement_is_never_worse_by_the_records_that_judge(rows):
 
 
 def test_a_row_is_a_network_again(engines, rows):
-    fleet = fleet_of(engines)
+    work = IdentificationWork(fleet_of(engines), METHOD, CASES)
     for row in rows[::3]:
-        network = network_of(fleet, row, METHOD)
+        network = network_of(work, row)
         test = engines[row["engine"]][2]
         run = simulate(network, test).value
         y, mask = test.records[0].y, run.scored[0]
@@ -185,9 +157,21 @@ def test_one_compilation_serves_all_cases_and_members(engines, rows, monkeypatch
     monkeypatch.setattr(program, "identify_lane", counted)
     fleet = fleet_of(engines)
     cases = [
-        Case(terms=2, models=1, k_sigma=0.2, ridge=0.0, steps=1),
-        Case(train="partition", rho=1e-2, lags={"a": 0}, scatter=0.5, seed=3),
-        Case(train="none", lags=1),
+        {
+            "select.max_terms": 2,
+            "grow.max_models": 1,
+            "grow.k_sigma": 0.2,
+            "refine.ridge": 0.0,
+            "refine.max_steps": 1,
+        },
+        {
+            "refine.train": "partition",
+            "select.rho": 1e-2,
+            "pool.input_lags": {"a": (0,), "b": (0, 1)},
+            "grow.scatter": 0.5,
+            "grow.seed": 3,
+        },
+        {"refine": "none", "pool.output_lags": (1,)},
     ]
     found = identify_each(fleet, METHOD, cases, ["two", 0], chunk=LANES)
     assert not traced, "a program for other settings than those of the fixture"
@@ -198,13 +182,16 @@ def test_one_compilation_serves_all_cases_and_members(engines, rows, monkeypatch
     assert not any("t-2" in name for name in none["term_names"])
     assert none["steps_taken"] == 0
     assert none["test_free_run"] == none["test_free_run_start"]
-    more = dataclasses.replace(METHOD, max_terms=4, max_models=1, steps=0)
-    identify_each(fleet, more, [Case()], ["one"], chunk=1)
+    more = changed(
+        METHOD, {"select.max_terms": 4, "grow.max_models": 1, "refine.max_steps": 1}
+    )
+    identify_each(fleet, more, [{}], ["one"], chunk=1)
     assert len(traced) == 1, "the counter does not see compilations"
 
 
 def test_what_is_not_trained_stays(engines):
-    cases = [Case(train=kind) for kind in ("none", "coefficients", "partition")]
+    kinds = ("coefficients", "partition")
+    cases = [{"refine": "none"}, *({"refine.train": kind} for kind in kinds)]
     fleet = fleet_of({"one": engines["one"], "two": engines["two"]})
     rows = identify_each(fleet, METHOD, cases, ["one"], chunk=LANES)
     none, coefficients, partition = rows

@@ -47,7 +47,7 @@ def choose(
         jnp.asarray([first], int),
         jnp.asarray([len(first)]),
     )
-    allowed = jnp.all(variables[frame.factor], axis=1)
+    allowed = jnp.all(variables[frame.factor], axis=1) & settings.allowed
     basis, history, _ = search(
         v,
         lanes,

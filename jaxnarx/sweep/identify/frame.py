@@ -6,11 +6,8 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxnarx.arrays.contraction import positions
-from jaxnarx.data import Channels
-from jaxnarx.errors import SpecError
-from jaxnarx.methods import Identification
-from jaxnarx.partition import scheduling_table
-from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.regressors import Pool
+from jaxnarx.sweep.identify.settings import Shape
 
 
 class Frame(eqx.Module):
@@ -23,39 +20,21 @@ class Frame(eqx.Module):
     factor: Int[Array, "terms degree"]
     position: Int[Array, " terms"]
     constant: int | None = eqx.field(static=True)
-    method: Identification = eqx.field(static=True)
+    shape: Shape = eqx.field(static=True)
 
     @property
     def slots(self) -> int:
         """Capacity for chosen terms."""
-        return min(self.method.max_terms, self.factor.shape[0])
+        return min(self.shape.terms, self.factor.shape[0])
 
 
-def make_pool(method: Identification, channels: Channels) -> Pool:
-    """The polynomial pool that the settings describe, of one output."""
-    return polynomial_pool(
-        channels,
-        outputs=[method.output] if method.output else None,
-        degree=method.degree,
-        **method.lags,
-    )
-
-
-def make_frame(method: Identification, pool: Pool) -> Frame:
-    """Tables of a pool; `SpecError` unless it models one output and has the scheduling
-    variables."""
-    if len(pool.outputs) != 1:
-        raise SpecError(
-            "a sweep identifies one output; name it, with output='...', or give a pool "
-            "of one, with outputs=['...']",
-            field="output",
-        )
-    scheduling_table(pool, tuple(method.scheduling))
+def make_frame(shape: Shape, pool: Pool) -> Frame:
+    """Tables of a pool for one program."""
     place = positions(pool.factor, len(pool.variables) + 1)
     constant = np.flatnonzero(~pool.factor.any(axis=1))
     return Frame(
         jnp.asarray(pool.factor),
         jnp.asarray(place),
         int(constant[0]) if constant.size else None,
-        method,
+        shape,
     )

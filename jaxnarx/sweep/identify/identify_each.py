@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from jaxnarx.methods import Case, Identification
-from jaxnarx.regressors import Pool
+from jaxnarx.methods import Identification
+from jaxnarx.sweep.cases import Case
 from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.work import LANES, IdentificationWork
 
@@ -12,24 +12,24 @@ from jaxnarx.sweep.identify.work import LANES, IdentificationWork
 def identify_each(
     fleet: Fleet,
     method: Identification,
-    cases: Sequence[Case] = (Case(),),
+    cases: Sequence[Case] = ({},),
     members: Sequence[int | str] | None = None,
     *,
-    pool: Pool | None = None,
     batch: Literal["map", "vmap"] | int = "map",
     chunk: int = LANES,
 ) -> list[dict[str, Any]]:
     """Select, grow, refine and score every engine under every case; a row for each.
 
-    `members` names engines, by default all of them. `pool` takes the place of the
-    polynomial pool that `method` describes. The program is compiled once for a chunk of
+    A case says what differs from `method`, by path: `{"refine.ridge": 1e-4}`. `members`
+    names engines, by default all of them. The program is compiled once for a chunk of
     fits; `batch` says how it takes them: one after the other, all side by side, or so
     many side by side. Results do not depend on it but for rounding.
 
-    A row holds the labels (`engine`, `case` and its settings), `status` and `detail`,
-    and what `jaxnarx.sweep.network_of` needs; scores are NRMSE pooled over the records
-    of a part, one step ahead and in free run, of the grown network
-    (`train_one_step_start`, `test_free_run_start`) and of the refined one
+    A row holds the labels (`engine`, `case` and the settings under the paths that any
+    case names), `status` and `detail`, and what `jaxnarx.sweep.network_of` needs;
+    scores are NRMSE pooled over the records of a part, one step ahead and in free run,
+    of the grown network (`train_one_step_start`, `test_free_run_start`) and of the
+    refined one
     (`test_free_run`), infinite where a record has diverged (`..._diverged`), None where
     an engine could not be identified.
 
@@ -45,8 +45,6 @@ def identify_each(
     total = len(fleet) * len(cases)
     lanes = max(1, min(chunk, total))
     at_once = {"map": 1, "vmap": lanes}.get(batch, batch)  # pyright: ignore
-    work = IdentificationWork(
-        fleet, method, cases, pool=pool, lanes=lanes, at_once=int(at_once)
-    )
+    work = IdentificationWork(fleet, method, cases, lanes=lanes, at_once=int(at_once))
     rows = work.run(range(total))
     return [label | row for label, row in zip(work.members, rows, strict=True)]

@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import Batch, check_precision
 from jaxnarx.errors import DataError
-from jaxnarx.methods import Identification
 from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
 from jaxnarx.partition import Ground, make_ground
 from jaxnarx.regressors import Pool
@@ -57,8 +56,10 @@ class Prepared:
     detail: str = ""
 
 
-def prepare(fleet: Fleet, n: int, method: Identification, pool: Pool) -> Prepared:
-    """Bring one engine of the fleet into the program's form.
+def prepare(
+    fleet: Fleet, n: int, pool: Pool, scheduling: tuple[str, ...], most: int
+) -> Prepared:
+    """Bring one engine of the fleet into the program's form, for at most so many terms.
 
     `too_short` where a part has too few rows, `unidentifiable` where the output, all
     inputs or a scheduling variable are constant.
@@ -68,8 +69,8 @@ def prepare(fleet: Fleet, n: int, method: Identification, pool: Pool) -> Prepare
     check_precision(fleet.train.signals.dtype)
     data = fleet.dataset(n)
     try:
-        few = pool.factor[: method.max_terms]
-        ground = make_ground(pool, [few], data, tuple(method.scheduling), None)
+        few = pool.factor[:most]
+        ground = make_ground(pool, [few], data, scheduling, None)
         passed_over = unusable_signals(data, pool)
     except DataError as error:
         status = "too_short" if error.channel is None else "unidentifiable"

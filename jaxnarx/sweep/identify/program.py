@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.methods import PredictionError
 from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
+from jaxnarx.partition import scattered
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Drive, drive_of
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.identify.choose import Chosen, choose
-from jaxnarx.sweep.identify.divide import Divided, Rows, divide, fitted
+from jaxnarx.sweep.identify.divide import Divided, Rows, divide
 from jaxnarx.sweep.identify.frame import Frame
 from jaxnarx.sweep.identify.member import Member, Part
 from jaxnarx.sweep.identify.score import Score, score
@@ -62,12 +64,12 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     v = jnp.moveaxis(drive.v, 1, 0).reshape(drive.v.shape[1], -1)
     y = drive.measured.reshape(-1)
     weight = jnp.asarray(member.weight).reshape(-1)
-    variables = jnp.asarray(member.variables) & jnp.asarray(settings.variables)
+    variables = jnp.asarray(member.variables)
     chosen = choose(frame, v, y, weight, variables, settings)
     p = jnp.where(chosen.used[:, None], evaluate(chosen.factor, v), 0.0)
     rows = Rows(p, _scheduling(member.network, drive), y, weight)
     least = jnp.sum(chosen.used)
-    divided = divide(frame.method, rows, least, settings)
+    divided = divide(frame.shape, rows, least, settings)
     network = _network(member.network, chosen, divided)
     trained, start, layout = _refined(frame, member, network, drive, rows, settings)
     ends = jnp.stack([start, trained.u])
@@ -135,10 +137,18 @@ def _refined(
     settings: Settings,
 ) -> tuple[Trained, Float[Array, " params"], Layout]:
     """The end and the start of the refinement, as vectors of its layout."""
-    layout = make_layout(network, trainable(network), frame.method.width_band)
-    u = _scattered(layout, network, rows, settings)
+    refine = frame.shape.refine
+    layout = make_layout(network, trainable(network), refine.width_band)
+    u = scattered(
+        layout,
+        network,
+        (rows.p, rows.z, rows.y, rows.weight),
+        scatter=jnp.asarray(settings.scatter),
+        seed=jnp.asarray(settings.seed),
+        ridge=jnp.asarray(settings.growth_ridge),
+    )
     weight = _weight(member.train, drive)
-    if frame.method.objective == "prediction":
+    if isinstance(refine, PredictionError):
         weight = jnp.where(jnp.asarray(member.train.anchors)[..., None], weight, 0.0)
     judging = member.train if member.validation is None else member.validation
     guard = drive if member.validation is None else _drive(member, judging)
@@ -152,7 +162,7 @@ def _refined(
         _weight(judging, guard),
         *_moving(layout, settings),
     )
-    return train(ground, u, settings, schedule(frame.method)), u, layout
+    return train(ground, u, settings, schedule(refine, frame.shape.steps)), u, layout
 
 
 def _moving(
@@ -179,22 +189,6 @@ def _weight(part: Part, drive: Drive) -> Float[Array, "records time outputs"]:
     mean = jnp.sum(own * drive.measured) / total
     square = jnp.sum(own * (drive.measured - mean) ** 2) / total
     return own / (total * jnp.where(square > 0, square, 1.0))
-
-
-def _scattered(
-    layout: Layout, network: Network, rows: Rows, settings: Settings
-) -> Float[Array, " params"]:
-    """The start: as grown, or with the partition moved and the models fitted anew."""
-    u = layout.gather(network)
-    scatter = jnp.asarray(settings.scatter)
-    key = jax.random.fold_in(jax.random.key(settings.seed), 1)
-    noise = scatter * jax.random.normal(key, u.shape, u.dtype)
-    moved = jnp.where(jnp.isfinite(layout.low), u + noise, u)
-    placed = layout.place(jnp.clip(moved, -layout.wall(), layout.wall()))
-    model = placed.models[0]
-    theta = fitted(rows, model.validity, model.active, settings)
-    placed = eqx.tree_at(lambda n: n.models[0].local.coefficient, placed, theta)
-    return jnp.where(scatter > 0, layout.gather(placed), u)
 
 
 def _scores(

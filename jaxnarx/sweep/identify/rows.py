@@ -1,7 +1,7 @@
 """Outcomes as rows of a table, and a row as a network again."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Identification
 from jaxnarx.models import (
     AbstractValidity,
     Boxes,
@@ -21,12 +20,15 @@ from jaxnarx.models import (
     local_models,
     output_model,
 )
-from jaxnarx.regressors import Pool, Variables
+from jaxnarx.partition import scheduling_table
+from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.fleet import PARTS, Fleet
-from jaxnarx.sweep.identify.frame import make_pool
-from jaxnarx.sweep.identify.member import Prepared, prepare
+from jaxnarx.sweep.identify.member import Prepared
 from jaxnarx.sweep.identify.program import Outcome
+
+if TYPE_CHECKING:
+    from jaxnarx.sweep.identify.work import IdentificationWork
 
 Row = dict[str, Any]
 
@@ -40,6 +42,7 @@ LISTS = (
     "centre",
     "width",
     "partition",
+    "scheduling",
     "offset",
     "span",
     "loss_history",
@@ -72,12 +75,13 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
     lists the terms of the first model, then of the second; `centre` and `width` the
     dimensions, scaled to the training range (empty where the validity functions are not
     Gaussian); `partition` all that the validity functions of class `validity` hold,
-    and `offset` and `span` the range that `network` is scheduled over, for
-    `network_of`.
+    and `scheduling`, `offset` and `span` the variables and ranges that `network` is
+    scheduled over, for `network_of`.
     """
     count, used = int(outcome.models), np.asarray(outcome.chosen.used)
     index = np.asarray(outcome.chosen.index)[used].tolist()
     shape = trimmed(outcome.validity, count)
+    scheduling = variable_names(pool.channels, network.models[0].scheduling)
     scores: Row = {}
     lost: Row = {}
     for part in (p for p in PARTS if p in outcome.scores):
@@ -103,6 +107,7 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
         "centre": _flat(shape.centre) if gaussian else [],
         "width": _flat(np.exp(shape.log_width)) if gaussian else [],
         "partition": [x for leaf in jax.tree.leaves(shape) for x in _flat(leaf)],
+        "scheduling": scheduling,
         "offset": _flat(network.models[0].offset),
         "span": _flat(network.models[0].span),
         "loss_history": _flat(outcome.history),
@@ -157,29 +162,27 @@ def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
     return Boxes(each, each) if kind == "Boxes" else Gaussians(each, each)
 
 
-def network_of(
-    fleet: Fleet, row: Row, method: Identification, *, pool: Pool | None = None
-) -> Network:
-    """The refined network of a row; `row["engine"]` names the member.
+def network_of(work: "IdentificationWork", row: Row) -> Network:
+    """The refined network of a row of this work; `row["engine"]` names the member.
 
-    Fleet, method and pool are those of the sweep: gains and ranges come from the data.
+    Gains and ranges come from the data.
     """
-    pool = make_pool(method, fleet.channels) if pool is None else pool
-    prepared = prepare(fleet, fleet.index(row["engine"]), method, pool)
+    fleet, pool, names = work.fleet, work.pool, tuple(row["scheduling"])
+    prepared = work.prepared(fleet.index(row["engine"]), names)
     if prepared.member is None or not row["term_index"]:
         raise SpecError(
             f"engine {row['engine']!r} has no network: {row['status']}", field="row"
         )
     frame = jax.tree.map(jnp.asarray, prepared.member.network)
-    old, count = frame.models[0], int(row["model_count"])
-    dtype, dims = old.offset.dtype, len(row["offset"])
+    count = int(row["model_count"])
+    dtype, dims = frame.models[0].offset.dtype, len(row["offset"])
     like = _like(row["validity"], count, dims, dtype)
     theta = np.asarray(row["coefficient"], dtype).reshape(count, -1)
     factor = pool.factor[np.asarray(row["term_index"])]
     model = output_model(
         local_models(factor, theta),
         _filled(like, row["partition"]),
-        old.scheduling if dims else Variables(()),
+        scheduling_table(pool, names),
         np.asarray(row["offset"], dtype),
         np.asarray(row["span"], dtype),
     )

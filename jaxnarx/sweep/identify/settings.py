@@ -1,26 +1,61 @@
-"""Cases as arrays: what a sweep varies without compiling anew."""
+"""Which identifications one program does, and what it takes as arrays."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.errors import SpecError, suggest
-from jaxnarx.methods import Case, Identification
+from jaxnarx.identification import terms_of
+from jaxnarx.methods import (
+    ForwardOLS,
+    Global,
+    Identification,
+    Lolimot,
+    Placed,
+    PredictionError,
+    SigmoidTree,
+    SimulationError,
+)
 from jaxnarx.regressors import Pool
 
 Arrays = np.ndarray | Array
+Grown = Global | Lolimot | SigmoidTree | Placed
+
+NUMBERS = ("k_sigma", "smoothness", "growth_ridge", "rho", "ridge", "scatter")
+TRACED = {
+    ForwardOLS: ("max_terms", "rho"),
+    Global: (),
+    Lolimot: ("max_models", "k_sigma", "ridge", "scatter", "seed"),
+    SigmoidTree: ("max_models", "smoothness", "ridge", "scatter", "seed"),
+    Placed: ("max_models", "k_sigma", "ridge", "seed"),
+    SimulationError: ("max_steps", "ridge", "train", "tolerance", "patience"),
+    PredictionError: ("max_steps", "ridge", "train", "tolerance", "patience"),
+}
+"""Settings that are data to the program."""
+STATIC = {
+    ForwardOLS: (),
+    Global: (),
+    Lolimot: ("scheduling", "validity", "criterion", "patience"),
+    SigmoidTree: ("scheduling", "criterion", "patience"),
+    Placed: ("scheduling", "at"),
+    SimulationError: ("horizons", "window_steps", "width_band"),
+    PredictionError: ("width_band",),
+}
+"""Settings that it is made for. All others have their defaults, or the verbs do it."""
+TRAINED = ("staged", "joint", "coefficients", "partition")
 
 
 class Settings(eqx.Module):
-    """A `Case` for the program; `variables` tells which lagged variables it may use."""
+    """A case for the program; `allowed` tells which terms it may use."""
 
     terms: Int[Arrays, "*lanes"]
     models: Int[Arrays, "*lanes"]
     steps: Int[Arrays, "*lanes"]
     seed: Int[Arrays, "*lanes"]
-    variables: Bool[Arrays, "*lanes vars"]
+    allowed: Bool[Arrays, "*lanes terms"]
     coefficients: Bool[Arrays, "*lanes"]
     partition: Bool[Arrays, "*lanes"]
     staged: Bool[Arrays, "*lanes"]
@@ -32,59 +67,118 @@ class Settings(eqx.Module):
     scatter: Float[Arrays, "*lanes"]
 
 
-NUMBERS = ("k_sigma", "smoothness", "ridge", "growth_ridge", "rho", "scatter")
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """What a program is made for: settings without those that it takes as arrays, and
+    the largest numbers of terms, models and steps of all its cases.
+    """
+
+    grow: Grown
+    refine: SimulationError | PredictionError
+    terms: int
+    models: int
+    steps: int
 
 
-def make_settings(
-    case: Case, method: Identification, pool: Pool, dtype: np.dtype
-) -> Settings:
-    """The arrays of a case; `SpecError` where it exceeds a capacity."""
-    case = within(case, method)
-    return Settings(
-        terms=np.asarray(case.terms),
-        models=np.asarray(case.models),
-        steps=np.asarray(case.steps),
-        seed=np.asarray(case.seed),
-        variables=allowed_variables(case, pool),
-        coefficients=np.asarray(case.train in ("joint", "staged", "coefficients")),
-        partition=np.asarray(case.train in ("joint", "staged", "partition")),
-        staged=np.asarray(case.train == "staged"),
-        **{name: np.asarray(getattr(case, name), dtype) for name in NUMBERS},
+def fused(method: Identification) -> bool:
+    """Whether one program does it all."""
+    parts = [method.select, method.grow]
+    if method.refine is not None:
+        parts.append(method.refine)
+    if not all(type(part) in TRACED and _plain(part) for part in parts):
+        return False
+    if getattr(method.grow, "criterion", "") == "validation":
+        return False
+    refine = method.refine
+    if isinstance(refine, SimulationError):
+        told = refine.train in TRAINED and refine.horizons != "auto"
+        return told and refine.max_steps > 0
+    return refine is None or refine.max_steps > 0
+
+
+def _plain(part: Any) -> bool:
+    """Whether all that the program does not know has its default."""
+    known = TRACED[type(part)] + STATIC[type(part)]
+    return all(
+        getattr(part, f.name) == f.default
+        for f in dataclasses.fields(part)
+        if f.name not in known and f.name != "_"
     )
 
 
-def within(case: Case, method: Identification) -> Case:
-    """The case with numbers in place of None, none beyond its capacity."""
-    most = {
-        "terms": method.max_terms,
-        "models": method.max_models,
-        "steps": method.steps,
-    }
-    for field, limit in most.items():
-        value = getattr(case, field)
-        if value is not None and value > limit:
-            raise SpecError(
-                f"a case asks for {value} {field}, the identification has room for "
-                f"{limit}; raise {'steps' if field == 'steps' else 'max_' + field}",
-                field=field,
+def shapes(methods: Sequence[Identification]) -> list[Shape | None]:
+    """The program of every case, None where the verbs do it.
+
+    Cases that differ only in what a program takes as arrays share one. Without a
+    refinement a case goes with the others' first.
+    """
+    mine = [m for m in methods if fused(m)]
+    first = next((m.refine for m in mine if m.refine is not None), None)
+    other = first or SimulationError(horizons=())
+    keys = {n: _key(m, other) for n, m in enumerate(methods) if fused(m)}
+    found: list[Shape | None] = []
+    for n in range(len(methods)):
+        if n not in keys:
+            found.append(None)
+            continue
+        group = [methods[k] for k, key in keys.items() if key == keys[n]]
+        found.append(
+            Shape(
+                *keys[n],
+                terms=max(m.select.max_terms for m in group),
+                models=max(getattr(m.grow, "max_models", 1) for m in group),
+                steps=max(m.refine.max_steps if m.refine else 0 for m in group),
             )
-    given = {f: getattr(case, f) for f in most}
-    chosen = {f: most[f] if v is None else v for f, v in given.items()}
-    return dataclasses.replace(case, **chosen)
+        )
+    return found
 
 
-def allowed_variables(case: Case, pool: Pool) -> Bool[np.ndarray, " vars"]:
-    """Which lagged variables a case may use; the first entry is that of "times one"."""
-    signals, lags = pool.variables.signal, pool.variables.lag
-    limit = np.full(len(pool.channels.all), np.iinfo(np.int64).max)
-    if isinstance(case.lags, int):
-        limit[:] = case.lags
-    elif case.lags is not None:
-        for name, lag in dict(case.lags).items():
-            if name not in pool.channels.names:
-                raise SpecError(
-                    f"lags names {name!r}. {suggest(name, pool.channels.names)}",
-                    field="lags",
-                )
-            limit[pool.channels.signal(name)] = lag
-    return np.concatenate([[True], lags <= limit[signals]])
+def _key(method: Identification, other: Any) -> tuple[Any, Any]:
+    """Partition and refinement with defaults in place of what is traced."""
+
+    def bare(part):
+        usual = {f.name: f.default for f in dataclasses.fields(part)}
+        own = {name: usual[name] for name in TRACED[type(part)]}
+        return dataclasses.replace(part, **own)
+
+    return bare(method.grow), bare(method.refine or other)
+
+
+def make_settings(method: Identification, pool: Pool, dtype: np.dtype) -> Settings:
+    """The arrays of one case; `pool` is that of the program."""
+    grow, refine = method.grow, method.refine
+    train = "none" if refine is None else getattr(refine, "train", "joint")
+    numbers = {
+        "k_sigma": getattr(grow, "k_sigma", 1.0),
+        "smoothness": getattr(grow, "smoothness", 1.0),
+        "growth_ridge": getattr(grow, "ridge", 0.0),
+        "scatter": getattr(grow, "scatter", 0.0),
+        "rho": method.select.rho,  # pyright: ignore
+        "ridge": 0.0 if refine is None else refine.ridge,
+    }
+    return Settings(
+        terms=np.asarray(method.select.max_terms),  # pyright: ignore
+        models=np.asarray(getattr(grow, "max_models", 1)),
+        steps=np.asarray(0 if refine is None else refine.max_steps),
+        seed=np.asarray(getattr(grow, "seed", 0)),
+        allowed=terms_of(method.pool, pool),
+        coefficients=np.asarray(train in ("joint", "staged", "coefficients")),
+        partition=np.asarray(train in ("joint", "staged", "partition")),
+        staged=np.asarray(train == "staged"),
+        **{name: np.asarray(value, dtype) for name, value in numbers.items()},
+    )
+
+
+def spare(settings: Settings) -> Settings:
+    """The shortest fit there is, to fill up a call."""
+    one, none = np.asarray(1), np.asarray(0)
+    off = np.asarray(False)
+    return dataclasses.replace(
+        settings,
+        terms=one,
+        models=one,
+        steps=none,
+        coefficients=off,
+        partition=off,
+        staged=off,
+    )

@@ -22,7 +22,7 @@ from jaxnarx.arrays.levenberg import (
     REACH,
     SHRINK,
 )
-from jaxnarx.methods import Identification
+from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import Layout, Stage, loss, normal_equations, stages
 from jaxnarx.refinement.starts import SHRINK as FACTORS
 from jaxnarx.refinement.starts import shrunk
@@ -115,11 +115,11 @@ class Trained(eqx.Module):
     factor: Float[Array, ""]
 
 
-def schedule(method: Identification) -> Turn:
+def schedule(method: SimulationError | PredictionError, steps: int) -> Turn:
     """The stages of a staged case, in turns; a stage begins with step zero."""
-    order = [Stage(1, method.steps)]
-    if method.objective == "simulation":
-        order = stages(method.horizons, method.window_steps, method.steps, staged=True)
+    order = [Stage(1, steps)]
+    if isinstance(method, SimulationError):
+        order = stages(list(method.horizons), method.window_steps, steps, staged=True)
     rows = [
         (stage.horizon or FULL, n, stage.only_coefficients, stage is order[-1])
         for stage in order

@@ -10,69 +10,85 @@ import jax
 import numpy as np
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Case, Identification
+from jaxnarx.identification import joint_pool
+from jaxnarx.methods import Identification
+from jaxnarx.methods.settings import changed, spread
+from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
+from jaxnarx.sweep.cases import Case, label_of
 from jaxnarx.sweep.fleet import Fleet
-from jaxnarx.sweep.identify.frame import Frame, make_frame, make_pool
+from jaxnarx.sweep.identify.frame import Frame, make_frame
 from jaxnarx.sweep.identify.member import Prepared, prepare, stacked
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
-from jaxnarx.sweep.identify.settings import make_settings, within
-from jaxnarx.sweep.identify.verbs import require_verbs, run_member
+from jaxnarx.sweep.identify.settings import (
+    Settings,
+    Shape,
+    make_settings,
+    shapes,
+    spare,
+)
+from jaxnarx.sweep.identify.verbs import run_member
 
 LANES = 16
 """Fits in one call of the program."""
 KEPT = 64
 """Prepared members that are kept for further cases."""
-MADE = ("pool_of_all", "frame", "prepared", "labels")
+MADE = ("pool", "methods", "shapes", "frames", "settings", "prepared", "labels")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class IdentificationWork:
     """Every engine of a fleet under every case.
 
-    `pool` takes the place of the polynomial pool that `method` describes. A call of the
-    program has `lanes` fits, the last one filled up, `at_once` of them side by side: on
-    a CPU one after the other is the fastest.
+    A case says what differs from `method`, by path: `{"refine.ridge": 1e-4}`. Forward
+    selection, the partitions that grow or are placed, and Levenberg-Marquardt are one
+    compiled program for all engines and for all cases that differ only in numbers
+    (`jaxnarx.sweep.identify.settings.TRACED`, or in lags and degree of the pool); a
+    refinement makes all its steps there. Everything else goes by the verbs, one member
+    after the other. A call of the program has `lanes` fits, the last one filled up,
+    `at_once` of them side by side: on a CPU one after the other is the fastest.
     """
 
     fleet: Fleet
     method: Identification
-    cases: Sequence[Case] = (Case(),)
+    cases: Sequence[Case] = ({},)
     _: dataclasses.KW_ONLY
-    pool: Pool | None = None
     lanes: int = LANES
     at_once: int = 1
 
     def __post_init__(self):
-        object.__setattr__(self, "cases", tuple(self.cases))
+        object.__setattr__(self, "cases", tuple(dict(c) for c in self.cases))
         if not self.cases:
             raise SpecError("a sweep needs at least one case", field="cases")
         for field in ("lanes", "at_once"):
             value = getattr(self, field)
             if value < 1:
                 raise SpecError(f"{field} must be at least 1, got {value}", field=field)
-        _ = self.frame  # what does not fit is said now, not by every member
-        for case in self.cases:
-            make_settings(case, self.method, self.pool_of_all, np.dtype(float))
-            if not self.method.fused:
-                require_verbs(self.method, case)
+        # what does not fit is said now, not by every member
+        if len(self.pool.outputs) != 1:
+            raise SpecError(
+                "a sweep identifies one output; name it, with "
+                "Polynomial(outputs=['...'])",
+                field="outputs",
+            )
+        for method in self.methods:
+            scheduling_table(self.pool, _scheduling(method))
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k not in MADE}
 
     @property
     def members(self) -> list[dict[str, Any]]:
-        """Engine and settings of every fit: all cases of the first engine, and so on.
-
-        Capacities stand in place of None.
-        """
+        """Engine and swept settings of every fit: all cases of the first engine, and so
+        on."""
         return self.labels
 
     @functools.cached_property
     def labels(self) -> list[dict[str, Any]]:
         """The same, made once."""
-        labels = [within(case, self.method).labels() for case in self.cases]
+        swept = dict.fromkeys(path for case in self.cases for path in case)
+        labels = [{path: label_of(m, path) for path in swept} for m in self.methods]
         return [
             {"engine": name, "case": n} | label
             for name in self.fleet.names
@@ -80,44 +96,58 @@ class IdentificationWork:
         ]
 
     @functools.cached_property
-    def pool_of_all(self) -> Pool:
-        """The candidate terms."""
-        if self.pool is None:
-            return make_pool(self.method, self.fleet.channels)
-        if self.pool.channels != self.fleet.channels:
-            raise SpecError(
-                "the pool belongs to other channels than the fleet; make it with "
-                "polynomial_pool(fleet.channels, ...)",
-                field="pool",
-            )
-        return self.pool
+    def methods(self) -> list[Identification]:
+        """The settings of every case."""
+        return [changed(self.method, case) for case in self.cases]
 
     @functools.cached_property
-    def frame(self) -> Frame:
-        """What all fits share."""
-        return make_frame(self.method, self.pool_of_all)
+    def pool(self) -> Pool:
+        """The candidate terms of all cases."""
+        return joint_pool([m.pool for m in self.methods], self.fleet.channels)
 
     @functools.cached_property
-    def prepared(self) -> Callable[[int], Prepared]:
+    def shapes(self) -> list[Shape | None]:
+        """The program of every case, None where the verbs do it."""
+        return shapes(self.methods)
+
+    @functools.cached_property
+    def frames(self) -> dict[Shape, Frame]:
+        """What all fits of a program share."""
+        known = {shape for shape in self.shapes if shape is not None}
+        return {shape: make_frame(shape, self.pool) for shape in known}
+
+    @functools.cached_property
+    def settings(self) -> list[Settings | None]:
+        """What the programs take of every case."""
+        dtype = self.fleet.train.signals.dtype
+        return [
+            None if shape is None else make_settings(method, self.pool, dtype)
+            for method, shape in zip(self.methods, self.shapes, strict=True)
+        ]
+
+    @functools.cached_property
+    def prepared(self) -> Callable[[int, tuple[str, ...]], Prepared]:
         """One engine's records as the program takes them; the last ones are kept."""
+        most = max(getattr(m.select, "max_terms", 1) for m in self.methods)
 
-        def make(engine: int) -> Prepared:
-            return prepare(self.fleet, engine, self.method, self.pool_of_all)
+        def make(engine: int, scheduling: tuple[str, ...]) -> Prepared:
+            return prepare(self.fleet, engine, self.pool, scheduling, most)
 
         return functools.lru_cache(maxsize=KEPT)(make)
 
+    def prepared_for(self, engine: int, case: int) -> Prepared:
+        """One engine's records for a case."""
+        return self.prepared(engine, _scheduling(self.methods[case]))
+
     def describe(self) -> dict[str, Any]:
         """Settings, cases, and digests of the data and the pool."""
-        pool = self.pool_of_all
+        pool = self.pool
         table = hashlib.sha256(np.ascontiguousarray(pool.factor, np.int64).tobytes())
         table.update(repr((pool.variables, pool.outputs)).encode())
         return {
             "kind": "identification",
-            "method": {
-                f.name: _plain(getattr(self.method, f.name))
-                for f in dataclasses.fields(self.method)
-            },
-            "cases": [_plain(dataclasses.asdict(case)) for case in self.cases],
+            "method": _plain(spread(self.method)),
+            "cases": [_plain(case) for case in self.cases],
             "pool": {"terms": len(pool), "sha256": table.hexdigest()},
             "fleet": {"engines": len(self.fleet), "sha256": self.fleet.digest()},
             "lanes": self.lanes,
@@ -128,47 +158,46 @@ class IdentificationWork:
         """One row per index, see `row_of`; engines that cannot be used are rows too."""
         pairs = [divmod(int(n), len(self.cases)) for n in indices]
         rows: dict[int, Row] = {}
-        good = []
-        for place, (engine, _) in enumerate(pairs):
-            if self.prepared(engine).member is None:
-                rows[place] = empty_row(self.fleet, self.prepared(engine))
+        groups: dict[Shape, list[int]] = {}
+        for place, (engine, case) in enumerate(pairs):
+            found, shape = self.prepared_for(engine, case), self.shapes[case]
+            if found.member is None:
+                rows[place] = empty_row(self.fleet, found)
+            elif shape is None:
+                own = self.methods[case], self.pool, found.member
+                rows[place] = run_member(self.fleet, engine, *own)
             else:
-                good.append(place)
-        for first in range(0, len(good), self.lanes):
-            part = good[first : first + self.lanes]
-            found = self._call([pairs[place] for place in part])
-            rows |= dict(zip(part, found, strict=True))
+                groups.setdefault(shape, []).append(place)
+        for shape, good in groups.items():
+            for first in range(0, len(good), self.lanes):
+                part = good[first : first + self.lanes]
+                made = self._call(shape, [pairs[place] for place in part])
+                rows |= dict(zip(part, made, strict=True))
         return [rows[place] for place in range(len(pairs))]
 
-    def _by_verbs(self, engine: int, case: Case) -> Row:
-        """What the program does not know."""
-        member = self.prepared(engine).member
-        assert member is not None
-        both = self.method, case, self.pool_of_all, member
-        return run_member(self.fleet, engine, *both)
-
-    def _call(self, pairs: list[tuple[int, int]]) -> list[Row]:
-        """One call of the program, filled up with the shortest fits there are."""
-        pool, dtype = self.pool_of_all, self.fleet.train.signals.dtype
-        if not self.method.fused:
-            return [self._by_verbs(engine, self.cases[case]) for engine, case in pairs]
-        cases = [self.cases[case] for _, case in pairs]
-        engines = [engine for engine, _ in pairs]
-        spare = self.lanes - len(pairs)
-        cases += [Case(terms=1, models=1, steps=0, train="none")] * spare
-        engines += engines[-1:] * spare
-
-        def member(n: int) -> Any:
-            return self.prepared(engines[n]).member
-
-        members = stacked([member(n) for n in range(self.lanes)])
-        settings = stacked([make_settings(c, self.method, pool, dtype) for c in cases])
-        outcome = identify_lanes(self.frame, members, settings, at_once=self.at_once)
+    def _call(self, shape: Shape, pairs: list[tuple[int, int]]) -> list[Row]:
+        """One call of a program, filled up with the shortest fits there are."""
+        members = [self.prepared_for(*pair).member for pair in pairs]
+        settings = [self.settings[case] for _, case in pairs]
+        more = self.lanes - len(pairs)
+        members += members[-1:] * more
+        settings += [spare(s) for s in settings[-1:] if s is not None] * more
+        outcome = identify_lanes(
+            self.frames[shape],
+            stacked(members),
+            stacked(settings),
+            at_once=self.at_once,
+        )
         host = jax.tree.map(np.asarray, jax.device_get(outcome))
         return [
-            row_of(pool, jax.tree.map(lambda a, n=n: a[n], host), member(n).network)
-            for n in range(len(pairs))
+            row_of(self.pool, jax.tree.map(lambda a, n=n: a[n], host), member.network)
+            for n, member in enumerate(members[: len(pairs)])
+            if member is not None
         ]
+
+
+def _scheduling(method: Identification) -> tuple[str, ...]:
+    return tuple(getattr(method.grow, "scheduling", ()))
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,330 @@
+"""Settings as trees: from the tables of files, by the paths of flags and cases.
+
+A tree is a dataclass whose fields are plain values or trees again. As a table it is a
+dictionary, with the name of the kind under `"method"` where there is a choice of kinds:
+`{"grow": {"method": "tree", "max_models": 4}}`, or `{"grow": "tree"}` for its defaults.
+A path names one setting, `"grow.max_models"`.
+"""
+
+import dataclasses
+import functools
+import types
+from collections.abc import Mapping, Sequence
+from numbers import Integral, Real
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from jaxnarx.errors import SpecError, suggest
+from jaxnarx.methods.anova import Anova
+from jaxnarx.methods.partition import Global, Grid, Lolimot, Placed, SigmoidTree
+from jaxnarx.methods.pool import Polynomial
+from jaxnarx.methods.refinement import PredictionError, SimulationError
+from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
+from jaxnarx.methods.simulation_ols import SimulationOLS
+
+KIND = "method"
+"""Key of a table that names the kind."""
+
+KINDS: tuple[tuple[str, type, dict[str, Any]], ...] = (
+    ("polynomial", Polynomial, {}),
+    ("forward", ForwardOLS, {}),
+    ("stepwise", StepwiseF, {}),
+    ("backward", Backward, {}),
+    ("simulation", SimulationOLS, {}),
+    ("anova", Anova, {}),
+    ("global", Global, {}),
+    ("lolimot", Lolimot, {}),
+    ("tree", SigmoidTree, {}),
+    ("axis-tree", SigmoidTree, {"oblique": False}),
+    ("grid", Grid, {}),
+    ("placed", Placed, {}),
+    ("simulation", SimulationError, {}),
+    ("prediction", PredictionError, {}),
+)
+"""Names of kinds, and what else a name says."""
+
+
+def made(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
+    """A tree of settings from its table; `SpecError` names the path of what is wrong.
+
+    Where it names no kind, settings that it leaves out are the usual ones of the place.
+    `where` is the path of the tree itself, for messages.
+    """
+    hints = fields_of(kind)
+    usual = {f.name: f.default for f in dataclasses.fields(kind)}
+    values = {}
+    for name, value in table.items():
+        if name not in hints:
+            raise SpecError(
+                f"{where or 'the description'} has the unknown key {name!r}. "
+                f"{suggest(name, hints)}",
+                field=_join(where, name),
+            )
+        value = _completed(value, usual[name])
+        values[name] = _value(hints[name], value, _join(where, name))
+    missing = [f.name for f in dataclasses.fields(kind) if _needed(f, values)]
+    if missing:
+        path = _join(where, missing[0])
+        raise SpecError(f"{path} is missing", field=path)
+    try:
+        return kind(**values)
+    except SpecError as error:
+        raise _placed(error, where) from error
+
+
+def spread(tree: Any) -> dict[str, Any]:
+    """The table of a tree, all of it; values that are no settings stay as they are."""
+    name = [n for n, k, told in KINDS if k is type(tree) and _says(tree, told)][-1:]
+    table: dict[str, Any] = {KIND: name[0]} if name else {}
+    for field in fields_of(type(tree)):
+        value = getattr(tree, field)
+        table[field] = spread(value) if _is_tree(value) else value
+    return table
+
+
+def changed(tree: Any, changes: Mapping[str, Any]) -> Any:
+    """The tree with other values under some paths.
+
+    A path to a choice of kinds takes the name of one, `{"grow": "tree"}`: settings that
+    differ from their defaults and that it has as well go over to it.
+    """
+    table = spread(tree)
+    for path, value in sorted(changes.items(), key=lambda item: item[0].count(".")):
+        _put(type(tree), table, path.split("."), value, path)
+    table.pop(KIND, None)
+    return made(type(tree), table)
+
+
+def paths(table: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """A table of tables as paths and values."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        path = _join(where, name)
+        inside = isinstance(value, Mapping) and len(value) > 0
+        found |= paths(value, path) if inside else {path: value}
+    return found
+
+
+def value_at(tree: Any, path: str) -> Any:
+    """The setting under a path, None where the tree has another kind there; the name of
+    the kind where the path leads to a tree.
+    """
+    for name in path.split("."):
+        tree = getattr(tree, name, None)
+    return spread(tree).get(KIND) if _is_tree(tree) else tree
+
+
+def hint_at(kind: type, path: str) -> tuple[type, Any]:
+    """The class that declares a path first, and what it allows there."""
+    *way, last = path.split(".")
+    owners = [kind]
+    for name in way:
+        inner = [
+            k
+            for owner in owners
+            if name in fields_of(owner)
+            for k in kinds_of(fields_of(owner)[name])
+        ]
+        owners = list(dict.fromkeys(k for k in inner if dataclasses.is_dataclass(k)))
+    for owner in owners:
+        if last in fields_of(owner):
+            return owner, fields_of(owner)[last]
+    known = dict.fromkeys(name for owner in owners for name in fields_of(owner))
+    raise SpecError(f"there is no setting {path!r}. {suggest(last, known)}", field=last)
+
+
+def names_of(hint: Any) -> list[str]:
+    """Names of the kinds that a field may hold."""
+    kinds = kinds_of(hint)
+    names = [name for name, kind, _ in KINDS if kind in kinds]
+    return names + ["none"] * (bool(names) and type(None) in kinds)
+
+
+def kinds_of(hint: Any) -> tuple[Any, ...]:
+    """The members of a union, or the one type there is."""
+    union = get_origin(hint) in (Union, types.UnionType)
+    return get_args(hint) if union else (hint,)
+
+
+@functools.cache
+def fields_of(kind: type) -> dict[str, Any]:
+    """The fields of a settings class and what they may hold."""
+    hints = get_type_hints(kind)
+    return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON and TOML have it: lists in place of tuples."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | str | None):
+        return value
+    if isinstance(value, Integral):
+        return int(value)
+    return float(value) if isinstance(value, Real) else value
+
+
+def _completed(value: Any, usual: Any) -> Any:
+    """A table that names no kind is of the usual one, if that has all its settings."""
+    if not isinstance(value, Mapping) or KIND in value or not _is_tree(usual):
+        return value
+    known = fields_of(type(usual))
+    return spread(usual) | dict(value) if all(k in known for k in value) else value
+
+
+def _placed(error: SpecError, where: str) -> SpecError:
+    """The error with the path of the setting in place of its name."""
+    text, name = str(error), error.field or ""
+    if not where or not name:
+        return error
+    lead = f"{where}." if text.startswith(name) else f"{where}: "
+    return SpecError(lead + text, field=_join(where, name))
+
+
+def _join(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+def _is_tree(value: Any) -> bool:
+    return any(type(value) is kind for _, kind, _ in KINDS)
+
+
+def _says(tree: Any, told: Mapping[str, Any]) -> bool:
+    return all(getattr(tree, name) == value for name, value in told.items())
+
+
+def _needed(field: dataclasses.Field, values: Mapping[str, Any]) -> bool:
+    none = field.default is field.default_factory is dataclasses.MISSING
+    return none and field.init and field.name not in values
+
+
+def _put(kind: type, table: dict[str, Any], way: list[str], value: Any, path: str):
+    """Set one path in a table."""
+    name, rest = way[0], way[1:]
+    if name not in fields_of(kind):
+        raise SpecError(
+            f"there is no setting {path!r}. {suggest(name, fields_of(kind))}",
+            field=path,
+        )
+    hint, old = fields_of(kind)[name], table.get(name)
+    if not rest:
+        choice = isinstance(value, str) and value in names_of(hint)
+        table[name] = _renamed(hint, old, value) if choice else value
+        return
+    if isinstance(old, str) or old is None:
+        first = names_of(hint)[:1]
+        if not first:
+            raise SpecError(f"{name} holds no settings: {path!r}", field=path)
+        old = {KIND: old or first[0]}
+    if not isinstance(old, Mapping):
+        raise SpecError(
+            f"{path} cannot be set: {name} is {type(old).__name__}", field=path
+        )
+    inner, _ = _kind(hint, old.get(KIND), name)
+    table[name] = dict(old)
+    _put(inner, table[name], rest, value, path)
+
+
+def _renamed(hint: Any, old: Any, name: str) -> Any:
+    """The table of another kind, with what both have."""
+    if name == "none" or not isinstance(old, Mapping):
+        return name
+    kind, told = _kind(hint, name, name)
+    former, _ = _kind(hint, old.get(KIND), name)
+    usual = {f.name: f.default for f in dataclasses.fields(former)}
+    kept = {
+        field: value
+        for field, value in old.items()
+        if field in fields_of(kind) and field not in told and value != usual[field]
+    }
+    return {KIND: name} | kept
+
+
+def _kind(hint: Any, name: str | None, where: str) -> tuple[type, dict[str, Any]]:
+    """The class that a name means among those of a hint; the only one needs none."""
+    kinds = kinds_of(hint)
+    known = [(n, k, told) for n, k, told in KINDS if k in kinds]
+    if name is None and len({k for _, k, _ in known}) == 1:
+        return known[0][1:]
+    for n, kind, told in known:
+        if n == name:
+            return kind, told
+    if name is None:
+        raise SpecError(
+            f"{where} needs a method: one of {', '.join(n for n, _, _ in known)}",
+            field=where,
+        )
+    raise SpecError(
+        f"{where} must be one of {', '.join(names_of(hint))}, got {name!r}. "
+        f"{suggest(name, names_of(hint))}",
+        field=where,
+    )
+
+
+def _value(hint: Any, value: Any, path: str) -> Any:
+    """A value that a field may hold, trees made from their tables."""
+    if names_of(hint):
+        if value == "none" and "none" in names_of(hint):
+            return None
+        if isinstance(value, str):
+            value = {KIND: value}
+        if isinstance(value, Mapping):
+            own = dict(value)
+            kind, told = _kind(hint, own.pop(KIND, None), path)
+            return made(kind, told | own, path)
+    elif value == "none" and type(None) in kinds_of(hint):
+        return None
+    if not fits(hint, value):
+        raise SpecError(f"{path} must be {words(hint)}, got {value!r}", field=path)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def fits(hint: Any, value: Any) -> bool:
+    """Whether a value is of the kind that a field is annotated with."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(fits(part, value) for part in inside)
+    if origin is Literal:
+        return value in inside
+    if hint is Any or hint is type(value):
+        return True
+    if hint in (None, type(None)):
+        return value is None
+    if isinstance(value, bool):
+        return hint is bool
+    if hint is int:
+        return isinstance(value, Integral)
+    if hint is float:
+        return isinstance(value, Real)
+    if origin is tuple and inside[-1] is not ...:
+        listed = isinstance(value, list | tuple) and len(value) == len(inside)
+        return listed and all(map(fits, inside, value))
+    if origin in (tuple, Sequence):
+        listed = isinstance(value, list | tuple)
+        return listed and all(fits(inside[0], item) for item in value)
+    if origin is Mapping:
+        return isinstance(value, Mapping) and all(
+            fits(inside[0], k) and fits(inside[1], v) for k, v in value.items()
+        )
+    return isinstance(hint, type) and isinstance(value, hint)
+
+
+_WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+
+
+def words(hint: Any) -> str:
+    """What a field may hold, for messages."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if names_of(hint):
+        return "one of " + ", ".join(names_of(hint))
+    if origin in (Union, types.UnionType):
+        parts = [p for p in inside if p is not int or float not in inside]
+        return " or ".join(dict.fromkeys(map(words, parts)))
+    if origin is Literal:
+        return "one of " + ", ".join(map(str, inside))
+    if origin in (tuple, Sequence):
+        return "a list"
+    if origin is Mapping:
+        return "a table by name"
+    return _WORDS.get(hint, "none" if hint is type(None) else "a value of another kind")
