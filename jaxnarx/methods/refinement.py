@@ -96,12 +96,13 @@ class SimulationError:
             "max_steps",
             "step budgets must not be negative",
         )
-        _require(
-            0 <= self.ridge < math.inf and self.tolerance >= 0,
-            "ridge",
-            f"ridge and tolerance must be finite and not negative, got "
-            f"{self.ridge} and {self.tolerance}",
-        )
+        for name in ("ridge", "tolerance"):
+            value = getattr(self, name)
+            _require(
+                0 <= value < math.inf,
+                name,
+                f"{name} must be finite and not negative, got {value}",
+            )
         object.__setattr__(self, "width_band", tuple(self.width_band))
         _check_width_band(self.width_band)
         for name in ("patience", "starts", "batch"):
@@ -186,12 +187,13 @@ class PredictionError:
 
     def __post_init__(self):
         _require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
-        _require(
-            0 <= self.ridge < math.inf and self.tolerance >= 0,
-            "ridge",
-            f"ridge and tolerance must be finite and not negative, got "
-            f"{self.ridge} and {self.tolerance}",
-        )
+        for name in ("ridge", "tolerance"):
+            value = getattr(self, name)
+            _require(
+                0 <= value < math.inf,
+                name,
+                f"{name} must be finite and not negative, got {value}",
+            )
         _require(
             self.patience >= 1,
             "patience",

@@ -241,8 +241,13 @@ def _renamed(hint: Any, old: Any, name: str) -> Any:
     return {KIND: name} | kept
 
 
-def _kind(hint: Any, name: str | None, where: str) -> tuple[type, dict[str, Any]]:
-    """The class that a name means among those of a hint; the only one needs none."""
+def _kind(
+    hint: Any, name: str | None, where: str, keys: Sequence[str] = ()
+) -> tuple[type, dict[str, Any]]:
+    """The class that a name means among those of a hint; the only one needs none.
+
+    `keys` are the settings that it must have, for the message.
+    """
     kinds = kinds_of(hint)
     known = [(n, k, told) for n, k, told in KINDS if k in kinds]
     if name is None and len({k for _, k, _ in known}) == 1:
@@ -251,8 +256,18 @@ def _kind(hint: Any, name: str | None, where: str) -> tuple[type, dict[str, Any]
         if n == name:
             return kind, told
     if name is None:
+        every = dict.fromkeys(
+            field for _, kind, _ in known for field in fields_of(kind)
+        )
+        for key in keys:
+            if key not in every:
+                raise SpecError(
+                    f"{where} has the unknown key {key!r}. {suggest(key, every)}",
+                    field=_join(where, key),
+                )
+        able = [n for n, k, _ in known if set(keys) <= set(fields_of(k))]
         raise SpecError(
-            f"{where} needs a method: one of {', '.join(n for n, _, _ in known)}",
+            f"{where} needs a method: one of {', '.join(able or names_of(hint))}",
             field=where,
         )
     raise SpecError(
@@ -271,7 +286,7 @@ def _value(hint: Any, value: Any, path: str) -> Any:
             value = {KIND: value}
         if isinstance(value, Mapping):
             own = dict(value)
-            kind, told = _kind(hint, own.pop(KIND, None), path)
+            kind, told = _kind(hint, own.pop(KIND, None), path, tuple(own))
             return made(kind, told | own, path)
     elif value == "none" and type(None) in kinds_of(hint):
         return None

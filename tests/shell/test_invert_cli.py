@@ -96,7 +96,7 @@ def test_commands_move_within_the_limits_that_are_given(place):
     [
         (["--command", "torque"], "--command: the model has no 'torque'"),
         (["--target", "speed"], "--target: the model has no 'speed'"),
-        (["--models", "2"], "--models above 1 and --schedule belong together"),
+        (["--models", "2"], "needs --schedule"),
         (["--range", "speed=1"], "--range must be NAME=LOW:HIGH, got 'speed=1'"),
         (["--rate", "speed=fast"], "--rate must be NAME=RATE, got 'speed=fast'"),
         (["--range", "spede=0:1"], "range names 'spede', which is no command"),

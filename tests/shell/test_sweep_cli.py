@@ -256,7 +256,11 @@ def test_a_description_is_settings_and_cases(tmp_path):
         ("max_steps = 1", "stps = 1", "Did you mean 'max_steps'"),
         ("max_steps = 1", "max_steps = true", "refine.max_steps must be a whole"),
         ("max_steps = 1", "max_steps = -1", "must not be negative"),
-        ("[cases]", "[identification.grow]\n[cases]", "grow needs a method: one of"),
+        (
+            "[cases]",
+            "[identification.grow]\nmax_models = 2\n[cases]",
+            "grow needs a method: one of lolimot, tree",
+        ),
         (
             "[cases]",
             '[identification.grow]\nmethod = "round"\n[cases]',
