@@ -122,7 +122,7 @@ def test_values_are_found_by_path():
     ("table", "words"),
     [
         ({"refin": {}}, "unknown key 'refin'. Did you mean 'refine'"),
-        ({"grow": {"max_models": 2}}, "grow needs a method: one of global, lolimot"),
+        ({"grow": {"max_models": 2}}, "grow needs a method: one of lolimot, tree"),
         ({"grow": "lolimt"}, "grow must be one of .* Did you mean 'lolimot'"),
         ({"grow": "lolimot"}, "grow: Lolimot needs scheduling variables"),
         (

@@ -152,6 +152,11 @@ def _changed(
             del changes["grow.max_models"]
         elif inside:
             changes["grow"] = DIVIDED[command]
+    models = changes.get("grow.max_models", 1)
+    if models < 1:
+        raise SpecError(
+            f"max_models must be at least 1, got {models}", field="max_models"
+        )
     divides = changes.get("grow", "global") != "global"
     if divides and "grow.scheduling" not in changes:
         told = [f"--{_typed(command, path)}" for path in (*inside, "grow")]

@@ -35,7 +35,8 @@ def parse(arguments: Sequence[str]) -> Command:
         raise SpecError(f"there is no command {name!r}. {suggest(name, COMMANDS)}")
     listed: Any = tuple(
         Annotated[
-            c, tyro.conf.subcommand(n, description=(c.__doc__ or "").split("\n")[0])
+            with_options(c),
+            tyro.conf.subcommand(n, description=(c.__doc__ or "").split("\n")[0]),
         ]
         for n, c in COMMANDS.items()
     )

@@ -540,11 +540,13 @@ def test_a_model_that_runs_away_is_not_passed_off_as_one(capsys, monkeypatch):
 
 USAGE = {
     "--output tmp": ("no output 'tmp'", "'temp'"),
-    "--models 3": ("--models above 1 needs --schedule", "speed[t]"),
+    "--models 3": ("--models needs --schedule", "speed[t]"),
     "--models 3 --schedule sped[t]": ("'sped'", "'speed'"),
     "--models 3 --schedule speed": ("'speed'", "name[t]"),
     "--models 3 --schedule temp[t]": ("'temp[t]'", "'temp[t-1]'"),
-    "--schedule speed[t]": ("--schedule needs --models above 1",),
+    "--criterion bic": ("--criterion needs --schedule",),
+    "--significance 0.1": ("--significance does not go with --select forward",),
+    "--set refine.tolerance=-1": ("--set refine.tolerance", "got -1"),
     "--models 0": ("--models must be at least 1, got 0",),
     "--degree 5": ("--degree must be 1 to 4, got 5",),
     "--degree 0": ("--degree must be 1 to 4, got 0",),
@@ -887,7 +889,7 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, monkeypatch):
     def stop(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("jaxnarx.shell.identify.refine", stop)
+    monkeypatch.setattr("jaxnarx.identification.verb.refine", stop)
     fails(capsys, 130, ["identify", "engine.toml", *PART], "interrupted")
 
 
@@ -895,7 +897,7 @@ def test_too_little_memory_is_said_in_words(capsys, monkeypatch):
     def exhausted(*arguments, **options):
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.")
 
-    monkeypatch.setattr("jaxnarx.shell.identify.select", exhausted)
+    monkeypatch.setattr("jaxnarx.identification.verb.select", exhausted)
     fails(capsys, 3, ["identify", "engine.toml", *PART], "memory", "fewer lags")
 
 
@@ -903,7 +905,7 @@ def test_a_defect_is_not_taken_for_a_bad_fit(capsys, monkeypatch):
     def defect(*arguments, **options):
         raise IndexError("off by one")
 
-    monkeypatch.setattr("jaxnarx.shell.identify.select", defect)
+    monkeypatch.setattr("jaxnarx.identification.verb.select", defect)
     assert run(["identify", "engine.toml", *PART]) == 70
     text = capsys.readouterr().err
     assert "IndexError: off by one" in text and "defect of jaxnarx" in text
