@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -248,13 +249,23 @@ def run_steps(
     return jax.lax.map(lambda a: one(*a), (drive.v, drive.x, drive.measured))
 
 
-def first_anchor(masks: Masks) -> Bool[np.ndarray, "records time"]:
+def first_anchor(masks: Any) -> Bool[Array | np.ndarray, "records time"]:
     """Anchors of a free run: the first usable sample of each record.
 
     Past its last valid sample every one is an anchor: padding then cannot run away.
+    `masks` are `Masks`, or arrays of a program with these names.
     """
     at = np.arange(masks.anchors.shape[1])[None]
     return (at == masks.start[:, None]) | (at >= masks.end[:, None])
+
+
+def window_anchors(
+    masks: Any, horizon: int | Int[Array, ""]
+) -> Bool[Array | np.ndarray, "records time"]:
+    """Those, and a restart every `horizon` samples where the history is valid."""
+    at = np.arange(masks.anchors.shape[1])[None]
+    every = (at - masks.start[:, None]) % horizon == 0
+    return first_anchor(masks) | (every & masks.anchors)
 
 
 def _prepare(network: Network, data: Dataset):
@@ -302,17 +313,33 @@ def _same_sample_time(network: Network, data: Dataset) -> None:
         )
 
 
-def longest_run(flags: Bool[np.ndarray, " time"]) -> int:
-    """Length of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+def limited(
+    network: Network, y: Float[Array, "records time outputs"]
+) -> Bool[Array, "records time outputs"]:
+    """Where the feedback bound holds the scaled outputs of a run."""
+    return (y <= network.lower[None, None]) | (y >= network.upper[None, None])
 
 
-def has_diverged(limited: Bool[np.ndarray, " time"]) -> bool:
-    """More than 5 % of the samples, or 50 in a row, held by the feedback bound."""
-    if not limited.size:
-        return False
-    return bool(limited.mean() > SHARE) or longest_run(limited) >= IN_A_ROW
+def has_diverged(
+    held: Bool[Array | np.ndarray, "*rows time"],
+    counted: Bool[Array | np.ndarray, "*rows time"] | None = None,
+) -> Bool[Array | np.ndarray, "*rows"] | np.bool_:
+    """More than 5 % of the samples, or 50 in a row, held by the feedback bound.
+
+    Of the samples that are `counted`, by default all. NumPy in, NumPy out; inside
+    programs too.
+    """
+    xp = np if isinstance(held, np.ndarray) else jnp
+    counted = xp.ones_like(held) if counted is None else counted
+    held = held & counted
+    count, total = held.sum(axis=-1), counted.sum(axis=-1)
+    bad = count.astype(float) > SHARE * total.astype(float)
+    if held.shape[-1] < IN_A_ROW:
+        return bad
+    so_far = xp.cumsum(held, axis=-1)
+    before = xp.concatenate([xp.zeros_like(so_far[..., :1]), so_far], axis=-1)
+    in_a_row = before[..., IN_A_ROW:] - before[..., :-IN_A_ROW]
+    return bad | (in_a_row == IN_A_ROW).any(axis=-1)
 
 
 def _extrapolated(
@@ -362,7 +389,7 @@ def _trajectories(
         y[:first] = record.y[:first, np.array(network.modelled)]
         hold = limited[n, :length].copy()
         hold[:first] = False
-        bad = np.array([has_diverged(hold[first:, o]) for o in range(len(gain))])
+        bad = np.asarray(has_diverged(hold[first:].T))
         parts = (y, scored[n, :length], hold, extrapolated[n, :length], bad)
         for column, part in zip(columns, parts, strict=True):
             column.append(part)

@@ -26,7 +26,6 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
 from jaxnarx.simulation import (
     has_diverged,
-    longest_run,
     make_drive,
     predict,
     run_record,
@@ -256,13 +255,21 @@ def test_only_the_record_that_diverges_is_marked():
     ],
 )
 def test_more_than_five_percent_or_fifty_in_a_row(flags, diverged):
-    assert has_diverged(np.array(flags, bool)) is diverged
+    assert bool(has_diverged(np.array(flags, bool))) is diverged
 
 
-def test_longest_run():
-    assert longest_run(np.array([1, 1, 0, 1, 1, 1, 0, 1], bool)) == 3
-    assert longest_run(np.zeros(4, bool)) == 0
-    assert longest_run(np.ones(4, bool)) == 4
+def test_records_and_outputs_are_judged_side_by_side():
+    rng = np.random.default_rng(0)
+    held = rng.uniform(size=(3, 2, 300)) < 0.05
+    held[0, 0, 100:150] = True
+    counted = np.broadcast_to(np.arange(300) >= 120, held.shape)
+    every, later = has_diverged(held), has_diverged(held, counted)
+    program = jax.jit(has_diverged)(held, counted)
+    np.testing.assert_array_equal(later, program)
+    for n, o in np.ndindex(3, 2):
+        assert every[n, o] == has_diverged(held[n, o])
+        assert later[n, o] == has_diverged(held[n, o, 120:])
+    assert every.any() and not every.all()
 
 
 def test_inputs_outside_the_training_range_are_marked():

@@ -1,20 +1,27 @@
-"""Levenberg-Marquardt on streamed normal equations, driven from the host.
+"""Levenberg-Marquardt on streamed normal equations, as a function of arrays.
 
-Marquardt scaling, a ridge towards the start, the Jacobian kept when a step is rejected,
-and own stops: these are why no library solver is used. Each trial costs one run, each
-accepted step one pass of the normal equations.
+Marquardt scaling, a pull towards the start, the Jacobian kept when a step is rejected,
+walls, and a status in place of an exception: these are why no library solver is used.
+Each trial costs one run, each accepted step one pass of the normal equations.
+
+`arrays.minimise` drives it from the host, one program per accepted step; a sweep has it
+in its own loop.
 """
 
 import abc
-import dataclasses
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.solution import RESULTS
+from jaxnarx.arrays.least_squares import cholesky_solve
+from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
+DAMPING_LEAST = 1e-12
 SHRINK, GROW = 5.0, 4.0
 REACH = 2.0
 """Entries with a wall move by no more than this in one step: on the flat ends of their
@@ -22,127 +29,192 @@ bounded map a step by curvature would throw them from one limit to the other."""
 ARRIVED = 1e-10
 """Share of the loss below which a promised decrease counts as none."""
 
+OK, STALLED, DIVERGED, UNIDENTIFIABLE, NOT_RUN = (
+    NAMES.index(name)
+    for name in ("ok", "stalled", "diverged", "unidentifiable", "not_run")
+)
 
-@dataclasses.dataclass(frozen=True)
-class Linear:
+Vector = Float[Array | np.ndarray, " params"]
+Number = Float[Array | np.ndarray, ""]
+
+
+class Linear(eqx.Module):
     """Loss, J'r (half the gradient) and J'J at a point."""
 
-    loss: float
-    gradient: np.ndarray
-    gram: np.ndarray
+    u: Vector
+    loss: Number
+    gradient: Vector
+    gram: Float[Array | np.ndarray, "params params"]
 
 
-class AbstractProblem(abc.ABC):
+class AbstractProblem(eqx.Module):
     """What is minimised.
 
     Entries with a finite `wall`, the largest magnitude they may take, are the bounded
     ones; a solver must not throw them from one limit to the other.
     """
 
-    wall: np.ndarray
+    wall: eqx.AbstractVar[Vector]
 
     @abc.abstractmethod
-    def loss(self, u: np.ndarray) -> float:
+    def loss(self, u: Vector) -> Number:
         """The loss alone: one run."""
 
     @abc.abstractmethod
-    def linear(self, u: np.ndarray) -> Linear:
-        """The loss and its normal equations: a run and its sensitivities."""
+    def linear(self, u: Vector) -> Linear:
+        """The loss and its normal equations: a run and its sensitivities.
+
+        Of the point `u`, or of one with entries in their best place that the method
+        does not step in: those without information.
+        """
+
+    @abc.abstractmethod
+    def pull(self, start: Linear) -> Vector:
+        """Weights of the squared distance from where a search starts."""
 
 
-@dataclasses.dataclass(frozen=True)
-class State:
-    """Where the search stands; `loss` excludes the ridge. `tried` counts trial runs."""
+class State(eqx.Module):
+    """Where a search stands. `tried` counts trial runs; `linear.loss` is without the
+    pull, `minimised` with it: that is what falls from step to step.
 
-    u: np.ndarray
+    `status` is the code of that of the last step: `ok` where it was accepted, `stalled`
+    when the damping has reached its limit first, `unidentifiable` when no parameter has
+    any effect, `diverged` when sensitivities overflow; `not_run` before the first,
+    which takes stock of the start and does not move. `gain` is the relative decrease by
+    the last accepted step.
+    """
+
     linear: Linear
-    damping: float
-    minimised: float
-    """Loss and ridge: what falls from step to step."""
-    tried: int = 0
-    gain: float = np.inf
-    """Relative decrease of it by the last accepted step."""
+    damping: Number
+    minimised: Number
+    origin: Vector
+    pull: Vector
+    tried: Int[Array | np.ndarray, ""]
+    gain: Number
+    status: Int[Array | np.ndarray, ""]
 
     @property
-    def loss(self) -> float:
-        """The loss where the search stands."""
-        return self.linear.loss
+    def u(self) -> Vector:
+        """The point."""
+        return self.linear.u
 
 
-class Levenberg:
-    """Steps of one stage, with a ridge `pull` of every parameter to the start."""
+class Trial(eqx.Module):
+    """A point that may be taken, and whether what is minimised is lower there."""
 
-    def __init__(self, problem: AbstractProblem):
-        self.problem = problem
+    u: Vector
+    damping: Number
+    value: Number
+    tried: Int[Array, ""]
+    lower: Bool[Array, ""]
 
-    def init(self, u: np.ndarray, linear: Linear, pull: np.ndarray) -> State:
-        """Begin at `u`, where the problem is `linear`."""
-        self.origin, self.pull = u, pull
-        return State(u, linear, DAMPING_START, linear.loss)
 
-    def step(self, s: State) -> tuple[State, RESULTS]:
-        """One accepted step, raising the damping until the penalised loss falls.
+def begin(u: Vector) -> State:
+    """A search from `u` that has not looked at it yet."""
+    xp = np if isinstance(u, np.ndarray) else jnp
+    zero, far = xp.zeros_like(u), xp.asarray(np.inf, u.dtype)
+    linear = Linear(u, far, zero, xp.zeros((u.size, u.size), u.dtype))
+    damping = xp.asarray(DAMPING_START, u.dtype)
+    counts = xp.asarray(0), xp.asarray(NOT_RUN)
+    return State(linear, damping, far, u, zero, counts[0], far, counts[1])
 
-        Status `stalled` when the damping reaches its limit first; `unidentifiable` when
-        no parameter has any effect; `diverged` when sensitivities overflow.
-        """
-        if not np.all(np.isfinite(s.linear.gram)):
-            return s, RESULTS.diverged
-        if not np.any(np.diagonal(s.linear.gram) > 0):
-            return s, RESULTS.unidentifiable
-        damping, tried = s.damping, s.tried
-        while damping <= DAMPING_LIMIT:
-            u = self._trial(s, damping)
-            if u is not None:
-                loss = self.problem.loss(u)
-                tried += 1
-                value = loss + self._penalty(u)
-                if np.isfinite(loss) and value < s.minimised:
-                    gain = 1.0 - value / s.minimised
-                    damping = max(damping / SHRINK, 1e-12)
-                    linear = self.problem.linear(u)
-                    return State(u, linear, damping, value, tried, gain), RESULTS.ok
-            damping *= GROW
-        return dataclasses.replace(s, damping=damping, tried=tried), RESULTS.stalled
 
-    def arrived(self, s: State) -> bool:
-        """Whether the linearised problem promises no decrease worth naming."""
-        delta = self._direction(s, DAMPING_START)
-        if delta is None:
-            return False
-        small = max(ARRIVED, 10 * float(np.finfo(s.u.dtype).eps))
-        return -float(self._slope(s) @ delta) < small * s.loss
+def anew(s: State, u: Vector) -> State:
+    """The same inside a program, with the arrays of another search."""
+    status = jnp.full_like(s.status, NOT_RUN)
+    return eqx.tree_at(lambda s: (s.linear.u, s.status), s, (u, status))
 
-    def _penalty(self, u: np.ndarray) -> float:
-        return float(self.pull @ (u - self.origin) ** 2)
 
-    def _slope(self, s: State) -> np.ndarray:
-        return s.linear.gradient + self.pull * (s.u - self.origin)
+def step(problem: AbstractProblem, s: State) -> State:
+    """One accepted step, raising the damping until the penalised loss falls.
 
-    def _trial(self, s: State, damping: float) -> np.ndarray | None:
-        delta = self._direction(s, damping)
-        if delta is None:
-            return None
-        wall = self.problem.wall
-        reach = np.where(np.isfinite(wall), REACH, np.inf)
-        new = np.clip(s.u + np.clip(delta, -reach, reach), -wall, wall)
-        return new.astype(s.u.dtype)
+    Where none is found everything but damping, status and count of trials stays.
+    """
+    fresh = s.status == NOT_RUN
+    found = _descended(problem, s, fresh)
 
-    def _direction(self, s: State, damping: float) -> np.ndarray | None:
-        """Damped step, or None where the equations cannot be solved.
+    def taken() -> State:
+        linear = problem.linear(found.u)
+        eased = jnp.maximum(found.damping / SHRINK, DAMPING_LEAST)
+        value = jnp.where(fresh, linear.loss, found.value)
+        gain = 1.0 - value / s.minimised
+        return State(
+            linear,
+            damping=jnp.where(fresh, DAMPING_START, eased).astype(eased.dtype),
+            minimised=value,
+            origin=jnp.where(fresh, linear.u, s.origin),
+            pull=jnp.where(fresh, problem.pull(linear), s.pull),
+            tried=found.tried,
+            gain=jnp.where(fresh, jnp.inf, gain).astype(gain.dtype),
+            status=jnp.where(fresh, _outlook(linear), OK).astype(s.status.dtype),
+        )
 
-        Entries without any information (padding, frozen directions) get a zero step.
-        """
-        diagonal = np.diagonal(s.linear.gram) + self.pull
-        alive = diagonal > 0
-        if not alive.any():
-            return None
-        scale = np.sqrt(np.where(alive, diagonal, 1.0))
-        gram = (s.linear.gram + np.diag(self.pull)) / np.outer(scale, scale)
-        gram = gram + np.diag(np.where(alive, damping, 1.0))
-        try:
-            factor = scipy.linalg.cho_factor(gram, check_finite=True)
-        except (scipy.linalg.LinAlgError, ValueError):
-            return None
-        delta = scipy.linalg.cho_solve(factor, self._slope(s) / scale) / scale
-        return np.where(alive, -delta, 0.0)
+    def stayed() -> State:
+        outlook = _outlook(s.linear)
+        status = jnp.where(outlook == OK, STALLED, outlook).astype(s.status.dtype)
+        return eqx.tree_at(
+            lambda s: (s.damping, s.tried, s.status),
+            s,
+            (found.damping, found.tried, status),
+        )
+
+    return jax.lax.cond(found.lower, taken, stayed)
+
+
+def _outlook(linear: Linear) -> Int[Array, ""]:
+    """`ok` where a step can be computed, else the status that says why not."""
+    informed = jnp.any(jnp.diagonal(linear.gram) > 0)
+    status = jnp.where(informed, OK, UNIDENTIFIABLE)
+    return jnp.where(jnp.all(jnp.isfinite(linear.gram)), status, DIVERGED)
+
+
+def _descended(problem: AbstractProblem, s: State, fresh: Bool[Array, ""]) -> Trial:
+    """Raise the damping until a trial is lower; a fresh start is taken as it is."""
+    wall, here = problem.wall, s.linear.u
+    able = _outlook(s.linear) == OK
+    reach = jnp.where(jnp.isfinite(wall), REACH, jnp.inf)
+
+    def attempt(t: Trial) -> Trial:
+        delta = _direction(s, t.damping)
+        solved = jnp.all(jnp.isfinite(delta))
+        new = jnp.clip(here + jnp.clip(delta, -reach, reach), -wall, wall)
+        new = jnp.where(solved, new, here)
+        loss = problem.loss(new)
+        value = loss + s.pull @ (new - s.origin) ** 2
+        lower = solved & jnp.isfinite(loss) & (value < s.minimised)
+        damping = jnp.where(lower, t.damping, t.damping * GROW)
+        return Trial(new, damping, value, t.tried + solved.astype(t.tried.dtype), lower)
+
+    start = Trial(
+        jnp.asarray(here),
+        jnp.where(fresh, DAMPING_START, s.damping).astype(here.dtype),
+        jnp.asarray(s.minimised),
+        jnp.where(fresh, 0, s.tried),
+        fresh,
+    )
+    return jax.lax.while_loop(
+        lambda t: able & ~t.lower & (t.damping <= DAMPING_LIMIT), attempt, start
+    )
+
+
+@jax.jit
+def has_arrived(s: State) -> Bool[Array, ""]:
+    """Whether the linearised problem promises no decrease worth naming."""
+    delta = _direction(s, jnp.asarray(DAMPING_START, s.u.dtype))
+    small = max(ARRIVED, 10 * float(jnp.finfo(s.u.dtype).eps))
+    return -(_slope(s) @ delta) < small * s.linear.loss
+
+
+def _slope(s: State) -> Float[Array, " params"]:
+    """Half the gradient of what is minimised."""
+    return s.linear.gradient + s.pull * (s.linear.u - s.origin)
+
+
+def _direction(s: State, damping: Number) -> Float[Array, " params"]:
+    """Damped step; not finite where the equations cannot be solved.
+
+    Entries without any information (padding, frozen directions) get a zero step.
+    """
+    gram = s.linear.gram + jnp.diag(s.pull)
+    delta = -cholesky_solve(gram, _slope(s), damping, least=0.0)
+    return jnp.where(jnp.diagonal(gram) > 0, delta, 0.0)

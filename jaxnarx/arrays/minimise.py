@@ -1,11 +1,25 @@
 """The one driver of iterative methods on the host: steps, stops, the best so far."""
 
+import dataclasses
 import time as clock
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.arrays.levenberg import (
+    NOT_RUN,
+    OK,
+    AbstractProblem,
+    State,
+    begin,
+    has_arrived,
+    step,
+)
+from jaxnarx.arrays.programs import plain
 from jaxnarx.solution import NAMES, RESULTS, code
 
 ROUNDING = 1e-24
@@ -14,43 +28,93 @@ ROUNDING = 1e-24
 Progress = Callable[[dict[str, Any]], None]
 
 
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """Where a method stands, in numbers of the host.
+
+    `loss` is without the pull to the start, `minimised` with it; `gain` the relative
+    decrease of it by the last step, `judged` what a judge says of the point, `state`
+    what the method itself remembers.
+    """
+
+    u: np.ndarray
+    loss: float
+    minimised: float
+    state: Any
+    status: str = "ok"
+    damping: float = 0.0
+    gain: float = np.inf
+    judged: Any = None
+
+
 @runtime_checkable
-class State(Protocol):
-    """Where a method stands."""
+class Method(Protocol):
+    """`has_arrived` tells where the linearised problem promises no decrease."""
 
-    @property
-    def u(self) -> np.ndarray: ...
-    @property
-    def loss(self) -> float: ...
-    @property
-    def minimised(self) -> float: ...
-    @property
-    def damping(self) -> float: ...
-    @property
-    def gain(self) -> float: ...
+    def step(self, s: Standing) -> Standing: ...
+    def has_arrived(self, s: Standing) -> bool: ...
 
 
-S = TypeVar("S", bound=State)
+@eqx.filter_jit
+def advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
+    """A step, and what the judge says of the point it has led to.
+
+    Of the start, too, where one is to `look`; of a point that was not left nothing.
+    """
+    new = step(problem, state)
+    there = jnp.where(state.status == NOT_RUN, look, new.status == OK)
+    said = eqx.filter_eval_shape(judge, new.u)
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), said)
+    judged = jax.lax.cond(there, lambda: judge(new.u), lambda: nothing)
+    shown = new.u, new.linear.loss, new.minimised, new.status, new.damping, new.gain
+    return new, (shown, judged)
 
 
-@runtime_checkable
-class Stepper(Protocol[S]):
-    """A method: `arrived` tells where the linearised problem promises no decrease."""
+@eqx.filter_jit
+def value_at(function: Callable, u: np.ndarray) -> Any:
+    """A loss or a judge of arrays, compiled, on the host."""
+    return function(u)
 
-    def step(self, s: S) -> tuple[S, RESULTS]: ...
-    def arrived(self, s: S) -> bool: ...
+
+class Levenberg:
+    """The method of `arrays.levenberg`, one program for every accepted step.
+
+    `judge` is a function of arrays that may be an argument of programs.
+    """
+
+    def __init__(self, problem: AbstractProblem, judge: Callable = lambda u: ()):
+        self.problem, self.judge = plain(problem), plain(judge)
+
+    def start(self, u: np.ndarray, *, look: bool = False) -> Standing:
+        """Take stock of `u`; `judged` where one is to `look`."""
+        return self._advanced(begin(u), look)
+
+    def step(self, s: Standing) -> Standing:
+        """One accepted step, or none; see `arrays.levenberg.State` for statuses."""
+        return self._advanced(s.state, False)
+
+    def _advanced(self, state: State, look: bool) -> Standing:
+        state, told = advanced(self.problem, self.judge, state, np.asarray(look))
+        (u, *figures), judged = jax.device_get(told)
+        loss, minimised, status, damping, gain = (a.item() for a in figures)
+        name = NAMES[status]
+        return Standing(u, loss, minimised, state, name, damping, gain, judged)
+
+    def has_arrived(self, s: Standing) -> bool:
+        """Whether the linearised problem promises no decrease worth naming."""
+        return bool(has_arrived(s.state))
 
 
 def minimise(
-    stepper: Stepper[S],
-    state: S,
+    method: Method,
+    s: Standing,
     *,
     steps: int,
     tolerance: float | int,
     quiet: int = 2,
     rounding: float = ROUNDING,
-    accepted: Callable[[S], bool] = lambda _: False,
-) -> tuple[S, int, RESULTS]:
+    accepted: Callable[[Standing], bool] = lambda _: False,
+) -> tuple[Standing, int, RESULTS]:
     """At most so many accepted steps; where they lead, their number, and the status.
 
     `ok` where `quiet` steps in a row gain less than `tolerance`, where a method stalls
@@ -60,56 +124,48 @@ def minimise(
     """
     small = 0
     for n in range(steps):
-        state, status = stepper.step(state)
-        if status != RESULTS.ok:
-            if status == RESULTS.stalled and (
-                state.loss <= rounding or stepper.arrived(state)
-            ):
-                status = RESULTS.ok
-            return state, n, status
-        enough = accepted(state)
-        small = small + 1 if state.gain < tolerance else 0
-        if small >= quiet or state.loss <= rounding:
-            return state, n + 1, RESULTS.ok
+        s = method.step(s)
+        if s.status == "stalled" and (s.loss <= rounding or method.has_arrived(s)):
+            return s, n, RESULTS.ok
+        if s.status != "ok":
+            return s, n, getattr(RESULTS, s.status)
+        enough = accepted(s)
+        small = small + 1 if s.gain < tolerance else 0
+        if small >= quiet or s.loss <= rounding:
+            return s, n + 1, RESULTS.ok
         if enough:
-            return state, n + 1, RESULTS.no_improvement
-    return state, steps, RESULTS.budget_spent
+            return s, n + 1, RESULTS.no_improvement
+    return s, steps, RESULTS.budget_spent
 
 
 class Course:
     """A search under way: the best so far by a judge, and its history.
 
-    `judge` gives the score of a point, the smaller the better; `since` counts the
+    `score` is the judge's of the start, the smaller the better; `since` counts the
     points after the best one.
     """
 
-    def __init__(
-        self,
-        judge: Callable[[np.ndarray], float],
-        start: np.ndarray,
-        progress: Progress | None,
-    ):
-        self.judge, self.progress = judge, progress
+    def __init__(self, start: np.ndarray, score: float, progress: Progress | None):
+        self.progress = progress
         self.best, self.since = start, 0
-        self.score = self.start_score = judge(start)
+        self.score = self.start_score = score
         self.history: list[dict[str, Any]] = []
         self.begin = clock.perf_counter()
 
-    def offer(self, u: np.ndarray) -> dict[str, Any]:
+    def offer(self, u: np.ndarray, judged: Any) -> dict[str, Any]:
         """Keep `u` if its score is the best; what the history says of it."""
-        score = self.judge(u)
+        score = float(judged)
         self.since = 0 if score < self.score else self.since + 1
         if score < self.score:
             self.best, self.score = u, score
         return {"validation": score, "diverged": False}
 
-    def note(self, state: State, u: np.ndarray | None = None, **where: Any) -> None:
-        """Offer where a step has led (`u` where that is not the state's own), write it
-        down, and tell it."""
+    def note(self, s: Standing, **where: Any) -> None:
+        """Offer where a step has led, write it down, and tell it."""
         row = {"step": len(self.history) + 1} | where
-        row |= {"loss": state.loss, "minimised": state.minimised}
-        row |= self.offer(state.u if u is None else u)
-        row |= {"damping": state.damping, "seconds": clock.perf_counter() - self.begin}
+        row |= {"loss": s.loss, "minimised": s.minimised}
+        row |= self.offer(s.u, s.judged)
+        row |= {"damping": s.damping, "seconds": clock.perf_counter() - self.begin}
         self.history.append(row)
         if self.progress is not None:
             self.progress(row)

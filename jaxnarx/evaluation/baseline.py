@@ -95,5 +95,5 @@ def _run(
         one,
         predicted=y[:, None],
         limited=held,
-        diverged=has_diverged(held[start:, 0]),
+        diverged=bool(has_diverged(held[start:, 0])),
     )

@@ -139,7 +139,7 @@ def _tracking(
 def _solution(loop: Loop, task: CascadeTask, value: Tracking) -> Solution[Tracking]:
     bad = np.array(
         [
-            any(has_diverged(held[first:, o]) for o in range(held.shape[1]))
+            np.any(has_diverged(held[first:].T))
             for held, first in zip(value.limited, task.start, strict=True)
         ]
     )

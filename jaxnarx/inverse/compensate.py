@@ -2,8 +2,15 @@
 
 import numpy as np
 
-from jaxnarx.arrays.levenberg import Levenberg, State
-from jaxnarx.arrays.minimise import Course, Progress, minimise
+from jaxnarx.arrays.minimise import (
+    Course,
+    Levenberg,
+    Progress,
+    Standing,
+    minimise,
+    value_at,
+)
+from jaxnarx.arrays.programs import plain
 from jaxnarx.data import Dataset
 from jaxnarx.inverse.loop import Loop, connect
 from jaxnarx.inverse.task import CascadeTask, make_task, spreads
@@ -69,15 +76,16 @@ class _Search:
     ):
         self.loop, self.layout, self.task, self.method = loop, layout, task, method
         self.spread = spreads(loop, task)
-        self.guard = self._problem(guard, None)
+        self.guard = plain(self._problem(guard, None))
         start = np.asarray(layout.gather(layout.base))
-        self.course = Course(self.guard.loss, start, progress)
-        self.start_tracking = self.guard.tracking(start)
+        score = float(value_at(self.guard.loss, start))
+        self.course = Course(start, score, progress)
+        self.start_tracking = float(value_at(self.guard.tracking, start))
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
-        return tracking_problem(
-            self.loop, self.layout, task, self.spread, self.method.effort, horizon
-        )
+        method = self.method
+        terms = method.effort, horizon, method.ridge
+        return tracking_problem(self.loop, self.layout, task, self.spread, *terms)
 
     def solve(self) -> Solution[Network]:
         """Stages of growing windows, then whole records."""
@@ -86,31 +94,32 @@ class _Search:
         for horizon in self.method.horizons:
             if horizon < longest:
                 u, _ = self._stage(u, horizon, self.method.window_steps)
-        problem, best = self._problem(self.task, None), self.course.best
-        # Windows may end where the whole record does not hold.
-        if self.method.horizons and problem.loss(best) < problem.loss(u):
-            u = best
+        best = self.course.best
+        if self.method.horizons:
+            # Windows may end where the whole record does not hold.
+            loss = plain(self._problem(self.task, None)).loss
+            if value_at(loss, best) < value_at(loss, u):
+                u = best
         return self._solution(self._stage(u, None, self.method.max_steps)[1])
 
     def _stage(
         self, u: np.ndarray, horizon: int | None, steps: int
     ) -> tuple[np.ndarray, RESULTS]:
-        problem = self._problem(self.task, horizon)
-        solver, linear = Levenberg(problem), problem.linear(u)
+        method = Levenberg(self._problem(self.task, horizon), self.guard.loss)
         self.course.since = 0
 
-        def accepted(state: State) -> bool:
-            self.course.note(state, horizon=horizon)
+        def accepted(s: Standing) -> bool:
+            self.course.note(s, horizon=horizon)
             return horizon is None and self.course.since >= self.method.patience
 
-        state, _, status = minimise(
-            solver,
-            solver.init(u, linear, self.method.ridge * np.diagonal(linear.gram)),
+        end, _, status = minimise(
+            method,
+            method.start(u),
             steps=steps,
             tolerance=self.method.tolerance,
             accepted=accepted,
         )
-        return state.u, status
+        return end.u, status
 
     def _solution(self, status: RESULTS) -> Solution[Network]:
         course = self.course
@@ -120,7 +129,7 @@ class _Search:
             network = self.layout.base
         stats = course.stats(status, self.layout.parameters)
         stats |= {
-            "tracking": self.guard.tracking(course.best),
+            "tracking": float(value_at(self.guard.tracking, course.best)),
             "tracking_start": self.start_tracking,
         }
         detail = f"tracking loss {course.start_score:.4g} -> {course.score:.4g}"

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays.levenberg import AbstractProblem, Linear
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays.programs import twin
 from jaxnarx.inverse.loop import Loop, run_record
 from jaxnarx.inverse.task import CascadeTask, Signals
 from jaxnarx.refinement.layout import Layout
@@ -52,7 +52,6 @@ def _residuals(
     return error.reshape(-1), change.reshape(-1)
 
 
-@program
 def _losses(
     loop: Loop, layout: Layout, u: Float[Array, " params"], data: Weighed
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -66,7 +65,6 @@ def _losses(
     return jnp.sum(error), jnp.sum(change)
 
 
-@program
 def _normal_equations(
     loop: Loop, layout: Layout, u: Float[Array, " params"], data: Weighed
 ):
@@ -89,25 +87,37 @@ def _normal_equations(
 class TrackingProblem(AbstractProblem):
     """The loss of `TrackingError` as a function of the inverse's parameters."""
 
-    def __init__(self, loop: Loop, layout: Layout, data: Weighed):
-        self.loop, self.layout, self.data = loop, layout, data
-        self.wall = np.asarray(layout.wall())
+    loop: Loop
+    layout: Layout
+    data: Weighed
+    ridge: Float[np.ndarray | Array, ""]
 
-    def _parts(self, u: np.ndarray) -> tuple[float, float]:
-        error, change = _losses(self.loop, self.layout, jnp.asarray(u), self.data)
-        return float(error), float(change)
+    @property
+    def nameless(self) -> "TrackingProblem":
+        """That of networks without names, for programs."""
+        return twin(self, loop=self.loop.nameless, layout=self.layout.nameless)
 
-    def loss(self, u: np.ndarray) -> float:
-        return sum(self._parts(u))
+    @property
+    def wall(self) -> Float[Array, " params"]:
+        """Bounded parameters keep from the flat ends of their map."""
+        return self.layout.wall()
 
-    def tracking(self, u: np.ndarray) -> float:
-        """The tracking error alone, without the price of the effort."""
-        return self._parts(u)[0]
+    def loss(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
+        """Tracking error and the price of the effort."""
+        return sum(_losses(self.loop, self.layout, u, self.data))
 
-    def linear(self, u: np.ndarray) -> Linear:
-        at = self.loop, self.layout, jnp.asarray(u), self.data
-        gradient, gram = _normal_equations(*at)
-        return Linear(self.loss(u), np.array(gradient), np.array(gram))
+    def tracking(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
+        """The tracking error alone."""
+        return _losses(self.loop, self.layout, u, self.data)[0]
+
+    def linear(self, u: Float[Array | np.ndarray, " params"]) -> Linear:
+        """Their normal equations."""
+        found = _normal_equations(self.loop, self.layout, u, self.data)
+        return Linear(u, self.loss(u), *found)
+
+    def pull(self, start: Linear) -> Float[Array, " params"]:
+        """The ridge."""
+        return self.ridge * jnp.diagonal(start.gram)
 
 
 def tracking_problem(
@@ -117,6 +127,7 @@ def tracking_problem(
     spread: Float[np.ndarray, " targets"],
     effort: float | int,
     horizon: int | None = None,
+    ridge: float | int = 0.0,
 ) -> TrackingProblem:
     """Runs from the starts of records (or anew every `horizon` samples), weighed.
 
@@ -133,7 +144,6 @@ def tracking_problem(
     wide = np.where(wide > 0, wide, 1.0)
     price = np.sqrt(effort / max(int(running.sum()), 1)) / wide
     moved = running[:, :, None] * price[None, None]
-    parts = (jnp.asarray(a.astype(dtype)) for a in (scored, moved))
-    return TrackingProblem(
-        loop, layout, Weighed(task.batch, jnp.asarray(anchor), *parts)
-    )
+    own = (anchor, scored.astype(dtype), moved.astype(dtype))
+    data = Weighed(task.batch, *map(jax.device_put, own))
+    return TrackingProblem(loop, layout, data, np.asarray(ridge, dtype))

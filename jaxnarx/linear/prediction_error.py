@@ -9,12 +9,13 @@ over the degrees of freedom (Ljung 1999, equations (9.54) to (9.56)).
 
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.levenberg import AbstractProblem, Levenberg, Linear
-from jaxnarx.arrays.minimise import ROUNDING, minimise
+from jaxnarx.arrays.levenberg import AbstractProblem, Linear
+from jaxnarx.arrays.minimise import ROUNDING, Levenberg, minimise
 from jaxnarx.linear.recursion import (
     Signals,
     best_states,
@@ -23,7 +24,7 @@ from jaxnarx.linear.recursion import (
     states,
     steady,
 )
-from jaxnarx.linear.stability import radius
+from jaxnarx.linear.stability import is_stable
 from jaxnarx.linear.structure import Structure
 from jaxnarx.solution import RESULTS
 
@@ -35,52 +36,64 @@ best known one are taken as known."""
 class PredictionErrorProblem(AbstractProblem):
     """Sum of squared innovations by the parameters and behind them all states."""
 
-    def __init__(self, structure: Structure, data: Signals):
-        self.structure, self.data = structure, data
-        self.records = data.y.shape[0]
-        self.size = structure.size + self.records * states(structure)
-        self.wall = np.full(self.size, np.inf)
-        self.samples = int(np.asarray(data.known).sum())
+    structure: Structure = eqx.field(static=True)
+    data: Signals
 
-    def _parts(self, u: np.ndarray):
+    @property
+    def wall(self) -> Float[Array, " params"]:
+        """Nothing is bounded."""
+        records = self.data.y.shape[0]
+        size = self.structure.size + records * states(self.structure)
+        return jnp.full(size, jnp.inf, self.data.y.dtype)
+
+    def _parts(self, u: Float[Array | np.ndarray, " params"]):
         count = self.structure.size
-        initial = u[count:].reshape(self.records, -1)
-        return jnp.asarray(u[:count]), jnp.asarray(initial)
+        return u[:count], u[count:].reshape(self.data.y.shape[0], -1)
 
-    def _admissible(self, u: np.ndarray) -> bool:
-        p = self.structure.split(u[: self.structure.size])
-        return all(radius(np.asarray(x)) < 1 for x in (p.c, *p.f))
+    def is_admissible(self, u: Float[Array | np.ndarray, " params"]) -> Bool[Array, ""]:
+        """Whether C and all F_i are stable."""
+        p = self.structure.split(jnp.asarray(u[: self.structure.size]))
+        return jnp.all(jnp.stack([is_stable(x) for x in (p.c, *p.f)]))
 
-    def start(self, parameters: np.ndarray) -> np.ndarray:
-        """The vector with these parameters and the best states of the records.
+    def _limited(self, u, loss: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.where(self.is_admissible(u), loss, jnp.inf)
 
-        Innovations are linear in the states: one step from records at rest is enough.
-        """
-        initial = steady(self.structure, parameters, self.data)
-        best = best_states(self.structure, parameters, initial, self.data)
-        u = np.concatenate([parameters, best.reshape(-1)])
-        return u.astype(self.data.y.dtype)
-
-    def loss(self, u: np.ndarray) -> float:
+    def loss(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
         """The loss; infinite where C or an F_i is not stable."""
-        if not self._admissible(u):
-            return float("inf")
         e = residuals(self.structure, *self._parts(u), self.data)
-        return float(np.sum(np.asarray(e) ** 2))
+        return self._limited(u, jnp.sum(e**2))
 
-    def linear(self, u: np.ndarray) -> Linear:
+    def linear(self, u: Float[Array | np.ndarray, " params"]) -> Linear:
         """The loss and its normal equations, the states of all records assembled."""
-        e, slope, gram = map(
-            np.asarray, normal_equations(self.structure, *self._parts(u), self.data)
-        )
-        own, count = states(self.structure), self.structure.size
-        g, h = np.zeros(self.size), np.zeros((self.size, self.size))
-        for r in range(self.records):
-            first = count + r * own
-            at = np.concatenate([np.arange(count), first + np.arange(own)])
-            g[at] += slope[r]
-            h[np.ix_(at, at)] += gram[r]
-        return Linear(float(np.sum(e**2)), g, h)
+        e, slope, gram = normal_equations(self.structure, *self._parts(u), self.data)
+        count, own = self.structure.size, states(self.structure)
+        records, size = len(gram), u.shape[0]
+        gradient = [jnp.sum(slope[:, :count], axis=0), slope[:, count:].reshape(-1)]
+        across = jnp.moveaxis(gram[:, :count, count:], 0, 1).reshape(count, -1)
+        each = jnp.arange(records)
+        among = jnp.zeros((records, own, records, own), gram.dtype)
+        among = among.at[each, :, each].set(gram[:, count:, count:])
+        among = among.reshape(size - count, size - count)
+        shared = jnp.sum(gram[:, :count, :count], axis=0)
+        whole = jnp.block([[shared, across], [across.T, among]])
+        loss = self._limited(u, jnp.sum(e**2))
+        return Linear(u, loss, jnp.concatenate(gradient), whole)
+
+    def pull(self, start: Linear) -> Float[Array, " params"]:
+        """None: the data alone speak."""
+        return jnp.zeros_like(start.gradient)
+
+
+def start_of(
+    structure: Structure, parameters: Float[np.ndarray, " params"], data: Signals
+) -> Float[np.ndarray, " all"]:
+    """The vector with these parameters and the best states of the records.
+
+    Innovations are linear in the states: one step from records at rest is enough.
+    """
+    initial = steady(structure, parameters, data)
+    best = best_states(structure, parameters, initial, data)
+    return np.concatenate([parameters, best.reshape(-1)]).astype(data.y.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,30 +119,27 @@ def least_innovations(
     tolerance: float | int,
 ) -> Found:
     """Search from the start with the smallest loss by its own best states."""
-    problem = PredictionErrorProblem(structure, data)
-    vectors = [problem.start(np.asarray(s)) for s in starts]
-    losses = [problem.loss(u) for u in vectors]
-    losses = [loss if np.isfinite(loss) else np.inf for loss in losses]
-    u = vectors[int(np.argmin(losses))]
-    stepper = Levenberg(problem)
-    state, steps, status = minimise(
-        stepper,
-        stepper.init(u, problem.linear(u), np.zeros(problem.size)),
+    search = Levenberg(PredictionErrorProblem(structure, data))
+    places = [search.start(start_of(structure, np.asarray(s), data)) for s in starts]
+    losses = [p.loss if np.isfinite(p.loss) else np.inf for p in places]
+    samples = int(np.asarray(data.known).sum())
+    end, steps, status = minimise(
+        search,
+        places[int(np.argmin(losses))],
         steps=max_steps,
         tolerance=tolerance,
         quiet=1,
-        rounding=ROUNDING * problem.samples,
+        rounding=ROUNDING * samples,
     )
     count = structure.size
-    freedom = problem.samples - problem.size
     return Found(
-        state.u[:count],
-        state.u[count:].reshape(problem.records, -1),
-        eliminated(state.linear.gram, count),
-        state.loss,
+        end.u[:count],
+        end.u[count:].reshape(data.y.shape[0], -1),
+        eliminated(np.asarray(end.state.linear.gram), count),
+        end.loss,
         steps,
-        problem.samples,
-        freedom,
+        samples,
+        samples - end.u.size,
         status,
     )
 

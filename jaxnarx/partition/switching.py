@@ -180,7 +180,7 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
         hold[:first] = False
         who = acting[n, :length].copy()
         who[:first] = -1
-        bad = np.array([has_diverged(h) for h in hold[first:].T])
+        bad = np.asarray(has_diverged(hold[first:].T))
         nothing = np.zeros(length, bool)
         parts = (y, scored[n, :length], hold, nothing, bad, who)
         for column, part in zip(columns, parts, strict=True):

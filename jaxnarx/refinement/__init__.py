@@ -1,8 +1,10 @@
 """Training of networks on simulation error; their stability and their uncertainty."""
 
 from jaxnarx.refinement.bands import Bands, bands
+from jaxnarx.refinement.criterion import squares
+from jaxnarx.refinement.guard import Guard, Judged
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
-from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.refinement.problem import Problem
 from jaxnarx.refinement.refine import refine
 from jaxnarx.refinement.stability import Stability, stability
 from jaxnarx.refinement.stages import Stage, stages
@@ -10,16 +12,18 @@ from jaxnarx.refinement.uncertainty import Uncertainty, uncertainty
 
 __all__ = [
     "Bands",
+    "Guard",
+    "Judged",
     "Layout",
+    "Problem",
     "Stability",
     "Stage",
     "Uncertainty",
     "bands",
     "freeze",
-    "loss",
     "make_layout",
-    "normal_equations",
     "refine",
+    "squares",
     "stability",
     "stages",
     "uncertainty",

@@ -1,7 +1,5 @@
 """One stage of a refinement as its solvers see it: a loss and its linearisation."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays.levenberg import AbstractProblem, Linear
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays.programs import twin
+from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.refinement.stability import (
@@ -21,6 +20,9 @@ from jaxnarx.refinement.stability import (
     penalty_residuals,
 )
 from jaxnarx.refinement.task import Task
+from jaxnarx.simulation import Drive
+
+Arrays = Array | np.ndarray
 
 
 class Restraint(eqx.Module):
@@ -31,20 +33,16 @@ class Restraint(eqx.Module):
     target: Float[Array, ""]
     weight: Float[Array, ""]
 
-    def __call__(self, layout: Layout, u: Float[Array, " params"]) -> Float[Array, ""]:
+    def __call__(self, layout: Layout, u: Float[Arrays, " params"]) -> Float[Array, ""]:
         """The penalty; its first derivative is exact."""
         excess = penalty_residuals(layout, u, self.points, self.metric, self.target)
         return self.weight * jnp.mean(excess**2)
 
-    def linear(self, layout: Layout, u: Float[Array | np.ndarray, " params"]) -> Linear:
-        """The penalty with its normal equations, on the host."""
-        value, gradient, gram = penalty(
-            layout, u, self.points, self.metric, self.target
-        )
-        share = float(self.weight) / (self.points.v.shape[1] * len(self.metric.groups))
-        return Linear(
-            share * float(value), share * np.asarray(gradient), share * np.asarray(gram)
-        )
+    def linear(self, layout: Layout, u: Float[Arrays, " params"]) -> Linear:
+        """The penalty with its normal equations."""
+        found = penalty(layout, u, self.points, self.metric, self.target)
+        share = self.weight / (self.points.v.shape[1] * len(self.metric.groups))
+        return Linear(u, *(share * part for part in found))
 
 
 def restraint(
@@ -63,55 +61,101 @@ def restraint(
     )
 
 
-@program
-def _restrained(held: Restraint, layout: Layout, u: Float[Array, " params"]):
-    return held(layout, u)
-
-
 class Problem(AbstractProblem):
     """The loss of one horizon as a function of the parameters' vector.
 
-    `data` are the arguments of `normal.loss` around that vector; `still` are positions
-    of parameters that do not move.
+    Runs restart at `anchor`; entries that are not `moving` stay. `ridge` is the share
+    of their information that pulls the parameters to the start; `prior` adds that of a
+    prior: one over its standard deviation and over the root of the number of samples.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        task: Task,
-        anchor: Bool[Array, "records time"],
-        restraint: Restraint | None = None,
-        still: np.ndarray | None = None,
-    ):
-        self.data: tuple[Any, ...] = (
-            layout,
-            task.drive,
-            anchor,
-            task.weight,
-            task.criterion,
-        )
-        self.restraint = restraint
-        self.still = still
-        self.wall = np.asarray(layout.wall())
+    layout: Layout
+    drive: Drive
+    anchor: Bool[Array, "records time"]
+    weight: Float[Array, "records time outputs"]
+    criterion: Criterion
+    moving: Bool[Arrays, " params"]
+    ridge: Float[Arrays, ""]
+    prior: Float[Arrays, " params"] | None = None
+    restraint: Restraint | None = None
 
-    def loss(self, u: np.ndarray) -> float:
-        layout, *rest = self.data
-        value = float(loss(layout, u, *rest))
+    @property
+    def nameless(self) -> "Problem":
+        """That of the network without names, for programs."""
+        return twin(self, layout=self.layout.nameless)
+
+    @property
+    def wall(self) -> Float[Array, " params"]:
+        """Bounded parameters keep from the flat ends of their map."""
+        return self.layout.wall()
+
+    def loss(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+        """Errors of the run, and the penalty."""
+        at = self.drive, self.anchor, self.weight, self.criterion
+        value = loss(self.layout, u, *at)
         if self.restraint is None:
             return value
-        return value + float(_restrained(self.restraint, layout, u))
+        return value + self.restraint(self.layout, u)
 
-    def linear(self, u: np.ndarray) -> Linear:
-        layout, *rest = self.data
-        value, gradient, gram = normal_equations(layout, u, *rest)
-        value, gradient, gram = float(value), np.array(gradient), np.array(gram)
+    def linear(self, u: Float[Arrays, " params"]) -> Linear:
+        """Normal equations of both; zero where parameters rest."""
+        at = self.drive, self.anchor, self.weight, self.criterion
+        found = Linear(u, *normal_equations(self.layout, u, *at))
         if self.restraint is not None:
-            more = self.restraint.linear(layout, u)
-            value += more.loss
-            gradient += more.gradient
-            gram += more.gram
-        if self.still is not None:
-            gradient[self.still] = 0.0
-            gram[self.still] = 0.0
-            gram[:, self.still] = 0.0
-        return Linear(value, gradient, gram)
+            more = self.restraint.linear(self.layout, u)
+            sums = zip(*map(_parts, (found, more)), strict=True)
+            found = Linear(u, *(a + b for a, b in sums))
+        moving = jnp.asarray(self.moving)
+        both = moving[:, None] & moving[None]
+        gradient = jnp.where(moving, found.gradient, 0.0)
+        return Linear(u, found.loss, gradient, jnp.where(both, found.gram, 0.0))
+
+    def pull(self, start: Linear) -> Float[Array, " params"]:
+        """Ridge and prior of a stage that begins there.
+
+        The noise's variance, in units of the loss, is what is left at the start.
+        """
+        pull = self.ridge * jnp.diagonal(start.gram)
+        if self.prior is None:
+            return pull
+        slope = self.layout.slope(start.u)
+        return pull + start.loss * (slope * self.prior) ** 2
+
+
+def _parts(linear: Linear):
+    return linear.loss, linear.gradient, linear.gram
+
+
+def make_problem(
+    layout: Layout,
+    task: Task,
+    horizon: int | None,
+    *,
+    ridge: float | int = 0.0,
+    prior: Float[np.ndarray, " params"] | None = None,
+    still: np.ndarray | None = None,
+    restraint: Restraint | None = None,
+) -> Problem:
+    """The loss of a task's runs that restart every `horizon` samples.
+
+    `still` are positions of parameters that do not move, `prior` is one over the
+    standard deviation of every one.
+    """
+    dtype = layout.low.dtype
+    moving = np.ones(layout.low.shape, bool)
+    if still is not None:
+        moving[still] = False
+    if prior is not None:
+        samples = max(np.count_nonzero(np.asarray(task.weight)), 1)
+        prior = (prior / np.sqrt(samples)).astype(dtype)
+    return Problem(
+        layout,
+        task.drive,
+        task.anchors(horizon),
+        task.weight,
+        task.criterion,
+        moving,
+        np.asarray(ridge, dtype),
+        prior,
+        restraint,
+    )

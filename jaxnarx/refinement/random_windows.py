@@ -10,19 +10,17 @@ import dataclasses
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.levenberg import Linear
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays.minimise import Levenberg, Standing
 from jaxnarx.models import depth
-from jaxnarx.refinement.problem import Problem
-from jaxnarx.refinement.quasi_newton import Scaled, scaled
+from jaxnarx.refinement.quasi_newton import Scaled, reached, scaled
 from jaxnarx.simulation import Drive, run
-from jaxnarx.solution import RESULTS
 
 UPDATES = 25
 """Updates in one step of the stage, between two looks at the whole loss."""
@@ -48,22 +46,23 @@ def batch_loss(
     length: int,
 ) -> Float[Array, ""]:
     """Loss of the windows that begin at the (record, sample) pairs, times `share`."""
-    u = s.place(w)
-    layout, drive, _, weight, criterion = s.data
-    network = layout.place(u)
+    u, problem = s.place(w), s.problem
+    network = problem.layout.place(u)
     before = depth(network)
     size = before + length
-    cut = partial(_cut, drive, weight, size=size)
+    cut = partial(_cut, problem.drive, problem.weight, size=size)
     v, x, measured, weight = jax.vmap(cut)(at[:, 0], at[:, 1] - before)
     window = Drive(v, x, measured)
     anchor = jnp.broadcast_to(jnp.arange(size) == before, (at.shape[0], size))
     y = run(network, window, anchor)
     weight = jnp.where(jnp.arange(size)[None, :, None] < before, 0.0, weight)
-    value = share * criterion(y, window.measured, weight)
-    return (value + s.penalties(u)) / s.height
+    value = share * problem.criterion(y, window.measured, weight) + s.ridge(u)
+    if problem.restraint is not None:
+        value = value + problem.restraint(problem.layout, u)
+    return value / s.height
 
 
-@program
+@eqx.filter_jit
 def updates(w, moments, s: Scaled, windows, share, key, rate, *, length, batch):
     """Several updates by Adam on fresh batches."""
     adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
@@ -80,71 +79,58 @@ def updates(w, moments, s: Scaled, windows, share, key, rate, *, length, batch):
     return w, moments, s.place(w)
 
 
-@dataclasses.dataclass(frozen=True)
-class State:
-    """Where the search stands; `loss` is that of all windows, without the ridge,
-    `minimised` with it."""
-
-    u: np.ndarray
-    loss: float
-    minimised: float
-    damping: float
-    gain: float
-    w: Array
-    moments: Any
-    key: Array
-
-
 class RandomWindows:
-    """Steps of one stage of `length` samples a window."""
+    """Steps of one stage of `length` samples a window, from where Levenberg-Marquardt
+    has taken stock."""
 
-    def __init__(self, problem: Problem, length: int, *, batch, learning_rate, seed):
-        self.problem, self.length, self.batch = problem, length, batch
-        self.rate, self.seed = learning_rate, seed
-
-    def init(self, u: np.ndarray, linear: Linear, pull: np.ndarray) -> State:
-        """Set up at `u`."""
-        self.scaled = scaled(self.problem, u, linear, pull)
-        _, drive, anchor, weight, _ = self.problem.data
-        before = depth(self.problem.data[0].base)
-        record, start = np.nonzero(np.asarray(anchor))
+    def __init__(
+        self,
+        stage: Levenberg,
+        s: Standing,
+        length: int,
+        *,
+        batch: int,
+        learning_rate: float | int,
+        seed: int,
+    ):
+        self.judge, self.length, self.batch = stage.judge, length, batch
+        self.scaled = scaled(stage.problem, s.state)
+        problem: Any = stage.problem
+        before, anchor = depth(problem.layout.base), np.asarray(problem.anchor)
+        record, start = np.nonzero(anchor)
         # Windows must lie inside the padded records and hold something that counts.
-        inside = (start >= before) & (start + self.length <= anchor.shape[1])
-        counted = np.any(np.asarray(weight) > 0, axis=2)[record, start]
+        inside = (start >= before) & (start + length <= anchor.shape[1])
+        counted = np.any(np.asarray(problem.weight) > 0, axis=2)[record, start]
         at = np.stack([record, start], axis=1)[inside & counted]
         self.windows = jnp.asarray(at)
-        self.share = jnp.asarray(len(at) / self.batch, weight.dtype)
+        dtype = problem.weight.dtype
+        self.share = jnp.asarray(len(at) / batch, dtype)
+        self.rate = jnp.asarray(learning_rate, dtype)
         w = jnp.zeros_like(self.scaled.origin)
         adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
-        key = jax.random.key(self.seed)
-        return State(u, linear.loss, linear.loss, 0.0, np.inf, w, adam.init(w), key)
+        state = w, adam.init(w), jax.random.key(seed)
+        self.start = dataclasses.replace(s, state=state, damping=0.0)
 
-    def step(self, s: State) -> tuple[State, RESULTS]:
+    def step(self, s: Standing) -> Standing:
         """Some updates; the loss of all windows may rise."""
         if not len(self.windows):
-            return s, RESULTS.unidentifiable
-        key, now = jax.random.split(s.key)
-        rate = jnp.asarray(self.rate, s.w.dtype)
+            return dataclasses.replace(s, status="unidentifiable")
+        w, moments, key = s.state
+        key, now = jax.random.split(key)
         w, moments, u = updates(
-            s.w,
-            s.moments,
+            w,
+            moments,
             self.scaled,
             self.windows,
             self.share,
             now,
-            rate,
+            self.rate,
             length=self.length,
             batch=self.batch,
         )
-        u = np.asarray(u)
-        value = self.problem.loss(u)
-        if not np.isfinite(value):
-            return s, RESULTS.diverged
-        total = value + float(self.scaled.ridge(jnp.asarray(u)))
-        gain = 1.0 - total / s.minimised if s.minimised > 0 else 0.0
-        return State(u, value, total, 0.0, gain, w, moments, key), RESULTS.ok
+        return reached(self.scaled, self.judge, u, s, (w, moments, key))
 
-    def arrived(self, s: State) -> bool:
+    def has_arrived(self, s: Standing) -> bool:
         """Never: the noise of the batches has no end."""
         del s
         return False

@@ -3,64 +3,17 @@
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.arrays.levenberg import Levenberg, Linear
-from jaxnarx.arrays.minimise import Course, Progress, State, minimise
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays.minimise import Course, Levenberg, Progress, Standing, minimise
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
-from jaxnarx.refinement.criterion import Criterion
+from jaxnarx.refinement.guard import Judged, judged, make_guard
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.problem import Problem, restraint
+from jaxnarx.refinement.problem import Problem, make_problem, restraint
 from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation import Drive, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
-
-
-class Guard:
-    """Judges networks by the free run of records, from their measured starts."""
-
-    def __init__(self, layout: Layout, task: Task):
-        self.layout, self.task = layout, task
-        self.data = task.drive, task.anchors(None), task.weight, task.criterion
-        self.edges = [np.asarray(a) for a in (layout.base.lower, layout.base.upper)]
-
-    def __call__(self, u: np.ndarray) -> tuple[bool, float]:
-        """Whether any record diverges, and the loss."""
-        return self._judge(u, False)
-
-    def start(self, u: np.ndarray) -> tuple[bool, float]:
-        """The same for the network as it was given; `u` is its vector."""
-        return self._judge(u, True)
-
-    def _judge(self, u: np.ndarray, given: bool) -> tuple[bool, float]:
-        y, error = _judged(self.layout, u, np.asarray(given), *self.data)
-        value, (lower, upper), masks = np.asarray(y), self.edges, self.task.masks
-        held = (value <= lower) | (value >= upper)
-        bad = any(
-            has_diverged(held[n, masks.start[n] : masks.end[n], o])
-            for n in np.flatnonzero(masks.scored.any(axis=(1, 2)))
-            for o in range(held.shape[2])
-        )
-        score = float(error)
-        return (bad, score) if np.isfinite(score) else (True, np.inf)
-
-
-@program
-def _judged(layout: Layout, u, given, drive: Drive, anchor, weight, rule: Criterion):
-    """Free run and loss; of the base itself where it is `given`."""
-    placed = layout.place(u)
-
-    def chosen(base, moved):
-        return base if base is moved else jnp.where(given, base, moved)
-
-    network = jax.tree.map(chosen, layout.base, placed)
-    y = run(network, drive, anchor)
-    return y, rule(y, drive.measured, weight)
 
 
 class Search(Course):
@@ -85,11 +38,12 @@ class Search(Course):
     ):
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
-        self.limit, self.guard = limit, Guard(layout, guard)
+        self.limit, self.guard = limit, make_guard(layout, guard)
         self.start = np.asarray(layout.gather(layout.base))
-        self.start_diverged, score = self.guard.start(self.start)
+        # Entries near their limits are placed a little off them: the network itself.
+        self.start_diverged, score = judged(self.guard, layout.base).told
         self.diverged = self.start_diverged
-        super().__init__(lambda _: score, self.start, progress)
+        super().__init__(self.start, score, progress)
         self.passed, self.attempt, self.winner = 0, "", ""
         self.last = next(iter(schedules.values()))[-1]
         self.total = max(sum(s.steps for s in one) for one in schedules.values())
@@ -104,7 +58,7 @@ class Search(Course):
         for name, u in starts:
             self.passed, self.attempt = 0, name
             if u is not self.start:
-                self.offer(u)
+                self.offer(u, self.judge(u))
             for stage in before:
                 u, status = self.stage(u, stage)
                 self.passed += stage.steps
@@ -114,41 +68,47 @@ class Search(Course):
         self.passed = self.total - last.steps
         return status if before and not last.steps else self.stage(u, last)[1]
 
+    def judge(self, u: np.ndarray) -> Judged:
+        """What the guard says of a point."""
+        return judged(self.guard, self.layout.place(u))
+
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
         """The loss of a stage, with the restraint that suits the network at `u`."""
         weight, target = self.method.stability, self.method.contraction
-        held = restraint(self.layout, u, self.task, weight, target)
-        anchors = self.task.anchors(stage.horizon)
-        still = self.layout.partition() if stage.only_coefficients else None
-        return Problem(self.layout, self.task, anchors, held, still)
+        return make_problem(
+            self.layout,
+            self.task,
+            stage.horizon,
+            ridge=self.method.ridge,
+            prior=self.prior,
+            still=self.layout.partition() if stage.only_coefficients else None,
+            restraint=restraint(self.layout, u, self.task, weight, target),
+        )
 
-    def _stepper(self, problem: Problem, horizon: int | None) -> Any:
+    def begun(self, u: np.ndarray, stage: Stage) -> tuple[Any, Standing]:
+        """The method of a stage, and where it stands."""
         method = self.method
-        if method.solver == "levenberg":
-            return Levenberg(problem)
+        levenberg = Levenberg(self.problem(u, stage), self.guard)
+        start = levenberg.start(u)
+        if method.solver == "levenberg" or start.status != "ok":
+            return levenberg, start
         if method.solver != "windows":
             from jaxnarx.refinement.quasi_newton import QuasiNewton
 
-            return QuasiNewton(problem, limited_memory=method.solver == "lbfgs")
+            limited = method.solver == "lbfgs"
+            newton = QuasiNewton(levenberg, start, limited_memory=limited)
+            return newton, newton.start
         from jaxnarx.refinement.random_windows import RandomWindows
 
-        return RandomWindows(
-            problem,
-            horizon or self.task.longest,
+        windows = RandomWindows(
+            levenberg,
+            start,
+            stage.horizon or self.task.longest,
             batch=method.batch,
             learning_rate=method.learning_rate,
             seed=method.seed,
         )
-
-    def pull(self, linear: Linear, u: np.ndarray) -> np.ndarray:
-        """Ridge and prior of a stage that starts at `u`."""
-        pull = self.method.ridge * np.diagonal(linear.gram)
-        if self.prior is None:
-            return pull
-        # The noise's variance, in units of the loss, by what is left at the start.
-        count = max(int(self.task.masks.scored.sum()), 1)
-        slope = np.asarray(self.layout.slope(u))
-        return pull + linear.loss / count * (slope * self.prior) ** 2
+        return windows, windows.start
 
     def stage(self, u: np.ndarray, stage: Stage) -> tuple[np.ndarray, RESULTS]:
         """The accepted steps of a stage; returns the end and its status."""
@@ -157,38 +117,34 @@ class Search(Course):
             steps = min(steps, self.limit - self.passed)
         if steps <= 0:
             return u, RESULTS.budget_spent
-        problem = self.problem(u, stage)
-        stepper = self._stepper(problem, horizon)
-        linear = problem.linear(u)
-        if not np.any(np.diagonal(linear.gram) > 0):
-            return u, RESULTS.unidentifiable
+        method, start = self.begun(u, stage)
         first, self.since = len(self.history), 0
 
-        def accepted(state: State) -> bool:
+        def accepted(s: Standing) -> bool:
             n = len(self.history) - first + 1
             where: dict[str, Any] = {"of": self.total, "done": self.passed + n}
             where["stage"] = "full record" if horizon is None else f"{horizon} samples"
-            self.note(state, **where, horizon=horizon, stage_step=n)
+            self.note(s, **where, horizon=horizon, stage_step=n)
             return stage is self.last and self.since >= self.method.patience
 
         # Batches are noisy: their loss may rest for a while.
         noisy = self.method.solver == "windows"
-        state, _, status = minimise(
-            stepper,
-            stepper.init(u, linear, self.pull(linear, u)),
+        end, _, status = minimise(
+            method,
+            start,
             steps=steps,
             tolerance=-np.inf if noisy else self.method.tolerance,
             accepted=accepted,
         )
-        return state.u, status
+        return end.u, status
 
-    def offer(self, u: np.ndarray) -> dict[str, Any]:
+    def offer(self, u: np.ndarray, judged: Judged) -> dict[str, Any]:
         """Keep `u` if its guard score is the best.
 
         A network that runs beats one that does not, but no loss above the start's is
         kept.
         """
-        diverged, score = found = self.guard(u)
+        diverged, score = found = judged.told
         self.since += 1
         if found < self.lead[:2]:
             self.lead, self.since = (diverged, score, u, self.attempt), 0

@@ -9,99 +9,142 @@ those of p with theta solved for are C - B' A^-1 B and g: Kaufman's form of the
 variable projection of Golub and Pereyra (SIAM J. Numer. Anal. 10, 1973).
 """
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.levenberg import AbstractProblem, Linear
+from jaxnarx.arrays.programs import program, twin
 from jaxnarx.refinement.problem import Problem
 
 TINY = 1e-13
 """Share of their diagonal added to the normal equations of the coefficients: enough
-for Cholesky where regressors are collinear, invisible elsewhere."""
+where regressors are collinear, invisible elsewhere."""
+
+Arrays = Array | np.ndarray
 
 
-def solve_coefficients(linear: Linear, u: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """`u` with the entries `inner` at their least-squares values.
+def solve_coefficients(
+    linear: Linear, inner: Int[Arrays, " inner"]
+) -> Float[Array, " params"]:
+    """The point with the entries `inner` at their least-squares values.
 
     Exact where the residuals are linear in them. Entries without any effect stay.
     """
-    gram = linear.gram[np.ix_(inner, inner)]
-    return _with(u, inner, u[inner] - _solve(gram, linear.gradient[inner]))
+    gram = linear.gram[inner[:, None], inner[None]]
+    move = _solve(gram, linear.gradient[inner][:, None])[:, 0]
+    return jnp.asarray(linear.u).at[inner].add(-move)
 
 
-def _solve(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solve(
+    gram: Float[Array, "inner inner"], right: Float[Array, "inner columns"]
+) -> Float[Array, "inner columns"]:
     """gram^-1 right, scaled; zero where the diagonal is."""
-    diagonal = np.diagonal(gram)
+    diagonal = jnp.diagonal(gram)
     alive = diagonal > 0
-    scale = np.sqrt(np.where(alive, diagonal, 1.0))
-    unit = gram / np.outer(scale, scale) + np.diag(np.where(alive, TINY, 1.0))
-    tail = (slice(None),) + (None,) * (right.ndim - 1)
-    value = scipy.linalg.solve(unit, right / scale[tail], assume_a="sym")
-    return np.where(alive[tail], value / scale[tail], 0.0)
-
-
-def _with(u: np.ndarray, at: np.ndarray, value: np.ndarray) -> np.ndarray:
-    new = u.copy()
-    new[at] = value
-    return new
+    scale = jnp.sqrt(jnp.where(alive, diagonal, 1.0))
+    unit = gram / (scale[:, None] * scale[None])
+    unit = unit + jnp.diag(jnp.where(alive, TINY, 1.0))
+    value = jnp.linalg.solve(unit, right / scale[:, None]) / scale[:, None]
+    return jnp.where(alive[:, None], value, 0.0)
 
 
 class Separable(AbstractProblem):
-    """The problem of the partition alone; the coefficients are kept beside it.
+    """A problem in which the partition alone is stepped in.
 
-    `inner` are the positions of the coefficients, `outer` all others, `u` the last
-    point that was evaluated, whole. `pull` is the penalty of the coefficients' distance
-    from the first `u`, squared.
+    `inner` are the positions of the coefficients, `outer` all others. Distances from
+    `origin`, squared, weigh `inner_pull` in the least squares of the coefficients, and
+    `outer_pull` in the search.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        inner: np.ndarray,
-        outer: np.ndarray,
-        u: np.ndarray,
-    ):
-        self.problem, self.inner, self.outer = problem, inner, outer
-        self.u = self.origin = u
-        self.pull = np.zeros(len(inner))
-        self.wall = problem.wall[outer]
+    problem: Problem
+    inner: Int[Arrays, " inner"]
+    outer: Int[Arrays, " outer"]
+    origin: Float[Arrays, " params"]
+    inner_pull: Float[Arrays, " params"]
+    outer_pull: Float[Arrays, " params"]
 
     @property
-    def samples(self) -> int:
-        """Number of residuals that count."""
-        return int(np.count_nonzero(np.asarray(self.problem.data[3])))
+    def nameless(self) -> "Separable":
+        """That of the network without names, for programs."""
+        return twin(self, problem=self.problem.nameless)
 
-    def solved(self, p: np.ndarray) -> np.ndarray:
-        """The whole vector with the best coefficients for the partition `p`."""
-        u = _with(self.u, self.outer, p)
-        return solve_coefficients(self._penalised(u), u, self.inner)
+    @property
+    def wall(self) -> Float[Array, " params"]:
+        """That of the whole problem."""
+        return self.problem.wall
 
-    def _penalised(self, u: np.ndarray) -> Linear:
+    def solved(self, u: Float[Arrays, " params"]) -> Float[Array, " params"]:
+        """With the best coefficients for the partition, as linearised at `u`."""
+        return solve_coefficients(self._penalised(u), self.inner)
+
+    def _penalty(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+        return self.inner_pull @ (u - self.origin) ** 2
+
+    def _penalised(self, u: Float[Arrays, " params"]) -> Linear:
         """The whole problem's equations with the penalty of the coefficients."""
-        whole, inner = self.problem.linear(u), self.inner
-        off = u[inner] - self.origin[inner]
-        gradient, gram = whole.gradient.copy(), whole.gram.copy()
-        gradient[inner] += self.pull * off
-        gram[inner, inner] += self.pull
-        return Linear(whole.loss + float(self.pull @ off**2), gradient, gram)
+        whole = self.problem.linear(u)
+        return Linear(
+            u,
+            whole.loss + self._penalty(u),
+            whole.gradient + self.inner_pull * (u - self.origin),
+            whole.gram + jnp.diag(self.inner_pull),
+        )
 
-    def loss(self, u: np.ndarray) -> float:
-        """The loss at the partition `u`, coefficients solved for."""
-        solved = self.solved(u)
-        off = solved[self.inner] - self.origin[self.inner]
-        return self.problem.loss(solved) + float(self.pull @ off**2)
+    def loss(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+        """The loss at the partition of `u`, coefficients solved for."""
+        u = self.solved(u)
+        return self.problem.loss(u) + self._penalty(u)
 
-    def linear(self, u: np.ndarray) -> Linear:
-        """Normal equations at the partition `u`, coefficients solved for."""
-        self.u = self.solved(u)
-        whole = self._penalised(self.u)
-        a = whole.gram[np.ix_(self.inner, self.inner)]
-        b = whole.gram[np.ix_(self.inner, self.outer)]
-        c = whole.gram[np.ix_(self.outer, self.outer)]
-        inverse = _solve(a, np.c_[b, whole.gradient[self.inner]])
+    def linear(self, u: Float[Arrays, " params"]) -> Linear:
+        """Normal equations at the partition of `u`, coefficients solved for."""
+        whole = self._penalised(self.solved(u))
+        inner, outer = self.inner, self.outer
+        a = whole.gram[inner[:, None], inner[None]]
+        b = whole.gram[inner[:, None], outer[None]]
+        c = whole.gram[outer[:, None], outer[None]]
+        both = jnp.concatenate([b, whole.gradient[inner][:, None]], axis=1)
+        inverse = _solve(a, both)
         gram = c - b.T @ inverse[:, :-1]
-        gradient = whole.gradient[self.outer] - b.T @ inverse[:, -1]
-        diagonal = np.maximum(np.diagonal(gram), 0.0)
+        gradient = whole.gradient[outer] - b.T @ inverse[:, -1]
         gram = (gram + gram.T) / 2.0
-        np.fill_diagonal(gram, diagonal)
-        return Linear(whole.loss, gradient, gram)
+        at = jnp.arange(len(outer))
+        gram = gram.at[at, at].set(jnp.maximum(jnp.diagonal(gram), 0.0))
+        zero = jnp.zeros_like(whole.gram)
+        return Linear(
+            whole.u,
+            whole.loss,
+            zero[0].at[outer].set(gradient),
+            zero.at[outer[:, None], outer[None]].set(gram),
+        )
+
+    def pull(self, start: Linear) -> Float[Array, " params"]:
+        """That of the partition."""
+        del start
+        return jnp.asarray(self.outer_pull)
+
+
+def separable(
+    problem: Problem, inner: Int[np.ndarray, " inner"], u: Float[np.ndarray, " params"]
+) -> tuple[Separable, bool]:
+    """The problem from `u` on, and whether any parameter has an effect there."""
+    outer = np.setdiff1d(np.arange(u.size), inner)
+    pull, informed = _pull(problem, inner, outer, u)
+    pull, own = np.asarray(pull), np.isin(np.arange(u.size), inner)
+    pulls = np.where(own, pull, 0.0), np.where(own, 0.0, pull)
+    return Separable(problem, inner, outer, u, *pulls), bool(informed)
+
+
+@program
+def _pull(
+    problem: Problem, inner, outer, u
+) -> tuple[Float[Array, " params"], Bool[Array, ""]]:
+    """Pull of all parameters; against a prior is weighed the noise that least squares
+    of the coefficients leaves."""
+    whole, zero = problem.linear(u), jnp.zeros_like(u)
+    informed = jnp.any(jnp.diagonal(whole.gram) > 0)
+    if problem.prior is not None:
+        free = Separable(problem, inner, outer, u, zero, zero)
+        whole = eqx.tree_at(lambda w: w.loss, whole, free.loss(u))
+    return problem.pull(whole), informed

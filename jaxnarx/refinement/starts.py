@@ -3,13 +3,15 @@
 from collections.abc import Iterator
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.models import Network, fed_back
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.problem import Problem
+from jaxnarx.refinement.problem import Problem, make_problem
 from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.separable import solve_coefficients
 from jaxnarx.refinement.task import Task
@@ -30,11 +32,18 @@ def one_step_least_squares(layout: Layout, task: Task, u: np.ndarray) -> np.ndar
     Three times: samples at the feedback bound have no part in one solution, and may
     have in the next.
     """
-    problem = Problem(layout, task, task.anchors(1))
     inner = layout.coefficients()
-    for _ in range(3 if inner.size else 0):
-        u = solve_coefficients(problem.linear(u), u, inner)
-    return u
+    if not inner.size:
+        return u
+    return np.asarray(_solved(make_problem(layout, task, 1), inner, u))
+
+
+@program
+def _solved(problem: Problem, inner: Int[np.ndarray | Array, " inner"], u):
+    def solve(_, u):
+        return solve_coefficients(problem.linear(u), inner)
+
+    return jax.lax.fori_loop(0, 3, solve, u)
 
 
 def random_start(
@@ -84,7 +93,7 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
     yield "one-step least squares", one_step_least_squares(layout, task, search.start)
     for factor in SHRINK:
         u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
-        if not search.guard(u)[0]:
+        if not search.judge(u).diverged:
             yield f"feedback shrunk to {factor:g}", u
             break
     rng = np.random.default_rng(search.method.seed)

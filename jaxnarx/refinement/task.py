@@ -12,7 +12,14 @@ from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
-from jaxnarx.simulation import Drive, Masks, first_anchor, make_drive, make_masks
+from jaxnarx.simulation import (
+    Drive,
+    Masks,
+    first_anchor,
+    make_drive,
+    make_masks,
+    window_anchors,
+)
 
 CONSTANT = 1e-12
 """Standard deviation, as a share of the largest value, up to which an output rests."""
@@ -29,12 +36,9 @@ class Task:
 
     def anchors(self, horizon: int | None) -> Bool[Array, "records time"]:
         """Restarts every `horizon` samples where the history is valid; None: one."""
-        anchor = first_anchor(self.masks)
-        if horizon is not None:
-            time = np.arange(anchor.shape[1])[None]
-            every = (time - self.masks.start[:, None]) % horizon == 0
-            anchor = anchor | (every & self.masks.anchors)
-        return jax.device_put(anchor)
+        if horizon is None:
+            return jax.device_put(first_anchor(self.masks))
+        return jax.device_put(window_anchors(self.masks, horizon))
 
     def only(self, records: Int[np.ndarray, " _"]) -> "Task":
         """The same task with weight on these records alone; shapes stay."""

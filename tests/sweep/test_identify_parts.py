@@ -17,31 +17,41 @@ from jaxnarx.methods import (
 from jaxnarx.methods.settings import changed
 from jaxnarx.partition.placed import clusters
 from jaxnarx.partition.stages import best_stage, choose_stage
-from jaxnarx.simulation import IN_A_ROW
-from jaxnarx.simulation import has_diverged as on_host
-from jaxnarx.sweep.identify.score import has_diverged
+from jaxnarx.simulation import IN_A_ROW, has_diverged
+from jaxnarx.sweep.identify.member import Part
+from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import shapes
 from jaxnarx.sweep.identify.train import FULL, schedule
 from jaxnarx.sweep.identify.work import IdentificationWork
 
 
-def test_divergence_is_judged_as_on_the_host():
+def part_of(start: list[int], end: list[int], time: int) -> Part:
+    """A part of which nothing but the records' ends matters."""
+    shape = len(start), time, 1
+    nothing = np.zeros(shape)
+    flags = nothing[..., 0].astype(bool)
+    ends = np.array(start), np.array(end)
+    return Part(nothing, nothing.astype(bool), *ends, flags, nothing.astype(bool))
+
+
+def test_divergence_is_judged_as_of_the_record_alone():
     rng = np.random.default_rng(0)
     time, found = 400, []
     for share in (0.0, 0.02, 0.04, 0.049, 0.051, 0.06, 0.3):
         for start, end in ((0, 400), (7, 350), (390, 400), (400, 400), (400, 0)):
             limited = rng.uniform(size=(1, time)) < share
-            ends = jnp.array([start]), jnp.array([end])
-            ours = bool(has_diverged(jnp.asarray(limited), *ends))
-            assert ours == on_host(limited[0, start:end])
+            within = counted(part_of([start], [end], time))
+            ours = bool(has_diverged(jnp.asarray(limited), within)[0])
+            assert ours == has_diverged(limited[0, start:end])
             found.append(ours)
     assert {True, False} == set(found)
     for length in (IN_A_ROW - 1, IN_A_ROW):
         limited = np.zeros((2, 2000), bool)
         limited[1, 300 : 300 + length] = True
-        ends = jnp.array([5, 5]), jnp.array([2000, 2000])
-        ours = bool(has_diverged(jnp.asarray(limited), *ends))
-        assert ours == on_host(limited[1, 5:]) == (length == IN_A_ROW)
+        within = counted(part_of([5, 5], [2000, 2000], 2000))
+        ours = np.asarray(has_diverged(jnp.asarray(limited), within))
+        assert ours.tolist() == [False, length == IN_A_ROW]
+        assert ours[1] == has_diverged(limited[1, 5:])
 
 
 def test_clusters_find_clear_groups_and_pass_over_weightless_samples():

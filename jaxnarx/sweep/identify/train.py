@@ -1,11 +1,9 @@
 """The refinement inside the program: Levenberg-Marquardt of a fixed number of steps.
 
-A step raises the damping until the training loss with the pull of the ridge falls, and
-then takes the normal equations there; what a step has reached is judged by the free run
-of the validation records. The best by that judgement is the result: it is never worse
-there than the start. Steps, damping, ridge and limits are those of
-`jaxnarx.refinement`, and so are the results; only that a quiet search does not stop
-before its last step is not.
+What a step has reached is judged by the free run of the validation records, and the
+best by that judgement is the result: it is never worse there than the start. Problem,
+steps and judge are those of `jaxnarx.refinement`, and so are the results; only that a
+quiet search does not stop before its last step is not.
 """
 
 import equinox as eqx
@@ -14,21 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.least_squares import cholesky_solve
-from jaxnarx.arrays.levenberg import (
-    DAMPING_LIMIT,
-    DAMPING_START,
-    GROW,
-    REACH,
-    SHRINK,
-)
+from jaxnarx.arrays import levenberg
 from jaxnarx.methods import PredictionError, SimulationError
-from jaxnarx.refinement import Layout, Stage, loss, normal_equations, stages
+from jaxnarx.refinement import Guard, Judged, Layout, Problem, Stage, squares, stages
 from jaxnarx.refinement.starts import SHRINK as FACTORS
 from jaxnarx.refinement.starts import shrunk
-from jaxnarx.simulation import Drive, run
+from jaxnarx.simulation import Drive, first_anchor, window_anchors
 from jaxnarx.sweep.identify.member import Part
-from jaxnarx.sweep.identify.score import free_anchors, held
+from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import Settings
 
 FULL = 2**30
@@ -54,33 +45,29 @@ class Ground(eqx.Module):
     early: Bool[Array, " params"]
     staged: Bool[Array, ""]
 
+    @property
+    def judge(self) -> Guard:
+        """The free run of the records that judge."""
+        own, part = squares(1, self.weight.dtype), self.guard_part
+        anchor, weight = jnp.asarray(first_anchor(part)), self.guard_weight
+        return Guard(self.layout, self.guard, anchor, counted(part), weight, own)
 
-class Judged(eqx.Module):
-    """Whether a free run diverges, and its loss."""
-
-    diverged: Bool[Array, ""]
-    loss: Float[Array, ""]
-
-    def better(self, other: "Judged") -> Bool[Array, ""]:
-        """Whether this is the better one: a network that runs beats one that does
-        not."""
-        same = self.diverged == other.diverged
-        return jnp.where(same, self.loss < other.loss, other.diverged)
+    def problem(self, turn: "Turn", ridge: Float[Array, ""]) -> Problem:
+        """The loss of the stage that a turn belongs to."""
+        own, moving = squares(1, self.weight.dtype), self.moving
+        anchor = jnp.asarray(window_anchors(self.part, turn.horizon))
+        moving = jnp.where(turn.apart, self.early, moving)
+        at = self.layout, self.drive, anchor, self.weight, own
+        return Problem(*at, moving, ridge)
 
 
-class State(eqx.Module):
+class Search(eqx.Module):
     """Where the search stands, and the best so far by judgement.
 
     No loss above the start's, `limit`, is best.
     """
 
-    u: Float[Array, " params"]
-    loss: Float[Array, ""]
-    gradient: Float[Array, " params"]
-    gram: Float[Array, "params params"]
-    damping: Float[Array, ""]
-    origin: Float[Array, " params"]
-    pull: Float[Array, " params"]
+    state: levenberg.State
     best: Float[Array, " params"]
     judged: Judged
     limit: Float[Array, ""]
@@ -148,21 +135,9 @@ def train(
     """Run the whole schedule from `u`, and where nothing that runs is found, once more
     with shrunk feedback.
     """
-    start = judge(ground, u)
-    zero = jnp.zeros_like(u)
-    begin = State(
-        u,
-        jnp.asarray(jnp.inf, u.dtype),
-        zero,
-        jnp.zeros((u.size, u.size), u.dtype),
-        jnp.asarray(DAMPING_START, u.dtype),
-        u,
-        zero,
-        u,
-        start,
-        start.loss,
-        jnp.asarray(0),
-    )
+    start = ground.judge(u)
+    state, none = levenberg.begin(u), jnp.asarray(0)
+    begin = Search(state, u, start, start.loss, none)
     ridge = jnp.asarray(settings.ridge)
     made = active(ground, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
@@ -172,21 +147,21 @@ def train(
         s, loss, judged = carry
         at = order[n]
         s = advanced(ground, s, jax.tree.map(lambda a: a[at], turns), ridge)
-        return s, loss.at[at].set(s.loss), judged.at[at].set(s.judged.loss)
+        return s, loss.at[at].set(s.state.linear.loss), judged.at[at].set(s.judged.loss)
 
     def attempt(carry):
         tried, _, _, s, loss, judged = carry
         factor, u, runs = jax.lax.cond(
             tried == 0,
-            lambda: (jnp.ones_like(start.loss), begin.u, jnp.asarray(True)),
-            lambda: _shrunk(ground, begin.u),
+            lambda: (jnp.ones_like(start.loss), state.u, jnp.asarray(True)),
+            lambda: _shrunk(ground, state.u),
         )
-        s = eqx.tree_at(lambda s: s.u, s, u)
+        s = eqx.tree_at(lambda s: s.state.linear.u, s, u)
         most = jnp.where(runs, count, 0)
         s, loss, judged = jax.lax.fori_loop(0, most, step, (s, loss, judged))
         return tried + 1, factor, runs, s, loss, judged
 
-    history = jnp.full(made.shape, begin.loss), jnp.full(made.shape, start.loss)
+    history = jnp.full(made.shape, jnp.inf, u.dtype), jnp.full(made.shape, start.loss)
     _, factor, runs, end, *history = jax.lax.while_loop(
         lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].judged.diverged & (count > 0)),
         attempt,
@@ -196,7 +171,7 @@ def train(
     before = jax.lax.cummax(jnp.where(made, jnp.arange(made.size), -1))
     loss, judged = (
         jnp.where(before < 0, first, column[before])
-        for first, column in zip((begin.loss, start.loss), history, strict=True)
+        for first, column in zip((jnp.inf, start.loss), history, strict=True)
     )
     factor = jnp.where(runs, factor, 1.0)
     return Trained(end.best, start, end.judged, end.accepted, loss, judged, factor)
@@ -211,7 +186,7 @@ def _shrunk(ground: Ground, u: Float[Array, " params"]):
     def smaller(carry):
         n, _, _ = carry
         v = shrunk(ground.layout, u, factors[n])
-        return n + 1, v, ~judge(ground, v).diverged
+        return n + 1, v, ~ground.judge(v).diverged
 
     n, v, runs = jax.lax.while_loop(
         lambda c: ~c[2] & (c[0] < len(FACTORS)), smaller, (0, u, jnp.asarray(False))
@@ -219,111 +194,24 @@ def _shrunk(ground: Ground, u: Float[Array, " params"]):
     return factors[n - 1], v, runs
 
 
-def judge(ground: Ground, u: Float[Array, " params"]) -> Judged:
-    """The free run of the records that judge."""
-    network = ground.layout.place(u)
-    y = run(network, ground.guard, free_anchors(ground.guard_part))
-    error = y - ground.guard.measured
-    weight = ground.guard_weight
-    loss = jnp.sum(jnp.where(weight > 0, weight * error**2, 0.0))
-    return Judged(held(network, y, ground.guard_part), loss)
-
-
-class Trial(eqx.Module):
-    """A point that may be taken, and whether the loss is lower there."""
-
-    u: Float[Array, " params"]
-    damping: Float[Array, ""]
-    lower: Bool[Array, ""]
-
-
-def advanced(ground: Ground, s: State, turn: Turn, ridge: Float[Array, ""]) -> State:
+def advanced(ground: Ground, s: Search, turn: Turn, ridge: Float[Array, ""]) -> Search:
     """One turn: the first of a stage takes stock, the others make a step."""
     fresh = turn.step == 0
-    anchor = anchors(ground.part, turn.horizon)
     # The last stage begins at the best so far, unless nothing runs.
-    ahead = fresh & turn.last & ~s.judged.diverged
-    s = eqx.tree_at(lambda s: s.u, s, jnp.where(ahead, s.best, s.u))
-    moving = jnp.where(turn.apart, ground.early, ground.moving)
-    ground = eqx.tree_at(lambda g: g.moving, ground, moving)
-    found = _step(ground, s, anchor, fresh)
-    s = eqx.tree_at(lambda s: s.damping, s, found.damping)
+    ahead = turn.last & ~s.judged.diverged
+    again = levenberg.anew(s.state, jnp.where(ahead, s.best, s.state.u))
+    state = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), again, s.state)
+    state = levenberg.step(ground.problem(turn, ridge), state)
 
-    def reach(s: State) -> State:
-        return _reached(ground, s, found, anchor, fresh, ridge)
+    def reached() -> Search:
+        judged = ground.judge(state.u)
+        better = judged.better(s.judged) & (judged.loss <= s.limit)
+        best, judged = jax.tree.map(
+            lambda a, b: jnp.where(better, a, b), (state.u, judged), (s.best, s.judged)
+        )
+        accepted = s.accepted + (~fresh).astype(s.accepted.dtype)
+        return Search(state, best, judged, s.limit, accepted)
 
-    return jax.lax.cond(found.lower, reach, lambda s: s, s)
-
-
-def anchors(part: Part, horizon: Int[Array, ""]) -> Bool[Array, "records time"]:
-    """Restarts every `horizon` samples where the measured history is complete."""
-    at = jnp.arange(part.anchors.shape[1])[None] - jnp.asarray(part.start)[:, None]
-    return free_anchors(part) | ((at % horizon == 0) & jnp.asarray(part.anchors))
-
-
-def _step(ground: Ground, s: State, anchor, fresh: Bool[Array, ""]) -> Trial:
-    """Raise the damping until the penalised loss falls, or no more."""
-    here = s.loss + _penalty(s, s.u)
-
-    def attempt(t: Trial) -> Trial:
-        u = _damped(ground.layout, s, t.damping)
-        safe = jnp.where(jnp.all(jnp.isfinite(u)), u, s.u)
-        value = loss(ground.layout, safe, ground.drive, anchor, ground.weight)
-        lower = jnp.isfinite(value) & (value + _penalty(s, safe) < here)
-        return Trial(safe, jnp.where(lower, t.damping, t.damping * GROW), lower)
-
-    start = jnp.where(fresh, DAMPING_START, s.damping).astype(s.u.dtype)
-    return jax.lax.while_loop(
-        lambda t: ~t.lower & (t.damping <= DAMPING_LIMIT),
-        attempt,
-        Trial(s.u, start, fresh),
-    )
-
-
-def _reached(
-    ground: Ground, s: State, found: Trial, anchor, fresh, ridge: Float[Array, ""]
-) -> State:
-    """Linearise where the step has led, and judge it."""
-    value, gradient, gram = _linear(ground, found.u, anchor)
-    judged = judge(ground, found.u)
-    better = judged.better(s.judged) & (judged.loss <= s.limit)
-    eased = jnp.maximum(found.damping / SHRINK, 1e-12)
-    return State(
-        u=found.u,
-        loss=value,
-        gradient=gradient,
-        gram=gram,
-        damping=jnp.where(fresh, found.damping, eased),
-        origin=jnp.where(fresh, found.u, s.origin),
-        pull=jnp.where(fresh, ridge * jnp.diagonal(gram), s.pull),
-        best=jnp.where(better, found.u, s.best),
-        judged=jax.tree.map(lambda a, b: jnp.where(better, a, b), judged, s.judged),
-        limit=s.limit,
-        accepted=s.accepted + (~fresh).astype(s.accepted.dtype),
-    )
-
-
-def _linear(ground: Ground, u: Float[Array, " params"], anchor):
-    """Loss, J'r and J'J at `u`; zero where parameters rest, or where they overflow."""
-    value, gradient, gram = normal_equations(
-        ground.layout, u, ground.drive, anchor, ground.weight
-    )
-    finite = jnp.all(jnp.isfinite(gradient)) & jnp.all(jnp.isfinite(gram))
-    keep = ground.moving & finite
-    gradient = jnp.where(keep, gradient, 0.0)
-    return value, gradient, jnp.where(keep[:, None] & keep[None], gram, 0.0)
-
-
-def _penalty(s: State, u: Float[Array, " params"]) -> Float[Array, ""]:
-    return s.pull @ (u - s.origin) ** 2
-
-
-def _damped(
-    layout: Layout, s: State, damping: Float[Array, ""]
-) -> Float[Array, " params"]:
-    """Where a damped step leads; not finite where the equations have no solution."""
-    slope = s.gradient + s.pull * (s.u - s.origin)
-    delta = -cholesky_solve(s.gram + jnp.diag(s.pull), slope, damping, least=0.0)
-    wall = layout.wall()
-    reach = jnp.where(jnp.isfinite(wall), REACH, jnp.inf)
-    return jnp.clip(s.u + jnp.clip(delta, -reach, reach), -wall, wall)
+    stayed = eqx.tree_at(lambda s: s.state, s, state)
+    there = fresh | (state.status == levenberg.OK)
+    return jax.lax.cond(there, reached, lambda: stayed)
