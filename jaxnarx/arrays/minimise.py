@@ -3,6 +3,7 @@
 import dataclasses
 import time as clock
 from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -55,8 +56,7 @@ class Method(Protocol):
     def has_arrived(self, s: Standing) -> bool: ...
 
 
-@eqx.filter_jit
-def advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
+def _advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
     """A step, and what the judge says of the point it has led to.
 
     Of the start, too, where one is to `look`; of a point that was not left nothing.
@@ -66,12 +66,29 @@ def advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any)
     said = eqx.filter_eval_shape(judge, new.u)
     nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), said)
     judged = jax.lax.cond(there, lambda: judge(new.u), lambda: nothing)
-    shown = new.u, new.linear.loss, new.minimised, new.status, new.damping, new.gain
-    return new, (shown, judged)
+    status = new.status.astype(new.gain.dtype)
+    figures = [new.linear.loss, new.minimised, new.damping, new.gain, status]
+    return new, jnp.stack(figures), judged
+
+
+@lru_cache(maxsize=256)
+def _compiled(static: tuple, tree: Any) -> Callable:
+    """The program of a problem and its judge, whose arrays are arguments.
+
+    What is static is looked at once, not at every step: that costs more than a run of
+    a few hundred samples.
+    """
+    rest = jax.tree.unflatten(tree, static)
+
+    @jax.jit
+    def program(arrays, state, look):
+        return _advanced(*eqx.combine(arrays, rest), state, look)
+
+    return program
 
 
 @eqx.filter_jit
-def value_at(function: Callable, u: np.ndarray) -> Any:
+def value_at(function: Callable, u: Any) -> Any:
     """A loss or a judge of arrays, compiled, on the host."""
     return function(u)
 
@@ -83,26 +100,33 @@ class Levenberg:
     """
 
     def __init__(self, problem: AbstractProblem, judge: Callable = lambda u: ()):
-        self.problem, self.judge = plain(problem), plain(judge)
+        self.problem, self.judge = both = plain(problem), plain(judge)
+        arrays, rest = eqx.partition(both, _is_array)
+        leaves, tree = jax.tree.flatten(rest)
+        self._program = partial(_compiled(tuple(leaves), tree), arrays)
 
     def start(self, u: np.ndarray, *, look: bool = False) -> Standing:
         """Take stock of `u`; `judged` where one is to `look`."""
-        return self._advanced(begin(u), look)
+        return self._standing(begin(u), look)
 
     def step(self, s: Standing) -> Standing:
         """One accepted step, or none; see `arrays.levenberg.State` for statuses."""
-        return self._advanced(s.state, False)
+        return self._standing(s.state, False)
 
-    def _advanced(self, state: State, look: bool) -> Standing:
-        state, told = advanced(self.problem, self.judge, state, np.asarray(look))
-        (u, *figures), judged = jax.device_get(told)
-        loss, minimised, status, damping, gain = (a.item() for a in figures)
-        name = NAMES[status]
+    def _standing(self, state: State, look: bool) -> Standing:
+        state, figures, judged = self._program(state, look)
+        loss, minimised, damping, gain, status = np.asarray(figures).tolist()
+        judged, name = jax.device_get(judged), NAMES[int(status)]
+        u = np.asarray(state.u)
         return Standing(u, loss, minimised, state, name, damping, gain, judged)
 
     def has_arrived(self, s: Standing) -> bool:
         """Whether the linearised problem promises no decrease worth naming."""
         return bool(has_arrived(s.state))
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, jax.Array | np.ndarray)
 
 
 def minimise(

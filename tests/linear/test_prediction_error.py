@@ -1,6 +1,7 @@
 """Fits of every class: recovery, standard errors, derivatives, borders, bad input."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,11 +20,12 @@ from linear_problems import (
     records,
 )
 
+from jaxnarx.arrays.minimise import value_at
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem
 from jaxnarx.linear.recursion import Signals, residuals, states
-from jaxnarx.linear.stability import radius, reflected
+from jaxnarx.linear.stability import is_stable, radius, reflected
 from jaxnarx.linear.structure import structure_of
 from jaxnarx.methods.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
 from jaxnarx.solution import RESULTS
@@ -120,17 +122,37 @@ def scaled_problem(kind: str, seed: int = 1):
     return PredictionErrorProblem(structure, signals), np.concatenate([theta, initial])
 
 
+@pytest.mark.parametrize("order", [0, 1, 2, 3, 6])
+def test_stability_by_steps_down_is_that_of_the_roots(order):
+    rng = np.random.default_rng(order)
+    poles = rng.uniform(0.5, 1.2, (200, order)) ** 0.5 * rng.choice([-1, 1], order)
+    told = jax.jit(jax.vmap(is_stable))
+    polynomials = np.stack([np.poly(p) if order else np.ones(1) for p in poles])
+    # Coefficients at random have complex roots, too, and orders may be zero.
+    some = 0.6 * rng.normal(size=polynomials.shape)
+    some[:, 0], some[::3, -1] = 1.0, 0.0 if order else 1.0
+    for found in (polynomials, some):
+        inside = np.array([radius(p) < 1 for p in found])
+        np.testing.assert_array_equal(told(found), inside)
+        assert not order or inside.any() and not inside.all()
+    assert not told(np.full((1, order + 1), np.nan))[0]
+
+
 def test_the_derivative_is_that_of_central_differences():
     """By parameters and initial states, across samples that are not known."""
     problem, u = scaled_problem("BJ")
-    found = problem.linear(u)
-    assert found.loss == pytest.approx(problem.loss(u), rel=1e-12)
+    found = jax.device_get(value_at(problem.linear, u))
+
+    def loss(u) -> float:
+        return float(value_at(problem.loss, u))
+
+    assert found.loss == pytest.approx(loss(u), rel=1e-12)
     step = 1e-6
     for n in range(len(u)):
         ahead, behind = u.copy(), u.copy()
         ahead[n] += step
         behind[n] -= step
-        slope = (problem.loss(ahead) - problem.loss(behind)) / (4 * step)
+        slope = (loss(ahead) - loss(behind)) / (4 * step)
         # Rounding of the loss, 1e-16 of it, over the step.
         assert found.gradient[n] == pytest.approx(slope, abs=1e-8 * found.loss)
 
@@ -149,8 +171,9 @@ def test_gauss_newton_matrix_is_that_of_the_innovations():
         step[n] = 1e-6
         columns.append((e(u + step) - e(u - step)) / 2e-6)
     j = np.stack(columns, axis=1)
+    gram = value_at(problem.linear, u).gram
     np.testing.assert_allclose(
-        problem.linear(u).gram, j.T @ j, rtol=1e-6, atol=1e-6 * np.abs(j).max() ** 2
+        gram, j.T @ j, rtol=1e-6, atol=1e-6 * np.abs(j).max() ** 2
     )
 
 
