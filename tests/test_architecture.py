@@ -159,14 +159,14 @@ def test_the_rule_catches_what_it_should():
 
 
 def drives(path: Path) -> bool:
-    """Whether a module takes steps of a search: `state, status = s.step(state)`."""
+    """Whether a module takes steps of a search: `s = method.step(s)`."""
     return any(
         isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Tuple)
-        and len(node.targets[0].elts) == 2
+        and isinstance(node.targets[0], ast.Name)
         and isinstance(node.value, ast.Call)
         and isinstance(node.value.func, ast.Attribute)
         and node.value.func.attr == "step"
+        and [ast.unparse(a) for a in node.value.args] == [node.targets[0].id]
         for node in ast.walk(ast.parse(path.read_text()))
     )
 

@@ -3,7 +3,6 @@
 import dataclasses
 import time as clock
 from collections.abc import Callable
-from functools import lru_cache, partial
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -20,7 +19,7 @@ from jaxnarx.arrays.levenberg import (
     has_arrived,
     step,
 )
-from jaxnarx.arrays.programs import plain
+from jaxnarx.arrays.programs import bound, plain, program
 from jaxnarx.solution import NAMES, RESULTS, code
 
 ROUNDING = 1e-24
@@ -56,7 +55,7 @@ class Method(Protocol):
     def has_arrived(self, s: Standing) -> bool: ...
 
 
-def _advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
+def advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
     """A step, and what the judge says of the point it has led to.
 
     Of the start, too, where one is to `look`; of a point that was not left nothing.
@@ -71,23 +70,7 @@ def _advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any
     return new, jnp.stack(figures), judged
 
 
-@lru_cache(maxsize=256)
-def _compiled(static: tuple, tree: Any) -> Callable:
-    """The program of a problem and its judge, whose arrays are arguments.
-
-    What is static is looked at once, not at every step: that costs more than a run of
-    a few hundred samples.
-    """
-    rest = jax.tree.unflatten(tree, static)
-
-    @jax.jit
-    def program(arrays, state, look):
-        return _advanced(*eqx.combine(arrays, rest), state, look)
-
-    return program
-
-
-@eqx.filter_jit
+@program
 def value_at(function: Callable, u: Any) -> Any:
     """A loss or a judge of arrays, compiled, on the host."""
     return function(u)
@@ -100,10 +83,8 @@ class Levenberg:
     """
 
     def __init__(self, problem: AbstractProblem, judge: Callable = lambda u: ()):
-        self.problem, self.judge = both = plain(problem), plain(judge)
-        arrays, rest = eqx.partition(both, _is_array)
-        leaves, tree = jax.tree.flatten(rest)
-        self._program = partial(_compiled(tuple(leaves), tree), arrays)
+        self.problem, self.judge = plain(problem), plain(judge)
+        self._advanced = bound(advanced, self.problem, self.judge)
 
     def start(self, u: np.ndarray, *, look: bool = False) -> Standing:
         """Take stock of `u`; `judged` where one is to `look`."""
@@ -114,19 +95,15 @@ class Levenberg:
         return self._standing(s.state, False)
 
     def _standing(self, state: State, look: bool) -> Standing:
-        state, figures, judged = self._program(state, look)
+        state, figures, judged = self._advanced(state, look)
         loss, minimised, damping, gain, status = np.asarray(figures).tolist()
-        judged, name = jax.device_get(judged), NAMES[int(status)]
+        judged, name = jax.tree.map(np.asarray, judged), NAMES[int(status)]
         u = np.asarray(state.u)
         return Standing(u, loss, minimised, state, name, damping, gain, judged)
 
     def has_arrived(self, s: Standing) -> bool:
         """Whether the linearised problem promises no decrease worth naming."""
         return bool(has_arrived(s.state))
-
-
-def _is_array(value: Any) -> bool:
-    return isinstance(value, jax.Array | np.ndarray)
 
 
 def minimise(

@@ -5,8 +5,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 
 R = TypeVar("R")
+
+ARRAY = object()
+"""In place of an array among what is static."""
 
 
 def program(function: Callable[..., R]) -> Callable[..., R]:
@@ -16,14 +20,45 @@ def program(function: Callable[..., R]) -> Callable[..., R]:
     static data, is replaced by that: other names compile nothing anew. So the function
     may return arrays, but no model. Arrays of numpy may be given for those of jax.
     """
-    compiled = eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> R:
-        named = {k: plain(a) for k, a in kwargs.items()}
-        return compiled(*(plain(a) for a in args), **named)
+        return bound(function, *args, **kwargs)()
 
     return call
+
+
+def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[..., R]:
+    """The program of a function with its first arguments given, as `program` takes
+    them; the others are arrays, or trees of them.
+
+    What is static is looked at once, not in every call: that costs as much as a run of
+    a few hundred samples.
+    """
+    named = {k: plain(a) for k, a in kwargs.items()}
+    leaves, tree = jax.tree.flatten((tuple(plain(a) for a in args), named))
+    flags = [eqx.is_array(leaf) for leaf in leaves]
+    pairs = list(zip(leaves, flags, strict=True))
+    static = tuple(ARRAY if flag else leaf for leaf, flag in pairs)
+    # 1, 1.0 and True are equal, but make different programs.
+    compiled = _compiled(function, tree, static, tuple(map(type, static)))
+    return functools.partial(compiled, [leaf for leaf, flag in pairs if flag])
+
+
+@functools.lru_cache(maxsize=4096)
+def _compiled(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
+    """The program of a function whose arrays are arguments, in one list."""
+    del kinds
+
+    @jax.jit
+    @functools.wraps(function, updated=())
+    def run(arrays: list, *more: Any):
+        given = iter(arrays)
+        leaves = [next(given) if leaf is ARRAY else leaf for leaf in static]
+        args, kwargs = jax.tree.unflatten(tree, leaves)
+        return function(*args, *more, **kwargs)
+
+    return run
 
 
 def plain(value: Any) -> Any:

@@ -39,6 +39,7 @@ class Search(Course):
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
         self.limit, self.guard = limit, make_guard(layout, guard)
+        self.still = layout.partition()
         self.start = np.asarray(layout.gather(layout.base))
         # Entries near their limits are placed a little off them: the network itself.
         self.start_diverged, score = judged(self.guard, layout.base).told
@@ -81,7 +82,7 @@ class Search(Course):
             stage.horizon,
             ridge=self.method.ridge,
             prior=self.prior,
-            still=self.layout.partition() if stage.only_coefficients else None,
+            still=self.still if stage.only_coefficients else None,
             restraint=restraint(self.layout, u, self.task, weight, target),
         )
 
