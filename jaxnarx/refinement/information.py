@@ -1,11 +1,10 @@
-"""Sensitivities of a free run by parameters and by its start, streamed over time.
+"""What a free run says about the parameters: their information, and variances by it.
 
 With S_t the derivative of the outputs y_t by the network's own parameters and H_t that
 by the measured samples the run started from, both obey the recursion of
-`arrays.recurrence` and share one pass. Memory holds one block of them.
+`arrays.recurrence` and share one pass.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +15,8 @@ from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.models import Network, depth, folded
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.normal import SAMPLES, direct_tangents, linearised, seen_history
+from jaxnarx.refinement.sensitivity import joined, stream
 from jaxnarx.simulation import Drive, states
-
-Consumer = Callable[[Any, Float[Array, "records rows outputs params"], Any], Any]
 
 
 class Sums(NamedTuple):
@@ -49,81 +46,24 @@ def _by_start(a, own, since) -> Float[Array, "rows outputs starts"]:
     return found.reshape(*found.shape[:2], -1)
 
 
-def _block(network: Network, layout: Layout, block, since, past):
-    """Sensitivities [S, H] of one record over one block; returns the end and all."""
-    v, x, history, own = block
-    whole = linearised(network, v, x, history, jnp.ones_like(own))
-    a, limited, v, x = whole
-    direct = direct_tangents(network, layout, v, x, limited, history)
-    by_start = _by_start(folded(network, a), own, since)
-    direct = jnp.concatenate([direct, by_start], axis=2)
-    a = jnp.where(own[:, None, None], a, 0.0)
-    return linear_recurrence(a, direct, past)
-
-
-def stream(
+def _stream(
     network: Network,
     layout: Layout,
     y: Float[Array, "records time states"],
     drive: Drive,
     anchor: Bool[Array, "records time"],
     start: Int[Array, " records"],
-    consume: Consumer,
-    carry: Any,
-    extra: Any,
+    *rest: Any,
 ) -> tuple[Any, Any]:
-    """Hand [S, H] of a finished run to `consume(carry, block, extra)`.
+    """[S, H] of a finished run; see `sensitivity.stream`."""
 
-    `y` is all that the run's loop has carried (`jaxnarx.simulation.states`).
-    Blocks follow one another in time. `extra` is a tree of arrays (records, time, ...)
-    that are cut alike; padding of the last block is zero there. What `consume` returns
-    beside the carry is stacked along a leading axis of blocks.
-    """
-    records, time, _ = y.shape
-    outputs = len(network.models)
-    lags, params = depth(network), layout.low.shape[0]
-    blocks = -(-time // max(16, SAMPLES // records))
-    size = -(-time // blocks)
-    past, own = seen_history(network, y, drive.measured, anchor)
+    def direct(tangents, seen, time, record):
+        a, own = seen
+        by_start = _by_start(folded(network, a), own, time - start[record])
+        return jnp.concatenate([tangents, by_start], axis=2)
 
-    def padded(a, axis):
-        room = [(0, 0)] * a.ndim
-        room[axis] = (0, blocks * size - time)
-        return jnp.pad(a, room)
-
-    whole = (
-        padded(drive.v, 2),
-        tuple(padded(x, 2) for x in drive.x),
-        padded(past, 1),
-        padded(own, 1),
-    )
-    extra = jax.tree.map(lambda a: padded(a, 1), extra)
-
-    def body(state, at):
-        past, carry = state
-
-        def cut(a, axis=1):
-            return jax.lax.dynamic_slice_in_dim(a, at, size, axis)
-
-        v, x, history, own = whole
-        block = (cut(v, 2), tuple(cut(x_o, 2) for x_o in x), cut(history), cut(own))
-        since = at + jnp.arange(size)[None] - start[:, None]
-        one = lambda b, n, s: _block(network, layout, b, n, s)  # noqa: E731
-        past, s = jax.vmap(one)(block, since, past)
-        carry, out = consume(carry, s[:, :, :outputs], jax.tree.map(cut, extra))
-        return (past, carry), out
-
-    zero = jnp.zeros((records, lags, y.shape[2], params + outputs * lags), y.dtype)
-    (_, carry), out = jax.lax.scan(body, (zero, carry), jnp.arange(blocks) * size)
-    return carry, out
-
-
-def joined(
-    out: Float[Array, "blocks records rows outputs"], time: int
-) -> Float[Array, "records time outputs"]:
-    """Blocks of `stream` behind one another, the padding cut off."""
-    rows = jnp.moveaxis(out, 0, 1)
-    return rows.reshape(rows.shape[0], -1, rows.shape[3])[:, :time]
+    columns = layout.low.shape[0] + len(network.models) * depth(network)
+    return stream(network, layout, y, drive, anchor, direct, columns, *rest)
 
 
 def coloured(shape: Float[Array, " order"], j, past):
@@ -181,7 +121,7 @@ def sums(
         zeros(records, outputs, order, params),
         zeros(records, params, outputs * lags),
     )
-    found, _ = stream(network, layout, y, drive, anchor, start, consume, empty, weight)
+    found, _ = _stream(network, layout, y, drive, anchor, start, consume, empty, weight)
     return found
 
 
@@ -200,5 +140,5 @@ def variances(
     def consume(carry, s, _):
         return carry, jnp.sum((s @ root) ** 2, axis=3)
 
-    _, out = stream(network, layout, y, drive, anchor, start, consume, None, None)
+    _, out = _stream(network, layout, y, drive, anchor, start, consume, None, None)
     return joined(out, y.shape[1])

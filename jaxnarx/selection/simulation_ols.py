@@ -37,8 +37,9 @@ from jaxnarx.data import Dataset
 from jaxnarx.methods import SimulationError, SimulationOLS
 from jaxnarx.models import Network, assemble, depth, global_model
 from jaxnarx.refinement.layout import Layout, make_layout
-from jaxnarx.refinement.normal import linearised, normal_equations, seen_history
+from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.refinement.refine import make_task, refine_task
+from jaxnarx.refinement.sensitivity import linearised, seen_history
 from jaxnarx.regressors import Pool
 from jaxnarx.regressors.centring import Centring
 from jaxnarx.simulation import Drive, run

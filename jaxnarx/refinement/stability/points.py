@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError
 from jaxnarx.models import Network, depth, sources
-from jaxnarx.refinement.normal import linearised
+from jaxnarx.refinement.sensitivity import linearised
 from jaxnarx.simulation import Drive, Masks
 
 CHUNK = 1024

@@ -1,0 +1,247 @@
+"""Sensitivities of a finished run, streamed over time.
+
+With A_t the derivative of a sample by the run's own past and D_t that by anything else,
+sensitivities obey the forward filter S_t = A_t S_past + D_t of `arrays.recurrence`.
+They are made block by block and handed on at once, so that memory holds one block of
+them, never all.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxnarx.arrays.recurrence import (
+    history_of,
+    linear_recurrence,
+    own_history,
+    run_history,
+    sensitivities,
+)
+from jaxnarx.models import (
+    Network,
+    OutputModel,
+    depth,
+    places,
+    scheduling_values,
+    widened,
+    with_history,
+    with_own,
+)
+from jaxnarx.refinement.layout import Layout
+from jaxnarx.regressors import evaluate
+from jaxnarx.simulation import Drive, recursion
+
+SAMPLES = 4096
+"""Samples per block over all records: the block's Jacobian then stays near the
+cache.
+"""
+
+
+Consumer = Callable[[Any, Float[Array, "records rows outputs columns"], Any], Any]
+Direct = Callable[[Any, Any, Any, Any], Float[Array, "rows states columns"]]
+
+
+def output_gradient(
+    model: OutputModel,
+    v: Float[Array, "vars rows"] | Float[Array, "models vars rows"],
+    x: Float[Array, "dims rows"],
+) -> tuple[list[Float[Array, "*shape rows"]], Float[Array, "models slots rows"]]:
+    """Derivative of the output by coefficients and by every trained field of validity.
+
+    At fixed lagged variables, all local models' or each one's own; samples are the
+    trailing axis. Beside it that of every local model's output by its coefficients.
+    """
+    z = scheduling_values(model, x)
+    every = jax.vmap(partial(evaluate, model.local.factor))
+    if v.ndim == 2:
+        terms = evaluate(model.local.factor, v)
+        local = jnp.tensordot(model.local.dense(), terms, axes=1)
+        mine = terms[model.local.index]
+    else:
+        terms = every(v)
+        local = jnp.einsum("mk,mkr->mr", model.local.dense(), terms)
+        mine = jnp.take_along_axis(terms, model.local.index[..., None], axis=1)
+    phi = model.validity(z, model.active)
+    alone = jnp.where(model.local.used[..., None], mine, 0.0)
+    coefficient = phi[:, None] * alone
+
+    def blend(parameters, z, local):
+        phi = model.validity.replaced(parameters)(z, model.active)
+        return jnp.sum(phi * local)
+
+    by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
+    by_fields = by_validity(model.validity.parameters, z, local)
+    return [coefficient, *by_fields], alone
+
+
+def direct_tangents(
+    network: Network, layout: Layout, v, x, limited, history
+) -> Float[Array, "rows states params"]:
+    """Direct tangents D_t of all outputs by all parameters, zero where limited.
+
+    Behind the outputs those of local models that have feedback of their own; `history`
+    (rows, states, depth) is what they have seen.
+    """
+    rows = v.shape[1]
+    total = layout.low.shape[0]
+    out, alone = [], []
+    parts = zip(network.models, layout.chosen, places(network), strict=True)
+    for o, (model, keep, at) in enumerate(parts):
+        start, stop = layout.spans()[o]
+        seen = v
+        if model.own is not None:
+            seen = with_own(network, o, v, jnp.moveaxis(history[:, at], 0, -1))
+        leaves, by_coefficient = output_gradient(model, seen, x[o])
+        leaves[0] = layout.by_vector(o, leaves[0])
+        pieces = [
+            leaf.reshape(-1, rows) for leaf, k in zip(leaves, keep, strict=True) if k
+        ]
+        own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
+        out.append(jnp.pad(own, ((0, 0), (start, total - stop)))[:, None])
+        if model.own is not None:
+            local = _block_diagonal(layout.by_vector(o, by_coefficient), keep[0])
+            room = total - start - local.shape[2]
+            alone.append(jnp.pad(local, ((0, 0), (0, 0), (start, room))))
+    every = jnp.concatenate([*out, *alone], axis=1)
+    return jnp.where(limited[..., None], 0.0, every)
+
+
+def _block_diagonal(
+    leaf: Float[Array, "models slots rows"], kept: bool
+) -> Float[Array, "rows models params"]:
+    """Every local model's output by the coefficients of all, or by nothing."""
+    models, slots, rows = leaf.shape
+    if not kept:
+        return jnp.zeros((rows, models, 0), leaf.dtype)
+    one = jnp.eye(models, dtype=leaf.dtype)
+    both = jnp.einsum("msr,mn->rmns", leaf, one)
+    return both.reshape(rows, models, models * slots)
+
+
+def slopes(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    history: Float[Array, "time states depth"],
+) -> tuple[Float[Array, "time states states depth"], Bool[Array, "time states"]]:
+    """Derivative of every sample by its whole history, and where it is limited."""
+    bounds = widened(network, network.lower), widened(network, network.upper)
+    return sensitivities(*recursion(network, v, x), history, *bounds)
+
+
+def linearised(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    history: Float[Array, "time states depth"],
+    own: Bool[Array, "time depth"],
+):
+    """A_t of a finished run, where it is limited, and the variables as it saw them.
+
+    A_t is the derivative of y_t by the run's own past, (time, states, states, depth):
+    zero for measured history and where the feedback bound acts.
+    """
+    a, limited = slopes(network, v, x, history)
+    a = jnp.where(own[:, None, None], a, 0.0)
+    return a, limited, *with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+
+
+def seen_history(
+    network: Network,
+    y: Float[Array, "records time states"],
+    measured: Float[Array, "records time outputs"],
+    anchor: Bool[Array, "records time"],
+) -> tuple[
+    Float[Array, "records time states depth"], Bool[Array, "records time depth"]
+]:
+    """The past outputs every step of a finished run has seen, and which are its own.
+
+    `y` is all that its loop carried, see `jaxnarx.simulation.run_states`.
+    """
+    lags, measured = depth(network), widened(network, measured)
+
+    def one(y, measured, anchor):
+        past = run_history(y, history_of(measured, lags), anchor)
+        return past, own_history(anchor, lags)
+
+    return jax.vmap(one)(y, measured, anchor)
+
+
+def stream(
+    network: Network,
+    layout: Layout,
+    y: Float[Array, "records time states"],
+    drive: Drive,
+    anchor: Bool[Array, "records time"],
+    direct: Direct,
+    columns: int,
+    consume: Consumer,
+    carry: Any,
+    extra: Any,
+) -> tuple[Any, Any]:
+    """Hand sensitivities of a finished run to `consume(carry, block, extra)`.
+
+    `y` is all that the run's loop has carried (`jaxnarx.simulation.states`). There are
+    `columns` of them, and `direct(tangents, (a, own), time, record)` gives D_t from the
+    direct tangents by the parameters and the derivative by the whole history, of one
+    record. Blocks follow one another in time. `extra` is a tree of arrays (records,
+    time, ...) that are cut alike; padding of the last block is zero there. What
+    `consume` returns beside the carry is stacked along a leading axis of blocks.
+    """
+    records, time, states = y.shape
+    outputs, lags = len(network.models), depth(network)
+    blocks = -(-time // max(16, SAMPLES // records))
+    size = -(-time // blocks)
+    past, own = seen_history(network, y, drive.measured, anchor)
+
+    def padded(a, axis):
+        room = [(0, 0)] * a.ndim
+        room[axis] = (0, blocks * size - time)
+        return jnp.pad(a, room)
+
+    # Once and outside the loop.
+    whole = (
+        padded(drive.v, 2),
+        tuple(padded(x, 2) for x in drive.x),
+        padded(past, 1),
+        padded(own, 1),
+    )
+    extra = jax.tree.map(lambda a: padded(a, 1), extra)
+
+    def one(block, at, record, past):
+        """One record over one block; the end and all."""
+        v, x, history, own = block
+        a, limited = slopes(network, v, x, history)
+        v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+        tangents = direct_tangents(network, layout, v, x, limited, history)
+        tangents = direct(tangents, (a, own), at, record)
+        return linear_recurrence(jnp.where(own[:, None, None], a, 0.0), tangents, past)
+
+    def body(state, start):
+        past, carry = state
+
+        def cut(a, axis=1):
+            return jax.lax.dynamic_slice_in_dim(a, start, size, axis)
+
+        v, x, history, own = whole
+        block = (cut(v, 2), tuple(cut(x_o, 2) for x_o in x), cut(history), cut(own))
+        each = jax.vmap(one, in_axes=(0, None, 0, 0))
+        past, s = each(block, start + jnp.arange(size), jnp.arange(records), past)
+        carry, out = consume(carry, s[:, :, :outputs], jax.tree.map(cut, extra))
+        return (past, carry), out
+
+    zero = jnp.zeros((records, lags, states, columns), y.dtype)
+    (_, carry), out = jax.lax.scan(body, (zero, carry), jnp.arange(blocks) * size)
+    return carry, out
+
+
+def joined(
+    out: Float[Array, "blocks records rows outputs"], time: int
+) -> Float[Array, "records time outputs"]:
+    """Blocks of `stream` behind one another, the padding cut off."""
+    rows = jnp.moveaxis(out, 0, 1)
+    return rows.reshape(rows.shape[0], -1, rows.shape[3])[:, :time]
