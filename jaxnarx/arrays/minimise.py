@@ -24,6 +24,8 @@ from jaxnarx.solution import NAMES, RESULTS, code
 
 ROUNDING = 1e-24
 """Loss (a mean square of scaled errors) that is nothing but rounding of float64."""
+QUIET = 2
+"""Steps in a row that gain little, after which a search ends."""
 
 Progress = Callable[[dict[str, Any]], None]
 
@@ -112,7 +114,7 @@ def minimise(
     *,
     steps: int,
     tolerance: float | int,
-    quiet: int = 2,
+    quiet: int = QUIET,
     rounding: float = ROUNDING,
     accepted: Callable[[Standing], bool] = lambda _: False,
 ) -> tuple[Standing, int, RESULTS]:

@@ -83,8 +83,12 @@ def test_a_member_is_the_verbs_in_a_row(name):
 def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
     fleet = fleet_of({"one": engine(1)})
     lags = {"pool.input_lags": (0, 1), "pool.output_lags": (1,)}
-    cases = [lags | {"refine": "none"}, {}]
+    # Searches that end early: by the tolerance, by patience.
+    long = {"refine.max_steps": 9, "refine.horizons": (20,), "refine.window_steps": 4}
+    quiet, patient = {"refine.tolerance": 0.05}, {"refine.patience": 1}
+    cases = [lags | {"refine": "none"}, {}, long | quiet, long | patient]
     found = identify_each(fleet, SMALL, cases)
+    assert all(row["steps_taken"] < 9 + 4 + 4 for row in found[2:])
     monkeypatch.setattr(settings, "fused", lambda method: False)
     by_verbs = identify_each(fleet, SMALL, cases)
     for ours, theirs in zip(found, by_verbs, strict=True):

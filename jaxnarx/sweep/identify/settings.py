@@ -24,7 +24,6 @@ from jaxnarx.regressors import Pool
 Arrays = np.ndarray | Array
 Grown = Global | Lolimot | SigmoidTree | Placed
 
-NUMBERS = ("k_sigma", "smoothness", "growth_ridge", "rho", "ridge", "scatter")
 TRACED = {
     ForwardOLS: ("max_terms", "rho"),
     Global: (),
@@ -65,6 +64,8 @@ class Settings(eqx.Module):
     growth_ridge: Float[Arrays, "*lanes"]
     rho: Float[Arrays, "*lanes"]
     scatter: Float[Arrays, "*lanes"]
+    tolerance: Float[Arrays, "*lanes"]
+    patience: Int[Arrays, "*lanes"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,12 +155,14 @@ def make_settings(method: Identification, pool: Pool, dtype: np.dtype) -> Settin
         "growth_ridge": getattr(grow, "ridge", 0.0),
         "scatter": getattr(grow, "scatter", 0.0),
         "rho": method.select.rho,  # pyright: ignore
-        "ridge": 0.0 if refine is None else refine.ridge,
+        "ridge": getattr(refine, "ridge", 0.0),
+        "tolerance": getattr(refine, "tolerance", 0.0),
     }
     return Settings(
         terms=np.asarray(method.select.max_terms),  # pyright: ignore
         models=np.asarray(getattr(grow, "max_models", 1)),
-        steps=np.asarray(0 if refine is None else refine.max_steps),
+        steps=np.asarray(getattr(refine, "max_steps", 0)),
+        patience=np.asarray(getattr(refine, "patience", 1)),
         seed=np.asarray(getattr(grow, "seed", 0)),
         allowed=terms_of(method.pool, pool),
         coefficients=np.asarray(train in ("joint", "staged", "coefficients")),

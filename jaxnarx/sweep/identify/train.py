@@ -1,9 +1,8 @@
-"""The refinement inside the program: Levenberg-Marquardt of a fixed number of steps.
+"""The refinement inside the program: the stages of Levenberg-Marquardt.
 
 What a step has reached is judged by the free run of the validation records, and the
 best by that judgement is the result: it is never worse there than the start. Problem,
-steps and judge are those of `jaxnarx.refinement`, and so are the results; only that a
-quiet search does not stop before its last step is not.
+steps, judge and stops are those of `jaxnarx.refinement`, and so are the results.
 """
 
 import equinox as eqx
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import levenberg
+from jaxnarx.arrays.minimise import QUIET, ROUNDING
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import Guard, Judged, Layout, Problem, Stage, squares, stages
 from jaxnarx.refinement.starts import SHRINK as FACTORS
@@ -64,7 +64,9 @@ class Ground(eqx.Module):
 class Search(eqx.Module):
     """Where the search stands, and the best so far by judgement.
 
-    No loss above the start's, `limit`, is best.
+    No loss above the start's, `limit`, is best. `lead` is the best judgement whatever
+    its loss, `since` counts the steps after it, `small` those in a row that gained
+    little; a stage that has `ended` makes no more steps.
     """
 
     state: levenberg.State
@@ -72,6 +74,10 @@ class Search(eqx.Module):
     judged: Judged
     limit: Float[Array, ""]
     accepted: Int[Array, ""]
+    lead: Judged
+    since: Int[Array, ""]
+    small: Int[Array, ""]
+    ended: Bool[Array, ""]
 
 
 class Turn(eqx.Module):
@@ -137,8 +143,8 @@ def train(
     """
     start = ground.judge(u)
     state, none = levenberg.begin(u), jnp.asarray(0)
-    begin = Search(state, u, start, start.loss, none)
-    ridge = jnp.asarray(settings.ridge)
+    going = jnp.asarray(False)
+    begin = Search(state, u, start, start.loss, none, start, none, none, going)
     made = active(ground, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
     order, count = jnp.argsort(~made, stable=True), jnp.sum(made)
@@ -146,7 +152,12 @@ def train(
     def step(n, carry):
         s, loss, judged = carry
         at = order[n]
-        s = advanced(ground, s, jax.tree.map(lambda a: a[at], turns), ridge)
+        turn = jax.tree.map(lambda a: a[at], turns)
+        s = jax.lax.cond(
+            s.ended & (turn.step > 0),
+            lambda: s,
+            lambda: advanced(ground, s, turn, settings),
+        )
         return s, loss.at[at].set(s.state.linear.loss), judged.at[at].set(s.judged.loss)
 
     def attempt(carry):
@@ -194,24 +205,38 @@ def _shrunk(ground: Ground, u: Float[Array, " params"]):
     return factors[n - 1], v, runs
 
 
-def advanced(ground: Ground, s: Search, turn: Turn, ridge: Float[Array, ""]) -> Search:
-    """One turn: the first of a stage takes stock, the others make a step."""
+def advanced(ground: Ground, s: Search, turn: Turn, settings: Settings) -> Search:
+    """One turn: the first of a stage takes stock, the others make a step.
+
+    A stage ends as on the host, see `jaxnarx.arrays.minimise`.
+    """
     fresh = turn.step == 0
     # The last stage begins at the best so far, unless nothing runs.
     ahead = turn.last & ~s.judged.diverged
     again = levenberg.anew(s.state, jnp.where(ahead, s.best, s.state.u))
-    state = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), again, s.state)
-    state = levenberg.step(ground.problem(turn, ridge), state)
+    state = _chosen(fresh, again, s.state)
+    state = levenberg.step(ground.problem(turn, jnp.asarray(settings.ridge)), state)
+    moved = ~fresh & (state.status == levenberg.OK)
 
     def reached() -> Search:
         judged = ground.judge(state.u)
         better = judged.better(s.judged) & (judged.loss <= s.limit)
-        best, judged = jax.tree.map(
-            lambda a, b: jnp.where(better, a, b), (state.u, judged), (s.best, s.judged)
-        )
-        accepted = s.accepted + (~fresh).astype(s.accepted.dtype)
-        return Search(state, best, judged, s.limit, accepted)
+        leads = judged.better(s.lead)
+        best, best_judged = _chosen(better, (state.u, judged), (s.best, s.judged))
+        lead = _chosen(leads, judged, s.lead)
+        quiet = state.gain < jnp.asarray(settings.tolerance)
+        small = jnp.where(moved & quiet, s.small + 1, 0)
+        since = jnp.where(fresh | leads, 0, s.since + 1)
+        enough = turn.last & (since >= jnp.asarray(settings.patience))
+        done = (small >= QUIET) | (state.linear.loss <= ROUNDING) | enough
+        accepted = s.accepted + moved.astype(s.accepted.dtype)
+        counts = lead, since, small, moved & done
+        return Search(state, best, best_judged, s.limit, accepted, *counts)
 
-    stayed = eqx.tree_at(lambda s: s.state, s, state)
-    there = fresh | (state.status == levenberg.OK)
-    return jax.lax.cond(there, reached, lambda: stayed)
+    stayed = eqx.tree_at(lambda s: (s.state, s.ended), s, (state, jnp.asarray(True)))
+    return jax.lax.cond(fresh | moved, reached, lambda: stayed)
+
+
+def _chosen(first: Bool[Array, ""], a, b):
+    """The first of two trees, or the second."""
+    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)

@@ -44,10 +44,11 @@ class IdentificationWork:
     A case says what differs from `method`, by path: `{"refine.ridge": 1e-4}`. Forward
     selection, the partitions that grow or are placed, and Levenberg-Marquardt are one
     compiled program for all engines and for all cases that differ only in numbers
-    (`jaxnarx.sweep.identify.settings.TRACED`, or in lags and degree of the pool); a
-    refinement makes all its steps there. Everything else goes by the verbs, one member
-    after the other. A call of the program has `lanes` fits, the last one filled up,
-    `at_once` of them side by side: on a CPU one after the other is the fastest.
+    (`jaxnarx.sweep.identify.settings.TRACED`, or in lags and degree of the pool), with
+    the results of `identify`; but that `PredictionError` is judged by the free run
+    here. Everything else goes by the verbs, one member after the other. A call of the
+    program has `lanes` fits, the last one filled up, `at_once` of them side by side: on
+    a CPU one after the other is the fastest.
     """
 
     fleet: Fleet
