@@ -104,10 +104,13 @@ def reading(
         raise error(f"{path}: {what}", path=path) from cause
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The sentence 'Did you mean ...' with the nearest names, or nothing."""
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
 def suggest(name: str, known: Iterable[str]) -> str:
-    """The sentence 'Did you mean ...' with the nearest names, or the list of names."""
+    """The sentence of `nearest`, or the list of names."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    if near:
-        return "Did you mean " + " or ".join(repr(n) for n in near) + "?"
-    return "Known names: " + ", ".join(known) + "."
+    return nearest(name, known) or f"Known names: {', '.join(known)}."

@@ -43,7 +43,7 @@ def system(seed: int, hold: tuple[int, int], samples: int):
     import numpy as np
     import scipy.signal
 
-    from jaxnarx.data.excitation import aprbs
+    from jaxnarx.excitation import aprbs
 
     key, before = jax.random.key(seed), 200
     u = np.asarray(aprbs(key, samples + before, hold=hold, amplitude=(0.38, 0.41)))

@@ -38,7 +38,7 @@ import scipy.signal
 
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.data.excitation import aprbs
+from jaxnarx.excitation import aprbs
 from jaxnarx.models import Gaussians, LocalModels, Network, OutputModel
 from jaxnarx.refinement.bands import bands
 from jaxnarx.refinement.uncertainty import uncertainty

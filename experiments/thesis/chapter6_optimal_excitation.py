@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import matplotlib.figure
 import numpy as np
 
-from jaxnarx.data.excitation import AprbsPlan, aprbs_plan, render
 from jaxnarx.design import ResponseSensitivity, adjust, criteria
 from jaxnarx.engines import Pfi
+from jaxnarx.excitation import AprbsPlan, aprbs_plan, render
 from jaxnarx.methods import OptimalDesign
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))

@@ -59,10 +59,10 @@ from multi_models import (
 from neural import Budget
 
 import jaxnarx as jnx
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines import Gtdi, records
 from jaxnarx.engines.events import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
+from jaxnarx.excitation import aprbs
 from jaxnarx.models import SigmoidTree
 from jaxnarx.shell.style import save
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines import Gtdi
 from jaxnarx.engines.events import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
+from jaxnarx.excitation import aprbs
 
 DOWN = 4
 """Events of a sample."""

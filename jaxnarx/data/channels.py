@@ -4,7 +4,8 @@ import dataclasses
 import functools
 import unicodedata
 
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.checks import known_name
+from jaxnarx.errors import SpecError
 
 
 def require_plain(text: str, what: str, *, field: str) -> None:
@@ -91,10 +92,7 @@ class Channels:
         """Index of channel `name` in the signal table; unknown names raise
         SpecError.
         """
-        if name not in self.names:
-            raise SpecError(
-                f"unknown channel {name!r}. {suggest(name, self.names)}", field=name
-            )
+        known_name(name, self.names, name, f"unknown channel {name!r}")
         return self.names.index(name)
 
 

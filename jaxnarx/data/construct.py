@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import Source, assemble, require_missing
 from jaxnarx.data.place import Place
 from jaxnarx.data.sampling import positive_sample_time
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError, SpecError
 
 
 def from_arrays(
@@ -75,12 +76,12 @@ def make_channels(
     if not channels.outputs:
         raise SpecError("outputs is empty; name at least one output", field="outputs")
     for name, unit in units.items():
-        if name not in channels.names:
-            raise SpecError(
-                f"units names the channel {name!r}, which does not exist. "
-                f"{suggest(str(name), channels.names)}",
-                field="units",
-            )
+        known_name(
+            name,
+            channels.names,
+            "units",
+            f"units names the channel {name!r}, which does not exist",
+        )
         if not isinstance(unit, str):
             raise SpecError(
                 f"the unit of {name} must be text, got {unit!r}", field="units"

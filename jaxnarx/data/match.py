@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from jaxnarx.checks import known_name
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.dataset import Dataset, Record
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.errors import SpecError
 
 _DIMENSIONLESS = {"1", "-"}
 
@@ -34,12 +35,12 @@ def match_channels(data: Dataset, channels: Channels) -> tuple[Dataset, list[str
 
 
 def _require(channel: Channel, own: Channels):
-    if channel.name not in own.names:
-        raise SpecError(
-            f"the data have no channel {channel.name!r}, which the model needs. "
-            f"{suggest(channel.name, own.names)}",
-            field=channel.name,
-        )
+    known_name(
+        channel.name,
+        own.names,
+        channel.name,
+        f"the data have no channel {channel.name!r}, which the model needs",
+    )
     unit = own.all[own.signal(channel.name)].unit
     if unit and channel.unit and not same_unit(unit, channel.unit):
         raise SpecError(

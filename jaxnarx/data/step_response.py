@@ -4,9 +4,10 @@ from collections.abc import Collection
 
 import numpy as np
 
+from jaxnarx.checks import known_name
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError
 
 
 def step_times(data: Dataset, output: str) -> dict[str, float]:
@@ -18,10 +19,7 @@ def step_times(data: Dataset, output: str) -> dict[str, float]:
     out.
     """
     known = data.channels.output_names
-    if output not in known:
-        raise SpecError(
-            f"unknown output {output!r}. {suggest(output, known)}", field="output"
-        )
+    known_name(output, known, "output")
     if not data.samples:
         raise DataError("step times need at least one record with samples")
     found, o = dynamics(data), known.index(output)

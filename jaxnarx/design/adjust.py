@@ -7,7 +7,6 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from jaxnarx.data.excitation import AprbsPlan, reachable, render
 from jaxnarx.design.criteria import Criteria, criteria, objective
 from jaxnarx.design.sensitivity import (
     AbstractSensitivity,
@@ -15,6 +14,7 @@ from jaxnarx.design.sensitivity import (
     network_sensitivity,
 )
 from jaxnarx.errors import SpecError
+from jaxnarx.excitation import AprbsPlan, reachable, render
 from jaxnarx.methods import OptimalDesign
 from jaxnarx.models import Network
 from jaxnarx.solution import RESULTS, Solution

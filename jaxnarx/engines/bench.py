@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.checks import known_name
+from jaxnarx.errors import DataError, SpecError
 
 # `engine` is an `AbstractEngine` throughout; not named, to keep imports one-way.
 
@@ -51,12 +52,12 @@ def kept(engine: Any, outputs: Sequence[str] | None) -> list[int]:
     known = engine.channels.output_names
     chosen = known if outputs is None else list(outputs)
     for name in chosen:
-        if name not in known:
-            raise SpecError(
-                f"outputs must be among {', '.join(known)}; got {name!r}. "
-                f"{suggest(name, known)}",
-                field="outputs",
-            )
+        known_name(
+            name,
+            known,
+            "outputs",
+            f"outputs must be among {', '.join(known)}; got {name!r}",
+        )
     if not chosen:
         raise SpecError(f"outputs must name some of {', '.join(known)}; got none")
     return [known.index(name) for name in chosen]

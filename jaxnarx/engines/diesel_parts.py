@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.flow import root
+from jaxnarx.excitation import aprbs
 
 TEMPERATURE_ROUNDS = 6
 

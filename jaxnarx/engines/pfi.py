@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
 from jaxnarx.engines.events import event_duration, shift
@@ -21,6 +20,7 @@ from jaxnarx.engines.pfi_parts import (
     film_time,
     indicated_efficiency,
 )
+from jaxnarx.excitation import aprbs
 
 RPM = math.pi / 30  # rad/s per rpm
 STALL = 450.0  # rpm

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
 from jaxnarx.engines.events import event_duration, lagging_speed, shift
 from jaxnarx.engines.integration import held
 from jaxnarx.engines.pfi import STALL, Drive, Pfi, pfi_margins
+from jaxnarx.excitation import aprbs
 
 RPM = math.pi / 30  # rad/s per rpm
 EVENT = 360.0  # degrees crank angle

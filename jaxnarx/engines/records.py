@@ -6,9 +6,9 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.engine import AbstractEngine
 from jaxnarx.engines.pfi import Pfi
+from jaxnarx.excitation import aprbs
 
 Excitation = Callable[[PRNGKeyArray, int], Float[Array, "time inputs"]]
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.engine import AbstractEngine, parameter
 from jaxnarx.engines.events import event_duration, lagging_speed, shift
 from jaxnarx.engines.flow import root
 from jaxnarx.engines.integration import held, settled
+from jaxnarx.excitation import aprbs
 
 EVENT = 180.0  # degrees crank angle
 SLOWEST = 500.0  # rpm, for the duration of an event

@@ -9,9 +9,10 @@ from jaxtyping import Array, Float
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.arrays.windows import usable
+from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network, fed_back, scheduling_values
 from jaxnarx.regressors import (
     Variables,
@@ -98,10 +99,7 @@ def _position(network: Network, output: str | None) -> int:
     names = network.output_names
     if output is None:
         return 0
-    if output not in names:
-        raise SpecError(
-            f"no model of output {output!r}. {suggest(output, names)}", field="output"
-        )
+    known_name(output, names, "output", f"no model of output {output!r}")
     return names.index(output)
 
 

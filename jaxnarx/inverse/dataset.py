@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels, Dataset, Record, delays
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse.dead_time import dead_times
 from jaxnarx.models import Network
 
@@ -169,10 +170,6 @@ def _require_known(
     if not names and not empty:
         raise SpecError(f"{field} is empty; name at least one", field=field)
     for name in names:
-        if name not in known:
-            raise SpecError(
-                f"{field} names {name!r}, which is no {kind}. {suggest(name, known)}",
-                field=field,
-            )
+        known_name(name, known, field, f"{field} names {name!r}, which is no {kind}")
     if len(set(names)) < len(names):
         raise SpecError(f"{field} repeats a name: {names}", field=field)

@@ -23,7 +23,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays.programs import program, twin
 from jaxnarx.arrays.recurrence import free_run
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.checks import known_name
+from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
 from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network, advance, depth, widened
@@ -169,11 +170,7 @@ def connect(
 
 def _require_named(given: Mapping[str, object], names: list[str], field: str) -> None:
     for name in given:
-        if name not in names:
-            raise SpecError(
-                f"{field} names {name!r}, which is no command. {suggest(name, names)}",
-                field=field,
-            )
+        known_name(name, names, field, f"{field} names {name!r}, which is no command")
 
 
 def seen(

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.checks import known_name
+from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 
 
@@ -20,12 +21,12 @@ def positions(
                 f"{field} must be a list of different names, got {names!r}", field=field
             )
         for name in names:
-            if name not in there:
-                raise SpecError(
-                    f"{field} names {name!r}, which is not {what} of the forward "
-                    f"model. {suggest(name, there)}",
-                    field=field,
-                )
+            known_name(
+                name,
+                there,
+                field,
+                f"{field} names {name!r}, which is not {what} of the forward model",
+            )
     return (
         [forward.channels.signal(name) for name in commands],
         [forward.output_names.index(name) for name in targets],

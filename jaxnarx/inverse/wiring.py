@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.inverse.dataset import parse_ahead
 from jaxnarx.models import Network
@@ -59,12 +60,12 @@ def wire(inverse: Network, forward: Network) -> Wiring:
             field="inverse",
         )
     for name in commands:
-        if name not in forward.channels.input_names:
-            raise SpecError(
-                f"the inverse computes {name!r}, which is no input of the forward "
-                f"model. {suggest(name, forward.channels.input_names)}",
-                field="inverse",
-            )
+        known_name(
+            name,
+            forward.channels.input_names,
+            "inverse",
+            f"the inverse computes {name!r}, which is no input of the forward model",
+        )
     source = tuple(_source(name, forward) for name in inverse.channels.input_names)
     for signal, _ in source:
         if forward.channels.names[signal] in commands:

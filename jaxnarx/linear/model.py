@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels
-from jaxnarx.errors import SpecError, suggest
 from jaxnarx.linear.structure import Polynomials, Structure
 from jaxnarx.linear.transfer_function import TransferFunction
 from jaxnarx.models import Network, global_model
@@ -147,12 +147,7 @@ class LinearModel(eqx.Module):
     def _place(self, name: str | None) -> int:
         if name is None and len(self.input_names) == 1:
             return 0
-        if name not in self.input_names:
-            raise SpecError(
-                f"no input {name!r} in the model. "
-                f"{suggest(str(name), self.input_names)}",
-                field="input",
-            )
+        known_name(name, self.input_names, "input", f"no input {name!r} in the model")
         return self.input_names.index(name)
 
     def network(self) -> Network:

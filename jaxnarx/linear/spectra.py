@@ -16,8 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.orders import output_place
 
 WINDOW = "hann"
@@ -126,10 +127,7 @@ def input_places(data: Dataset, names: Sequence[str] | None) -> tuple[int, ...]:
     known = data.channels.input_names
     chosen = known if names is None else [names] if isinstance(names, str) else names
     for name in chosen:
-        if name not in known:
-            raise SpecError(
-                f"unknown input {name!r}. {suggest(name, known)}", field="inputs"
-            )
+        known_name(name, known, "inputs", f"unknown input {name!r}")
     if not chosen:
         raise SpecError("spectra need at least one input", field="inputs")
     return tuple(known.index(name) for name in chosen)

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.errors import SpecError
 from jaxnarx.methods.linear import LinearMethod, Orders
 
 Coefficients = Float[Array, " _"] | Float[np.ndarray, " _"]
@@ -150,12 +151,9 @@ def by_input(orders: Orders, names: Sequence[str], field: str) -> list[int | Non
     """An order for every input; None for those a mapping leaves out."""
     if isinstance(orders, Mapping):
         for name in orders:
-            if name not in names:
-                raise SpecError(
-                    f"{field} names {name!r}, which is not an input. "
-                    f"{suggest(name, names)}",
-                    field=field,
-                )
+            known_name(
+                name, names, field, f"{field} names {name!r}, which is not an input"
+            )
         return [orders.get(name) for name in names]
     if isinstance(orders, Sequence):
         if len(orders) != len(names):

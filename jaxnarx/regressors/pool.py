@@ -12,8 +12,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.errors import SpecError
 from jaxnarx.regressors.filters import AbstractFilter, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
@@ -86,12 +87,12 @@ def _lags(
     field = f"{kind}_lags"
     if isinstance(lags, Mapping):
         for name in lags:
-            if name not in names:
-                raise SpecError(
-                    f"{field} names {name!r}, which is not a modelled {kind}. "
-                    f"{suggest(name, names)}",
-                    field=field,
-                )
+            known_name(
+                name,
+                names,
+                field,
+                f"{field} names {name!r}, which is not a modelled {kind}",
+            )
         chosen = [list(lags.get(name, ())) for name in names]
     else:
         chosen = [list(lags)] * len(names)
@@ -119,12 +120,9 @@ def _filtered(
     if not isinstance(by_name, Mapping):
         by_name = {name: by_name for name in inputs}
     for name, bank in by_name.items():
-        if name not in inputs:
-            raise SpecError(
-                f"filters names {name!r}, which is not an input. "
-                f"{suggest(name, inputs)}",
-                field="filters",
-            )
+        known_name(
+            name, inputs, "filters", f"filters names {name!r}, which is not an input"
+        )
         if len(set(map(require_filter, bank))) != len(bank):
             raise SpecError(f"filters of {name!r} repeat: {bank}", field="filters")
     (lags,) = _lags(lags, ["inputs"], lowest=0, kind="filter")
@@ -178,11 +176,7 @@ def polynomial_pool(
         outputs = [outputs]
     chosen = list(outputs) if outputs is not None else channels.output_names
     for name in chosen:
-        if name not in channels.output_names:
-            raise SpecError(
-                f"unknown output {name!r}. {suggest(name, channels.output_names)}",
-                field="outputs",
-            )
+        known_name(name, channels.output_names, "outputs", f"unknown output {name!r}")
     if not 1 <= degree <= 4:
         raise SpecError(f"degree must be 1 to 4, got {degree}", field="degree")
     rows: list[Entry] = []

@@ -5,9 +5,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.step_response import bank_times, step_times
-from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool
 from jaxnarx.regressors.rows import regression_rows
@@ -46,10 +47,7 @@ def time_constants(
     `DataError`.
     """
     known = data.channels.output_names
-    if output not in known:
-        raise SpecError(
-            f"unknown output {output!r}. {suggest(output, known)}", field="output"
-        )
+    known_name(output, known, "output")
     if method not in ("step", "search"):
         raise SpecError(
             f"method must be 'step' or 'search', got {method!r}", field="method"

@@ -47,7 +47,7 @@ def excitation(
     is the operating space, else that of the data; with `outputs` these are drawn over
     time too. A single input has a histogram instead of maps.
     """
-    from jaxnarx.data.excitation import assess
+    from jaxnarx.excitation import assess
 
     found = assess(data, ranges=ranges, bins=bins)
     inputs = data.channels.inputs
@@ -68,7 +68,7 @@ def excitation(
 
 def _traces(part: SubFigure, data: Dataset, shown: Sequence[Channel]) -> None:
     """A row for each channel: over time, and its spectrum beside it."""
-    from jaxnarx.data.excitation import bandwidth, spectrum
+    from jaxnarx.excitation import bandwidth, spectrum
 
     rows = part.subplots(
         len(shown), 2, squeeze=False, sharex="col", width_ratios=(3, 1.15)
@@ -139,7 +139,7 @@ def _frequencies(axes: Axes, frequency: np.ndarray) -> None:
 
 def _maps(part: SubFigure, data: Dataset, found) -> None:
     """Lower triangle of pairs; what holds for the whole space stands above."""
-    from jaxnarx.data.excitation import visited
+    from jaxnarx.excitation import visited
 
     n = len(found.low)
     grid = part.subplots(n - 1, n - 1, squeeze=False)
@@ -182,7 +182,7 @@ def _maps(part: SubFigure, data: Dataset, found) -> None:
 
 
 def _histogram(part: SubFigure, data: Dataset, found) -> None:
-    from jaxnarx.data.excitation import visited
+    from jaxnarx.excitation import visited
 
     axes = part.subplots()
     edges = np.linspace(found.low[0], found.high[0], found.coverage.bins + 1)
@@ -201,7 +201,7 @@ def _whole(found) -> str:
 
 def _counts(data: Dataset, found) -> dict[tuple[int, int], np.ndarray]:
     """Samples per cell of each pair, row of the first input, column of the second."""
-    from jaxnarx.data.excitation import cells, visited
+    from jaxnarx.excitation import cells, visited
 
     points, bins = visited(data), found.coverage.bins
     points = points[np.all((points >= found.low) & (points <= found.high), axis=1)]

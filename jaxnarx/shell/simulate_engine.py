@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+import jaxnarx.excitation as signals
 from jaxnarx.data import Dataset, ToTime, prepare
-from jaxnarx.data import excitation as signals
 from jaxnarx.engines import BEDS, AbstractEngine
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import SimulateEngine

@@ -25,8 +25,8 @@ from jaxnarx.data import (
     match_channels,
     prepare,
 )
+from jaxnarx.data.preparation.cleaning import outliers
 from jaxnarx.data.preparation.codec import KINDS
-from jaxnarx.data.preparation.outliers import outliers
 from jaxnarx.errors import DataError, SpecError
 
 STEPS = [

@@ -17,8 +17,8 @@ from jaxnarx.data import (
     prepare,
 )
 from jaxnarx.data.preparation.crank_angle import crank_angles, event_times
-from jaxnarx.data.preparation.grid import LEAST, on_grid, sinc
-from jaxnarx.data.preparation.samples import bridged
+from jaxnarx.data.preparation.resample import LEAST, on_grid, sinc
+from jaxnarx.data.preparation.step import bridged
 from jaxnarx.errors import DataError, SpecError
 
 STEP = 0.01

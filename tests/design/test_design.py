@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from common import CHANNELS, PARTS, VARIABLES, compilations, named, network
 
-from jaxnarx.data.excitation import AprbsPlan, aprbs_plan, check_plan, render
 from jaxnarx.design import (
     ResponseSensitivity,
     adjust,
@@ -16,6 +15,7 @@ from jaxnarx.design import (
 )
 from jaxnarx.design.criteria import objective
 from jaxnarx.errors import SpecError
+from jaxnarx.excitation import AprbsPlan, aprbs_plan, check_plan, render
 from jaxnarx.methods import OptimalDesign
 
 LENGTH = 240

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines import (
     BEDS,
     Noise,
@@ -18,6 +17,7 @@ from jaxnarx.engines import (
     records,
 )
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.excitation import aprbs
 
 # A program for every bed.
 pytestmark = pytest.mark.slow

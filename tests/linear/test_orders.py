@@ -9,8 +9,8 @@ import scipy.signal
 from linear_problems import dataset, record, records
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.excitation import aprbs
 from jaxnarx.linear import fit_linear, search_orders
 from jaxnarx.methods.linear import ARX
 from jaxnarx.solution import RESULTS

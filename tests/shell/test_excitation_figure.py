@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.data.excitation import assess
+from jaxnarx.excitation import assess
 from jaxnarx.shell import style
 from jaxnarx.shell.excitation_figure import excitation
 

@@ -6,15 +6,11 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxnarx.data.preparation.cleaning import LowPass, OutliersMasked
 from jaxnarx.data.preparation.crank_angle import AtCrankAngle, ToTime
-from jaxnarx.data.preparation.filters import LowPass
-from jaxnarx.data.preparation.offset import OffsetRemoved
-from jaxnarx.data.preparation.outliers import OutliersMasked
-from jaxnarx.data.preparation.resample import Decimate, Resample
-from jaxnarx.data.preparation.scale import Scaled
-from jaxnarx.data.preparation.shift import Shift
+from jaxnarx.data.preparation.levels import Detrend, OffsetRemoved, Scaled
+from jaxnarx.data.preparation.resample import Decimate, Resample, Shift
 from jaxnarx.data.preparation.step import AbstractFitted
-from jaxnarx.data.preparation.trend import Detrend
 from jaxnarx.errors import SpecError, suggest
 
 KINDS: dict[str, type[AbstractFitted]] = {

@@ -5,17 +5,20 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.checks import positive
 from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset, Record
-from jaxnarx.data.preparation.grid import on_grid
-from jaxnarx.data.preparation.samples import (
+from jaxnarx.data.preparation.resample import on_grid
+from jaxnarx.data.preparation.step import (
+    AbstractFitted,
+    AbstractStep,
     bridged,
+    cannot_undo,
     mapped,
     measured,
     rebuilt,
     require_valid,
 )
-from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep, cannot_undo
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.errors import DataError, SpecError
 
@@ -37,7 +40,7 @@ class ToTime(AbstractStep, AbstractFitted):
     sample_time: float | int
 
     def __post_init__(self):
-        _require_degrees(self.degrees)
+        positive(self.degrees, "degrees", "a crank angle")
         positive_sample_time(self.sample_time)
 
     def fit(self, data: Dataset) -> "ToTime":
@@ -80,7 +83,7 @@ class ToCrankAngle(AbstractStep):
     degrees: float | int
 
     def __post_init__(self):
-        _require_degrees(self.degrees)
+        positive(self.degrees, "degrees", "a crank angle")
 
     def fit(self, data: Dataset) -> "AtCrankAngle":
         """The nominal sample time, from valid samples of speed."""
@@ -104,7 +107,7 @@ class AtCrankAngle(AbstractFitted):
     sample_time: float | int
 
     def __post_init__(self):
-        _require_degrees(self.degrees)
+        positive(self.degrees, "degrees", "a crank angle")
         positive_sample_time(self.sample_time)
 
     def apply(self, data: Dataset) -> Dataset:
@@ -177,10 +180,3 @@ def _speed(record: Record, data: Dataset, j: int) -> Float[np.ndarray, " time"]:
             row=row,
         )
     return bridged(x, record.valid[:, j : j + 1])[:, 0]
-
-
-def _require_degrees(degrees: float | int) -> None:
-    if not 0 < degrees < np.inf:
-        raise SpecError(
-            f"degrees must be a positive crank angle, got {degrees}", field="degrees"
-        )

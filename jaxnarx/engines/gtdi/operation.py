@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxnarx.data.excitation import aprbs
 from jaxnarx.engines.events import lagging_speed
 from jaxnarx.engines.gtdi.state import EVENT, SLOWEST, Drive, Quantities, imposed
+from jaxnarx.excitation import aprbs
 
 # `engine` is a `Gtdi` throughout; its type is not named to keep imports one-way.
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.excitation import (
+from jaxnarx.errors import DataError, SpecError
+from jaxnarx.excitation import (
     assess,
     bandwidth,
     coverage,
@@ -16,7 +17,6 @@ from jaxnarx.data.excitation import (
     sobol,
     spectrum,
 )
-from jaxnarx.errors import DataError, SpecError
 
 LOW, HIGH = np.array([10.0, -1.0, 0.0]), np.array([20.0, 1.0, 1e-3])
 

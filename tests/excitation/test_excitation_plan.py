@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnarx.data.excitation import (
+from jaxnarx.errors import SpecError
+from jaxnarx.excitation import (
     AprbsPlan,
     aprbs_plan,
     check_plan,
@@ -15,7 +16,6 @@ from jaxnarx.data.excitation import (
     reachable,
     render,
 )
-from jaxnarx.errors import SpecError
 
 LENGTH = 60
 INPUTS = {"fuel": (50.0, 140.0), "egr": (0.0, 60.0), "speed": (1100.0, 1700.0)}

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxnarx.data.excitation.require import whole
+from jaxnarx.checks import whole
 from jaxnarx.errors import DataError, SpecError
 
 Box = Float[Array, " inputs"] | Float[np.ndarray, " inputs"]

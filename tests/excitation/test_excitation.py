@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnarx.data.excitation import aprbs, hold_times, steps
 from jaxnarx.errors import SpecError
+from jaxnarx.excitation import aprbs, hold_times, steps
 
 HOLD = (20, 120)
 AMPLITUDE = (0.38, 0.41)
@@ -188,10 +188,10 @@ def test_wrong_requests_are_refused(key, wrong, field):
 
 
 def test_unknown_distributions_are_refused_without_a_type_check(key):
-    from jaxnarx.data.excitation.require import member
+    from jaxnarx.checks import choice
 
     with pytest.raises(SpecError, match="Did you mean 'uniform'") as caught:
-        member("uniforn", ("uniform", "latin"), "level_distribution")
+        choice("uniforn", ("uniform", "latin"), "level_distribution")
     assert caught.value.field == "level_distribution"
 
 

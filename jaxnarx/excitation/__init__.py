@@ -6,27 +6,29 @@ planned together with `aprbs_plan`. Not imported by `jaxnarx.data`, because this
 jax.
 """
 
-from jaxnarx.data.excitation.aprbs import aprbs
-from jaxnarx.data.excitation.assess import Assessment, assess, visited
-from jaxnarx.data.excitation.chirp import chirp
-from jaxnarx.data.excitation.coverage import Coverage, cells, coverage
-from jaxnarx.data.excitation.driving_cycle import driving_cycle
-from jaxnarx.data.excitation.holds import hold_times
-from jaxnarx.data.excitation.limits import limited
-from jaxnarx.data.excitation.multisine import crest_factor, multisine
-from jaxnarx.data.excitation.placement import discrepancy, latin_hypercube, sobol
-from jaxnarx.data.excitation.plan import (
+from jaxnarx.excitation.assess import (
+    Assessment,
+    Coverage,
+    Spectrum,
+    assess,
+    bandwidth,
+    cells,
+    coverage,
+    spectrum,
+    visited,
+)
+from jaxnarx.excitation.courses import driving_cycle, limited, ramps, steps
+from jaxnarx.excitation.placement import discrepancy, latin_hypercube, sobol
+from jaxnarx.excitation.plan import (
     AprbsPlan,
+    aprbs_plan,
     check_plan,
     feasible,
     reachable,
     render,
 )
-from jaxnarx.data.excitation.prbs import prbs
-from jaxnarx.data.excitation.random_plan import aprbs_plan
-from jaxnarx.data.excitation.random_walk import random_walk
-from jaxnarx.data.excitation.spectrum import Spectrum, bandwidth, spectrum
-from jaxnarx.data.excitation.steps import ramps, steps
+from jaxnarx.excitation.sines import chirp, crest_factor, multisine
+from jaxnarx.excitation.staircases import aprbs, hold_times, prbs, random_walk
 
 __all__ = [
     "AprbsPlan",

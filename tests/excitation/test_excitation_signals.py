@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxnarx.data.excitation import (
+from jaxnarx.errors import SpecError
+from jaxnarx.excitation import (
     chirp,
     crest_factor,
     driving_cycle,
@@ -17,7 +18,6 @@ from jaxnarx.data.excitation import (
     random_walk,
     steps,
 )
-from jaxnarx.errors import SpecError
 
 
 def refused(function, *args, field, **options):
