@@ -5,7 +5,7 @@ Imported without jax, so that files can be read and checked without waiting for 
 
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.check import check
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.delays import Delay, Delays, delays
 from jaxnarx.data.description import load_toml
 from jaxnarx.data.files import Split, fingerprint, read, read_files, read_split
@@ -28,6 +28,7 @@ from jaxnarx.data.preparation import (
     ToTime,
     prepare,
 )
+from jaxnarx.data.record import Record
 from jaxnarx.data.step_response import step_times
 
 __all__ = [

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import unicodedata
+from collections.abc import Mapping, Sequence
 
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
@@ -94,6 +95,37 @@ class Channels:
         """
         known_name(name, self.names, name, f"unknown channel {name!r}")
         return self.names.index(name)
+
+
+def make_channels(
+    inputs: Sequence[str | Channel],
+    outputs: Sequence[str | Channel],
+    units: Mapping[str, str] | None,
+) -> Channels:
+    """The schema; a unit for a channel that does not exist is a SpecError."""
+    units = dict(units or {})
+
+    def named(given):
+        given = [given] if isinstance(given, str | Channel) else list(given)
+        return tuple(
+            c if isinstance(c, Channel) else Channel(c, units.get(c, "")) for c in given
+        )
+
+    channels = Channels(named(inputs), named(outputs))
+    if not channels.outputs:
+        raise SpecError("outputs is empty; name at least one output", field="outputs")
+    for name, unit in units.items():
+        known_name(
+            name,
+            channels.names,
+            "units",
+            f"units names the channel {name!r}, which does not exist",
+        )
+        if not isinstance(unit, str):
+            raise SpecError(
+                f"the unit of {name} must be text, got {unit!r}", field="units"
+            )
+    return channels
 
 
 @functools.cache

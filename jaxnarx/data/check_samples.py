@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.findings import Finding
+from jaxnarx.data.record import Record
 from jaxnarx.data.scaling import unit_of
 
 _SHOWN = 20

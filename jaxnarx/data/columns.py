@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source
-from jaxnarx.data.place import Place
+from jaxnarx.data.record import Place
 from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
 from jaxnarx.errors import DataError
 

@@ -1,34 +1,21 @@
-"""Datasets from arrays in memory."""
+"""Rows of records from arrays in memory."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.checks import known_name
-from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.missing import Source, assemble, require_missing
-from jaxnarx.data.place import Place
-from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.data.channels import Channels
+from jaxnarx.data.missing import Source, alike
+from jaxnarx.data.record import Place
 from jaxnarx.errors import DataError, SpecError
 
 
-def from_arrays(
-    u: Any,
-    y: Any,
-    *,
-    inputs: Sequence[str | Channel],
-    outputs: Sequence[str | Channel],
-    sample_time: float | int,
-    units: Mapping[str, str] | None = None,
-    names: Sequence[str] | None = None,
-    missing: str = "refuse",
-) -> Dataset:
-    """See `Dataset.from_arrays`."""
-    require_missing(missing)
-    channels = make_channels(inputs, outputs, units)
+def array_sources(
+    u: Any, y: Any, channels: Channels, names: Sequence[str] | None
+) -> list[Source]:
+    """The rows of every record of `Dataset.from_arrays`, in one type."""
     if u is None and channels.inputs:
         raise SpecError(
             f"u is None, but inputs names {', '.join(channels.input_names)}. Give "
@@ -50,52 +37,7 @@ def from_arrays(
         Source(label, np.concatenate(pair, axis=1), Place(label if names else ""))
         for label, *pair in zip(labels, us, ys, strict=True)
     ]
-    return assemble(
-        alike(sources),
-        channels,
-        sample_time=positive_sample_time(sample_time),
-        missing=missing,
-    )
-
-
-def make_channels(
-    inputs: Sequence[str | Channel],
-    outputs: Sequence[str | Channel],
-    units: Mapping[str, str] | None,
-) -> Channels:
-    """The schema; a unit for a channel that does not exist is a SpecError."""
-    units = dict(units or {})
-
-    def named(given):
-        given = [given] if isinstance(given, str | Channel) else list(given)
-        return tuple(
-            c if isinstance(c, Channel) else Channel(c, units.get(c, "")) for c in given
-        )
-
-    channels = Channels(named(inputs), named(outputs))
-    if not channels.outputs:
-        raise SpecError("outputs is empty; name at least one output", field="outputs")
-    for name, unit in units.items():
-        known_name(
-            name,
-            channels.names,
-            "units",
-            f"units names the channel {name!r}, which does not exist",
-        )
-        if not isinstance(unit, str):
-            raise SpecError(
-                f"the unit of {name} must be text, got {unit!r}", field="units"
-            )
-    return channels
-
-
-def alike(sources: Sequence[Source]) -> list[Source]:
-    """The sources in one type: float32 when all are, else float64."""
-    single = all(s.x.dtype == np.float32 for s in sources)
-    dtype = np.float32 if single else np.float64
-    return [
-        Source(s.name, s.x.astype(dtype, copy=False), s.place, s.cuts) for s in sources
-    ]
+    return alike(sources)
 
 
 def _records(data: Any, names: list[str], field: str) -> list[np.ndarray]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from jaxnarx.data.columns import DECIMAL_COMMA, Table, is_number
-from jaxnarx.data.place import Place
+from jaxnarx.data.record import Place
 from jaxnarx.errors import DataFileError, suggest
 
 _HEAD = 1 << 17  # fields of more characters are beyond what the csv module cuts

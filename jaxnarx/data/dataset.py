@@ -4,31 +4,12 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, overload
 
-import numpy as np
-from jaxtyping import Bool, Float
-
-from jaxnarx.data.channels import Channel, Channels
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Record:
-    """One uninterrupted run at a constant sample time.
-
-    `u` and `y` are in physical units and finite everywhere: where a sample was missing,
-    `valid` is False and the value is held from its neighbour, so that arithmetic stays
-    finite; nothing is ever fitted to or scored on such a sample. `start_row` is the
-    record's first row in its source, so that messages can name rows as the user sees
-    them.
-    """
-
-    u: Float[np.ndarray, "time inputs"]
-    y: Float[np.ndarray, "time outputs"]
-    valid: Bool[np.ndarray, "time signals"]
-    name: str
-    start_row: int = 0
-
-    def __len__(self) -> int:
-        return self.u.shape[0]
+from jaxnarx.data.channels import Channel, Channels, make_channels
+from jaxnarx.data.construct import array_sources
+from jaxnarx.data.frames import frame_sources
+from jaxnarx.data.missing import assemble, require_missing
+from jaxnarx.data.record import Record
+from jaxnarx.data.sampling import positive_sample_time
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -115,18 +96,11 @@ class Dataset:
             )
             print(again.names)
         """
-        from jaxnarx.data.construct import from_arrays
-
-        return from_arrays(
-            u,
-            y,
-            inputs=inputs,
-            outputs=outputs,
-            sample_time=sample_time,
-            units=units,
-            names=names,
-            missing=missing,
-        )
+        require_missing(missing)
+        channels = make_channels(inputs, outputs, units)
+        sources = array_sources(u, y, channels, names)
+        step = positive_sample_time(sample_time)
+        return cls(assemble(sources, channels, step, missing), channels, step)
 
     @classmethod
     def from_frame(
@@ -154,16 +128,15 @@ class Dataset:
         too.
         Columns that are not named are ignored; text columns are refused.
         """
-        from jaxnarx.data.frames import from_frame
-
-        return from_frame(
+        require_missing(missing)
+        channels = make_channels(inputs, outputs, units)
+        sources, step = frame_sources(
             frame,
-            inputs=inputs,
-            outputs=outputs,
+            channels,
             sample_time=sample_time,
             time=time,
             time_unit=time_unit,
-            units=units,
-            missing=missing,
+            split=missing == "split",
             record=record,
         )
+        return cls(assemble(sources, channels, step, missing), channels, step)

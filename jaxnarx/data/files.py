@@ -9,13 +9,13 @@ from pathlib import Path, PurePosixPath
 
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.columns import table_source
-from jaxnarx.data.construct import alike
 from jaxnarx.data.csv_table import CsvLayout
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
-from jaxnarx.data.missing import assemble
+from jaxnarx.data.missing import alike, assemble
 from jaxnarx.data.preparation import Preparation
+from jaxnarx.data.record import Record
 from jaxnarx.data.tables import read_table
 from jaxnarx.errors import DataFileError, SpecError, reading
 
@@ -180,12 +180,9 @@ def _assembled(
             )
         sources.append(source)
         steps.append((table.place.name, step))
-    return assemble(
-        alike(sources),
-        channels,
-        sample_time=one_sample_time(steps),
-        missing=description.missing,
-    )
+    step = one_sample_time(steps)
+    records = assemble(alike(sources), channels, step, description.missing)
+    return Dataset(records, channels, step)
 
 
 def _source_name(record: Record, known) -> str:

@@ -1,35 +1,30 @@
-"""Datasets from pandas, polars and pyarrow tables."""
+"""Rows of records from pandas, polars and pyarrow tables."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxnarx.data.channels import Channel
+from jaxnarx.data.channels import Channels
 from jaxnarx.data.columns import Table, table_source
-from jaxnarx.data.construct import alike, make_channels
-from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.missing import assemble, require_missing
-from jaxnarx.data.place import Place
+from jaxnarx.data.missing import Source, alike
+from jaxnarx.data.record import Place
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
 from jaxnarx.errors import DataError, SpecError, suggest
 
 
-def from_frame(
+def frame_sources(
     frame: Any,
+    channels: Channels,
     *,
-    inputs: Sequence[str | Channel],
-    outputs: Sequence[str | Channel],
-    sample_time: float | int | None = None,
-    time: str | None = None,
-    time_unit: str | None = None,
-    units: Mapping[str, str] | None = None,
-    missing: str = "refuse",
-    record: str | None = None,
-) -> Dataset:
-    """See `Dataset.from_frame`."""
-    require_missing(missing)
+    sample_time: float | int | None,
+    time: str | None,
+    time_unit: str | None,
+    split: bool,
+    record: str | None,
+) -> tuple[list[Source], float]:
+    """The rows of every record of `Dataset.from_frame`, and their sample time [s]."""
     if sample_time is None and time is None:
         raise SpecError(
             "give sample_time in seconds, or the name of a time column as time",
@@ -38,10 +33,8 @@ def from_frame(
     if sample_time is not None:
         sample_time = positive_sample_time(sample_time)
     require_time_unit(time_unit)
-    channels = make_channels(inputs, outputs, units)
     wanted = channels.names + [c for c in (time, record) if c is not None]
     table = _arrow(frame, list(dict.fromkeys(wanted)))
-    pieces = _pieces(table, record)
     parts = [
         table_source(
             Table(dict(zip(rows.column_names, rows.columns, strict=True)), place),
@@ -51,13 +44,12 @@ def from_frame(
             time=time,
             time_unit=time_unit,
             sample_time=sample_time,
-            split=missing == "split",
+            split=split,
         )
-        for name, rows, place in pieces
+        for name, rows, place in _pieces(table, record)
     ]
     step = one_sample_time([(s.name, dt) for s, dt in parts])
-    sources = alike([s for s, _ in parts])
-    return assemble(sources, channels, sample_time=step, missing=missing)
+    return alike([s for s, _ in parts]), step
 
 
 def one_sample_time(steps: Sequence[tuple[str, float]]) -> float:

@@ -7,7 +7,8 @@ resembles it and stays in training.
 
 import numpy as np
 
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError
 
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from jaxnarx.checks import known_name
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.record import Record
 from jaxnarx.errors import SpecError
 
 _DIMENSIONLESS = {"1", "-"}

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data.channels import Channels, require_plain
-from jaxnarx.data.dataset import Dataset, Record
-from jaxnarx.data.place import Place
+from jaxnarx.data.record import Place, Record
 from jaxnarx.errors import DataError, SpecError
 
 _HUGE = {"float64": 1e151, "float32": 1e18}
@@ -30,14 +29,22 @@ class Source:
     cuts: Sequence[int] = ()
 
 
+def alike(sources: Sequence[Source]) -> list[Source]:
+    """The sources in one type: float32 when all are, else float64."""
+    single = all(s.x.dtype == np.float32 for s in sources)
+    dtype = np.float32 if single else np.float64
+    return [
+        Source(s.name, s.x.astype(dtype, copy=False), s.place, s.cuts) for s in sources
+    ]
+
+
 def assemble(
     sources: Sequence[Source],
     channels: Channels,
-    *,
     sample_time: float,
-    missing: str = "refuse",
-) -> Dataset:
-    """The dataset of `sources`, one or (`missing="split"`) more records of each.
+    missing: str,
+) -> tuple[Record, ...]:
+    """The records of `sources`, one or (`missing="split"`) more of each.
 
     `"refuse"` raises DataError on the first missing sample; `"mask"` holds the previous
     valid sample (the next at the beginning) and marks it invalid; `"split"` drops rows
@@ -57,7 +64,7 @@ def assemble(
         _require_finite(sources, channels, sample_time)
     treat = _TREATMENTS[missing]
     n_inputs = len(channels.inputs)
-    records = [
+    return tuple(
         Record(
             u=x[:, :n_inputs].copy(),
             y=x[:, n_inputs:].copy(),
@@ -67,8 +74,7 @@ def assemble(
         )
         for source in sources
         for x, valid, name, row in treat(source)
-    ]
-    return Dataset(tuple(records), channels, sample_time)
+    )
 
 
 def require_missing(missing: object) -> None:

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.record import Record
 from jaxnarx.data.scaling import unit_of
 
 _ROWS = 1 << 15

@@ -5,7 +5,7 @@ import re
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data.place import Place
+from jaxnarx.data.record import Place
 from jaxnarx.errors import DataError, SpecError
 
 MAX_JITTER = 0.01

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxnarx.data.columns import Table, is_readable, is_text
 from jaxnarx.data.csv_table import CsvLayout, read_csv
-from jaxnarx.data.place import Place
+from jaxnarx.data.record import Place
 from jaxnarx.errors import DataFileError, reading, suggest
 
 _ARCHIVES = {

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.checks import not_negative, positive, require
 from jaxnarx.data.check_samples import signals
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
     AbstractStep,
@@ -23,6 +23,7 @@ from jaxnarx.data.preparation.step import (
     require_valid,
     units_of,
 )
+from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError
 
 SHARE = 0.1

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.checks import positive
 from jaxnarx.data.check_samples import signals
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
@@ -19,6 +19,7 @@ from jaxnarx.data.preparation.step import (
     rebuilt,
     require_valid,
 )
+from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.errors import DataError, SpecError
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxnarx.checks import choice, finite, positive, require
 from jaxnarx.data.check_samples import signals
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
     AbstractStep,
@@ -23,6 +23,7 @@ from jaxnarx.data.preparation.step import (
     units_of,
     with_units,
 )
+from jaxnarx.data.record import Record
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import DataError, SpecError
 

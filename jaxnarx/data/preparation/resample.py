@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.checks import whole
 from jaxnarx.data.check_samples import signals
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.cleaning import SHARE, convolved, masked_share, mirrored
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
@@ -21,6 +21,7 @@ from jaxnarx.data.preparation.step import (
     rebuilt,
     require_valid,
 )
+from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.errors import DataError, SpecError
 

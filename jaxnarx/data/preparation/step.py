@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.dataset import Dataset, Record
+from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
+from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError
 
 

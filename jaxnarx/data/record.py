@@ -1,8 +1,30 @@
-"""Where rows come from, so that messages count them as the user does."""
+"""One run of measurements, and where its rows come from."""
 
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool, Float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Record:
+    """One uninterrupted run at a constant sample time.
+
+    `u` and `y` are in physical units and finite everywhere: where a sample was missing,
+    `valid` is False and the value is held from its neighbour, so that arithmetic stays
+    finite; nothing is ever fitted to or scored on such a sample. `start_row` is the
+    record's first row in its source, so that messages can name rows as the user sees
+    them.
+    """
+
+    u: Float[np.ndarray, "time inputs"]
+    y: Float[np.ndarray, "time outputs"]
+    valid: Bool[np.ndarray, "time signals"]
+    name: str
+    start_row: int = 0
+
+    def __len__(self) -> int:
+        return self.u.shape[0]
 
 
 @dataclasses.dataclass(frozen=True)
