@@ -1,6 +1,7 @@
 """The house of DESIGN section 3: which module may import which, and what loads jax."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -136,6 +137,32 @@ def test_imports_point_to_the_same_folder_or_down():
 def test_the_exceptions_are_still_needed():
     lazy = {(a, b) for a, b, inside in edges() if inside}
     assert lazy >= EXCEPTIONS
+
+
+def circle(edges: list[tuple[str, str]]) -> list[str]:
+    """Files that import one another in a circle, the first that is found."""
+    graph: dict[str, set[str]] = {}
+    for importer, imported in edges:
+        graph.setdefault(importer, set()).add(imported)
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_files_import_one_another_in_a_circle():
+    known = modules()
+    found = [
+        (a, b if b in known else f"{b}.__init__")
+        for a, b, _ in edges()
+        if (a, b) not in EXCEPTIONS
+    ]
+    assert {b for _, b in found} <= set(known)
+    assert not circle(found)
+    assert circle([*found, ("jaxnarx.data.record", "jaxnarx.data.files")])
+    # The exceptions do make circles, or they would need no exception.
+    assert all(circle([*found, exception]) for exception in EXCEPTIONS)
 
 
 def test_nothing_below_imports_the_package_itself():

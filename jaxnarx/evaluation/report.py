@@ -98,7 +98,9 @@ class Report:
         """Names of the datasets scored, in the order given."""
         return tuple(dict.fromkeys(row.part for row in self.rows))
 
-    def pooled(self, output: str, *, part: str | None = None, mode: str = FREE_RUN):
+    def pooled(
+        self, output: str, *, part: str | None = None, mode: str = FREE_RUN
+    ) -> Row:
         """The row of all records of a part (default: `main`) together."""
         for row in self.rows:
             key = (row.output, row.part, row.mode, row.record)

@@ -25,18 +25,16 @@ with any model, see `Diagnostics`.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from jaxnarx.data import Channel
 from jaxnarx.evaluation.baseline import NAME
-from jaxnarx.evaluation.outside import NOTICEABLE
+from jaxnarx.evaluation.outside import NOTICEABLE, Outside
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
-
-if TYPE_CHECKING:
-    from jaxnarx.evaluation.report import Report
 
 GOOD, LIMITED, UNUSABLE = "good", "usable with limits", "not usable"
 
@@ -106,7 +104,28 @@ class Verdict:
         return {"level": self.level, "sentence": self.sentence, "findings": found}
 
 
-def judge(report: "Report") -> Verdict:
+@runtime_checkable
+class Judged(Protocol):
+    """What a verdict rests on; a `Report` is one, and tells what these are."""
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]: ...
+    @property
+    def main(self) -> str: ...
+    @property
+    def rows(self) -> tuple[Row, ...]: ...
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+    @property
+    def stability(self) -> Any: ...
+    @property
+    def outside(self) -> tuple[Outside, ...]: ...
+    @property
+    def beside(self) -> Mapping[str, tuple[Row, ...]]: ...
+    def pooled(self, output: str) -> Row: ...
+
+
+def judge(report: Judged) -> Verdict:
     """The verdict by the rules above."""
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
@@ -116,7 +135,7 @@ def judge(report: "Report") -> Verdict:
     return Verdict(level, tuple(findings), _praise(report))
 
 
-def _praise(report: "Report") -> str:
+def _praise(report: Judged) -> str:
     shares = [report.pooled(c.name).r2 for c in report.outputs]
     least = min((s for s in shares if s is not None), default=0.0)
     names = ", ".join(c.name for c in report.outputs)
@@ -131,7 +150,7 @@ def _pooled(rows: Iterable[Row]) -> list[Row]:
     return [r for r in rows if r.record == POOLED]
 
 
-def _runs(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+def _runs(report: Judged, rows: list[Row]) -> Iterator[Finding]:
     """Divergence, nothing to judge, limits that act."""
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
         share = row.extrapolated / max(row.samples, 1)
@@ -162,7 +181,7 @@ def _runs(report: "Report", rows: list[Row]) -> Iterator[Finding]:
             yield Finding(LIMITED, text, "cover" if share >= STRAYED else "bounded")
 
 
-def _errors(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+def _errors(report: Judged, rows: list[Row]) -> Iterator[Finding]:
     """Errors of whole parts, by themselves and beside that of training."""
     trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
@@ -216,7 +235,7 @@ def _records(rows: list[Row]) -> Iterator[Finding]:
             yield Finding(LIMITED, text, "records")
 
 
-def _beside(report: "Report") -> Iterator[Finding]:
+def _beside(report: Judged) -> Iterator[Finding]:
     """A linear model that does better."""
     for row in report.beside.get(NAME, ()):
         own = report.pooled(row.output).nrmse
@@ -226,7 +245,7 @@ def _beside(report: "Report") -> Iterator[Finding]:
             yield Finding(LIMITED, text, "linear")
 
 
-def _memory(report: "Report") -> Iterator[Finding]:
+def _memory(report: Judged) -> Iterator[Finding]:
     """What the poles and the contraction bound say."""
     found = report.stability
     if found is None:
@@ -241,7 +260,7 @@ def _memory(report: "Report") -> Iterator[Finding]:
         yield Finding(LIMITED, text + "the samples", "bounded")
 
 
-def _data(report: "Report", rows: list[Row]) -> Iterator[Finding]:
+def _data(report: Judged, rows: list[Row]) -> Iterator[Finding]:
     """What the figures were measured on."""
     if any("EQUALS ESTIMATION" in note for note in report.notes):
         text = "it was judged on records that it was trained on"
