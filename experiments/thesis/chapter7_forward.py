@@ -60,7 +60,7 @@ from neural import Budget
 
 import jaxnarx as jnx
 from jaxnarx.engines import Gtdi, records
-from jaxnarx.engines.events import lagging_speed
+from jaxnarx.engines.delays import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
 from jaxnarx.excitation import aprbs
 from jaxnarx.models import SigmoidTree

@@ -13,7 +13,7 @@ import numpy as np
 
 import jaxnarx as jnx
 from jaxnarx.engines import Gtdi
-from jaxnarx.engines.events import lagging_speed
+from jaxnarx.engines.delays import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
 from jaxnarx.excitation import aprbs
 

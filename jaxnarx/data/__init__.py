@@ -11,7 +11,7 @@ from jaxnarx.data.description import load_toml
 from jaxnarx.data.files import Split, fingerprint, read, read_files, read_split
 from jaxnarx.data.findings import Finding, Findings
 from jaxnarx.data.hold_out import hold_out
-from jaxnarx.data.lags import LagSuggestion, suggest_lags
+from jaxnarx.data.lags import LagSuggestion, step_times, suggest_lags
 from jaxnarx.data.match import match_channels
 from jaxnarx.data.preparation import (
     Changes,
@@ -29,7 +29,6 @@ from jaxnarx.data.preparation import (
     prepare,
 )
 from jaxnarx.data.record import Record
-from jaxnarx.data.step_response import step_times
 
 __all__ = [
     "Channel",

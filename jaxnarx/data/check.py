@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 from jaxnarx.data import check_samples as samples
-from jaxnarx.data.check_offsets import offsets
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.data.excitation_order import excitation_order
@@ -45,7 +44,7 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *_identical(data),
         *samples.precision(data),
         *samples.constant(data),
-        *offsets(data),
+        *samples.offsets(data),
         *samples.duplicates(data),
         *samples.gaps(data),
         *samples.stuck(data),

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.engines.actuators import delayed_lag
 from jaxnarx.engines.bench import Noise
+from jaxnarx.engines.delays import delayed_lag
 from jaxnarx.engines.diesel_parts import (
     brake_torque,
     compressor_side,

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
+from jaxnarx.engines.delays import event_duration, shift
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.events import event_duration, shift
 from jaxnarx.engines.flow import throttle_share
 from jaxnarx.engines.integration import held, settled
 from jaxnarx.engines.pfi_parts import (

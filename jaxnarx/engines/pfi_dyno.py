@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
+from jaxnarx.engines.delays import event_duration, lagging_speed, shift
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.events import event_duration, lagging_speed, shift
 from jaxnarx.engines.integration import held
 from jaxnarx.engines.pfi import STALL, Drive, Pfi, pfi_margins
 from jaxnarx.excitation import aprbs

@@ -3,8 +3,8 @@
 from jaxnarx.evaluation import metrics as metrics
 from jaxnarx.evaluation.cost import Cost as Cost
 from jaxnarx.evaluation.cost import cost as cost
+from jaxnarx.evaluation.cost import pareto as pareto
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
-from jaxnarx.evaluation.pareto import pareto as pareto
 from jaxnarx.evaluation.reactivation import reactivation as reactivation
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.report import Report as Report

@@ -9,6 +9,8 @@ import numpy as np
 from jaxnarx.data import Channels, Dataset, Record
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
+from jaxnarx.models import Network
+from jaxnarx.solution import Solution
 
 MOSTLY = 0.5
 """Share of the free-run error from which its offsets are told."""
@@ -194,3 +196,40 @@ def _edge(row: Row) -> list[str]:
 def _list(names: list[str], most: int = 6) -> str:
     shown = ", ".join(str(n) for n in names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+SAMPLES = 2000
+"""Samples a report looks at, evenly spaced: it should not take longer than the runs."""
+
+
+def assess(network: Any, data: Dataset, free: Any) -> Any:
+    """The `Stability` of a network on `data`; None for what is no `Network`.
+
+    `free` is the free run at hand: what `simulate` returned, else it is run again.
+    """
+    if not isinstance(network, Network):
+        return None
+    # Inside the function: refinement stands above `evaluation.metrics`, so that an
+    # import of this folder must not need it.
+    from jaxnarx.refinement.stability import stability
+
+    simulated = free if isinstance(free, Solution) else None
+    return stability(network, data, samples=SAMPLES, simulated=simulated).value
+
+
+def stability_notes(value: Any, part: str) -> list[str]:
+    """Whether and how fast the model forgets its past, or where it does not."""
+    return [] if value is None else [f"Stability on {part}: {value.summary}"]
+
+
+def stability_values(value: Any) -> dict[str, Any] | None:
+    """Poles, bounds and the verdict as plain values."""
+    if value is None:
+        return None
+    return {
+        "contracts": value.contracts,
+        "time_constant": value.time_constant,
+        "summary": value.summary,
+        "poles": value.poles,
+        "bounds": value.bounds,
+    }

@@ -13,7 +13,14 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
 from jaxnarx.evaluation.error_map import ErrorMap, error_maps
-from jaxnarx.evaluation.notes import data_hash, data_notes, score_notes
+from jaxnarx.evaluation.notes import (
+    assess,
+    data_hash,
+    data_notes,
+    score_notes,
+    stability_notes,
+    stability_values,
+)
 from jaxnarx.evaluation.outside import Outside, outside, range_notes
 from jaxnarx.evaluation.reactivation import reactivation_notes
 from jaxnarx.evaluation.regions import describe_partition
@@ -27,9 +34,7 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
-from jaxnarx.evaluation.stability import assess, stability_notes, stability_values
-from jaxnarx.evaluation.strict import strict
-from jaxnarx.evaluation.table import beside_lines, text_table
+from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.models import Network

@@ -11,7 +11,7 @@ Reference: thesis section 7.3; B. Widrow, E. Walach, Adaptive Inverse Control, 1
 from jaxnarx.inverse.cascade import Tracking, cascade
 from jaxnarx.inverse.compensate import compensate
 from jaxnarx.inverse.dataset import inverse_data
-from jaxnarx.inverse.dead_time import dead_times
+from jaxnarx.inverse.forward import dead_times
 from jaxnarx.inverse.invertible import Invertibility, invertible
 from jaxnarx.inverse.reachable import Reach, reachable
 from jaxnarx.inverse.region import Region

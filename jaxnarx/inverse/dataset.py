@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels, Dataset, Record, delays
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.inverse.dead_time import dead_times
+from jaxnarx.inverse.forward import dead_times
 from jaxnarx.models import Network
 
 Lead = int | Mapping[str, int]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Dataset, Finding, Findings
 from jaxnarx.inverse.dataset import Lead, leads_of
-from jaxnarx.inverse.dead_time import dead_times
+from jaxnarx.inverse.forward import dead_times, positions
 from jaxnarx.inverse.linearise import (
     LocalSlopes,
     is_stable,
@@ -17,7 +17,6 @@ from jaxnarx.inverse.linearise import (
     static_gain,
     zeros,
 )
-from jaxnarx.inverse.names import positions
 from jaxnarx.inverse.reachable import Reach, reachable
 from jaxnarx.inverse.region import Region, find_region
 from jaxnarx.methods.inverse import ActuatorLimits

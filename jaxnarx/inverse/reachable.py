@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
+from jaxnarx.inverse.forward import positions
 from jaxnarx.inverse.linearise import require_shared
-from jaxnarx.inverse.names import positions
 from jaxnarx.inverse.statics import Statics, statics
 from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network

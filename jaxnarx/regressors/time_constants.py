@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
-from jaxnarx.data.step_response import bank_times, step_times
+from jaxnarx.data.lags import bank_times, step_times
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool

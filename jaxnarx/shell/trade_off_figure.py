@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxnarx.evaluation.pareto import pareto
+from jaxnarx.evaluation.cost import pareto
 from jaxnarx.shell.style import CYCLE, INK, canvas, plain, styled
 
 Numbers = Sequence[float | int | None] | np.ndarray

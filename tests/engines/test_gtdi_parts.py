@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.engines.gtdi.delay import delayed
-from jaxnarx.engines.gtdi.flow import Gas, orifice, tail_flow
+from jaxnarx.engines.delays import delayed
+from jaxnarx.engines.flow import Gas, orifice, tail_flow
 
 
 def test_orifice_is_continuous_and_reverses():

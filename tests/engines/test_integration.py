@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.engines import CrossleyCook, Diesel, Drive, Gtdi, Pfi, Vct
-from jaxnarx.engines.actuators import delayed_lag
+from jaxnarx.engines.delays import delayed_lag
 from jaxnarx.engines.gtdi.bed import START as GTDI_START
 from jaxnarx.engines.gtdi.state import imposed
 from jaxnarx.engines.integration import held, rk4, settled, solve

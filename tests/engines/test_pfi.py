@@ -13,7 +13,7 @@ import pytest
 from common import reference
 
 from jaxnarx.engines import Drive, Pfi, pfi_siso_records
-from jaxnarx.engines.events import shift
+from jaxnarx.engines.delays import shift
 from jaxnarx.engines.flow import throttle_share
 from jaxnarx.engines.integration import held
 from jaxnarx.errors import DataError, SpecError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxnarx.evaluation.pareto import pareto
+from jaxnarx.evaluation.cost import pareto
 
 
 def dominated(points, i):

@@ -5,7 +5,7 @@ import pytest
 import scipy.signal
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.step_response import step_times
+from jaxnarx.data.lags import step_times
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.regressors import time_constants
 

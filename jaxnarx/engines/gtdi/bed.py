@@ -10,11 +10,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
+from jaxnarx.engines.delays import delayed, event_duration, shift
 from jaxnarx.engines.engine import AbstractEngine, parameter
-from jaxnarx.engines.events import event_duration, shift
+from jaxnarx.engines.flow import Gas, orifice, petrol_exhaust, tail_flow
 from jaxnarx.engines.gtdi.cylinder import Cylinders
-from jaxnarx.engines.gtdi.delay import delayed
-from jaxnarx.engines.gtdi.flow import Gas, orifice, petrol_exhaust, tail_flow
 from jaxnarx.engines.gtdi.operation import gtdi_demands, scheduled
 from jaxnarx.engines.gtdi.state import (
     EVENT,

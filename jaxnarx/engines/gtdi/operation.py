@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxnarx.engines.events import lagging_speed
+from jaxnarx.engines.delays import lagging_speed
 from jaxnarx.engines.gtdi.state import EVENT, SLOWEST, Drive, Quantities, imposed
 from jaxnarx.excitation import aprbs
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxnarx.engines.engine import parameter
-from jaxnarx.engines.gtdi.flow import Gas
+from jaxnarx.engines.flow import Gas
 
 SURGE = 1e-6  # squared flow coefficient below which the compressor surges
 

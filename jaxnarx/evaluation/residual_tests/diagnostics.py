@@ -12,7 +12,7 @@ from jaxnarx.evaluation.residual_tests.coefficients import Coefficient, Influenc
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.operating_point import OperatingPoint
 from jaxnarx.evaluation.residual_tests.scalar_tests import ScalarTest
-from jaxnarx.evaluation.strict import strict
+from jaxnarx.evaluation.table import strict
 
 FITTED = {
     "global": "fitted to these samples by least squares: the bounds allow for it",
