@@ -4,8 +4,9 @@ Every check returns the value it was given, so that it can stand where that is u
 """
 
 import math
-import operator
+import numbers
 from collections.abc import Collection, Iterable
+from typing import Any
 
 from jaxnarx.errors import SpecError, nearest, suggest
 
@@ -28,7 +29,7 @@ def known_name(name: str, names: Iterable[str], field: str, told: str = "") -> s
     return name
 
 
-def choice(value: str, words: Collection[str], field: str) -> str:
+def choice(value: Any, words: Collection[str], field: str) -> str:
     """`value` if it is one of a few `words`."""
     if value not in words:
         listed = ", ".join(map(repr, words))
@@ -40,18 +41,16 @@ def choice(value: str, words: Collection[str], field: str) -> str:
     return value
 
 
-def whole(value: int, field: str, least: int = 1) -> int:
-    """`value` as a whole number that is at least `least`."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = None
-    if number is None or number < least:
-        raise SpecError(
-            f"{field} must be a whole number from {least} on, got {value!r}",
-            field=field,
-        )
-    return number
+def whole(value: Any, field: str, least: int = 1, most: int | None = None) -> int:
+    """`value` as a whole number from `least` to `most`."""
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if is_whole and least <= value and (most is None or value <= most):
+        return int(value)
+    if most is not None:
+        wanted = f"a whole number from {least} to {most}"
+    else:
+        wanted = f"at least {least}" if is_whole else "a whole number"
+    raise SpecError(f"{field} must be {wanted}, got {value!r}", field=field)
 
 
 def finite(value: Number, field: str) -> float:
@@ -61,24 +60,25 @@ def finite(value: Number, field: str) -> float:
     return float(value)
 
 
-def positive(value: Number, field: str, what: str = "a finite number") -> float:
-    """`value` as a finite float above zero; `what` may tell its unit."""
-    if not 0 < value < math.inf:
-        raise SpecError(f"{field} must be {what} above zero, got {value}", field=field)
+def positive(
+    value: Any, field: str, what: str = "finite number", *, below: Number = math.inf
+) -> float:
+    """`value` as a float above zero and `below` a limit; `what` may tell its unit."""
+    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_real or not 0 < value < below:
+        to = f" below {below:g}" if below < math.inf else ""
+        raise SpecError(
+            f"{field} must be a positive {what}{to}, got {value!r}", field=field
+        )
     return float(value)
 
 
 def not_negative(value: Number, field: str) -> float:
     """`value` as a finite float of at least zero."""
     if not 0 <= value < math.inf:
-        raise SpecError(f"{field} must not be negative, got {value}", field=field)
-    return float(value)
-
-
-def fraction(value: Number, field: str) -> float:
-    """`value` as a float between zero and one, neither included."""
-    if not 0 < value < 1:
-        raise SpecError(f"{field} must lie between 0 and 1, got {value}", field=field)
+        raise SpecError(
+            f"{field} must be finite and must not be negative, got {value}", field=field
+        )
     return float(value)
 
 

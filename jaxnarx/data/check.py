@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
@@ -9,7 +10,6 @@ from jaxnarx.data.excitation_order import excitation_order
 from jaxnarx.data.feedback import correlations
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
-from jaxnarx.errors import SpecError
 
 
 def check(data: Dataset, *, max_lag: int = 20) -> Findings:
@@ -32,10 +32,7 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     Example:
         print(jnx.check(data, max_lag=10))
     """
-    if max_lag < 1:
-        raise SpecError(
-            f"max_lag must be at least 1 sample, got {max_lag}", field="max_lag"
-        )
+    whole(max_lag, "max_lag")
     if not data.samples:
         return Findings((Finding("error", "rows", "the dataset has no samples"),))
     items = [

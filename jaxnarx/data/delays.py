@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from jaxnarx.checks import whole
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import Answer, dynamics
 from jaxnarx.errors import DataError, SpecError
@@ -73,8 +74,7 @@ def delays(data: Dataset, *, reach: int = 100) -> Delays:
     other inputs (`dynamics`). What does not answer linearly may show later than it
     acts, or not at all. Masked samples count with the value they are held at.
     """
-    if reach < 1:
-        raise SpecError(f"reach must be at least 1 sample, got {reach}", field="reach")
+    whole(reach, "reach")
     if not data.samples:
         raise DataError("delays needs at least one record with samples")
     found = dynamics(data, reach=reach)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.checks import choice
 from jaxnarx.data.channels import Channels, require_plain
 from jaxnarx.data.record import Place, Record
 from jaxnarx.errors import DataError, SpecError
@@ -79,12 +80,7 @@ def assemble(
 
 def require_missing(missing: object) -> None:
     """SpecError unless `missing` is one of the four treatments."""
-    if missing not in _TREATMENTS:
-        raise SpecError(
-            f"missing must be one of {', '.join(map(repr, _TREATMENTS))}, "
-            f"got {missing!r}",
-            field="missing",
-        )
+    choice(missing, _TREATMENTS, "missing")
 
 
 _Piece = tuple[np.ndarray, np.ndarray, str, int]

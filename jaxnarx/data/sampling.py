@@ -5,6 +5,7 @@ import re
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.checks import choice
 from jaxnarx.data.record import Place
 from jaxnarx.errors import DataError, SpecError
 
@@ -24,12 +25,8 @@ _SPELT = {"µs": "us", "sec": "s", "msec": "ms"}
 
 def require_time_unit(unit: object) -> None:
     """SpecError unless `unit` is one of TIME_UNITS or None."""
-    if unit is not None and unit not in TIME_UNITS:
-        raise SpecError(
-            f"time_unit must be one of {', '.join(map(repr, TIME_UNITS))}, got "
-            f"{unit!r}",
-            field="time_unit",
-        )
+    if unit is not None:
+        choice(unit, TIME_UNITS, "time_unit")
 
 
 def time_unit_in(*texts: str) -> str | None:

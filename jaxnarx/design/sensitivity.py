@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, scheduling_values
 from jaxnarx.simulation import run_record
@@ -152,8 +153,7 @@ def network_sensitivity(
             "be designed through a model that computes all its outputs",
             field="network",
         )
-    if lead < 0:
-        raise SpecError(f"lead must not be negative, got {lead}", field="lead")
+    whole(lead, "lead", 0)
     at = jnp.array(network.signals)
     deviation = 0.01 * (network.high - network.low)[at]
     if noise is not None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import known_name, not_negative
 from jaxnarx.errors import DataError, SpecError
 
 # `engine` is an `AbstractEngine` throughout; not named, to keep imports one-way.
@@ -73,10 +73,7 @@ def require(
             "record and one name for each",
             field="names",
         )
-    if not 0 <= noise < np.inf:
-        raise SpecError(
-            f"noise must be a finite factor of at least 0, got {noise}", field="noise"
-        )
+    not_negative(noise, "noise")
 
 
 def refuse_outside(

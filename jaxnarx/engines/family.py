@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
+from jaxnarx.checks import whole
 from jaxnarx.engines.engine import AbstractEngine
-from jaxnarx.errors import SpecError
 
 Engine = TypeVar("Engine", bound=AbstractEngine)
 
@@ -18,8 +18,7 @@ def family(
     engine: Engine, key: PRNGKeyArray, count: int, *, spread: ScalarLike = 0.05
 ) -> Engine:
     """`count` random relatives of `engine` as one stacked tree; see `perturbed`."""
-    if count < 1:
-        raise SpecError(f"count must be at least 1, got {count}", field="count")
+    whole(count, "count")
     keys = jax.random.split(key, count)
     return jax.vmap(lambda k: engine.perturbed(k, spread))(keys)
 
@@ -38,11 +37,8 @@ def family_run(
     little more for many engines than for a few. Not differentiable. Unlike `simulate`
     it returns NaN for an engine that breaks, and nothing else suffers.
     """
-    if chunk < 1 or workers < 1:
-        raise SpecError(
-            f"chunk and workers must be at least 1, got {chunk} and {workers}",
-            field="chunk",
-        )
+    whole(chunk, "chunk")
+    whole(workers, "workers")
     count = jax.tree.leaves(engines)[0].shape[0]
     starts = range(0, count, chunk)
 

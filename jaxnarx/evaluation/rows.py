@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import metrics
 
 POOLED = "pooled"
@@ -123,12 +124,12 @@ def score(
 
 def _column(data: Dataset, name: str) -> int:
     names = data.channels.output_names
-    if name not in names:
-        raise SpecError(
-            f"the model's output {name!r} is not among the data's outputs. "
-            + suggest(name, names),
-            field="data",
-        )
+    known_name(
+        name,
+        names,
+        "data",
+        f"the model's output {name!r} is not among the data's outputs",
+    )
     return names.index(name)
 
 

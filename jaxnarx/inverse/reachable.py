@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.errors import SpecError
 from jaxnarx.inverse.forward import positions
 from jaxnarx.inverse.linearise import require_shared
 from jaxnarx.inverse.statics import Statics, statics
@@ -98,8 +98,7 @@ def reachable(
     `stats["reached"]`. `forward` with local models fed back on their own is refused.
     """
     require_shared(forward)
-    if grid < 2:
-        raise SpecError(f"grid must be at least 2, got {grid}", field="grid")
+    whole(grid, "grid", 2)
     data = fitting(forward, references)
     aim = _aim(
         forward, commands, targets, ActuatorLimits() if limits is None else limits

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxnarx.arrays.programs import program
+from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
-from jaxnarx.errors import SpecError
 from jaxnarx.inverse.loop import Loop, connect, run_record
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.methods.inverse import ActuatorLimits
@@ -76,9 +76,8 @@ def unity_gain(
 
     Status `ok`; `diverged` where no point has come to rest, with more `settle` to try.
     """
-    for name, value, least in (("points", points, 1), ("settle", settle, 4)):
-        if value < least:
-            raise SpecError(f"{name} must be at least {least}, got {value}", field=name)
+    whole(points, "points")
+    whole(settle, "settle", 4)
     loop = connect(inverse, forward, limits)
     task = make_task(loop, data)
     place = _places(task, points)

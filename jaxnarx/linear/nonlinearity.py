@@ -27,6 +27,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.checks import not_negative
 from jaxnarx.data import Channel, Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.orders import output_place
@@ -112,8 +113,7 @@ def nonlinearity(
         return _check(
             found, floor, freedom, leakage, level, "records at constant input"
         )
-    if not 0 <= noise < float("inf"):
-        raise SpecError(f"noise must not be negative, got {noise}", field="noise")
+    not_negative(noise, "noise")
     floor = np.full(len(found.frequency), 2 * data.sample_time * float(noise) ** 2)
     return _check(found, floor, np.inf, leakage, level, "a stated level")
 

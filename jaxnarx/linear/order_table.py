@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays.criteria import information
-from jaxnarx.errors import SpecError
+from jaxnarx.checks import choice
 from jaxnarx.linear.triangle import Triangle
 from jaxnarx.methods.linear import ARX
 
@@ -51,11 +51,7 @@ class OrderSearch:
         """Place of the best structure by "aic", "aicc", "mdl", "fpe" or
         "unexplained".
         """
-        if criterion not in CRITERIA:
-            raise SpecError(
-                f"criterion must be one of {CRITERIA}, got {criterion!r}",
-                field="criterion",
-            )
+        choice(criterion, CRITERIA, "criterion")
         score = np.where(self.identifiable, getattr(self, criterion), np.inf)
         ties = np.flatnonzero(score == score.min())
         return int(ties[np.argmin(self.parameters[ties])])

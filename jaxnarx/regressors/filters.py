@@ -21,6 +21,7 @@ import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
+from jaxnarx.checks import positive, whole
 from jaxnarx.errors import SpecError
 
 LARGEST_ORDER = 30
@@ -60,30 +61,6 @@ class AbstractFilter(abc.ABC):
         raise AssertionError("the cascade is too short")
 
 
-def _positive(value: Any, name: str, below: float = math.inf) -> float:
-    """The value as a float, or a SpecError unless it lies between 0 and `below`."""
-    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    number = float(value) if real else math.nan
-    if not 0 < number < below:
-        to = f" below {below:g}" if below < math.inf else ""
-        raise SpecError(
-            f"{name} must be a positive finite number{to}, got {value!r}", field=name
-        )
-    return number
-
-
-def _order(value: Any) -> int:
-    """The value as a whole number, or a SpecError."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    number = int(value) if whole else 0
-    if not 1 <= number <= LARGEST_ORDER:
-        raise SpecError(
-            f"order must be a whole number from 1 to {LARGEST_ORDER}, got {value!r}",
-            field="order",
-        )
-    return number
-
-
 def _settle(filter_: AbstractFilter, **checked: Any) -> None:
     """Put checked values into the frozen fields while they are being built."""
     for name, value in checked.items():
@@ -103,7 +80,7 @@ class LowPass(AbstractFilter):
     unit_gain: ClassVar[bool] = True
 
     def __post_init__(self):
-        _settle(self, time_constant=_positive(self.time_constant, "time_constant"))
+        _settle(self, time_constant=positive(self.time_constant, "time_constant"))
 
     @property
     def sections(self) -> tuple[complex, ...]:
@@ -130,8 +107,12 @@ class Laguerre(AbstractFilter):
     order: int
 
     def __post_init__(self):
-        time_constant = _positive(self.time_constant, "time_constant")
-        _settle(self, time_constant=time_constant, order=_order(self.order))
+        time_constant = positive(self.time_constant, "time_constant")
+        _settle(
+            self,
+            time_constant=time_constant,
+            order=whole(self.order, "order", most=LARGEST_ORDER),
+        )
 
     @property
     def sections(self) -> tuple[complex, ...]:
@@ -160,9 +141,9 @@ class Kautz(AbstractFilter):
     def __post_init__(self):
         _settle(
             self,
-            frequency=_positive(self.frequency, "frequency"),
-            damping=_positive(self.damping, "damping", 1.0),
-            order=_order(self.order),
+            frequency=positive(self.frequency, "frequency"),
+            damping=positive(self.damping, "damping", below=1.0),
+            order=whole(self.order, "order", most=LARGEST_ORDER),
         )
 
     @property
@@ -199,7 +180,7 @@ class Orthonormal(AbstractFilter):
                 field="poles",
             )
         poles = tuple(map(_pole, self.poles))
-        _settle(self, poles=poles, order=_order(self.order))
+        _settle(self, poles=poles, order=whole(self.order, "order", most=LARGEST_ORDER))
 
     @property
     def sections(self) -> tuple[complex, ...]:

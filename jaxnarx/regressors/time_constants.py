@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import choice, known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.lags import bank_times, step_times
 from jaxnarx.errors import DataError, SpecError
@@ -48,10 +48,7 @@ def time_constants(
     """
     known = data.channels.output_names
     known_name(output, known, "output")
-    if method not in ("step", "search"):
-        raise SpecError(
-            f"method must be 'step' or 'search', got {method!r}", field="method"
-        )
+    choice(method, ("step", "search"), "method")
     most = GRID if method == "search" else 30
     if not 1 <= count <= most:
         raise SpecError(f"count must be 1 to {most}, got {count}", field="count")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.checks import not_negative, positive, require
+from jaxnarx.checks import not_negative, positive, whole
 from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
@@ -53,12 +53,8 @@ class LowPass(AbstractStep, AbstractFitted):
     channels: tuple[str, ...] | None = None
 
     def __post_init__(self):
-        positive(self.cutoff, "cutoff", "a frequency in Hz")
-        require(
-            1 <= self.order <= 20,
-            "order",
-            f"order must lie between 1 and 20, got {self.order}",
-        )
+        positive(self.cutoff, "cutoff", "frequency in Hz")
+        whole(self.order, "order", most=20)
 
     def fit(self, data: Dataset) -> "LowPass":
         """This step, its channels and its cut-off checked."""
@@ -295,9 +291,5 @@ def _median(windows):
 
 
 def _require(half_width: int, sigmas: float | int) -> None:
-    require(
-        half_width >= 1,
-        "half_width",
-        f"half_width must be at least 1 sample, got {half_width}",
-    )
+    whole(half_width, "half_width")
     positive(sigmas, "sigmas")

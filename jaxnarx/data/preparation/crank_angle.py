@@ -41,7 +41,7 @@ class ToTime(AbstractStep, AbstractFitted):
     sample_time: float | int
 
     def __post_init__(self):
-        positive(self.degrees, "degrees", "a crank angle")
+        positive(self.degrees, "degrees", "crank angle")
         positive_sample_time(self.sample_time)
 
     def fit(self, data: Dataset) -> "ToTime":
@@ -84,7 +84,7 @@ class ToCrankAngle(AbstractStep):
     degrees: float | int
 
     def __post_init__(self):
-        positive(self.degrees, "degrees", "a crank angle")
+        positive(self.degrees, "degrees", "crank angle")
 
     def fit(self, data: Dataset) -> "AtCrankAngle":
         """The nominal sample time, from valid samples of speed."""
@@ -108,7 +108,7 @@ class AtCrankAngle(AbstractFitted):
     sample_time: float | int
 
     def __post_init__(self):
-        positive(self.degrees, "degrees", "a crank angle")
+        positive(self.degrees, "degrees", "crank angle")
         positive_sample_time(self.sample_time)
 
     def apply(self, data: Dataset) -> Dataset:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.checks import whole
+from jaxnarx.checks import require
 from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.cleaning import SHARE, convolved, masked_share, mirrored
@@ -165,7 +165,11 @@ class Decimate(AbstractStep, AbstractFitted):
     factor: int
 
     def __post_init__(self):
-        whole(self.factor, "factor", 2)
+        require(
+            self.factor >= 2,
+            "factor",
+            f"factor must be a whole number from 2 on, got {self.factor}",
+        )
 
     def fit(self, data: Dataset) -> "Decimate":
         """This step."""
