@@ -11,12 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays import factorisation
+from jaxnarx.arrays.factorisation import directions
 from jaxnarx.data import Dataset
 from jaxnarx.regressors import Variables
 from jaxnarx.regressors.rows import regression_rows
-
-BLOCK = 16384
-"""Rows factorised at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,25 +59,17 @@ class Triangle:
         """Minimum-norm least squares of the target by the columns `use`."""
         use = list(use)
         a, b = self.r[:, use], self.r[:, -1]
-        u, s, vt = np.linalg.svd(a, full_matrices=False)
-        cut = self.samples * np.finfo(a.dtype).eps * s.max(initial=0.0)
-        keep = s > cut
-        inverse = np.where(keep, 1.0 / np.where(keep, s, 1.0), 0.0)
-        along = vt.T * inverse[None]
-        theta = along @ (u.T @ b)
+        found = directions(a, rounding=self.samples * np.finfo(a.dtype).eps)
+        theta = found.inverse @ (found.basis.T @ b)
         norm = np.where(self.norm > 0, self.norm, 1.0)
         unit = 1.0 / norm[use]
-        rank = int(keep.sum())
-        full = rank == len(use) and rank > 0
-        condition = float(s[0] / s[-1]) if full else float("inf" if use else 1.0)
-        sse = float(np.sum((b - a @ theta) ** 2)) * norm[-1] ** 2
-        weak = np.flatnonzero(np.abs(vt[-1]) > 0.2) if use else []
+        weak = np.flatnonzero(np.abs(found.weakest) > 0.2)
         return Fit(
             theta * unit * norm[-1],
-            sse,
-            along @ along.T * np.outer(unit, unit),
-            rank,
-            condition,
+            float(np.sum((b - a @ theta) ** 2)) * norm[-1] ** 2,
+            found.inverse @ found.inverse.T * np.outer(unit, unit),
+            found.rank,
+            found.condition if use else 1.0,
             tuple(use[int(w)] for w in weak),
         )
 
@@ -130,8 +121,5 @@ def factorise(
     rounding = 10 * np.finfo(float).eps * size * np.sqrt(samples)
     norm = np.where(norm > rounding, norm, 0.0)
     centred *= np.where(norm > 0, 1.0 / np.where(norm > 0, norm, 1.0), 0.0)[:, None]
-    r = np.zeros((0, width))
-    for start in range(0, samples, BLOCK):
-        part = centred[:, start : start + BLOCK].T
-        r = np.asarray(np.linalg.qr(np.concatenate([r, part]), mode="r"))
+    r = factorisation.triangle(centred)
     return Triangle(r, mean, norm, samples, constant)

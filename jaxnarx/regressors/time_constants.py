@@ -5,6 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.factorisation import triangle
 from jaxnarx.checks import choice, known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.lags import bank_times, step_times
@@ -18,9 +19,6 @@ GRID = 16
 
 SWEEPS = 2
 """How often every chosen one may be exchanged for a better one."""
-
-BLOCK = 16384
-"""Rows factorised at once."""
 
 
 def time_constants(
@@ -124,8 +122,4 @@ def _triangle(
         data, pool.variables, pool.outputs, history=0, need=need, exact=True
     )
     columns = np.concatenate([np.asarray(rows.v), np.asarray(rows.y)]).astype(float)
-    r = np.zeros((0, len(columns)))
-    for start in range(0, columns.shape[1], BLOCK):
-        part = columns[:, start : start + BLOCK].T
-        r = np.asarray(np.linalg.qr(np.concatenate([r, part]), mode="r"))
-    return r
+    return triangle(columns)

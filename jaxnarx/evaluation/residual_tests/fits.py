@@ -15,6 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays.factorisation import directions
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
@@ -62,7 +64,7 @@ def no_fit(rows: int) -> Fit:
 
 def global_fit(columns: Float[np.ndarray, "rows params"]) -> Fit:
     """All coefficients by one least squares problem."""
-    basis, inverse, condition = factorise(columns)
+    basis, inverse, condition = _factorised(columns)
     return Fit(basis, basis @ inverse.T, (condition,))
 
 
@@ -74,7 +76,7 @@ def local_fit(
     bases, answers, conditions = [], [], []
     for p, phi in zip(columns, weights, strict=True):
         root = np.sqrt(np.maximum(phi, 0.0))[:, None]
-        basis, inverse, condition = factorise(root * p)
+        basis, inverse, condition = _factorised(root * p)
         bases.append(root * basis)
         answers.append(bases[-1] @ inverse.T)
         conditions.append(condition)
@@ -85,20 +87,11 @@ def local_fit(
     )
 
 
-def factorise(
+def _factorised(
     columns: Float[np.ndarray, "rows params"],
 ) -> tuple[Float[np.ndarray, "rows rank"], Float[np.ndarray, "params rank"], float]:
-    """Orthonormal basis Q of the columns X, X = Q T, pseudoinverse of T, condition.
-
-    Columns are scaled to unit norm, then QR, then SVD. Directions below rows times the
-    rounding error of the largest are left out, so that columns may depend on one
-    another or be zero; the condition number (of the scaled columns) is infinite then.
-    """
+    """Basis of the columns, pseudo-inverse in it, condition of those of unit norm."""
     norm = np.linalg.norm(columns, axis=0)
     scale = np.where(norm > 0, norm, 1.0)
-    q, r = np.linalg.qr(columns / scale[None])
-    u, s, vt = np.linalg.svd(r, full_matrices=False)
-    kept = s > max(columns.shape) * np.finfo(s.dtype).eps * s.max(initial=0.0)
-    inverse = (vt[kept] / s[kept][:, None]).T / scale[:, None]
-    full = bool(kept.sum() == columns.shape[1] > 0)
-    return q @ u[:, kept], inverse, float(s[0] / s[-1]) if full else np.inf
+    found = directions(columns / scale[None])
+    return found.basis, found.inverse / scale[:, None], found.condition

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.arrays.factorisation import quadratic
 from jaxnarx.data import Channel
 from jaxnarx.data.batch import Batch
 from jaxnarx.data.scaling import unit_of
@@ -186,10 +187,8 @@ def _explained(
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     scaled = columns / norm[None]
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = values > 1e-10 * values.max(initial=0.0)
-    parts = (vectors.T @ (moment / norm))[kept] ** 2 / values[kept]
-    return float(parts.sum() / scale / squares) if squares > 0 else 0.0
+    explained, _ = quadratic(scaled.T @ scaled, moment / norm, least=1e-10)
+    return explained / scale / squares if squares > 0 else 0.0
 
 
 def usable_inputs(

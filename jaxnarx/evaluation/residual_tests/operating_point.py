@@ -6,6 +6,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
+from jaxnarx.arrays.factorisation import quadratic
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
@@ -85,7 +86,8 @@ def by_operating_point(
     indicator = (own[:, None] == np.arange(len(count))[None]).astype(float)
     w = residual.left(indicator) * spread[own][:, None]
     v = w.T @ w * residual.share
-    rank, statistic = _quadratic(total, v)
+    whole, rank = quadratic(v, total, least=1e-6)
+    statistic = whole / max(rank, 1)
     freedom = (float(rank), max(residual.freedom - rank, 1.0))
     p = float(scipy.stats.f.sf(statistic, *freedom)) if rank else 1.0
     shift = residual.mean if residual.centred else 0.0
@@ -102,16 +104,3 @@ def by_operating_point(
         freedom,
         p,
     )
-
-
-def _quadratic(
-    total: Float[np.ndarray, " bins"], v: Float[np.ndarray, "bins bins"]
-) -> tuple[int, float]:
-    """Rank of V and T'V^+ T/rank; directions without variance are left out."""
-    values, vectors = np.linalg.eigh(v)
-    kept = values > 1e-6 * max(values.max(initial=0.0), np.finfo(float).tiny)
-    rank = int(kept.sum())
-    if not rank:
-        return 0, 0.0
-    parts = (vectors.T @ total)[kept] ** 2 / values[kept]
-    return rank, float(parts.sum() / rank)
