@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, shift
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
 from jaxnarx.engines.integration import held, settled
 from jaxnarx.excitation import aprbs
@@ -81,40 +81,23 @@ class CrossleyCook(AbstractEngine):
         "inertia": 1.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(Channel("throttle", "deg"), Channel("load", "Nm")),
-            outputs=(Channel("speed", "rpm"), Channel("P", "bar")),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        return {"throttle": (8.0, 12.0), "load": (18.0, 27.0)}
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        return {"throttle": (5.0, 15.0), "load": (10.0, 40.0)}
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Below 450 rpm the engine counts as stalled."""
-        return {"speed": (STALL, float("inf"))}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """2.5 rpm, and 0.3 kPa as for crank-synchronous averages."""
-        return {"speed": Noise(2.5), "P": Noise(0.003)}
+    channels: ClassVar[Channels] = Channels(
+        inputs=(Channel("throttle", "deg"), Channel("load", "Nm")),
+        outputs=(Channel("speed", "rpm"), Channel("P", "bar")),
+    )
+    ranges: ClassVar[Borders] = {"throttle": (8.0, 12.0), "load": (18.0, 27.0)}
+    domain: ClassVar[Borders] = {"throttle": (5.0, 15.0), "load": (10.0, 40.0)}
+    limits: ClassVar[Borders] = {"speed": (STALL, float("inf"))}
+    """Below 450 rpm the engine counts as stalled."""
+    noise: ClassVar[Mapping[str, Noise]] = {"speed": Noise(2.5), "P": Noise(0.003)}
+    """2.5 rpm, and 0.3 kPa as for crank-synchronous averages."""
+    event: ClassVar[float | None] = EVENT
+    """180 degrees crank angle."""
 
     @property
     def sample_time(self) -> float:
         """0.015 s: 180 deg at 2000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.015
-
-    @property
-    def event(self) -> float | None:
-        """180 degrees crank angle."""
-        return EVENT
 
     def quantities(
         self,

@@ -20,7 +20,7 @@ from jaxnarx.engines.diesel_parts import (
     exhaust_temperature,
     turbine_side,
 )
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
 from jaxnarx.engines.integration import rk4, settled
 
@@ -163,67 +163,52 @@ class Diesel(AbstractEngine):
         "vgt_delay": 1.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(
-                Channel("fuel", "mg"),
-                Channel("EGR", "%"),
-                Channel("VGT", "%"),
-                Channel("speed", "rpm"),
-            ),
-            outputs=(
-                Channel("p_im", "bar"),
-                Channel("p_em", "bar"),
-                Channel("W_c", "kg/s"),
-                Channel("torque", "Nm"),
-                Channel("lambda_O", "-"),
-                Channel("x_egr", "-"),
-                Channel("turbo", "rpm"),
-                Channel("X_im", "-"),
-                Channel("T_em", "K"),
-            ),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Those of `excite`."""
-        return {
-            "fuel": (50.0, 140.0),
-            "EGR": (0.0, 60.0),
-            "VGT": (30.0, 75.0),
-            "speed": (1100.0, 1700.0),
-        }
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        return {
-            "fuel": (1.0, 250.0),
-            "EGR": (0.0, 100.0),
-            "VGT": (20.0, 100.0),
-            "speed": (500.0, 2000.0),
-        }
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """None: the engine runs on beyond its limits; `flags` says where."""
-        return {}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """0.2 % of the reading, of the air flow 0.6 % [O]."""
-        sizes = {name: Noise(relative=0.002) for name in self.channels.output_names}
-        return sizes | {"W_c": Noise(relative=0.006)}
+    channels: ClassVar[Channels] = Channels(
+        inputs=(
+            Channel("fuel", "mg"),
+            Channel("EGR", "%"),
+            Channel("VGT", "%"),
+            Channel("speed", "rpm"),
+        ),
+        outputs=(
+            Channel("p_im", "bar"),
+            Channel("p_em", "bar"),
+            Channel("W_c", "kg/s"),
+            Channel("torque", "Nm"),
+            Channel("lambda_O", "-"),
+            Channel("x_egr", "-"),
+            Channel("turbo", "rpm"),
+            Channel("X_im", "-"),
+            Channel("T_em", "K"),
+        ),
+    )
+    ranges: ClassVar[Borders] = {
+        "fuel": (50.0, 140.0),
+        "EGR": (0.0, 60.0),
+        "VGT": (30.0, 75.0),
+        "speed": (1100.0, 1700.0),
+    }
+    """Those of `excite`."""
+    domain: ClassVar[Borders] = {
+        "fuel": (1.0, 250.0),
+        "EGR": (0.0, 100.0),
+        "VGT": (20.0, 100.0),
+        "speed": (500.0, 2000.0),
+    }
+    limits: ClassVar[Borders] = {}
+    """None: the engine runs on beyond its limits; `flags` says where."""
+    noise: ClassVar[Mapping[str, Noise]] = {
+        name: Noise(relative=0.006 if name == "W_c" else 0.002)
+        for name in channels.output_names
+    }
+    """0.2 % of the reading, of the air flow 0.6 % [O]."""
+    event: ClassVar[float | None] = None
+    """None: the bed samples time."""
 
     @property
     def sample_time(self) -> float:
         """`interval`, 0.1 s by default; exact, the bed does not sample by events."""
         return self.interval
-
-    @property
-    def event(self) -> float | None:
-        """None: the bed samples time."""
-        return None
 
     def derivative(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]

@@ -30,6 +30,10 @@ def _leaf(value: ScalarLike) -> Float[Array, ""]:
     return value if isinstance(value, jax.Array) else jnp.asarray(value, dtype=float)
 
 
+Borders = Mapping[str, tuple[float, float]]
+"""Lowest and highest value by channel."""
+
+
 class AbstractEngine(eqx.Module):
     """A virtual engine on its test bench, sampled once per event.
 
@@ -42,42 +46,24 @@ class AbstractEngine(eqx.Module):
     varied: ClassVar[Mapping[str, float]]
     """How far each parameter moves in `perturbed`, relative to `spread`; parameters of
     a part have dotted names."""
-
-    @property
-    @abc.abstractmethod
-    def channels(self) -> Channels:
-        """Names and units of the inputs and outputs, in the order of the columns."""
-
-    @property
-    @abc.abstractmethod
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Usual range of each input, in its unit; for excitation, not enforced."""
-
-    @property
-    @abc.abstractmethod
-    def domain(self) -> dict[str, tuple[float, float]]:
-        """Where the model holds, by input; `simulate` refuses what is outside."""
-
-    @property
-    @abc.abstractmethod
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Outputs outside these bounds end a run: the engine has stalled, or worse."""
-
-    @property
-    @abc.abstractmethod
-    def noise(self) -> dict[str, bench.Noise]:
-        """Measurement noise of each output."""
+    channels: eqx.AbstractClassVar[Channels]
+    """Names and units of the inputs and outputs, in the order of the columns."""
+    ranges: eqx.AbstractClassVar[Borders]
+    """Usual range of each input, in its unit; for excitation, not enforced."""
+    domain: eqx.AbstractClassVar[Borders]
+    """Where the model holds, by input; `simulate` refuses what is outside."""
+    limits: eqx.AbstractClassVar[Borders]
+    """Outputs outside these bounds end a run: the engine has stalled, or worse."""
+    noise: eqx.AbstractClassVar[Mapping[str, bench.Noise]]
+    """Measurement noise of each output."""
+    event: eqx.AbstractClassVar[float | None]
+    """Crank angle of an event [degrees]; None where the bed samples time."""
 
     @property
     @abc.abstractmethod
     def sample_time(self) -> float:
         """Nominal duration of an event [s]; the true one is in inverse proportion to
         speed where events are crank angles."""
-
-    @property
-    @abc.abstractmethod
-    def event(self) -> float | None:
-        """Crank angle of an event [degrees]; None where the bed samples time."""
 
     @abc.abstractmethod
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:

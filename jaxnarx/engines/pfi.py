@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, shift
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import throttle_share
 from jaxnarx.engines.integration import held, settled
 from jaxnarx.engines.pfi_parts import (
@@ -123,41 +123,24 @@ class Pfi(AbstractEngine):
         "load_quadratic": 1.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(Channel("duty", "-"),),
-            outputs=(Channel("speed", "rpm"), Channel("MAP", "kPa")),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        return {"duty": (0.38, 0.41)}
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        """Any duty: the valve's law is a sigmoid. Below 0.36 the engine stalls."""
-        return {"duty": (0.0, 1.0)}
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Below 450 rpm the engine counts as stalled [O]."""
-        return {"speed": (STALL, float("inf"))}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """2.5 rpm, and 0.3 kPa as for crank-synchronous averages [O]."""
-        return {"speed": Noise(2.5), "MAP": Noise(0.3)}
+    channels: ClassVar[Channels] = Channels(
+        inputs=(Channel("duty", "-"),),
+        outputs=(Channel("speed", "rpm"), Channel("MAP", "kPa")),
+    )
+    ranges: ClassVar[Borders] = {"duty": (0.38, 0.41)}
+    domain: ClassVar[Borders] = {"duty": (0.0, 1.0)}
+    """Any duty: the valve's law is a sigmoid. Below 0.36 the engine stalls."""
+    limits: ClassVar[Borders] = {"speed": (STALL, float("inf"))}
+    """Below 450 rpm the engine counts as stalled [O]."""
+    noise: ClassVar[Mapping[str, Noise]] = {"speed": Noise(2.5), "MAP": Noise(0.3)}
+    """2.5 rpm, and 0.3 kPa as for crank-synchronous averages [O]."""
+    event: ClassVar[float | None] = EVENT
+    """180 degrees crank angle."""
 
     @property
     def sample_time(self) -> float:
         """0.03 s: 180 deg at 1000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.03
-
-    @property
-    def event(self) -> float | None:
-        """180 degrees crank angle."""
-        return EVENT
 
     def derivative(
         self, state: Float[Array, " states"], drive: Drive

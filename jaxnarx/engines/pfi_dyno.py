@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, lagging_speed, shift
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.integration import held
 from jaxnarx.engines.pfi import STALL, Drive, Pfi, pfi_margins
 from jaxnarx.excitation import aprbs
@@ -63,50 +63,45 @@ class PfiDyno(AbstractEngine):
         "sensor_time": 2.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(
-                Channel("duty", "-"),
-                Channel("FPW", "ms"),
-                Channel("speed", "rpm"),
-            ),
-            outputs=(
-                Channel("torque", "Nm"),
-                Channel("AFR", "-"),
-                Channel("MAP", "kPa"),
-            ),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Pulse width depends on the air: `excite` sets it."""
-        return {"duty": (0.38, 0.44), "FPW": (2.0, 9.0), "speed": (1100.0, 1800.0)}
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        """Any duty and pulse width; speeds from the stall to 1900 rpm."""
-        return {"duty": (0.0, 1.0), "FPW": (0.0, 20.0), "speed": (STALL, 1900.0)}
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """None: the dynamometer keeps the engine turning."""
-        return {}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """0.4 Nm, 0.03, and 0.3 kPa as for crank-synchronous averages [O]."""
-        return {"torque": Noise(0.4), "AFR": Noise(0.03), "MAP": Noise(0.3)}
+    channels: ClassVar[Channels] = Channels(
+        inputs=(
+            Channel("duty", "-"),
+            Channel("FPW", "ms"),
+            Channel("speed", "rpm"),
+        ),
+        outputs=(
+            Channel("torque", "Nm"),
+            Channel("AFR", "-"),
+            Channel("MAP", "kPa"),
+        ),
+    )
+    ranges: ClassVar[Borders] = {
+        "duty": (0.38, 0.44),
+        "FPW": (2.0, 9.0),
+        "speed": (1100.0, 1800.0),
+    }
+    """Pulse width depends on the air: `excite` sets it."""
+    domain: ClassVar[Borders] = {
+        "duty": (0.0, 1.0),
+        "FPW": (0.0, 20.0),
+        "speed": (STALL, 1900.0),
+    }
+    """Any duty and pulse width; speeds from the stall to 1900 rpm."""
+    limits: ClassVar[Borders] = {}
+    """None: the dynamometer keeps the engine turning."""
+    noise: ClassVar[Mapping[str, Noise]] = {
+        "torque": Noise(0.4),
+        "AFR": Noise(0.03),
+        "MAP": Noise(0.3),
+    }
+    """0.4 Nm, 0.03, and 0.3 kPa as for crank-synchronous averages [O]."""
+    event: ClassVar[float | None] = EVENT
+    """360 degrees crank angle."""
 
     @property
     def sample_time(self) -> float:
         """0.04 s: 360 deg at 1500 rpm. The true value is 60/N seconds at N rpm."""
         return 0.04
-
-    @property
-    def event(self) -> float | None:
-        """360 degrees crank angle."""
-        return EVENT
 
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """`[p_m, m_ff, W_v, omega]` that do not change at the imposed speed."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, lagging_speed, shift
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
 from jaxnarx.engines.integration import held, settled
 from jaxnarx.excitation import aprbs
@@ -148,72 +148,55 @@ class Vct(AbstractEngine):
         "sensor_time": 2.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(
-                Channel("throttle", "deg"),
-                Channel("cam command", "deg"),
-                Channel("AFR command", "-"),
-                Channel("speed", "rpm"),
-            ),
-            outputs=(
-                Channel("torque", "Nm"),
-                Channel("AFR", "-"),
-                Channel("NOx", "g/kWh"),
-                Channel("HC", "g/kWh"),
-                Channel("P", "bar"),
-                Channel("cam", "deg"),
-            ),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Those of `excite`: stoichiometric fuel times 0.92 to 1.08 [O]."""
-        return {
-            "throttle": (9.5, 18.0),
-            "cam command": (0.0, 30.0),
-            "AFR command": (14.64 / 1.08, 14.64 / 0.92),
-            "speed": (900.0, 2000.0),
-        }
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        """As specified; throttle from 7 deg, where the reference figures begin."""
-        return {
-            "throttle": (7.0, 22.0),
-            "cam command": (0.0, 35.0),
-            "AFR command": (12.0, 18.0),
-            "speed": (750.0, 2000.0),
-        }
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """None: `flags` says where the model is not meant to be used."""
-        return {}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """Torque 0.4 Nm, A/F 0.03, P 0.3 kPa, cam 0.1 deg; NOx and HC 0.4 % of the
-        reading [O]."""
-        return {
-            "torque": Noise(0.4),
-            "AFR": Noise(0.03),
-            "NOx": Noise(relative=0.004),
-            "HC": Noise(relative=0.004),
-            "P": Noise(0.003),
-            "cam": Noise(0.1),
-        }
+    channels: ClassVar[Channels] = Channels(
+        inputs=(
+            Channel("throttle", "deg"),
+            Channel("cam command", "deg"),
+            Channel("AFR command", "-"),
+            Channel("speed", "rpm"),
+        ),
+        outputs=(
+            Channel("torque", "Nm"),
+            Channel("AFR", "-"),
+            Channel("NOx", "g/kWh"),
+            Channel("HC", "g/kWh"),
+            Channel("P", "bar"),
+            Channel("cam", "deg"),
+        ),
+    )
+    ranges: ClassVar[Borders] = {
+        "throttle": (9.5, 18.0),
+        "cam command": (0.0, 30.0),
+        "AFR command": (14.64 / 1.08, 14.64 / 0.92),
+        "speed": (900.0, 2000.0),
+    }
+    """Those of `excite`: stoichiometric fuel times 0.92 to 1.08 [O]."""
+    domain: ClassVar[Borders] = {
+        "throttle": (7.0, 22.0),
+        "cam command": (0.0, 35.0),
+        "AFR command": (12.0, 18.0),
+        "speed": (750.0, 2000.0),
+    }
+    """As specified; throttle from 7 deg, where the reference figures begin."""
+    limits: ClassVar[Borders] = {}
+    """None: `flags` says where the model is not meant to be used."""
+    noise: ClassVar[Mapping[str, Noise]] = {
+        "torque": Noise(0.4),
+        "AFR": Noise(0.03),
+        "NOx": Noise(relative=0.004),
+        "HC": Noise(relative=0.004),
+        "P": Noise(0.003),
+        "cam": Noise(0.1),
+    }
+    """Torque 0.4 Nm, A/F 0.03, P 0.3 kPa, cam 0.1 deg; NOx and HC 0.4 % of the
+    reading [O]."""
+    event: ClassVar[float | None] = EVENT
+    """180 degrees crank angle."""
 
     @property
     def sample_time(self) -> float:
         """0.02 s: 180 deg at 1500 rpm. The true value is 30/N seconds at N rpm."""
         return 0.02
-
-    @property
-    def event(self) -> float | None:
-        """180 degrees crank angle."""
-        return EVENT
 
     def derivative(
         self, state: Float[Array, " states"], drive: VctDrive

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import delayed, event_duration, shift
-from jaxnarx.engines.engine import AbstractEngine, parameter
+from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import Gas, orifice, petrol_exhaust, tail_flow
 from jaxnarx.engines.gtdi.cylinder import Cylinders
 from jaxnarx.engines.gtdi.operation import gtdi_demands, scheduled
@@ -105,62 +105,49 @@ class Gtdi(AbstractEngine):
         "mixture_time": 1.0,
     }
 
-    @property
-    def channels(self) -> Channels:
-        return Channels(
-            inputs=(
-                Channel("FUL", "mg/stroke"),
-                Channel("SA", "deg"),
-                Channel("THR", "deg"),
-                Channel("speed", "rpm"),
-            ),
-            outputs=(
-                Channel("TRQ", "Nm"),
-                Channel("AFR", "-"),
-                Channel("MAP", "kPa"),
-            ),
-        )
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Fuel and spark depend on each other and on the rest: see `scheduled`."""
-        return {
-            "FUL": (8.0, 75.0),
-            "SA": (-10.0, 42.0),
-            "THR": (4.0, 90.0),
-            "speed": (SLOWEST, 5500.0),
-        }
-
-    @property
-    def domain(self) -> dict[str, tuple[float, float]]:
-        """Fuel 8 to 75 mg at lambda one, spark -40 to 20 degrees from a best of 4 to
-        42; both widened as far as the excitation and a change of engine lead [O]."""
-        return {
-            "FUL": (4.0, 90.0),
-            "SA": (-36.0, 62.0),
-            "THR": (4.0, 90.0),
-            "speed": (SLOWEST, 5500.0),
-        }
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """None: a run is not ended, `flags` flags the samples."""
-        return {}
-
-    @property
-    def noise(self) -> dict[str, Noise]:
-        """0.4 Nm, 0.03, and 0.3 kPa as for crank-synchronous averages [O]."""
-        return {"TRQ": Noise(0.4), "AFR": Noise(0.03), "MAP": Noise(0.3)}
+    channels: ClassVar[Channels] = Channels(
+        inputs=(
+            Channel("FUL", "mg/stroke"),
+            Channel("SA", "deg"),
+            Channel("THR", "deg"),
+            Channel("speed", "rpm"),
+        ),
+        outputs=(
+            Channel("TRQ", "Nm"),
+            Channel("AFR", "-"),
+            Channel("MAP", "kPa"),
+        ),
+    )
+    ranges: ClassVar[Borders] = {
+        "FUL": (8.0, 75.0),
+        "SA": (-10.0, 42.0),
+        "THR": (4.0, 90.0),
+        "speed": (SLOWEST, 5500.0),
+    }
+    """Fuel and spark depend on each other and on the rest: see `scheduled`."""
+    domain: ClassVar[Borders] = {
+        "FUL": (4.0, 90.0),
+        "SA": (-36.0, 62.0),
+        "THR": (4.0, 90.0),
+        "speed": (SLOWEST, 5500.0),
+    }
+    """Fuel 8 to 75 mg at lambda one, spark -40 to 20 degrees from a best of 4 to
+    42; both widened as far as the excitation and a change of engine lead [O]."""
+    limits: ClassVar[Borders] = {}
+    """None: a run is not ended, `flags` flags the samples."""
+    noise: ClassVar[Mapping[str, Noise]] = {
+        "TRQ": Noise(0.4),
+        "AFR": Noise(0.03),
+        "MAP": Noise(0.3),
+    }
+    """0.4 Nm, 0.03, and 0.3 kPa as for crank-synchronous averages [O]."""
+    event: ClassVar[float | None] = EVENT
+    """180 degrees crank angle."""
 
     @property
     def sample_time(self) -> float:
         """0.015 s: 180 deg at 2000 rpm. The true value is 30/N seconds at N rpm."""
         return 0.015
-
-    @property
-    def event(self) -> float | None:
-        """180 degrees crank angle."""
-        return EVENT
 
     def derivative(
         self, state: Float[Array, " states"], drive: Drive
