@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
+from jaxnarx.data.check_inputs import correlations, excitation_order
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
-from jaxnarx.data.excitation_order import excitation_order
-from jaxnarx.data.feedback import correlations
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
 

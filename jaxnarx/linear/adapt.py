@@ -19,8 +19,14 @@ from jaxnarx.arrays.recurrence import history_of
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError
-from jaxnarx.linear.adapt_parts import make_plan, place
-from jaxnarx.linear.adapt_program import Limits, Record, Samples, adapt_windows
+from jaxnarx.linear.adapt_program import (
+    Limits,
+    Record,
+    Samples,
+    adapt_windows,
+    make_plan,
+    place,
+)
 from jaxnarx.methods.least_squares import Recursive
 from jaxnarx.models import Network, depth
 from jaxnarx.simulation import (
