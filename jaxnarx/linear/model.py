@@ -147,8 +147,8 @@ class LinearModel(eqx.Module):
     def _place(self, name: str | None) -> int:
         if name is None and len(self.input_names) == 1:
             return 0
-        known_name(name, self.input_names, "input", f"no input {name!r} in the model")
-        return self.input_names.index(name)
+        told = f"no input {name!r} in the model"
+        return self.input_names.index(known_name(name, self.input_names, "input", told))
 
     def network(self) -> Network:
         """The deterministic part as a `Network`, for `simulate`, `predict`, `report`.
