@@ -19,12 +19,6 @@ _BLOCK = 1 << 15
 """Rows looked at together: few enough for the processor's cache."""
 
 
-def signal(record: Record, j: int) -> Float[np.ndarray, " time"]:
-    """One channel, inputs counted first."""
-    inputs = record.u.shape[1]
-    return record.u[:, j] if j < inputs else record.y[:, j - inputs]
-
-
 def blocks(record: Record) -> Iterator[tuple[int, Float[np.ndarray, "rows signals"]]]:
     """Every `_BLOCK` rows of all signals, with the number of the first."""
     for first in range(0, len(record), _BLOCK):
@@ -39,11 +33,6 @@ def _limits(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
         return np.stack([np.concatenate([of(r.u), of(r.y)]) for r in data])
 
     return each(lambda x: x.min(axis=0)), each(lambda x: x.max(axis=0))
-
-
-def signals(record: Record) -> Float[np.ndarray, "time signals"]:
-    """Inputs, then outputs, as columns of one array in physical units."""
-    return np.concatenate([record.u, record.y], axis=1)
 
 
 def seconds(
@@ -133,10 +122,10 @@ def duplicates(data: Dataset) -> Iterator[Finding]:
             continue
         gain = gram[i, j] / gram[i, i]
         offset = mean[j] - gain * mean[i]
-        worst = max(_misfit(signals(r) / unit, i, j, gain, offset) for r in data)
+        worst = max(_misfit(r.signals / unit, i, j, gain, offset) for r in data)
         if worst > 1e-4 * size[j] / np.sqrt(data.samples):
             continue
-        equal = all(np.array_equal(signal(r, i), signal(r, j)) for r in data)
+        equal = all(np.array_equal(r.signal(i), r.signal(j)) for r in data)
         how = "equals" if equal else f"is {gain * (unit[j] / unit[i]):.6g} times"
         use = f"Selection uses {names[i]} and passes {names[j]} over: leave one out."
         plus = (
@@ -184,8 +173,8 @@ def stuck(data: Dataset) -> Iterator[Finding]:
     limits = _limits(data)
     low, high = limits[0].min(axis=0), limits[1].max(axis=0)
     for j, channel in enumerate(data.channels.all):
-        runs = [_runs(signal(r, j)) for r in data]
-        values = [signal(r, j)[p[:, 0]] for r, p in zip(data, runs, strict=True)]
+        runs = [_runs(r.signal(j)) for r in data]
+        values = [r.signal(j)[p[:, 0]] for r, p in zip(data, runs, strict=True)]
         lengths = np.concatenate([p[:, 1] - p[:, 0] for p in runs])
         value = np.concatenate(values)
         between = (value != low[j]) & (value != high[j])
@@ -257,7 +246,7 @@ def spikes(data: Dataset) -> Iterator[Finding]:
         if len(record) < 15:
             continue
         for j in range(len(names)):
-            x = signal(record, j)
+            x = record.signal(j)
             far = _far(x, 0.05 * spread[j])
             rows = _hampel(x, far[record.valid[far, j]], spread[j])
             if rows.size:
@@ -350,12 +339,8 @@ HUGE = 1e3
 
 def offsets(data: Dataset) -> Iterator[Finding]:
     """Channels whose mean is huge beside what they move."""
-    inputs = len(data.channels.inputs)
     for j, name in enumerate(data.channels.names):
-        columns = [r.u[:, j] if j < inputs else r.y[:, j - inputs] for r in data]
-        x = np.concatenate(
-            [c[r.valid[:, j]] for c, r in zip(columns, data, strict=True)]
-        )
+        x = np.concatenate([r.signal(j)[r.valid[:, j]] for r in data])
         if not x.size or x.min() == x.max():
             continue
         unit = unit_of(x)

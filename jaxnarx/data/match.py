@@ -62,17 +62,10 @@ def _stated(channel: Channel, own: Channels) -> Channel:
 
 
 def _pick(record: Record, inputs: list[int], outputs: list[int]) -> Record:
-    split = record.u.shape[1]
-
-    def columns(indices):
-        parts = [
-            record.u[:, i] if i < split else record.y[:, i - split] for i in indices
-        ]
-        return np.stack(parts, axis=1) if parts else record.u[:, :0]
-
+    signals = record.signals
     return Record(
-        u=columns(inputs),
-        y=columns(outputs),
+        u=np.ascontiguousarray(signals[:, inputs]),
+        y=np.ascontiguousarray(signals[:, outputs]),
         valid=record.valid[:, inputs + outputs],
         name=record.name,
         start_row=record.start_row,

@@ -26,6 +26,16 @@ class Record:
     def __len__(self) -> int:
         return self.u.shape[0]
 
+    @property
+    def signals(self) -> Float[np.ndarray, "time signals"]:
+        """Inputs, then outputs, as columns of one array."""
+        return np.concatenate([self.u, self.y], axis=1)
+
+    def signal(self, j: int) -> Float[np.ndarray, " time"]:
+        """One of the signals, without a copy."""
+        inputs = self.u.shape[1]
+        return self.u[:, j] if j < inputs else self.y[:, j - inputs]
+
 
 @dataclasses.dataclass(frozen=True)
 class Place:

@@ -23,7 +23,7 @@ def gains(data: Dataset) -> Float[np.ndarray, " signals"]:
     true, as centring before the products would. A signal that is zero throughout gets
     gain 1.
     """
-    columns = np.concatenate([np.concatenate([r.u, r.y], axis=1) for r in data])
+    columns = np.concatenate([r.signals for r in data])
     valid = np.concatenate([r.valid for r in data])
     magnitude = np.where(valid, np.abs(columns), 0.0)
     peak = magnitude.max(axis=0, initial=0.0)

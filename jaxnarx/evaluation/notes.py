@@ -18,7 +18,7 @@ MOSTLY = 0.5
 
 def fingerprint(data: Dataset, record: Record) -> str:
     """SHA-256 of a record's content by channel name; its own name does not count."""
-    columns = np.concatenate([record.u, record.y], axis=1).astype(np.float64)
+    columns = record.signals.astype(np.float64)
     names = data.channels.names
     digest = hashlib.sha256()
     for i in np.argsort(np.asarray(names)):

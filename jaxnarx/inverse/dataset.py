@@ -141,7 +141,7 @@ def _swapped(
     record: Record, sources: list[tuple[int, int]], cut: int, inputs: int
 ) -> Record:
     """Columns of (signal, lead), `cut` samples shorter."""
-    signals = np.concatenate([record.u, record.y], axis=1)
+    signals = record.signals
     length = len(record) - cut
 
     def columns(x: np.ndarray) -> np.ndarray:

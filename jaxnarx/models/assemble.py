@@ -15,7 +15,7 @@ MARGIN = 0.25
 
 def ranges(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest valid value of every signal, physical units."""
-    columns = np.concatenate([np.concatenate([r.u, r.y], axis=1) for r in data])
+    columns = np.concatenate([r.signals for r in data])
     valid = np.concatenate([r.valid for r in data])
     low = np.where(valid, columns, np.inf).min(axis=0)
     return low, np.where(valid, columns, -np.inf).max(axis=0)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import not_negative, positive, whole
-from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
@@ -94,7 +93,7 @@ class LowPass(AbstractStep, AbstractFitted):
             )
         require_valid(record, data.channels)
         j = present(data.channels, self.channels)
-        x, valid = signals(record).astype(np.float64), record.valid.copy()
+        x, valid = record.signals.astype(np.float64), record.valid.copy()
         pad = min(len(weights) // 2, len(record) - 1)
         smooth = bridged(x, valid)[:, j]
         x[:, j] = sosfiltfilt(sos, smooth, axis=0, padlen=pad)
@@ -229,7 +228,7 @@ class OutliersMasked(AbstractFitted):
                 f"search {width} (half_width={self.half_width}). Take a narrower "
                 "window, or leave out the record."
             )
-        x, valid = signals(record).astype(np.float64), record.valid.copy()
+        x, valid = record.signals.astype(np.float64), record.valid.copy()
         for j in present(data.channels, self.least):
             least = self.least[data.channels.names[j]]
             valid[:, j] &= ~outliers(

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import positive
-from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.preparation.step import (
@@ -150,7 +149,7 @@ def crank_angles(
 
 
 def _on(record: Record, data: Dataset, at, step: float) -> Record:
-    x, valid = on_grid(at, signals(record), record.valid, step=step, name=record.name)
+    x, valid = on_grid(at, record.signals, record.valid, step=step, name=record.name)
     return rebuilt(record, x, valid, data.channels)
 
 
@@ -169,7 +168,7 @@ def _speed_signal(data: Dataset, name: str) -> int:
 def _speed(record: Record, data: Dataset, j: int) -> Float[np.ndarray, " time"]:
     """Speed of the record, bridged over masked samples; DataError unless positive."""
     require_valid(record, data.channels)
-    x, name = signals(record)[:, j : j + 1], data.channels.names[j]
+    x, name = record.signals[:, j : j + 1], data.channels.names[j]
     bad = np.flatnonzero((x[:, 0] <= 0) & record.valid[:, j])
     if bad.size:
         row, value = int(bad[0]) + record.start_row, float(x[bad[0], 0])

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import choice, finite, positive, require
-from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
@@ -87,7 +86,7 @@ class OffsetRemoved(AbstractFitted):
     def _moved(self, data: Dataset, sign: float) -> Dataset:
         names = data.channels.names
         shift = sign * np.array([self.offset.get(n, 0.0) for n in names])
-        return on_same_rows(data, lambda r: (signals(r) + shift[None], r.valid))
+        return on_same_rows(data, lambda r: (r.signals + shift[None], r.valid))
 
     def describe(self) -> str:
         """The offsets with units."""
@@ -185,7 +184,7 @@ class Scaled(AbstractFitted):
     def _changed(self, data: Dataset, units: Mapping[str, str], change) -> Dataset:
         return on_same_rows(
             data,
-            lambda r: (change(signals(r).astype(np.float64)), r.valid),
+            lambda r: (change(r.signals.astype(np.float64)), r.valid),
             channels=with_units(data.channels, units),
         )
 
@@ -250,7 +249,7 @@ class Detrend(AbstractStep, AbstractFitted):
                 channel=name,
             )
         t = (np.arange(len(record)) * data.sample_time)[known]
-        x = signals(record)[known, j].astype(np.float64)
+        x = record.signals[known, j].astype(np.float64)
         middle, level = t.mean(), x.mean()
         slope = float((t - middle) @ (x - level) / ((t - middle) @ (t - middle)))
         start = -slope * middle + (0.0 if self.keep_level else level)
@@ -293,7 +292,7 @@ def _add(data: Dataset, lines: Lines, sign: float) -> Dataset:
         line: Float[np.ndarray, "signals 2"]
         line = np.array([own.get(n, (0.0, 0.0)) for n in names])
         t = np.arange(len(record)) * data.sample_time
-        x = signals(record) + sign * (line[None, :, 0] + t[:, None] * line[None, :, 1])
+        x = record.signals + sign * (line[None, :, 0] + t[:, None] * line[None, :, 1])
         return x, record.valid
 
     return on_same_rows(data, one)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import require
-from jaxnarx.data.check_samples import signals
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.cleaning import SHARE, convolved, masked_share, mirrored
 from jaxnarx.data.preparation.step import (
@@ -195,7 +194,7 @@ def at_sample_time(data: Dataset, sample_time: float) -> Dataset:
         require_valid(record, data.channels)
         t = np.arange(len(record)) * data.sample_time
         x, valid = on_grid(
-            t, signals(record), record.valid, step=sample_time, name=record.name
+            t, record.signals, record.valid, step=sample_time, name=record.name
         )
         return rebuilt(record, x, valid, data.channels)
 
@@ -240,7 +239,7 @@ class Shift(AbstractStep, AbstractFitted):
             rows = first + np.arange(kept)[:, None] + np.array(ahead)[None]
             x, valid = (
                 np.take_along_axis(a, rows, axis=0)
-                for a in (signals(record), record.valid)
+                for a in (record.signals, record.valid)
             )
             row = record.start_row + first
             return rebuilt(record, x, valid, data.channels, start_row=row)

@@ -82,8 +82,7 @@ def present(channels: Channels, names: Iterable[str] | None) -> list[int]:
 
 def measured(data: Dataset, j: int) -> Float[np.ndarray, " samples"]:
     """All valid samples of signal `j`; DataError where there is none."""
-    n = len(data.channels.inputs)
-    parts = [(r.u[:, j] if j < n else r.y[:, j - n])[r.valid[:, j]] for r in data]
+    parts = [r.signal(j)[r.valid[:, j]] for r in data]
     values = np.concatenate([np.zeros(0), *parts]).astype(np.float64)
     if not values.size:
         name = data.channels.names[j]
