@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.windows import usable
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.errors import DataError, SpecError
+from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, fed_back, scheduling_values
 from jaxnarx.regressors import (
     Variables,
@@ -22,6 +21,7 @@ from jaxnarx.regressors import (
     row_columns,
     variable_names,
 )
+from jaxnarx.regressors.columns import even_places
 from jaxnarx.simulation import fitting, tables
 
 POINTS = 600
@@ -68,13 +68,9 @@ def local_behaviour(
     model = network.models[o]
     data = fitting(network, data)
     batch = stack(data)
-    good = np.flatnonzero(usable(batch.valid, tables(network), network.history))
-    if not len(good):
-        raise DataError(
-            f"no sample has {network.history} valid ones before it; local models need "
-            "samples to be linearised at"
-        )
-    at = good[np.unique(np.linspace(0, len(good) - 1, points).astype(int))]
+    at = even_places(
+        batch, tables(network), network.history, points, "local models need"
+    )
 
     def columns(table: Variables, **scaled) -> np.ndarray:
         return row_columns(batch, at, table, data.sample_time, **scaled)

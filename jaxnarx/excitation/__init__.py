@@ -6,58 +6,32 @@ planned together with `aprbs_plan`. Not imported by `jaxnarx.data`, because this
 jax.
 """
 
-from jaxnarx.excitation.assess import (
-    Assessment,
-    Coverage,
-    Spectrum,
-    assess,
-    bandwidth,
-    cells,
-    coverage,
-    spectrum,
-    visited,
-)
-from jaxnarx.excitation.courses import driving_cycle, limited, ramps, steps
-from jaxnarx.excitation.placement import discrepancy, latin_hypercube, sobol
-from jaxnarx.excitation.plan import (
-    AprbsPlan,
-    aprbs_plan,
-    check_plan,
-    feasible,
-    reachable,
-    render,
-)
-from jaxnarx.excitation.sines import chirp, crest_factor, multisine
-from jaxnarx.excitation.staircases import aprbs, hold_times, prbs, random_walk
-
-__all__ = [
-    "AprbsPlan",
-    "Assessment",
-    "Coverage",
-    "Spectrum",
-    "aprbs",
-    "aprbs_plan",
-    "assess",
-    "bandwidth",
-    "cells",
-    "check_plan",
-    "chirp",
-    "coverage",
-    "crest_factor",
-    "discrepancy",
-    "driving_cycle",
-    "feasible",
-    "hold_times",
-    "latin_hypercube",
-    "limited",
-    "multisine",
-    "prbs",
-    "ramps",
-    "random_walk",
-    "reachable",
-    "render",
-    "sobol",
-    "spectrum",
-    "steps",
-    "visited",
-]
+from jaxnarx.excitation.assess import Assessment as Assessment
+from jaxnarx.excitation.assess import Coverage as Coverage
+from jaxnarx.excitation.assess import Spectrum as Spectrum
+from jaxnarx.excitation.assess import assess as assess
+from jaxnarx.excitation.assess import bandwidth as bandwidth
+from jaxnarx.excitation.assess import cells as cells
+from jaxnarx.excitation.assess import coverage as coverage
+from jaxnarx.excitation.assess import spectrum as spectrum
+from jaxnarx.excitation.assess import visited as visited
+from jaxnarx.excitation.courses import driving_cycle as driving_cycle
+from jaxnarx.excitation.courses import limited as limited
+from jaxnarx.excitation.courses import ramps as ramps
+from jaxnarx.excitation.courses import steps as steps
+from jaxnarx.excitation.placement import discrepancy as discrepancy
+from jaxnarx.excitation.placement import latin_hypercube as latin_hypercube
+from jaxnarx.excitation.placement import sobol as sobol
+from jaxnarx.excitation.plan import AprbsPlan as AprbsPlan
+from jaxnarx.excitation.plan import aprbs_plan as aprbs_plan
+from jaxnarx.excitation.plan import check_plan as check_plan
+from jaxnarx.excitation.plan import feasible as feasible
+from jaxnarx.excitation.plan import reachable as reachable
+from jaxnarx.excitation.plan import render as render
+from jaxnarx.excitation.sines import chirp as chirp
+from jaxnarx.excitation.sines import crest_factor as crest_factor
+from jaxnarx.excitation.sines import multisine as multisine
+from jaxnarx.excitation.staircases import aprbs as aprbs
+from jaxnarx.excitation.staircases import hold_times as hold_times
+from jaxnarx.excitation.staircases import prbs as prbs
+from jaxnarx.excitation.staircases import random_walk as random_walk

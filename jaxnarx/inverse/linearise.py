@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
-from jaxnarx.errors import DataError, SpecError
+from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, scheduling_values
 from jaxnarx.regressors import AbstractFilter, FilterSystem, realise, row_columns
+from jaxnarx.regressors.columns import even_places
 from jaxnarx.simulation import fitting, tables
 
 SMALL = 1e-8
@@ -107,13 +107,9 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
     require_shared(network)
     data = fitting(network, data)
     batch = stack(data)
-    good = np.flatnonzero(usable(batch.valid, tables(network), network.history))
-    if not len(good):
-        raise DataError(
-            f"no sample has {network.history} valid ones before it; the network needs "
-            "samples to be linearised at"
-        )
-    at = good[np.unique(np.linspace(0, len(good) - 1, points).astype(int))]
+    at = even_places(
+        batch, tables(network), network.history, points, "the network needs"
+    )
     gain = np.asarray(network.gain)
     time = data.sample_time
     v = row_columns(batch, at, network.variables, time, gain=gain, ones=1)

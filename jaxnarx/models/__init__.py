@@ -1,81 +1,37 @@
 """Validity functions, local models and the network that blends them."""
 
-from jaxnarx.models.assemble import (
-    assemble,
-    global_model,
-    local_models,
-    output_model,
-)
-from jaxnarx.models.feedback import (
-    advance,
-    collapse,
-    collapsed_step,
-    collapses,
-    depth,
-    fed_back,
-    folded,
-    general_step,
-    places,
-    respond,
-    sources,
-    widened,
-    with_history,
-    with_own,
-)
-from jaxnarx.models.network import (
-    LocalModels,
-    Network,
-    OutputModel,
-    scaled_points,
-    scheduling_values,
-    weights_at,
-)
-from jaxnarx.models.storage import load, load_about, save
-from jaxnarx.models.validity import (
-    AbstractValidity,
-    Boxes,
-    Compact,
-    Gaussians,
-    LogSigmoids,
-    SigmoidTree,
-    register_validity,
-    weights_of,
-)
-
-__all__ = [
-    "AbstractValidity",
-    "Boxes",
-    "Compact",
-    "Gaussians",
-    "LocalModels",
-    "LogSigmoids",
-    "Network",
-    "OutputModel",
-    "SigmoidTree",
-    "advance",
-    "assemble",
-    "collapse",
-    "collapsed_step",
-    "collapses",
-    "depth",
-    "fed_back",
-    "folded",
-    "general_step",
-    "global_model",
-    "load",
-    "load_about",
-    "local_models",
-    "output_model",
-    "places",
-    "register_validity",
-    "respond",
-    "save",
-    "scaled_points",
-    "scheduling_values",
-    "sources",
-    "widened",
-    "weights_at",
-    "weights_of",
-    "with_history",
-    "with_own",
-]
+from jaxnarx.models.assemble import assemble as assemble
+from jaxnarx.models.assemble import global_model as global_model
+from jaxnarx.models.assemble import local_models as local_models
+from jaxnarx.models.assemble import output_model as output_model
+from jaxnarx.models.feedback import advance as advance
+from jaxnarx.models.feedback import collapse as collapse
+from jaxnarx.models.feedback import collapsed_step as collapsed_step
+from jaxnarx.models.feedback import collapses as collapses
+from jaxnarx.models.feedback import depth as depth
+from jaxnarx.models.feedback import fed_back as fed_back
+from jaxnarx.models.feedback import folded as folded
+from jaxnarx.models.feedback import general_step as general_step
+from jaxnarx.models.feedback import places as places
+from jaxnarx.models.feedback import respond as respond
+from jaxnarx.models.feedback import sources as sources
+from jaxnarx.models.feedback import widened as widened
+from jaxnarx.models.feedback import with_history as with_history
+from jaxnarx.models.feedback import with_own as with_own
+from jaxnarx.models.network import LocalModels as LocalModels
+from jaxnarx.models.network import Network as Network
+from jaxnarx.models.network import OutputModel as OutputModel
+from jaxnarx.models.network import scaled_points as scaled_points
+from jaxnarx.models.network import scheduling_values as scheduling_values
+from jaxnarx.models.network import weights_at as weights_at
+from jaxnarx.models.storage import load as load
+from jaxnarx.models.storage import load_about as load_about
+from jaxnarx.models.storage import save as save
+from jaxnarx.models.validity import AbstractValidity as AbstractValidity
+from jaxnarx.models.validity import Boxes as Boxes
+from jaxnarx.models.validity import Compact as Compact
+from jaxnarx.models.validity import Gaussians as Gaussians
+from jaxnarx.models.validity import LogSigmoids as LogSigmoids
+from jaxnarx.models.validity import SigmoidTree as SigmoidTree
+from jaxnarx.models.validity import register_validity as register_validity
+from jaxnarx.models.validity import weights_of as weights_of

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.windows import lagged
+from jaxnarx.arrays.windows import lagged, usable
 from jaxnarx.data.batch import Batch
+from jaxnarx.errors import DataError
 from jaxnarx.regressors.filtering import FilterTable, filter_table, filtered
 from jaxnarx.regressors.filters import require_sampled
 from jaxnarx.regressors.variables import Variables
@@ -60,6 +61,27 @@ def _filtered_records(
 ) -> Float[Array, "records time"]:
     one = jax.vmap(filtered, in_axes=(None, 0, 0, None))
     return one(table, u, valid, sample_time)
+
+
+def even_places(
+    batch: Batch,
+    rows: tuple[tuple[int, int], ...],
+    history: int,
+    points: int,
+    what: str,
+) -> Int[np.ndarray, " places"]:
+    """Up to `points` places of `batch.flat` to linearise at, evenly spread.
+
+    Those with full history and valid lags `rows`, (signal, lag); without any,
+    `DataError` says that `what` needs them.
+    """
+    good = np.flatnonzero(usable(batch.valid, rows, history))
+    if not len(good):
+        raise DataError(
+            f"no sample has {history} valid ones before it; {what} samples to be "
+            "linearised at"
+        )
+    return good[np.unique(np.linspace(0, len(good) - 1, points).astype(int))]
 
 
 def row_columns(

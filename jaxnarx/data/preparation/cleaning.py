@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,10 +10,9 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import not_negative, positive, whole
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
-    AbstractFitted,
+    AbstractLossy,
     AbstractStep,
     bridged,
-    cannot_undo,
     chosen,
     listed,
     measured,
@@ -33,7 +33,7 @@ _SMALL = 1e-8
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class LowPass(AbstractStep, AbstractFitted):
+class LowPass(AbstractStep, AbstractLossy):
     """Butterworth filter of `order`, once forwards and once backwards in time.
 
     There is no phase and no delay; the gain at frequency f [Hz] is, with sample time T,
@@ -47,6 +47,9 @@ class LowPass(AbstractStep, AbstractFitted):
     so a slow movement near an end, over less than 1 / cutoff seconds, is a guess.
     """
 
+    irreversible: ClassVar[str] = (
+        "LowPass cannot be undone: what lies above the cut-off is lost"
+    )
     cutoff: float | int
     order: int = 4
     channels: tuple[str, ...] | None = None
@@ -99,10 +102,6 @@ class LowPass(AbstractStep, AbstractFitted):
         x[:, j] = sosfiltfilt(sos, smooth, axis=0, padlen=pad)
         valid[:, j] &= masked_share(valid[:, j], weights) <= SHARE
         return x, valid
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused: high frequencies are gone."""
-        raise cannot_undo("LowPass", "what lies above the cut-off is lost")
 
     def describe(self) -> str:
         """Cut-off [Hz], order and channels."""
@@ -205,9 +204,12 @@ class Hampel(AbstractStep):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OutliersMasked(AbstractFitted):
+class OutliersMasked(AbstractLossy):
     """Hampel's identifier with `least`, by channel the least deviation that counts."""
 
+    irreversible: ClassVar[str] = (
+        "Hampel cannot be undone: the masked readings are not kept"
+    )
     half_width: int
     sigmas: float
     least: Mapping[str, float]
@@ -235,10 +237,6 @@ class OutliersMasked(AbstractFitted):
                 x[:, j], valid[:, j], self.half_width, self.sigmas, least
             )
         return x, valid
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused: the masked readings are gone."""
-        raise cannot_undo("Hampel", "the masked readings are not kept")
 
     def describe(self) -> str:
         """Window, threshold and the least deviation of every channel."""

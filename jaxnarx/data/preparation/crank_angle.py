@@ -1,6 +1,7 @@
 """From samples at crank angles to samples in time, and back."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -9,10 +10,9 @@ from jaxnarx.checks import positive
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.preparation.step import (
-    AbstractFitted,
+    AbstractLossy,
     AbstractStep,
     bridged,
-    cannot_undo,
     mapped,
     measured,
     rebuilt,
@@ -26,7 +26,7 @@ _RPM = {"", "rpm", "1/min", "r/min", "rev/min", "min-1", "min^-1", "u/min"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ToTime(AbstractStep, AbstractFitted):
+class ToTime(AbstractStep, AbstractLossy):
     """Samples every `degrees` of crank angle, brought to every `sample_time` seconds.
 
     At the speed N [rpm] of the channel `speed` an event of D degrees lasts D / (6 N)
@@ -35,6 +35,9 @@ class ToTime(AbstractStep, AbstractFitted):
     Speed must be positive: put this step before offset removal and scaling.
     """
 
+    irreversible: ClassVar[str] = (
+        "ToTime cannot be undone: use ToCrankAngle to come near to it"
+    )
     speed: str
     degrees: float | int
     sample_time: float | int
@@ -57,10 +60,6 @@ class ToTime(AbstractStep, AbstractFitted):
             return _on(record, data, t, step)
 
         return mapped(data, one, sample_time=step)
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused; `ToCrankAngle` comes near to it."""
-        raise cannot_undo("ToTime", "use ToCrankAngle to come near to it")
 
     def describe(self) -> str:
         """Degrees, speed channel and sample time [s]."""
@@ -99,9 +98,12 @@ class ToCrankAngle(AbstractStep):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AtCrankAngle(AbstractFitted):
+class AtCrankAngle(AbstractLossy):
     """`ToCrankAngle` with the nominal `sample_time` [s] of an event."""
 
+    irreversible: ClassVar[str] = (
+        "ToCrankAngle cannot be undone: use ToTime to come near to it"
+    )
     speed: str
     degrees: float | int
     sample_time: float | int
@@ -119,10 +121,6 @@ class AtCrankAngle(AbstractFitted):
             return _on(record, data, angle, step)
 
         return mapped(data, one, sample_time=float(self.sample_time))
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused; `ToTime` comes near to it."""
-        raise cannot_undo("ToCrankAngle", "use ToTime to come near to it")
 
     def describe(self) -> str:
         """Degrees, speed channel and nominal sample time [s]."""

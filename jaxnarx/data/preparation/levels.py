@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,8 @@ from jaxnarx.checks import choice, finite, positive, require
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
+    AbstractLossy,
     AbstractStep,
-    cannot_undo,
     chosen,
     listed,
     measured,
@@ -211,7 +211,7 @@ _LEAST = 3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Detrend(AbstractStep, AbstractFitted):
+class Detrend(AbstractStep, AbstractLossy):
     """Subtract from every record its own line of least squares over valid samples.
 
     With `keep_level` the mean over the valid samples stays and only the drift goes:
@@ -222,6 +222,11 @@ class Detrend(AbstractStep, AbstractFitted):
     Ljung 1999, System Identification, section 14.1; thesis 2.1.2, item 1.
     """
 
+    irreversible: ClassVar[str] = (
+        "Detrend cannot be undone: every record has a line of its own. Keep "
+        "Detrend.lines(data) before applying it, and add them with "
+        "Detrend.restore(data, lines)."
+    )
     keep_level: bool = True
     channels: tuple[str, ...] | None = None
 
@@ -269,14 +274,6 @@ class Detrend(AbstractStep, AbstractFitted):
                     field="lines",
                 )
         return _add(data, lines, 1.0)
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused: the lines are the records' own."""
-        raise cannot_undo(
-            "Detrend",
-            "every record has a line of its own. Keep Detrend.lines(data) before "
-            "applying it, and add them with Detrend.restore(data, lines).",
-        )
 
     def describe(self) -> str:
         """Which channels, and what is subtracted."""

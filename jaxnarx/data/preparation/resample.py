@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,9 +12,9 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.cleaning import SHARE, convolved, masked_share, mirrored
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
+    AbstractLossy,
     AbstractStep,
     bridged,
-    cannot_undo,
     chosen,
     mapped,
     rebuilt,
@@ -121,7 +121,7 @@ def sinc(edge: float, half: int) -> Float[np.ndarray, " taps"]:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Resample(AbstractStep, AbstractFitted):
+class Resample(AbstractStep, AbstractLossy):
     """All channels at another `sample_time` [s], from each record's first sample on.
 
     Longer steps come with an anti-aliasing filter, shorter ones with interpolation;
@@ -129,6 +129,10 @@ class Resample(AbstractStep, AbstractFitted):
     move in steps ring where they are filtered, by a tenth of the step at most.
     """
 
+    irreversible: ClassVar[str] = (
+        "Resample cannot be undone: use Resample with the old sample time to come "
+        "near to it"
+    )
     sample_time: float | int
 
     def __post_init__(self):
@@ -142,25 +146,22 @@ class Resample(AbstractStep, AbstractFitted):
         """Every record at the new sample time; its rows are no rows of its source."""
         return at_sample_time(data, float(self.sample_time))
 
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused: filtering and interpolation both lose something."""
-        raise cannot_undo(
-            "Resample", "use Resample with the old sample time to come near to it"
-        )
-
     def describe(self) -> str:
         """The new sample time [s]."""
         return f"resampled to {self.sample_time:g} s, anti-aliased where it is longer"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Decimate(AbstractStep, AbstractFitted):
+class Decimate(AbstractStep, AbstractLossy):
     """Every `factor`-th sample after an anti-aliasing filter without phase.
 
     The filter and the rule for masked samples are those of `grid.on_grid`. A record
     with fewer than 10 samples left is a DataError.
     """
 
+    irreversible: ClassVar[str] = (
+        "Decimate cannot be undone: the samples between are lost"
+    )
     factor: int
 
     def __post_init__(self):
@@ -177,10 +178,6 @@ class Decimate(AbstractStep, AbstractFitted):
     def apply(self, data: Dataset) -> Dataset:
         """Every record at `factor` times the sample time."""
         return at_sample_time(data, self.factor * data.sample_time)
-
-    def undo(self, data: Dataset) -> Dataset:
-        """Refused: high frequencies are gone."""
-        raise cannot_undo("Decimate", "the samples between are lost")
 
     def describe(self) -> str:
         """The factor."""

@@ -9,7 +9,7 @@ frozen, compare by value and survive as JSON.
 import abc
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -48,17 +48,23 @@ class AbstractFitted(abc.ABC):
         }
 
 
+class AbstractLossy(AbstractFitted):
+    """A step that loses something, so that it cannot be undone."""
+
+    irreversible: ClassVar[str]
+    """That it cannot be undone, and why, or what comes near to it."""
+
+    def undo(self, data: Dataset) -> Dataset:
+        """Refused, with the reason."""
+        raise SpecError(self.irreversible, field="undo")
+
+
 class AbstractStep(abc.ABC):
     """Settings of a step, frozen dataclass; every option by keyword."""
 
     @abc.abstractmethod
     def fit(self, data: Dataset) -> AbstractFitted:
         """The step with its numbers, from the valid samples of training data."""
-
-
-def cannot_undo(what: str, why: str) -> SpecError:
-    """The error of a step that loses something."""
-    return SpecError(f"{what} cannot be undone: {why}", field="undo")
 
 
 def _plain(value: Any) -> Any:
