@@ -44,8 +44,9 @@ def choice(value: Any, words: Collection[str], field: str) -> str:
 def whole(value: Any, field: str, least: int = 1, most: int | None = None) -> int:
     """`value` as a whole number from `least` to `most`."""
     is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if is_whole and least <= value and (most is None or value <= most):
-        return int(value)
+    number = int(value) if is_whole else least - 1
+    if number >= least and (most is None or number <= most):
+        return number
     if most is not None:
         wanted = f"a whole number from {least} to {most}"
     else:
@@ -65,12 +66,13 @@ def positive(
 ) -> float:
     """`value` as a float above zero and `below` a limit; `what` may tell its unit."""
     is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_real or not 0 < value < below:
+    number = float(value) if is_real else math.nan
+    if not 0 < number < below:
         to = f" below {below:g}" if below < math.inf else ""
         raise SpecError(
             f"{field} must be a positive {what}{to}, got {value!r}", field=field
         )
-    return float(value)
+    return number
 
 
 def not_negative(value: Number, field: str) -> float:

@@ -46,17 +46,17 @@ class AbstractEngine(eqx.Module):
     varied: ClassVar[Mapping[str, float]]
     """How far each parameter moves in `perturbed`, relative to `spread`; parameters of
     a part have dotted names."""
-    channels: eqx.AbstractClassVar[Channels]
+    channels: ClassVar[Channels]
     """Names and units of the inputs and outputs, in the order of the columns."""
-    ranges: eqx.AbstractClassVar[Borders]
+    ranges: ClassVar[Borders]
     """Usual range of each input, in its unit; for excitation, not enforced."""
-    domain: eqx.AbstractClassVar[Borders]
+    domain: ClassVar[Borders]
     """Where the model holds, by input; `simulate` refuses what is outside."""
-    limits: eqx.AbstractClassVar[Borders]
+    limits: ClassVar[Borders]
     """Outputs outside these bounds end a run: the engine has stalled, or worse."""
-    noise: eqx.AbstractClassVar[Mapping[str, bench.Noise]]
+    noise: ClassVar[Mapping[str, bench.Noise]]
     """Measurement noise of each output."""
-    event: eqx.AbstractClassVar[float | None]
+    event: ClassVar[float | None]
     """Crank angle of an event [degrees]; None where the bed samples time."""
 
     @property
