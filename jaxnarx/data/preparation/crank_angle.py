@@ -31,7 +31,7 @@ class ToTime(AbstractStep, AbstractLossy):
 
     At the speed N [rpm] of the channel `speed` an event of D degrees lasts D / (6 N)
     seconds; from one sample to the next the mean of both durations passes. Records that
-    ran faster become shorter. Filter, interpolation and masks as in `grid.on_grid`.
+    ran faster become shorter. Filter, interpolation and masks as in `resample.on_grid`.
     Speed must be positive: put this step before offset removal and scaling.
     """
 

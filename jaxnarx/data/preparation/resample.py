@@ -125,7 +125,7 @@ class Resample(AbstractStep, AbstractLossy):
     """All channels at another `sample_time` [s], from each record's first sample on.
 
     Longer steps come with an anti-aliasing filter, shorter ones with interpolation;
-    see `grid.on_grid` for both and for what becomes of masked samples. Inputs that
+    see `on_grid` for both and for what becomes of masked samples. Inputs that
     move in steps ring where they are filtered, by a tenth of the step at most.
     """
 
@@ -155,7 +155,7 @@ class Resample(AbstractStep, AbstractLossy):
 class Decimate(AbstractStep, AbstractLossy):
     """Every `factor`-th sample after an anti-aliasing filter without phase.
 
-    The filter and the rule for masked samples are those of `grid.on_grid`. A record
+    The filter and the rule for masked samples are those of `on_grid`. A record
     with fewer than 10 samples left is a DataError.
     """
 
