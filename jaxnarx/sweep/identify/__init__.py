@@ -1,7 +1,8 @@
 """Identification of many engines as one compiled program."""
 
 from jaxnarx.sweep.identify.identify_each import identify_each
-from jaxnarx.sweep.identify.rows import network_of, score_names
+from jaxnarx.sweep.identify.row_network import network_of
+from jaxnarx.sweep.identify.rows import score_names
 from jaxnarx.sweep.identify.work import IdentificationWork
 
 __all__ = ["IdentificationWork", "identify_each", "network_of", "score_names"]

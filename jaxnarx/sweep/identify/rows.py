@@ -1,34 +1,23 @@
-"""Outcomes as rows of a table, and a row as a network again."""
+"""Outcomes as rows of a table."""
 
-import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     AbstractValidity,
-    Boxes,
-    Compact,
     Gaussians,
     LogSigmoids,
     Network,
     SigmoidTree,
-    local_models,
-    output_model,
 )
-from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.fleet import PARTS, Fleet
 from jaxnarx.sweep.identify.member import Prepared
 from jaxnarx.sweep.identify.program import Outcome
-
-if TYPE_CHECKING:
-    from jaxnarx.sweep.identify.work import IdentificationWork
 
 Row = dict[str, Any]
 
@@ -146,55 +135,3 @@ def trimmed(validity: AbstractValidity, count: int) -> AbstractValidity:
         )
         return eqx.tree_at(lambda v: (*v.parameters, v.path), validity, cut)
     return jax.tree.map(lambda a: a[:count], validity)
-
-
-def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
-    """Validity functions of the right kind and size."""
-    each = jnp.zeros((count, dims), dtype)
-    gates = jnp.zeros(count - 1, dtype)
-    if kind == "SigmoidTree":
-        path = jnp.zeros((count, count - 1), int)
-        return SigmoidTree(each[1:], gates, gates, path)
-    if kind == "LogSigmoids":
-        return LogSigmoids(gates, jnp.zeros((), dtype))
-    if kind == "Compact":
-        return Compact(each, each, each)
-    return Boxes(each, each) if kind == "Boxes" else Gaussians(each, each)
-
-
-def network_of(work: "IdentificationWork", row: Row) -> Network:
-    """The refined network of a row of this work; `row["engine"]` names the member.
-
-    Gains and ranges come from the data.
-    """
-    fleet, pool, names = work.fleet, work.pool, tuple(row["scheduling"])
-    prepared = work.prepared(fleet.index(row["engine"]), names)
-    if prepared.member is None or not row["term_index"]:
-        raise SpecError(
-            f"engine {row['engine']!r} has no network: {row['status']}", field="row"
-        )
-    frame = jax.tree.map(jnp.asarray, prepared.member.network)
-    count = int(row["model_count"])
-    dtype, dims = frame.models[0].offset.dtype, len(row["offset"])
-    like = _like(row["validity"], count, dims, dtype)
-    theta = np.asarray(row["coefficient"], dtype).reshape(count, -1)
-    factor = pool.factor[np.asarray(row["term_index"])]
-    model = output_model(
-        local_models(factor, theta),
-        _filled(like, row["partition"]),
-        scheduling_table(pool, names),
-        np.asarray(row["offset"], dtype),
-        np.asarray(row["span"], dtype),
-    )
-    return dataclasses.replace(frame, models=(model,))
-
-
-def _filled(like: AbstractValidity, values: list[float]) -> AbstractValidity:
-    leaves, shape = jax.tree.flatten(like)
-    ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
-    pieces = np.split(np.asarray(values, float), ends)
-    new = [
-        jnp.asarray(piece.reshape(leaf.shape).astype(leaf.dtype))
-        for piece, leaf in zip(pieces, leaves, strict=True)
-    ]
-    return jax.tree.unflatten(shape, new)
