@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 
 
@@ -38,9 +39,9 @@ class Anova:
     over, the weakest first."""
 
     def __post_init__(self):
-        _whole(self.levels, "levels", 2, 10)
-        _whole(self.interactions, "interactions", 1, 4)
-        _whole(self.columns, "columns", 1, 5000)
+        whole(self.levels, "levels", 2, 10)
+        whole(self.interactions, "interactions", 1, 4)
+        whole(self.columns, "columns", 1, 5000)
         if self.form not in ("balanced", "penalised"):
             raise SpecError(
                 f"form must be 'balanced' or 'penalised', got {self.form!r}",
@@ -55,12 +56,3 @@ class Anova:
             raise SpecError(
                 f"balance must lie in [0, 1], got {self.balance}", field="balance"
             )
-
-
-def _whole(value: object, field: str, least: int, most: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise SpecError(f"{field} must be a whole number, got {value!r}", field=field)
-    if not least <= value <= most:
-        raise SpecError(
-            f"{field} must lie between {least} and {most}, got {value}", field=field
-        )

@@ -4,14 +4,9 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
-from jaxnarx.errors import SpecError
+from jaxnarx.checks import require
 
 Number = float | int
-
-
-def _require(holds: bool, field: str, message: str) -> None:
-    if not holds:
-        raise SpecError(message, field=field)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,14 +24,14 @@ class ActuatorLimits:
 
     def __post_init__(self):
         for name, (low, high) in self.range.items():
-            _require(
+            require(
                 low < high,
                 "range",
                 f"the range of {name} must be (low, high) with low < high, got "
                 f"({low}, {high})",
             )
         for name, rate in self.rate.items():
-            _require(
+            require(
                 rate > 0,
                 "rate",
                 f"the rate of {name} must be positive, in its unit per second, got "
@@ -80,19 +75,19 @@ class TrackingError:
     def __post_init__(self):
         for name in ("effort", "tolerance", "ridge"):
             value = getattr(self, name)
-            _require(
+            require(
                 0 <= value < math.inf, name, f"{name} must not be negative, got {value}"
             )
         for name in ("max_steps", "window_steps", "patience"):
             value = getattr(self, name)
-            _require(value >= 0, name, f"{name} must not be negative, got {value}")
-        _require(
+            require(value >= 0, name, f"{name} must not be negative, got {value}")
+        require(
             all(h >= 1 for h in self.horizons),
             "horizons",
             f"horizons must be at least 1 sample, got {list(self.horizons)}",
         )
         low, high = self.width_band
-        _require(
+        require(
             0 < low <= 1 <= high,
             "width_band",
             f"width_band must hold 0 < low <= 1 <= high, got {self.width_band}",

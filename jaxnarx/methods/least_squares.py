@@ -3,13 +3,8 @@
 import dataclasses
 import math
 
+from jaxnarx.checks import choice
 from jaxnarx.errors import SpecError
-
-
-def _one_of(value: str, allowed: tuple[str, ...], field: str) -> None:
-    if value not in allowed:
-        listed = ", ".join(repr(a) for a in allowed)
-        raise SpecError(f"{field} must be one of {listed}, got {value!r}", field=field)
 
 
 def _forgetting(value: float | int) -> None:
@@ -42,8 +37,8 @@ class LeastSquares:
     """Weight of a sample against the one after it, in (0, 1]; recursive algorithm."""
 
     def __post_init__(self):
-        _one_of(self.algorithm, ("qr", "svd", "normal", "recursive"), "algorithm")
-        _one_of(self.scaling, ("norm", "mean", "none"), "scaling")
+        choice(self.algorithm, ("qr", "svd", "normal", "recursive"), "algorithm")
+        choice(self.scaling, ("norm", "mean", "none"), "scaling")
         _forgetting(self.forgetting)
         if not 0.0 <= self.ridge < math.inf:
             raise SpecError(
@@ -107,8 +102,8 @@ class Recursive:
     """Undo a window whose root mean square error is this many times the start's."""
 
     def __post_init__(self):
-        _one_of(self.regressors, ("measured", "simulated"), "regressors")
-        _one_of(self.estimation, ("local", "joint"), "estimation")
+        choice(self.regressors, ("measured", "simulated"), "regressors")
+        choice(self.estimation, ("local", "joint"), "estimation")
         _forgetting(self.forgetting)
         for field in ("start", "largest_trace"):
             if not 0.0 < getattr(self, field) < math.inf:

@@ -17,20 +17,12 @@ Reference: L. Ljung, System Identification: Theory for the User, 2nd ed. 1999, c
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from numbers import Integral
 
+from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 
 Orders = int | Sequence[int] | Mapping[str, int]
 """One number for all inputs, one for each in order, or by input name."""
-
-
-def _whole(value: object, field: str, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise SpecError(
-            f"{field} must be a whole number of at least {least}, got {value!r}",
-            field=field,
-        )
 
 
 class _Linear:
@@ -43,7 +35,7 @@ class _Linear:
             if isinstance(orders, Mapping):
                 orders = list(orders.values())
             for value in orders if isinstance(orders, Sequence) else [orders]:
-                _whole(value, field, smallest)
+                whole(value, field, smallest)
         tolerance = getattr(self, "tolerance", 0)
         if not 0 <= tolerance < 1:
             raise SpecError(

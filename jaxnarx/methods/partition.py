@@ -1,24 +1,16 @@
 """Settings of partition growth."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from jaxnarx.errors import SpecError
+from jaxnarx.checks import choice, require
 from jaxnarx.methods.selection import ForwardOLS, StepwiseF
 
 CRITERIA = ("aicc", "bic", "validation", "none")
 CURVES = ("gaussians", "compact", "boxes")
 FEEDBACK = ("network", "own", "choose")
-
-
-def _require(holds: bool, field: str, message: str) -> None:
-    if not holds:
-        raise SpecError(message, field=field)
-
-
-def _choice(field: str, value: str, known: tuple[str, ...]) -> None:
-    _require(value in known, field, f"{field} must be one of {known}, got {value!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,13 +38,13 @@ class _Local:
     any on the training records. It makes no difference one step ahead."""
 
     def __post_init__(self):
-        _choice("feedback", self.feedback, FEEDBACK)
-        _require(
+        choice(self.feedback, FEEDBACK, "feedback")
+        require(
             0 <= self.ridge < float("inf"),
             "ridge",
             f"ridge must be finite and not negative, got {self.ridge}",
         )
-        _require(
+        require(
             self.local is None or self.ridge == 0,
             "ridge",
             "local models with terms of their own take no ridge",
@@ -70,7 +62,7 @@ class _Scheduled(_Local):
         super().__post_init__()
         name = type(self).__name__
         object.__setattr__(self, "scheduling", _names(self.scheduling))
-        _require(
+        require(
             bool(self.scheduling),
             "scheduling",
             f"{name} needs scheduling variables, such as "
@@ -81,7 +73,7 @@ class _Scheduled(_Local):
 def _names(scheduling: Sequence[str]) -> tuple[str, ...]:
     """Scheduling variables as a tuple; one alone may be given as a text."""
     names = (scheduling,) if isinstance(scheduling, str) else tuple(scheduling)
-    _require(
+    require(
         len(set(names)) == len(names),
         "scheduling",
         f"a scheduling variable is named twice: {', '.join(names)}",
@@ -115,31 +107,31 @@ class _Grown(_Scheduled):
 
     def __post_init__(self):
         super().__post_init__()
-        _require(
+        require(
             0 <= self.scatter < float("inf"),
             "scatter",
             f"scatter must be finite and not negative, got {self.scatter}",
         )
-        _require(
+        require(
             not self.scatter or self.local is None,
             "scatter",
             "a partition whose models have terms of their own is not moved",
         )
-        _require(
+        require(
             0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
         )
-        _require(
+        require(
             self.max_models >= 1,
             "max_models",
             f"max_models must be at least 1, got {self.max_models}",
         )
-        _require(
+        require(
             self.patience >= 1,
             "patience",
             f"patience must be at least 1, got {self.patience}",
         )
-        _choice("criterion", self.criterion, CRITERIA)
-        _require(
+        choice(self.criterion, CRITERIA, "criterion")
+        require(
             self.least is None or self.least > 0,
             "least",
             f"least must be positive, got {self.least}",
@@ -166,13 +158,11 @@ class Lolimot(_Grown):
 
     def __post_init__(self):
         super().__post_init__()
-        _require(
-            self.k_sigma > 0,
-            "k_sigma",
-            f"k_sigma must be positive, got {self.k_sigma}",
+        require(
+            self.k_sigma > 0, "k_sigma", f"k_sigma must be positive, got {self.k_sigma}"
         )
-        _choice("worst", self.worst, ("squares", "nmse"))
-        _choice("validity", self.validity, CURVES)
+        choice(self.worst, ("squares", "nmse"), "worst")
+        choice(self.validity, CURVES, "validity")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,14 +186,12 @@ class SigmoidTree(_Grown):
 
     def __post_init__(self):
         super().__post_init__()
-        _require(
+        require(
             self.smoothness > 0,
             "smoothness",
             f"smoothness must be positive, got {self.smoothness}",
         )
-        _require(
-            self.steps >= 1, "steps", f"steps must be at least 1, got {self.steps}"
-        )
+        require(self.steps >= 1, "steps", f"steps must be at least 1, got {self.steps}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,21 +214,19 @@ class Placed(_Scheduled):
 
     def __post_init__(self):
         super().__post_init__()
-        _require(
+        require(
             self.max_models >= 1,
             "max_models",
             f"max_models must be at least 1, got {self.max_models}",
         )
-        _require(
-            self.k_sigma > 0,
-            "k_sigma",
-            f"k_sigma must be positive, got {self.k_sigma}",
+        require(
+            self.k_sigma > 0, "k_sigma", f"k_sigma must be positive, got {self.k_sigma}"
         )
-        _require(
+        require(
             self.local is None, "local", "models that are placed have terms in common"
         )
-        _choice("at", self.at, ("samples", "clusters"))
-        _require(
+        choice(self.at, ("samples", "clusters"), "at")
+        require(
             0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
         )
 
@@ -282,15 +268,15 @@ class Grid(_Scheduled):
         models = self.models
         models = (models,) if isinstance(models, int) else tuple(models)
         object.__setattr__(self, "models", models)
-        _choice("validity", self.validity, (*CURVES, "log-sigmoids"))
+        choice(self.validity, (*CURVES, "log-sigmoids"), "validity")
         given = [n for n in ("models", "borders", "centres") if len(getattr(self, n))]
-        _require(
+        require(
             len(given) == 1,
             "models",
             f"give one of models, borders and centres, got {given or 'none'}",
         )
-        _require(self.k_sigma > 0, "k_sigma", "k_sigma must be positive")
-        _require(
+        require(self.k_sigma > 0, "k_sigma", "k_sigma must be positive")
+        require(
             self.steepness is None or self.steepness > 0,
             "steepness",
             f"steepness must be positive, got {self.steepness}",
@@ -301,50 +287,50 @@ class Grid(_Scheduled):
         dims = len(self.scheduling)
         for name in ("models", "borders"):
             value = getattr(self, name)
-            _require(
+            require(
                 not value or len(value) == dims,
                 name,
                 f"{name} needs one entry for each of {', '.join(self.scheduling)}, "
                 f"got {len(value)}",
             )
         for name in ("centres", "widths"):
-            _require(
+            require(
                 all(len(row) == dims for row in getattr(self, name)),
                 name,
                 f"every entry of {name} needs {dims} numbers, one for each scheduling "
                 "variable",
             )
-        _require(
+        require(
             not self.models or min(self.models) >= 1,
             "models",
             f"models must be at least 1 along every variable, got {self.models}",
         )
-        _require(
-            all(a < b for row in self.borders for a, b in zip(row, row[1:])),  # noqa: B905
+        require(
+            all(a < b for row in self.borders for a, b in itertools.pairwise(row)),
             "borders",
             f"borders must ascend, got {self.borders}",
         )
-        _require(
+        require(
             len(set(self.centres)) == len(self.centres),
             "centres",
             "two centres are the same; give every local model its own",
         )
-        _require(
+        require(
             not self.widths or len(self.widths) == len(self.centres),
             "widths",
             f"{len(self.widths)} widths for {len(self.centres)} centres",
         )
-        _require(
+        require(
             all(w > 0 for row in self.widths for w in row),
             "widths",
             "widths must be positive",
         )
-        _require(
+        require(
             not self.centres or self.validity in ("gaussians", "log-sigmoids"),
             "validity",
             f"centres go with gaussians or log-sigmoids, not {self.validity}",
         )
-        _require(
+        require(
             self.validity != "log-sigmoids" or dims == 1,
             "validity",
             f"log-sigmoids divide one variable, not {dims}",
@@ -377,12 +363,12 @@ class Given(_Local):
         object.__setattr__(self, "scheduling", _names(self.scheduling))
         ranges = tuple(tuple(map(float, row)) for row in self.ranges)
         object.__setattr__(self, "ranges", ranges)
-        _require(
+        require(
             not ranges or len(ranges) == len(self.scheduling),
             "ranges",
             f"{len(ranges)} ranges for {len(self.scheduling)} scheduling variables",
         )
-        _require(
+        require(
             all(len(row) == 2 and row[0] < row[1] for row in ranges),
             "ranges",
             f"a range is a lower and a higher value, got {self.ranges}",

@@ -6,12 +6,7 @@ from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import Literal
 
-from jaxnarx.errors import SpecError
-
-
-def _require(holds: bool, field: str, message: str) -> None:
-    if not holds:
-        raise SpecError(message, field=field)
+from jaxnarx.checks import choice, require
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,20 +80,20 @@ class SimulationError:
     def __post_init__(self):
         if self.horizons != "auto":
             object.__setattr__(self, "horizons", tuple(self.horizons))
-            _require(
+            require(
                 all(isinstance(h, Integral) and int(h) >= 2 for h in self.horizons),
                 "horizons",
                 "horizons must be at least 2 samples each, and whole numbers, got "
                 f"{self.horizons}",
             )
-        _require(
+        require(
             self.max_steps >= 0 and self.window_steps >= 0,
             "max_steps",
             "step budgets must not be negative",
         )
         for name in ("ridge", "tolerance"):
             value = getattr(self, name)
-            _require(
+            require(
                 0 <= value < math.inf,
                 name,
                 f"{name} must be finite and not negative, got {value}",
@@ -107,58 +102,56 @@ class SimulationError:
         _check_width_band(self.width_band)
         for name in ("patience", "starts", "batch"):
             value = getattr(self, name)
-            _require(
+            require(
                 isinstance(value, Integral) and int(value) >= 1,
                 name,
                 f"{name} must be a whole number of at least 1, got {value}",
             )
         for name in ("corner", "learning_rate", "contraction"):
             value = getattr(self, name)
-            _require(value > 0, name, f"{name} must be positive, got {value}")
-        _require(
+            require(value > 0, name, f"{name} must be positive, got {value}")
+        require(
             self.stability >= 0,
             "stability",
             f"stability must not be negative, got {self.stability}",
         )
-        _require(
+        require(
             self.folds == 0 or self.folds >= 2,
             "folds",
             f"folds must be 0 (none) or at least 2, got {self.folds}",
         )
         powers = self.box_cox
         powers = powers.values() if isinstance(powers, Mapping) else (powers,)
-        _require(
+        require(
             all(math.isfinite(p) for p in powers),
             "box_cox",
             f"box_cox must be finite, got {self.box_cox}",
         )
-        _require(
+        require(
             self.solver != "windows" or self.initial_conditions == "measured",
             "initial_conditions",
             'solver="windows" starts every window from the measurement; take '
             'initial_conditions="measured" with it',
         )
-        _require(
+        require(
             self.solver != "windows" or len(self.horizons) > 0,
             "horizons",
             'solver="windows" needs at least one horizon, the length of its windows',
         )
-        _choice("solver", self.solver, ("levenberg", "bfgs", "lbfgs", "windows"))
-        _choice(
-            "train",
+        choice(self.solver, ("levenberg", "bfgs", "lbfgs", "windows"), "solver")
+        choice(
             self.train,
             ("staged", "joint", "either", "coefficients", "partition"),
+            "train",
         )
-        _require(
+        require(
             not (self.folds and self.train == "either"),
             "train",
             'folds choose a position in one schedule; take train "staged" or "joint" '
             "with them",
         )
-        _choice("loss", self.loss, ("squares", "huber", "log-cosh"))
-        _choice(
-            "initial_conditions", self.initial_conditions, ("measured", "estimated")
-        )
+        choice(self.loss, ("squares", "huber", "log-cosh"), "loss")
+        choice(self.initial_conditions, ("measured", "estimated"), "initial_conditions")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,30 +179,26 @@ class PredictionError:
     """What is trained: everything, or one kind alone."""
 
     def __post_init__(self):
-        _require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
+        require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
         for name in ("ridge", "tolerance"):
             value = getattr(self, name)
-            _require(
+            require(
                 0 <= value < math.inf,
                 name,
                 f"{name} must be finite and not negative, got {value}",
             )
-        _require(
+        require(
             self.patience >= 1,
             "patience",
             f"patience must be at least 1, got {self.patience}",
         )
         object.__setattr__(self, "width_band", tuple(self.width_band))
         _check_width_band(self.width_band)
-        _choice("train", self.train, ("joint", "coefficients", "partition"))
-
-
-def _choice(field: str, value: str, known: tuple[str, ...]) -> None:
-    _require(value in known, field, f"{field} must be one of {known}, got {value!r}")
+        choice(self.train, ("joint", "coefficients", "partition"), "train")
 
 
 def _check_width_band(band: tuple[float | int, float | int]) -> None:
-    _require(
+    require(
         0 < band[0] < 1 < band[1],
         "width_band",
         f"width_band must enclose one, got {band}",

@@ -4,14 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
+from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
-
-
-def _at_least_one(max_terms: int) -> None:
-    if max_terms < 1:
-        raise SpecError(
-            f"max_terms must be at least 1, got {max_terms}", field="max_terms"
-        )
 
 
 def _texts(method: object, *fields: str) -> None:
@@ -70,7 +64,7 @@ class ForwardOLS:
 
     def __post_init__(self):
         _texts(self, "forced", "forbidden")
-        _at_least_one(self.max_terms)
+        whole(self.max_terms, "max_terms")
         _share(self.rho, "rho")
         _share(self.tau, "tau")
         if self.constant not in ("first", "candidate", "after"):
@@ -119,7 +113,7 @@ class StepwiseF:
 
     def __post_init__(self):
         _texts(self, "forced", "forbidden")
-        _at_least_one(self.max_terms)
+        whole(self.max_terms, "max_terms")
         _share(self.tau, "tau")
         _levels(self)
         if self.f_in is not None and self.f_out is not None and self.f_out > self.f_in:
@@ -167,6 +161,6 @@ class Backward:
 
     def __post_init__(self):
         _texts(self, "forced", "forbidden")
-        _at_least_one(self.max_terms)
+        whole(self.max_terms, "max_terms")
         _share(self.tau, "tau")
         _levels(self)
