@@ -66,6 +66,23 @@ def alone(folder: Path) -> Iterator[None]:
             os.close(handle)
 
 
+def try_lock(handle: int) -> bool:
+    """Lock an open file or folder; False where another has locked it.
+
+    The lock lasts until `handle` is closed or this process ends, however it ends. Where
+    the system has no such lock, nobody is kept out.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        pass
+    return True
+
+
 def _move(source: Path, target: Path, replace: bool) -> bool:
     if replace:
         os.replace(source, target)

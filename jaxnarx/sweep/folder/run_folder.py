@@ -20,7 +20,7 @@ from jaxnarx.sweep.folder.chunks import (
     read_results,
     write_results,
 )
-from jaxnarx.sweep.folder.claims import Claims, is_at_work
+from jaxnarx.sweep.folder.claims import Claims, clear_dead
 from jaxnarx.sweep.folder.files import (
     clear_leftovers,
     make_folder,
@@ -176,7 +176,7 @@ def _has_results(path: Path) -> bool:
 def _set_aside(path: Path) -> None:
     if not (path / NAME).exists():
         return
-    if is_at_work(path / CLAIMS):
+    if clear_dead(path / CLAIMS):
         raise SpecError(
             f"{path}: another process is at work on it; end that first, or choose "
             "another folder",
