@@ -1,7 +1,6 @@
 """Works of a sweep that need no engine: each obeys the protocol and is picklable."""
 
 import dataclasses
-import errno
 import os
 import random
 import signal
@@ -83,17 +82,11 @@ class Settings(Toy):
         }
 
 
-class Unwritable(Toy):
-    """A process that computes it finds the disk full from then on."""
+class Lawless(Toy):
+    """It returns a row too few."""
 
     def run(self, indices: Sequence[int]) -> list[dict[str, Any]]:
-        from jaxnarx.sweep.folder import files
-
-        def full(path, data, replace):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-        files.write_whole = full
-        return super().run(indices)
+        return super().run(indices)[1:]
 
 
 class Compiled(Toy):

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from distributed import Client, Future, KilledWorker
+
 from jaxnarx.errors import SpecError
 from jaxnarx.sweep.folder.claims import Claims
 from jaxnarx.sweep.folder.run_folder import RunFolder
@@ -31,7 +33,11 @@ def compute_on_cluster(
     A chunk at which several workers have died is halved, until the member that kills
     them is alone and a row with status `crashed`.
     """
-    _require_client(client)
+    if not isinstance(client, Client):
+        raise SpecError(
+            f"client must be a dask.distributed Client, got {type(client).__name__}",
+            field="client",
+        )
     with Claims(run.claims) as claims:
         crew = _Crew(run, work, client)
         try:
@@ -70,11 +76,11 @@ class _Crew:
     again one at a time, with nothing else in flight, and only then divided.
     """
 
-    def __init__(self, run: RunFolder, work: Work, client: Any):
+    def __init__(self, run: RunFolder, work: Work, client: Client):
         self.client, self.labels, self.size = client, work.members, run.manifest.chunk
         # A task rather than scattered data: dask makes it anew where it was lost.
         self.load = client.submit(_same, pickle.dumps(work), pure=False)
-        self.tasks: dict[Any, Part] = {}
+        self.tasks: dict[Future, Part] = {}
         self.suspects: list[Part] = []
         self.on_trial = False
         self.awaited: dict[int, int] = collections.Counter()
@@ -119,16 +125,14 @@ class _Crew:
         task = self.client.submit(_compute, *arguments, pure=False)
         self.tasks[task] = (number, members)
 
-    def _receive(self, task: Any, number: int, members: Sequence[int]) -> None:
-        from distributed import KilledWorker
-
+    def _receive(self, task: Future, number: int, members: Sequence[int]) -> None:
         rows = self.rows.setdefault(number, [])
         try:
             rows += task.result()
-        except KilledWorker as error:
+        except KilledWorker:
             self.lost += 1
             if self.on_trial and len(members) == 1:
-                rows.append(_killed(members[0], self.labels[members[0]], error))
+                rows.append(_killed(members[0], self.labels[members[0]]))
                 return
             half = len(members) // 2 if self.on_trial else 0
             parts = [part for part in (members[:half], members[half:]) if part]
@@ -136,26 +140,15 @@ class _Crew:
             self.awaited[number] += len(parts)
 
 
-def _require_client(client: Any) -> None:
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise ImportError(
-            "client= needs dask.distributed: pip install 'jaxnarx[cluster]'"
-        ) from error
-    if not isinstance(client, Client):
-        raise SpecError(
-            f"client must be a dask.distributed Client, got {type(client).__name__}",
-            field="client",
-        )
-
-
 def _same(load: bytes) -> bytes:
     return load
 
 
-def _killed(index: int, label: dict[str, Any], error: Exception) -> Row:
-    message = f"it killed the workers that computed it: {error}"[:500]
+def _killed(index: int, label: dict[str, Any]) -> Row:
+    message = (
+        "it killed the workers that computed it; often the system does so for want of "
+        "memory"
+    )
     failed = {"seconds": 0.0, "status": "crashed", "message": message}
     return {"index": index, **label, **failed}
 

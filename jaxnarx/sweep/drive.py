@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 from jaxnarx.errors import SpecError
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.sweep.analysis.table import SweepTable
-from jaxnarx.sweep.cluster import compute_on_cluster
 from jaxnarx.sweep.folder.claims import clear_dead
 from jaxnarx.sweep.folder.manifest import make_manifest, other_versions
 from jaxnarx.sweep.folder.run_folder import RunFolder, find_run, open_run
 from jaxnarx.sweep.loop import work_through
 from jaxnarx.sweep.number_type import is_float64
 from jaxnarx.sweep.pace import Pace, Progress
-from jaxnarx.sweep.processes import compute_in_processes
 from jaxnarx.sweep.work import Work
 
 if TYPE_CHECKING:
@@ -50,7 +48,8 @@ def run_sweep(
         chunk: Members computed together.
         workers: Where more than 1, so many processes, each with a core of its own,
             compute instead of this one; a script that asks for them needs the guard
-            `if __name__ == "__main__"`.
+            `if __name__ == "__main__"`. They are a dask cluster whose ports other
+            accounts of this machine can reach: use it where those are trusted.
         client: A dask.distributed `Client`, on whose workers chunks are computed.
         new: Set an earlier sweep in the folder aside.
         progress: Called with a dictionary whenever chunks were added, see
@@ -72,9 +71,13 @@ def run_sweep(
     pace()
     try:
         if client is not None:
+            from jaxnarx.sweep.cluster import compute_on_cluster
+
             notes += compute_on_cluster(run, work, client, pace)
-        elif workers > 1 and run.unfinished():
-            notes += compute_in_processes(run, work, workers, pace)
+        elif workers > 1 and (left := len(run.unfinished())):
+            from jaxnarx.sweep.processes import compute_in_processes
+
+            notes += compute_in_processes(run, work, min(workers, left), pace)
         else:
             work_through(run, work, pace)
     except KeyboardInterrupt as stop:

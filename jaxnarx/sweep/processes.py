@@ -1,30 +1,41 @@
-"""Several processes of this machine on one run folder, a core for each."""
+"""Several processes of this machine, a core for each: a dask cluster of its own."""
 
 import contextlib
-import multiprocessing
+import dataclasses
+import logging
 import os
-import pickle
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from typing import Any
 
+import dask.config
 import jax
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
+from distributed.scheduler import NoValidWorkerError
+from distributed.utils import silence_logging_cmgr
 
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.sweep.folder.claims import clear_dead
+from jaxnarx.sweep.cluster import compute_on_cluster
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.number_type import is_float64
 from jaxnarx.sweep.work import Work
 
-GLANCE = 0.2
-"""Seconds between two looks of the parent at the folder."""
+SILENT = logging.CRITICAL + 1
+"""What dask would log is told by this package, or does not matter."""
 
 _ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 _POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+_SETTINGS = {
+    "distributed.deploy.lost-worker-timeout": "1 day",  # a new one may be slow to start
+    "distributed.scheduler.allowed-failures": 1,
+    "distributed.scheduler.no-workers-timeout": "5 minutes",
+    "distributed.scheduler.worker-ttl": None,  # a compilation may keep Python waiting
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.worker.multiprocessing-method": "spawn",  # jax does not survive a fork
+}
 
 
 def compute_in_processes(
@@ -33,41 +44,85 @@ def compute_in_processes(
     """Have `workers` new processes compute what is open; returns notes.
 
     Each runs on one thread and, where the system allows, one core, with this process's
-    number type. They help one another through the claims of the folder: if one is
-    killed the others do its part. An error in one of them is raised here.
+    number type. One that is killed is replaced, and its chunks are computed again. All
+    end with this process, at once, however it ends. They talk over this machine's own
+    address (127.0.0.1), where dask does not ask who calls.
     """
-    load = pickle.dumps(work)
-    cores = _cores()
-    crew: list[tuple[Any, Connection]] = []
+    with (
+        _environment(_child_environment()),
+        silence_logging_cmgr(SILENT),
+        _cluster(workers) as client,
+    ):
+        crew = set(client.nthreads())
+        try:
+            notes = compute_on_cluster(run, work, client, tell)
+        except NoValidWorkerError as error:
+            raise JaxnarxError(
+                f"{run.path}: the processes ended and no others could be started, with "
+                f"{len(run.unfinished())} of {run.chunks} chunks open. That is often "
+                "the system's answer to too little memory: use fewer workers. The same "
+                "command continues."
+            ) from error
+        lost = len(crew - set(client.nthreads()))
+    return [f"{lost} of {len(crew)} processes were lost", *notes] if lost else notes
+
+
+@contextlib.contextmanager
+def _cluster(workers: int) -> Iterator[Client]:
+    """A cluster of new processes; nothing of dask is changed for others."""
     try:
-        with _environment(_child_environment()):
-            for n in range(min(workers, len(run.unfinished()))):
-                core = cores[n % len(cores)] if cores else None
-                with _deaf():
-                    crew.append(_start(run, load, core))
-        while any([process.is_alive() for process, _ in crew]):  # reaps each
-            tell()
-            time.sleep(GLANCE)
-        tell()
-        return _outcome(run, crew)
+        with _deaf(), dask.config.set(_SETTINGS):
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                memory_limit=0,  # the system's own
+                silence_logs=SILENT,
+            )
+    except RuntimeError as error:
+        raise JaxnarxError(
+            f"the {workers} processes did not start ({error}). A script that asks for "
+            'workers needs the guard `if __name__ == "__main__"`.'
+        ) from error
+    try:
+        with Client(cluster, set_as_default=False) as client:
+            client.register_plugin(_Place(_cores()))
+            yield client
     finally:
-        _end([process for process, _ in crew])
-        clear_dead(run.claims)
+        _end(cluster)
 
 
-def _start(run: RunFolder, load: bytes, core: int | None) -> tuple[Any, Connection]:
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_help, args=(run, load, core, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    return process, ours
+def _end(cluster: Any) -> None:
+    """At once, whatever they compute: a killed process leaves nothing that hurts."""
+    crew = list(cluster.workers.values())
+    for nanny in crew:
+        nanny.close_gracefully()  # it starts no other in its place
+    for nanny in crew:
+        if nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+    cluster.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Place(WorkerPlugin):
+    """What a worker does first: it takes a core, and leaves Ctrl-C to its parent."""
+
+    cores: list[int]
+
+    def setup(self, worker: Worker) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if self.cores:
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(0, {self.cores[worker.name % len(self.cores)]})
 
 
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
-    """A process started inside never hears Ctrl-C, which reaches the whole group; it is
-    this process that ends it. Here signals are heard afterwards, not halfway.
+    """Threads and processes begun inside never hear Ctrl-C, which reaches the whole
+    group; it is this process that ends them. Here signals are heard afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -91,58 +146,6 @@ def _deaf() -> Iterator[None]:
         signal.raise_signal(number)
 
 
-def _help(run: RunFolder, load: bytes, core: int | None, answer: Connection) -> None:
-    """What a child does. The work is unpickled once its core is settled."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
-    if core is not None:
-        with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, {core})
-    from jaxnarx.sweep.loop import work_through
-
-    try:
-        work_through(run, pickle.loads(load), lambda: None)
-    except JaxnarxError as error:
-        answer.send(error)
-
-
-def _die_with_parent() -> None:
-    """Where the parent was killed; chunks in flight are computed by the next run."""
-    if (parent := multiprocessing.parent_process()) is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _outcome(run: RunFolder, crew: list[tuple[Any, Connection]]) -> list[str]:
-    for _, answer in crew:
-        if (error := _received(answer)) is not None:
-            raise error
-    lost = [process.exitcode for process, _ in crew if process.exitcode]
-    if not (missing := run.unfinished()):
-        return [f"{len(lost)} of {len(crew)} processes were lost"] if lost else []
-    codes = ", ".join(str(code) for code in lost)
-    raise JaxnarxError(
-        f"{run.path}: the processes ended (exit codes {codes}) with {len(missing)} of "
-        f"{run.chunks} chunks open. A code of -9 is often the system's answer to too "
-        "little memory: use fewer workers. The same command continues."
-    )
-
-
-def _received(answer: Connection) -> JaxnarxError | None:
-    try:
-        return answer.recv() if answer.poll() else None
-    except EOFError:
-        return None
-
-
-def _end(processes: list[Any]) -> None:
-    """At once, whatever they compute: a killed process leaves nothing that hurts."""
-    for process in processes:
-        process.kill()
-    for process in processes:
-        process.join()
-
-
 def _cores() -> list[int]:
     """Cores this process may use; empty where the system does not tell."""
     with contextlib.suppress(AttributeError, OSError):
@@ -164,14 +167,14 @@ def _child_environment() -> dict[str, str]:
 
 @contextlib.contextmanager
 def _environment(settings: dict[str, str]) -> Iterator[None]:
-    """Variables that a process started inside inherits; ours are as before after."""
-    before = {name: os.environ.get(name) for name in settings}
+    """Variables that processes started inside inherit; ours are as before after, also
+    those that dask sets.
+    """
+    before = dict(os.environ)
     os.environ.update(settings)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
