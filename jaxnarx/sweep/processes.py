@@ -13,7 +13,7 @@ from typing import Any
 import dask.config
 import jax
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
-from distributed.scheduler import NoValidWorkerError
+from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
 from jaxnarx.errors import JaxnarxError
@@ -56,7 +56,7 @@ def compute_in_processes(
         crew = set(client.nthreads())
         try:
             notes = compute_on_cluster(run, work, client, tell)
-        except NoValidWorkerError as error:
+        except NoWorkerError as error:
             raise JaxnarxError(
                 f"{run.path}: the processes ended and no others could be started, with "
                 f"{len(run.unfinished())} of {run.chunks} chunks open. That is often "

@@ -134,17 +134,17 @@ def test_when_a_worker_is_killed_the_others_finish(tmp_path, sound, same_rows):
 
 
 @pytest.mark.slow
-def test_members_that_kill_every_process_are_rows_and_the_others_are_computed(
+def test_a_member_that_kills_every_process_is_a_row_and_the_others_are_computed(
     tmp_path, same_rows
 ):
-    toy = Toy(6, bad=(0, 4), trouble="kill")
+    toy = Toy(4, bad=(0,), trouble="kill")
     solution = run_sweep(toy, tmp_path / "x", chunk=2, workers=2)
     table = solution.value
     bad = table.column("status") == "crashed"
-    assert np.flatnonzero(bad).tolist() == [0, 4]
+    assert np.flatnonzero(bad).tolist() == [0]
     assert all("killed the workers" in text for text in table.column("message")[bad])
     assert "2 of 2 processes were lost" in solution.stats["notes"]
-    sound = run_sweep(Toy(6), tmp_path / "y", chunk=2).value
+    sound = run_sweep(Toy(4), tmp_path / "y", chunk=2).value
     same_rows(table.take(~bad), sound.take(~bad))
 
 
