@@ -8,7 +8,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
-from typing import Any
 
 import dask.config
 import jax
@@ -70,31 +69,34 @@ def compute_in_processes(
 @contextlib.contextmanager
 def _cluster(workers: int) -> Iterator[Client]:
     """A cluster of new processes; nothing of dask is changed for others."""
-    try:
+    with contextlib.ExitStack() as stack:
         with _deaf(), dask.config.set(_SETTINGS):
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=0,  # the system's own
-                silence_logs=SILENT,
-            )
+            cluster = _started(workers)
+            stack.callback(_end, cluster)
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+        yield client
+
+
+def _started(workers: int) -> LocalCluster:
+    try:
+        return LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,  # the system's own
+            silence_logs=SILENT,
+            plugins=(_Place(_cores()),),
+        )
     except RuntimeError as error:
         raise JaxnarxError(
             f"the {workers} processes did not start ({error}). A script that asks for "
             'workers needs the guard `if __name__ == "__main__"`.'
         ) from error
-    try:
-        with Client(cluster, set_as_default=False) as client:
-            client.register_plugin(_Place(_cores()))
-            yield client
-    finally:
-        _end(cluster)
 
 
-def _end(cluster: Any) -> None:
+def _end(cluster: LocalCluster) -> None:
     """At once, whatever they compute: a killed process leaves nothing that hurts."""
     crew = list(cluster.workers.values())
     for nanny in crew:
