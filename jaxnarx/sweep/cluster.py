@@ -4,7 +4,7 @@ import collections
 import pickle
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 from distributed import Client, Future, KilledWorker
 
@@ -89,7 +89,7 @@ class _Crew:
 
     def is_full(self) -> bool:
         """Whether every thread of the cluster has enough to do, or a trial is on."""
-        threads = sum(self.client.nthreads().values())
+        threads = sum(threads_of(self.client).values())
         busy = len(self.tasks) >= AHEAD * max(threads, 1)
         return busy or self.on_trial or bool(self.suspects)
 
@@ -138,6 +138,11 @@ class _Crew:
             parts = [part for part in (members[:half], members[half:]) if part]
             self.suspects += [(number, part) for part in parts]
             self.awaited[number] += len(parts)
+
+
+def threads_of(client: Client) -> dict[str, int]:
+    """Number of threads of every worker that is there, by its address."""
+    return cast(dict[str, int], client.nthreads())
 
 
 def _same(load: bytes) -> bytes:

@@ -16,7 +16,7 @@ from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.sweep.cluster import compute_on_cluster
+from jaxnarx.sweep.cluster import compute_on_cluster, threads_of
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.number_type import is_float64
 from jaxnarx.sweep.work import Work
@@ -52,7 +52,7 @@ def compute_in_processes(
         silence_logging_cmgr(SILENT),
         _cluster(workers) as client,
     ):
-        crew = set(client.nthreads())
+        crew = set(threads_of(client))
         try:
             notes = compute_on_cluster(run, work, client, tell)
         except NoWorkerError as error:
@@ -62,7 +62,7 @@ def compute_in_processes(
                 "the system's answer to too little memory: use fewer workers. The same "
                 "command continues."
             ) from error
-        lost = len(crew - set(client.nthreads()))
+        lost = len(crew - set(threads_of(client)))
     return [f"{lost} of {len(crew)} processes were lost", *notes] if lost else notes
 
 
