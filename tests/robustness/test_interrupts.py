@@ -38,15 +38,17 @@ bed = "pfi-cc"
 count = 3
 spread = 0.02
 length = 120
-[identification]
-output = "speed"
+[identification.pool]
+outputs = ["speed"]
 input_lags = [0, 1]
 degree = 1
+[identification.select]
 max_terms = 3
-max_models = 1
-steps = 1
+[identification.refine]
+horizons = []
+max_steps = 1
 [cases]
-ridge = [1e-6, 1e-4]
+refine.ridge = [1e-6, 1e-4]
 """
 IDENTIFY = "identify engine.toml --terms 4 --steps 2 --window-steps 2 --out run"
 SWEEP = "sweep bed.toml --folder run --chunk 1"
