@@ -45,7 +45,7 @@ def compute_in_processes(
     Each runs on one thread and, where the system allows, one core, with this process's
     number type. One that is killed is replaced, and its chunks are computed again. All
     end with this process, at once, however it ends. They talk over this machine's own
-    address (127.0.0.1), where dask does not ask who calls.
+    address (127.0.0.1), by keys that live as long as they do: nobody else is let in.
     """
     with (
         _environment(_child_environment()),
@@ -86,6 +86,7 @@ def _started(workers: int) -> LocalCluster:
             dashboard_address="127.0.0.1:0",
             scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # the system's own
+            security=True,
             silence_logs=SILENT,
             plugins=(_Place(_cores()),),
         )
