@@ -20,10 +20,10 @@ from chapter4_models import (
     thesis_place,
 )
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 import jaxnarx as jnx
 from jaxnarx.linear import NonlinearityCheck, OrderSearch, Spectra
-from jaxnarx.shell.linear_figures import coherence_figure, order_figure
 from jaxnarx.shell.style import (
     BLUE,
     CYCLE,
@@ -33,6 +33,7 @@ from jaxnarx.shell.style import (
     ORANGE,
     RED,
     canvas,
+    plain,
     styled,
 )
 
@@ -63,28 +64,82 @@ def draw_data(data: jnx.Dataset) -> matplotlib.figure.Figure:
 def draw_coherence(
     found: Spectra, check: NonlinearityCheck
 ) -> matplotlib.figure.Figure:
-    """Coherence (4.3) beside what the noise alone would leave.
+    """Coherence (4.3) beside what the noise alone would leave, and the level of chance.
 
-    The latter only up to where half of the output is noise: beyond, the estimate
-    scatters.
+    What noise leaves is drawn up to where half of the output is noise: beyond, the
+    estimate scatters.
     """
     expected = check.expected_coherence
     noisy = np.logical_or.accumulate(expected < 0.5)
-    return coherence_figure(found, expected=np.where(noisy, np.nan, expected))
+    with styled():
+        figure, axes = canvas(6.4, 2.8)
+        ax = axes[0]
+        ax.plot(found.frequency, found.coherence, color=BLUE, label="measured")
+        left = np.where(noisy, np.nan, expected)
+        ax.plot(found.frequency, left, color=ORANGE, label="linear with noise")
+        label = "chance, 95 %"
+        ax.axhline(found.chance, color=GREY, ls="--", lw=0.8, label=label)
+        ax.set(ylim=(0, 1.02), xlim=(0, None), xlabel="frequency [Hz]")
+        names = ", ".join(c.name for c in found.inputs)
+        ax.set_ylabel("coherence")
+        ax.set_title(
+            plain(f"{names} to {found.output.name}, {found.segments} segments")
+        )
+        ax.legend(loc="upper right")
+        turn = 2 * found.sample_time
+        other = ax.secondary_xaxis(
+            "top",
+            functions=(
+                lambda f: np.asarray(f) * turn,
+                lambda w: np.asarray(w) / turn,
+            ),
+        )
+        other.set_xlabel("frequency [pi rad/sample]")
+    return figure
 
 
 def draw_orders(search: OrderSearch) -> matplotlib.figure.Figure:
-    """Unexplained variance by size (4.4), the thesis's structure marked."""
-    figure = order_figure(search)
-    place = thesis_place(search)
-    if place is None:
-        return figure
+    """Unexplained output variance by the number of parameters (4.4).
+
+    Bars are the best structures of every number; those that AIC and MDL choose are
+    coloured and named, the thesis's is marked. The axis begins near the smallest bar:
+    what matters is small.
+    """
+    frontier = search.frontier
+    count, left = search.parameters[frontier], search.unexplained[frontier]
     with styled():
-        ax, left = figure.axes[0], float(search.unexplained[place])
-        at = int(search.parameters[place])
-        ax.plot(at, left, "D", color=RED, ms=6, label=f"thesis: {ORDERS}")
-        low, high = ax.get_ylim()
-        ax.set_ylim(low, max(high, left + 0.05 * (left - low)))
+        figure, axes = canvas(6.4, 3.2)
+        ax = axes[0]
+        ax.bar(count, left, color="#c9d1d9", width=0.8)
+        chosen: dict[int, list[str]] = {}
+        for name in ("mdl", "aic"):
+            chosen.setdefault(search.best_place(name), []).append(name.upper())
+        for (place, names), colour in zip(chosen.items(), (BLUE, ORANGE), strict=False):
+            orders = ", ".join(map(str, search.orders(place)))
+            ax.bar(
+                search.parameters[place],
+                search.unexplained[place],
+                color=colour,
+                width=0.8,
+                label=f"{' and '.join(names)}: ({orders})",
+            )
+        low = float(left.min())
+        # The first bars may tower over all others; they are cut off.
+        high = min(float(left.max()), low + 4 * float(np.median(left) - low) + 1e-12)
+        if high > low:
+            ax.set_ylim(low - 0.15 * (high - low), high + 0.05 * (high - low))
+        ax.set(
+            xlabel="number of parameters $n_a + n_b$",
+            ylabel="unexplained output variance [%]",
+        )
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        place = thesis_place(search)
+        if place is not None:
+            top = float(search.unexplained[place])
+            at = int(search.parameters[place])
+            ax.plot(at, top, "D", color=RED, ms=6, label=f"thesis: {ORDERS}")
+            low, high = ax.get_ylim()
+            ax.set_ylim(low, max(high, top + 0.05 * (top - low)))
         ax.legend(loc="upper right", title="$(n_a, n_b, n_k)$ chosen by")
     return figure
 

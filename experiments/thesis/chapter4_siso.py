@@ -103,7 +103,6 @@ import jaxnarx as jnx
 from jaxnarx.engines import pfi_siso_records
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.linear import LinearModel, NonlinearityCheck, Spectra
-from jaxnarx.shell.linear_figures import bode_figure, pole_zero_figure
 from jaxnarx.shell.residual_figure import correlations
 from jaxnarx.shell.style import save
 
@@ -255,8 +254,8 @@ def of_models(
         "arx": draw_runs(data, {name: made[name] for name in DRAWN}),
         "narx": draw_runs(data, {name: made[name] for name in CURVED if name in made}),
         "residual": draw_residual(data, made),
-        "bode": bode_figure(systems, measured=spectrum),
-        "poles": pole_zero_figure(systems),
+        "bode": jnx.plot.bode(systems, measured=spectrum),
+        "poles": jnx.plot.poles(systems),
     }
 
 

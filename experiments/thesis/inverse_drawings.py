@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 from inverse_bed import STEP, TARGETS
+from inverse_figures import Panel, authority, gain_signs, traces, unity
 from inverse_models import turned
 from inverse_seed import GUARD, LIMITS, TEST, Case
 from inverse_spark import slope
 
 import jaxnarx as jnx
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.shell.inverse_figures import Panel, authority, gain_signs, traces, unity
 from jaxnarx.shell.partition_figure import partition
 from jaxnarx.shell.style import save
 from jaxnarx.shell.tree_figure import tree

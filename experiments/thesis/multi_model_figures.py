@@ -42,6 +42,7 @@ from multi_models import (
     table,
 )
 from neural import Budget, neural_run, train
+from validity_surface import validity_surface
 
 import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
@@ -177,7 +178,7 @@ def section_6_4(kept: Kept, length: int) -> None:
     grown, unseen = jnx.grow(pool, data[:1], method), data[2:3]
     kept(draw_channels(data[:1]), "chapter6_lolimot_channels")
     kept(draw_process(grown.stats["stages"][0][1:], data[:1]), "chapter6_process")
-    kept(jnx.plot.surface(grown.value), "chapter6_weights_lolimot")
+    kept(validity_surface(grown.value), "chapter6_weights_lolimot")
     free, one = (run(grown.value, unseen).value for run in (jnx.simulate, jnx.predict))
     shown = [estimated("free run", unseen, free), estimated("one step", unseen, one)]
     kept(draw_estimates(shown), "chapter6_validation")

@@ -1,18 +1,13 @@
-"""Figures of linear identification: Bode, poles and zeros, steps, coherence, orders."""
+"""Figures of linear systems: Bode, poles and zeros, step responses."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from jaxnarx.linear import (
-    OrderSearch,
-    Spectra,
-    TransferFunction,
-)
-from jaxnarx.shell.style import BLUE, CYCLE, GREY, INK, ORANGE, canvas, plain, styled
+from jaxnarx.linear import Spectra, TransferFunction
+from jaxnarx.shell.style import CYCLE, GREY, INK, canvas, plain, styled
 
 Systems = Mapping[str, TransferFunction]
 """Transfer functions by the name they have in the legend."""
@@ -22,7 +17,7 @@ CLEAR = 0.25
 """Relative standard deviation up to which a measured response is shown."""
 
 
-def bode_figure(
+def bode(
     systems: Systems, *, measured: Spectra | None = None, input: int = 0
 ) -> Figure:
     """Magnitude and phase over frequency, a line per system.
@@ -72,7 +67,7 @@ def _gain(systems: Systems) -> str:
     return f"[{plain(parts[0])} per {plain(parts[1])}]" if parts != ["1", "1"] else ""
 
 
-def pole_zero_figure(systems: Systems) -> Figure:
+def poles(systems: Systems) -> Figure:
     """Poles as crosses, zeros as circles in the z plane.
 
     The panel reaches to 1.6; what lies beyond is counted in the title.
@@ -85,11 +80,10 @@ def pole_zero_figure(systems: Systems) -> Figure:
         for n, (name, system) in enumerate(systems.items()):
             colour = CYCLE[n % len(CYCLE)]
             look = {"ls": "", "color": colour, "ms": 6, "mew": 1.2}
-            poles, zeros = system.poles, system.zeros
-            ax.plot(*_plane(poles), marker="x", label=plain(name), **look)
-            ax.plot(*_plane(zeros), marker="o", mfc="none", **look)
-            far = np.abs(_plane(np.concatenate([poles, zeros]))).max(axis=0) > 1.6
-            beyond += int(far.sum())
+            ax.plot(*_plane(system.poles), marker="x", label=plain(name), **look)
+            ax.plot(*_plane(system.zeros), marker="o", mfc="none", **look)
+            far = np.abs(_plane(np.concatenate([system.poles, system.zeros])))
+            beyond += int((far.max(axis=0) > 1.6).sum())
         ax.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), xlabel="real", ylabel="imaginary")
         ax.set_aspect("equal")
         more = f"; {beyond} beyond" if beyond else ""
@@ -103,7 +97,7 @@ def _plane(roots: np.ndarray) -> np.ndarray:
     return np.stack([np.real(roots), np.imag(roots)])
 
 
-def step_figure(systems: Systems, *, length: int | None = None) -> Figure:
+def step_responses(systems: Systems, *, length: int | None = None) -> Figure:
     """Unit step responses over time, the static gains dotted."""
     with styled():
         figure, axes = canvas(6.4, 2.8)
@@ -116,75 +110,4 @@ def step_figure(systems: Systems, *, length: int | None = None) -> Figure:
                 ax.axhline(system.dc_gain, color=colour, ls=":", lw=0.8)
         ax.set(xlabel="time [s]", ylabel=f"response {_gain(systems)}")
         ax.legend(loc="lower right")
-    return figure
-
-
-def coherence_figure(found: Spectra, *, expected: np.ndarray | None = None) -> Figure:
-    """Coherence over frequency (figure 4.3), and the level chance stays below.
-
-    `expected` is what noise alone would leave, such as
-    `NonlinearityCheck.expected_coherence`.
-    """
-    with styled():
-        figure, axes = canvas(6.4, 2.8)
-        ax = axes[0]
-        ax.plot(found.frequency, found.coherence, color=BLUE, label="measured")
-        if expected is not None:
-            ax.plot(found.frequency, expected, color=ORANGE, label="linear with noise")
-        label = "chance, 95 %"
-        ax.axhline(found.chance, color=GREY, ls="--", lw=0.8, label=label)
-        ax.set(ylim=(0, 1.02), xlim=(0, None), xlabel="frequency [Hz]")
-        names = ", ".join(c.name for c in found.inputs)
-        ax.set_ylabel("coherence")
-        ax.set_title(
-            plain(f"{names} to {found.output.name}, {found.segments} segments")
-        )
-        ax.legend(loc="upper right")
-        turn = 2 * found.sample_time
-        other = ax.secondary_xaxis(
-            "top",
-            functions=(
-                lambda f: np.asarray(f) * turn,
-                lambda w: np.asarray(w) / turn,
-            ),
-        )
-        other.set_xlabel("frequency [pi rad/sample]")
-    return figure
-
-
-def order_figure(search: OrderSearch) -> Figure:
-    """Unexplained output variance by the number of parameters (figure 4.4).
-
-    Bars are the best structures of every number; those that AIC and MDL choose are
-    coloured and named. The axis begins near the smallest bar: what matters is small.
-    """
-    frontier = search.frontier
-    count, left = search.parameters[frontier], search.unexplained[frontier]
-    with styled():
-        figure, axes = canvas(6.4, 3.2)
-        ax = axes[0]
-        ax.bar(count, left, color="#c9d1d9", width=0.8)
-        chosen: dict[int, list[str]] = {}
-        for name in ("mdl", "aic"):
-            chosen.setdefault(search.best_place(name), []).append(name.upper())
-        for (place, names), colour in zip(chosen.items(), (BLUE, ORANGE), strict=False):
-            orders = ", ".join(map(str, search.orders(place)))
-            ax.bar(
-                search.parameters[place],
-                search.unexplained[place],
-                color=colour,
-                width=0.8,
-                label=f"{' and '.join(names)}: ({orders})",
-            )
-        low = float(left.min())
-        # The first bars may tower over all others; they are cut off.
-        high = min(float(left.max()), low + 4 * float(np.median(left) - low) + 1e-12)
-        if high > low:
-            ax.set_ylim(low - 0.15 * (high - low), high + 0.05 * (high - low))
-        ax.set(
-            xlabel="number of parameters $n_a + n_b$",
-            ylabel="unexplained output variance [%]",
-        )
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        ax.legend(loc="upper right", title="$(n_a, n_b, n_k)$ chosen by")
     return figure

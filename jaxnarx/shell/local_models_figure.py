@@ -15,7 +15,7 @@ FEW = 4
 """Panels in a row."""
 
 
-def local_models_figure(
+def local_models(
     network: Network,
     data: Dataset,
     *,

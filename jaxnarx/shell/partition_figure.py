@@ -35,7 +35,7 @@ def partition(entry: Mapping[str, Any]) -> Figure:
     """
     names = [plain(name) for name in entry["scheduling"]]
     box = np.asarray(entry["ranges"], float).reshape(len(names), 2)
-    sides = titled(entry)
+    sides = _titled(entry)
     points = _thinned(entry.get("cloud"))
     drawable = all("weights" in side for _, side in sides)
     if not drawable and "gates" in entry["after"]:
@@ -48,7 +48,7 @@ def partition(entry: Mapping[str, Any]) -> Figure:
         return _spans(entry["scheduling"], box, sides)
 
 
-def titled(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
+def _titled(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
     """Both sides by name; one alone needs none."""
     if "before" not in entry:
         return [("", entry["after"])]

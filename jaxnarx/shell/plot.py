@@ -14,35 +14,21 @@ from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection, criteria_of
-from jaxnarx.shell import figures, partition_figure, residual_figure, surface_figure
-from jaxnarx.shell.linear_figures import bode_figure as bode
-from jaxnarx.shell.linear_figures import coherence_figure as coherence
-from jaxnarx.shell.linear_figures import order_figure as orders
-from jaxnarx.shell.linear_figures import pole_zero_figure as poles
-from jaxnarx.shell.linear_figures import step_figure as step_responses
-from jaxnarx.shell.local_models_figure import local_models_figure as local_models
-from jaxnarx.shell.style import save as save
-from jaxnarx.shell.sweep_figures import heat_map, paired_scatter, strip, sweep_front
-from jaxnarx.shell.trade_off_figure import trade_off
+from jaxnarx.shell import figures, partition_figure, residual_figure
+from jaxnarx.shell.linear_figures import bode, poles, step_responses
+from jaxnarx.shell.local_models_figure import local_models
+from jaxnarx.shell.style import save
 
 __all__ = [
     "bode",
-    "coherence",
     "free_run",
-    "heat_map",
     "local_models",
-    "orders",
-    "paired_scatter",
     "partition",
     "poles",
     "residuals",
     "save",
-    "selection",
+    "selection_path",
     "step_responses",
-    "strip",
-    "surface",
-    "sweep_front",
-    "trade_off",
 ]
 
 
@@ -58,11 +44,6 @@ def partition(
     `start`, the network before its refinement, stands beside it; `data` lie under it.
     """
     return partition_figure.partition(_entry(network, data, start, output))
-
-
-def surface(network: Network, *, output: str | None = None) -> Figure:
-    """The validity functions over two scheduling variables, in perspective."""
-    return surface_figure.validity_surface(_entry(network, None, None, output))
 
 
 def _entry(network: Network, data, start, output: str | None) -> dict[str, Any]:
@@ -111,14 +92,15 @@ def free_run(
     )
 
 
-def selection(chosen: Selection, *, output: str | None = None) -> Figure:
+def selection_path(selection: Selection, *, output: str | None = None) -> Figure:
     """Error reduction of the terms in order of choice, and the criteria by size."""
-    o = chosen.output_names.index(_named(output, chosen.output_names))
-    count, table = chosen.size(o), criteria_of(chosen, o)
+    names = selection.output_names
+    o = names.index(_named(output, names))
+    count, table = selection.size(o), criteria_of(selection, o)
     shown = (("AICc", "aicc"), ("BIC", "bic"), ("FPE", "fpe"))
     return figures.selection_path(
-        chosen.names_of(chosen.output_names[o]),
-        chosen.err[o, :count],
+        selection.names_of(names[o]),
+        selection.err[o, :count],
         criteria={label: table[key] for label, key in shown},
     )
 

@@ -3,18 +3,11 @@
 import numpy as np
 import pytest
 import scipy.signal
-from matplotlib.patches import Rectangle
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.linear import TransferFunction, search_orders, spectra
+from jaxnarx.linear import TransferFunction, spectra
 from jaxnarx.shell import style
-from jaxnarx.shell.linear_figures import (
-    bode_figure,
-    coherence_figure,
-    order_figure,
-    pole_zero_figure,
-    step_figure,
-)
+from jaxnarx.shell.plot import bode, poles, step_responses
 
 EVIL = "<script>alert(1)</script>"
 SYSTEM = TransferFunction(
@@ -49,7 +42,7 @@ def clean(figure):
 
 def test_bode_draws_every_system_and_the_measured_response(data):
     found = spectra(data, segment=128)
-    figure = bode_figure({EVIL: SYSTEM, "b": SYSTEM}, measured=found)
+    figure = bode({EVIL: SYSTEM, "b": SYSTEM}, measured=found)
     top, bottom = figure.axes
     assert "[rpm per %]" in top.get_ylabel()
     curve = SYSTEM.bode()
@@ -64,7 +57,7 @@ def test_bode_draws_every_system_and_the_measured_response(data):
 
 
 def test_poles_and_zeros_are_marked():
-    figure = pole_zero_figure({"a": SYSTEM})
+    figure = poles({"a": SYSTEM})
     (ax,) = figure.axes
     crosses = next(line for line in ax.lines if line.get_marker() == "x")
     np.testing.assert_allclose(points(crosses)[0], np.real(SYSTEM.poles))
@@ -74,37 +67,9 @@ def test_poles_and_zeros_are_marked():
 
 
 def test_steps_settle_on_the_dotted_gain():
-    figure = step_figure({"a": SYSTEM})
+    figure = step_responses({"a": SYSTEM})
     (ax,) = figure.axes
     step, gain = ax.lines
     assert points(gain)[1][0] == pytest.approx(SYSTEM.dc_gain)
     assert points(step)[1][-1] == pytest.approx(SYSTEM.dc_gain, rel=0.02)
-    clean(figure)
-
-
-def test_coherence_shows_the_level_of_chance(data):
-    found = spectra(data, segment=128)
-    figure = coherence_figure(found, expected=np.full(len(found.frequency), 0.9))
-    ax = figure.axes[0]
-    labels = [line.get_label() for line in ax.lines]
-    assert labels == ["measured", "linear with noise", "chance, 95 %"]
-    assert points(ax.lines[2])[1][0] == pytest.approx(found.chance)
-    clean(figure)
-
-
-def test_orders_are_bars_and_the_chosen_are_named(data):
-    grid = range(1, 5)
-    found = search_orders(data, na=grid, nb=grid, nk=grid).value
-    figure = order_figure(found)
-    (ax,) = figure.axes
-    bars = [bar for bar in ax.patches if isinstance(bar, Rectangle)]
-    grey = [bar.get_height() for bar in bars][: len(found.frontier)]
-    np.testing.assert_allclose(grey, found.unexplained[found.frontier])
-    legend = ax.get_legend()
-    assert legend is not None
-    texts = [t.get_text() for t in legend.get_texts()]
-    orders = ", ".join(map(str, found.orders(found.best_place("mdl"))))
-    assert any(t.startswith("MDL") and orders in t for t in texts)
-    low, high = ax.get_ylim()
-    assert low < min(grey) < high
     clean(figure)

@@ -1,4 +1,4 @@
-"""Figures of a network's cost, gains and validity: what they mark and what they say."""
+"""Figures of local models: what they mark and what they say."""
 
 import dataclasses
 
@@ -7,46 +7,10 @@ import pytest
 from common import CHANNELS, A, B, Part, network
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import describe_partition
 from jaxnarx.shell import style
-from jaxnarx.shell.local_models_figure import local_models_figure
-from jaxnarx.shell.surface_figure import validity_surface
-from jaxnarx.shell.trade_off_figure import front, trade_off
+from jaxnarx.shell.plot import local_models
 
 EVIL = "<script>alert(1)</script>"
-
-
-def points_of(axes, *, filled):
-    """Data of the markers of an axes; what is on the front is filled."""
-    lines = [line for line in axes.lines if line.get_marker() == "o"]
-    chosen = [ln for ln in lines if (ln.get_markerfacecolor() != "none") == filled]
-    return sorted(
-        pair for ln in chosen for pair in zip(*np.asarray(ln.get_data()), strict=True)
-    )
-
-
-def test_trade_off_marks_the_front_of_every_panel():
-    error = [0.5, 0.3, None, 0.4, float("inf"), 0.2]
-    costs = {"regressors": [2, 4, 1, 6, 1, 900], "local models": [1, 1, 1, 2, 2, 3]}
-    groups = [EVIL, "grid", "grid", EVIL, "grid", "grid"]
-    figure = trade_off(error, costs, groups=groups)
-    first, second = figure.axes
-    assert points_of(first, filled=True) == [(2, 0.5), (4, 0.3), (900, 0.2)]
-    assert points_of(second, filled=True) == [(1, 0.3), (3, 0.2)]
-    assert len(points_of(first, filled=False)) == 4
-    assert first.get_xscale() == "log" and second.get_xscale() == "linear"
-    page = style.inline_svg(figure, "t-", "t")
-    assert "<script" not in page and "&lt;script&gt;" in page
-
-
-def test_a_fitness_to_be_made_large_has_the_mirrored_front():
-    rng = np.random.default_rng(0)
-    cost, error = rng.random(30), rng.random(30)
-    expected = front(cost, error)
-    np.testing.assert_array_equal(front(cost, -error, True), expected)
-    figure = trade_off(1 - error, {"a": cost}, larger_is_better=True)
-    assert len(points_of(figure.axes[0], filled=True)) == expected.sum()
 
 
 NAMED = Channels((Channel(EVIL, "V"), Channel("b")), CHANNELS.outputs)
@@ -81,7 +45,7 @@ def data():
 
 @pytest.mark.parametrize("dims", [1, 2])
 def test_local_models_show_gains_and_poles(data, dims):
-    figure = local_models_figure(blended(dims), data)
+    figure = local_models(blended(dims), data)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert f"gain by {EVIL} [ppm per V]" in titles
     assert "gain by b [ppm per 1]" in titles and "slowest time constant [s]" in titles
@@ -90,20 +54,11 @@ def test_local_models_show_gains_and_poles(data, dims):
 
 
 def test_unstable_local_models_are_crosses_without_gain(data):
-    figure = local_models_figure(blended(1, second=1.5), data)
+    figure = local_models(blended(1, second=1.5), data)
     gain, _, slow = figure.axes[:3]
     assert not [ln for ln in gain.lines if ln.get_marker() == "x"]
     (crosses,) = [ln for ln in slow.lines if ln.get_marker() == "x"]
     assert np.all(np.asarray(crosses.get_xdata()) > 0)
-
-
-def test_a_surface_needs_two_variables(data):
-    two = describe_partition(blended(2))["y"]
-    figure = validity_surface(two | {"before": two["after"]})
-    assert len(figure.axes) == 2
-    assert len(style.inline_svg(figure, "s-", "s")) < 500_000
-    with pytest.raises(SpecError, match="two scheduling variables, got 1"):
-        validity_surface(describe_partition(blended(1))["y"])
 
 
 def test_colours_of_local_models_are_all_different_and_begin_with_the_palette():

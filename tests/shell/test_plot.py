@@ -1,7 +1,9 @@
 """Figures that are public: one call each, from values to a matplotlib figure."""
 
+import ast
 import inspect
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +51,7 @@ def texts(figure: Figure) -> str:
 def test_a_network_a_free_run_a_selection_and_residuals_are_one_call_each():
     chosen, network = fitted()
     assert "u[t-1]" in texts(jnx.plot.partition(network, data(), start=network))
-    assert "u[t-1]" in texts(jnx.plot.selection(chosen, output="w"))
+    assert "u[t-1]" in texts(jnx.plot.selection_path(chosen, output="w"))
     assert "lag [samples]" in texts(jnx.plot.residuals(network, data()))
     over = jnx.plot.residuals(network, data(), over="operating points")
     assert "equal means" in texts(over)
@@ -72,6 +74,33 @@ def test_a_free_run_is_drawn_of_the_record_and_output_asked_for():
 def test_every_public_figure_says_what_it_shows():
     for name in jnx.plot.__all__:
         assert inspect.getdoc(getattr(jnx.plot, name)), name
+
+
+def test_every_figure_is_public_or_drawn_by_a_command_or_a_report():
+    """What nothing here draws belongs to the experiment that does."""
+    shell = Path(jnx.plot.__file__).parent
+    trees = {path.stem: ast.parse(path.read_text()) for path in shell.glob("*.py")}
+    drawn = {
+        (module, node.name)
+        for module, tree in trees.items()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+        if node.returns is not None and ast.unparse(node.returns).startswith("Figure")
+    }
+    called = {
+        name.attr if isinstance(name, ast.Attribute) else name.id
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        if isinstance(name := node.func, ast.Name | ast.Attribute)
+    }
+    assert len(drawn) > 10, "the figures were not found"
+    idle = {
+        f"{module}.{name}"
+        for module, name in drawn
+        if name not in called.union(jnx.plot.__all__)
+    }
+    assert not idle
 
 
 def test_wrong_use_says_what_to_do():

@@ -1,6 +1,5 @@
 """Validity over two scheduling variables as a surface: hills, and valleys between."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,36 +8,22 @@ from matplotlib.colors import LightSource, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxnarx.errors import SpecError
-from jaxnarx.shell.partition_figure import titled
+from jaxnarx.evaluation import describe_partition
+from jaxnarx.models import Network
 from jaxnarx.shell.style import canvas, plain, styled, tone
 
 FINENESS = 81
 """Points a side, at most: a surface is drawn face by face."""
 
 
-def validity_surface(entry: Mapping[str, Any]) -> Figure:
-    """The largest weight over two scheduling variables, in the colour of its model.
-
-    `entry` is one of `describe_partition`; before and after refinement stand side by
-    side where both are there. Any other number of variables is a `SpecError`.
-    """
-    names = [plain(name) for name in entry["scheduling"]]
-    if len(names) != 2:
-        raise SpecError(
-            f"a surface needs two scheduling variables, got {len(names)}; draw the "
-            "partition instead",
-            field="scheduling",
-        )
-    sides = titled(entry)
+def validity_surface(network: Network) -> Figure:
+    """The largest weight over two scheduling variables, in the colour of its model."""
+    entry = next(iter(describe_partition(network).values()))
+    first, second = (plain(name) for name in entry["scheduling"])
     with styled():
-        width = 9.0 if len(sides) == 2 else 5.4
-        figure, axes = canvas(
-            width, 4.2, columns=len(sides), subplot_kw={"projection": "3d"}
-        )
-        for ax, (title, side) in zip(axes, sides, strict=True):
-            _surface(ax, entry["ranges"], np.asarray(side["weights"], float))
-            ax.set(title=title, xlabel=names[0], ylabel=names[1], zlabel="validity")
+        figure, (ax,) = canvas(5.4, 4.2, subplot_kw={"projection": "3d"})
+        _surface(ax, entry["ranges"], np.asarray(entry["after"]["weights"], float))
+        ax.set(xlabel=first, ylabel=second, zlabel="validity")
     return figure
 
 
