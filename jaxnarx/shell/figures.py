@@ -20,6 +20,7 @@ from jaxnarx.shell.style import (
     INK,
     ORANGE,
     RED,
+    Powers,
     canvas,
     plain,
     styled,
@@ -211,6 +212,8 @@ def selection_path(
         dots = {"color": RED, "marker": "o", "ms": 3.2, "lw": 1}
         bars.plot(left_over, at, label="1 − ΣERR, still unexplained", **dots)
         bars.set_xscale("log")
+        bars.xaxis.set_major_formatter(Powers())
+        bars.xaxis.set_minor_formatter(Powers(labelOnlyBase=False))
         bars.set_yticks(at, [plain(name, 34) for name in names])
         bars.tick_params(axis="y", length=0, labelsize=8)
         bars.invert_yaxis()

@@ -16,8 +16,10 @@ from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation
 
 from jaxnarx.files import write_whole
 
@@ -91,6 +93,19 @@ def tone(number: int) -> str:
     return to_hex((red, green, blue))
 
 
+class Powers(LogFormatterSciNotation):
+    """Powers of ten as plain text, such as 10⁻³: mathematics takes long to set."""
+
+    def __call__(self, x: Any, pos: int | None = None) -> str:
+        """The label at `x`."""
+        label = super().__call__(x, pos)
+        text = re.sub(r"\^\{(.*?)\}", lambda m: m[1].translate(_RAISED), label)
+        return re.sub(r"\$|\\mathdefault|[{}]", "", text).replace(r"\times", "×")
+
+
+_RAISED = str.maketrans("−-0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
 def plain(text: object, width: int = 48) -> str:
     """`text` as it is: no mathematics in it, one line, no control characters."""
     line = "".join(c if c.isprintable() else " " for c in str(text))
@@ -101,10 +116,28 @@ def plain(text: object, width: int = 48) -> str:
 def svg(figure: Figure) -> str:
     """The figure as SVG text: the same figure gives the same text, without dates."""
     stream = io.StringIO()
-    with styled():
+    with styled(), _laid_out(figure):
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         figure.savefig(stream, format="svg", dpi=200, metadata=nothing)
     return stream.getvalue()
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay out `figure` for SVG; inside this it has no layout engine.
+
+    While it has one, `savefig` draws it twice, the first time for its layout only.
+    """
+    engine, canvas = figure.get_layout_engine(), figure.canvas
+    FigureCanvasSVG(figure)  # the layout is found in the metrics of this format
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+        figure.set_canvas(canvas)
 
 
 def inline_svg(figure: Figure, prefix: str, title: str) -> str:

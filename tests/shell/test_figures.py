@@ -1,8 +1,11 @@
 """Figures: small, deterministic, and safe whatever a channel is called."""
 
+import io
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import Trace
@@ -107,6 +110,41 @@ def test_figures_draw_any_channel_name_as_text(i):
     assert "<script" not in page and "http" not in page
     if i not in (4,):
         assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page.split(">", 1)[1]
+
+
+def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine():
+    figure, other, stream = trace(), trace(), io.StringIO()
+    engine, canvas = figure.get_layout_engine(), figure.canvas
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with style.styled():
+        other.savefig(stream, format="svg", dpi=200, metadata=nothing)
+    assert style.svg(figure) == stream.getvalue()
+    assert figure.get_layout_engine() is engine is not None
+    assert figure.canvas is canvas
+
+
+@pytest.mark.parametrize("limits", [(1e-5, 2), (0.3, 3), (2, 7)])
+def test_powers_label_where_matplotlib_does_without_mathematics(limits):
+    with style.styled():
+        _, (axes,) = style.canvas()
+    axes.set(xscale="log", xlim=limits)
+    for own, theirs, places in (
+        (style.Powers(), LogFormatterSciNotation(), axes.xaxis.get_majorticklocs()),
+        (
+            style.Powers(labelOnlyBase=False),
+            LogFormatterSciNotation(labelOnlyBase=False),
+            axes.xaxis.get_minorticklocs(),
+        ),
+    ):
+        for formatter in (own, theirs):
+            formatter.set_axis(axes.xaxis)
+            formatter.set_locs(places)
+        texts = [own(x) for x in places]
+        assert [bool(text) for text in texts] == [bool(theirs(x)) for x in places]
+        assert not any(set(text) & set("$\\{}^") for text in texts)
+    plain = style.Powers()
+    plain.set_axis(axes.xaxis)
+    assert plain(1e-3) == "10⁻³"
 
 
 def test_svg_is_deterministic_and_its_text_is_text():
