@@ -1,17 +1,36 @@
-"""jaxnarx: engines from measurements, as multi-model networks refined in simulation."""
+"""jaxnarx: engines from measurements, as multi-model networks refined in simulation.
+
+The names for every day stand here. Families of methods for special ends stand in their
+rooms, loaded on first use: `jnx.linear`, `jnx.inverse`, `jnx.design`, `jnx.sweep` and
+the others that `dir(jnx)` shows.
+"""
 
 import importlib
 import inspect
 from typing import TYPE_CHECKING, Any
 
 from jaxnarx.guard import guarded
-from jaxnarx.texts import documented
+from jaxnarx.texts import document
 
 if TYPE_CHECKING:
+    from jaxnarx import data as data
+    from jaxnarx import design as design
+    from jaxnarx import engines as engines
+    from jaxnarx import evaluation as evaluation
+    from jaxnarx import inverse as inverse
+    from jaxnarx import linear as linear
+    from jaxnarx import methods as methods
+    from jaxnarx import models as models
+    from jaxnarx import partition as partition
+    from jaxnarx import refinement as refinement
+    from jaxnarx import regressors as regressors
+    from jaxnarx import selection as selection
+    from jaxnarx import sweep as sweep
     from jaxnarx.data import Channel as Channel
     from jaxnarx.data import Channels as Channels
     from jaxnarx.data import Dataset as Dataset
     from jaxnarx.data import check as check
+    from jaxnarx.data import excitation as excitation
     from jaxnarx.data import read as read
     from jaxnarx.data import read_split as read_split
     from jaxnarx.data import suggest_lags as suggest_lags
@@ -153,21 +172,32 @@ _HOME = {
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
 
+_ROOMS = {
+    name: f"jaxnarx.{name}"
+    for name in (
+        "data design engines evaluation inverse linear methods models partition "
+        "refinement regressors selection sweep"
+    ).split()
+} | {"excitation": "jaxnarx.data.excitation"}
+
 __all__ = sorted(_MODULE)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name on first use, so that `import jaxnarx` stays quick."""
+    """Load a name or a room on first use, so that `import jaxnarx` stays quick."""
+    if name in _ROOMS:
+        globals()[name] = room = importlib.import_module(_ROOMS[name])
+        return room
     if name not in _MODULE:
         raise AttributeError(f"module 'jaxnarx' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"jaxnarx.{_MODULE[name]}"), name)
     if inspect.isfunction(value):
         value = guarded(value)
     elif _MODULE[name] == "methods":
-        value.__doc__ = documented(value)
+        document(value)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted([*__all__, *_ROOMS])

@@ -35,7 +35,10 @@ def field_texts(settings: type) -> dict[str, str]:
 
 def documented(settings: type) -> str:
     """The class's own words, and an `Args:` section of its fields, for `help()`."""
-    lines = [inspect.getdoc(settings) or "", "", "Args:"]
+    node = _classes(settings.__module__).get(settings.__name__)
+    # As written: what this returns may be the documentation already.
+    words = ast.get_docstring(node) if node else inspect.getdoc(settings)
+    lines = [words or "", "", "Args:"]
     for name, text in field_texts(settings).items():
         lines.append(
             textwrap.fill(
@@ -46,3 +49,9 @@ def documented(settings: type) -> str:
             )
         )
     return "\n".join(lines)
+
+
+def document(*settings: type) -> None:
+    """Let `help()` tell what the fields are, for classes that a room offers."""
+    for kind in settings:
+        kind.__doc__ = documented(kind)

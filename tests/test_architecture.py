@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -260,6 +261,79 @@ def test_every_public_function_and_class_has_a_docstring():
                 missing.append(f"{module}.{node.name} (line {node.lineno})")
     assert count > 150, "the definitions were not found"
     assert not missing
+
+
+def classes() -> dict[str, list[str]]:
+    """Every class of the package by its name, with the modules that define it."""
+    found: dict[str, list[str]] = {}
+    for module, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, []).append(module)
+    return found
+
+
+# Model files and flags know these by their class: a validity function and the settings
+# that grow it; a command and what it prints.
+NAMESAKES = {"SigmoidTree", "Report"}
+# To be told apart yet.
+DOUBLE = {"Ground", "LowPass", "Rows", "State"}
+
+
+def test_a_class_name_means_one_thing():
+    double = {name for name, places in classes().items() if len(places) > 1}
+    assert double == NAMESAKES | DOUBLE
+
+
+# The public surface ---------------------------------------------------------------
+
+MOST_NAMES = 60
+
+
+def words_of_the_command_line() -> set[str]:
+    found = set()
+    for path in (PACKAGE / "shell").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            match node:
+                case (
+                    ast.Name(id=name) | ast.Attribute(attr=name) | ast.alias(name=name)
+                ):
+                    found.add(name)
+    return found
+
+
+def words_of_the_readme() -> set[str]:
+    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    spans = re.findall(r"```.*?```|`[^`\n]*`", text, re.S)
+    return set(re.findall(r"\w+", " ".join(spans)))
+
+
+def words_of_the_examples() -> set[str]:
+    found = set()
+    kinds = ast.FunctionDef | ast.ClassDef | ast.Module
+    for path in modules().values():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, kinds):
+                found |= set(re.findall(r"jnx\.(\w+)", ast.get_docstring(node) or ""))
+    return found
+
+
+def test_top_level_names_are_few_and_each_is_used():
+    assert len(jaxnarx.__all__) <= MOST_NAMES
+    used = words_of_the_command_line() | words_of_the_readme() | words_of_the_examples()
+    assert not set(jaxnarx.__all__) - used
+
+
+def test_a_room_is_there_on_first_use_and_offers_what_no_other_name_does():
+    rooms = set(dir(jaxnarx)) - set(jaxnarx.__all__)
+    assert {"data", "design", "engines", "excitation", "inverse", "linear"} <= rooms
+    top = {id(getattr(jaxnarx, name)) for name in jaxnarx.__all__}
+    for room in ("design", "inverse", "linear"):
+        for name in getattr(jaxnarx, room).__all__:
+            value = getattr(getattr(jaxnarx, room), name)
+            assert id(value) not in top and value.__doc__, f"{room}.{name}"
+    code = "import jaxnarx as jnx; jnx.linear.fit_linear; jnx.excitation.aprbs"
+    assert "jax" in loaded(code)
 
 
 @pytest.mark.parametrize("name", jaxnarx.__all__)

@@ -15,7 +15,23 @@ import jaxnarx as jnx
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.guard import guarded
 
-VERBS = [n for n in jnx.__all__ if inspect.isfunction(getattr(jnx, n))]
+ROOMS = {
+    "evaluation": "cost describe_partition pareto",
+    "partition": "switch",
+    "regressors": "kautz_bank laguerre_bank low_pass_bank orthonormal_bank "
+    "time_constants",
+    "selection": "choose coefficient_table select_each select_weighted "
+    "selection_frequency",
+} | dict.fromkeys(("design", "inverse", "linear", "sweep"), "")
+"""Verbs that a room offers; none are named where all its functions are."""
+
+VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} | {
+    f"{room}.{name}": verb
+    for room, names in ROOMS.items()
+    for name in names.split() or dir(getattr(jnx, room))
+    if name not in jnx.__all__
+    if inspect.isfunction(verb := getattr(getattr(jnx, room), name))
+}
 
 
 @cache
@@ -73,12 +89,12 @@ ALSO = {
 
 
 def arguments(verb: str) -> list[str]:
-    return list(inspect.signature(getattr(jnx, verb)).parameters)
+    return list(inspect.signature(VERBS[verb]).parameters)
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_wrong_object_is_named(verb):
-    parameters = inspect.signature(getattr(jnx, verb)).parameters
+    parameters = inspect.signature(VERBS[verb]).parameters
     right = {
         n: nouns()[FITTING[n]]
         for n, p in parameters.items()
@@ -92,19 +108,21 @@ def test_a_wrong_object_is_named(verb):
             if fits or (kind == "None" and parameters[name].default is None):
                 continue
             with pytest.raises(JaxnarxError) as caught:
-                getattr(jnx, verb)(**right | {name: wrong})
+                VERBS[verb](**right | {name: wrong})
             assert name in str(caught.value) and "\n" not in str(caught.value), kind
             assert isinstance(caught.value, SpecError) and caught.value.field == name
 
 
-METHODS = [v for v in VERBS if "method" in arguments(v) and v != "time_constants"]
+METHODS = [
+    v for v in VERBS if "method" in arguments(v) and not v.endswith("time_constants")
+]
 
 
 @pytest.mark.parametrize("verb", METHODS)
 @pytest.mark.parametrize("kind", ["Dataset", "Network", "text", "class", "dict"])
 def test_what_is_no_method_is_named(verb, kind):
-    with pytest.raises(SpecError, match=f"{verb}: method is") as caught:
-        getattr(jnx, verb)(method=nouns()[kind])
+    with pytest.raises(SpecError, match=f"{VERBS[verb].__name__}: method is") as caught:
+        VERBS[verb](method=nouns()[kind])
     assert caught.value.field == "method"
 
 
@@ -123,7 +141,7 @@ def test_calls_that_used_to_end_in_foreign_errors():
         lambda: verbs.report(selection, data): "of type Selection",
         lambda: verbs.report(network, {"test": "x"}): "data is of type dict",
         lambda: verbs.predict(network, data, "10"): "k is of type str .'10'.",
-        lambda: verbs.select_each(
+        lambda: verbs.selection.select_each(
             thing["Pool"], [data, 3], verbs.ForwardOLS()
         ): "Dataset",
         lambda: verbs.read(5): "path is of type int",
@@ -167,7 +185,7 @@ def test_verbs_are_themselves_under_transforms_and_in_pickles():
 
     found = eqx.filter_jit(scaled)(network)
     np.testing.assert_array_equal(found, 2 * network.gain)
-    for verb in VERBS:
-        assert pickle.loads(pickle.dumps(getattr(jnx, verb))) is getattr(jnx, verb)
+    for verb in VERBS.values():
+        assert pickle.loads(pickle.dumps(verb)) is verb
     assert inspect.signature(jnx.simulate).parameters["network"].annotation
     assert "Free run" in (jnx.simulate.__doc__ or "")

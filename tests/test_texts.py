@@ -13,8 +13,17 @@ import jaxnarx as jnx
 from jaxnarx import methods
 from jaxnarx.texts import field_texts
 
-SETTINGS = [n for n in jnx.__all__ if isinstance(getattr(methods, n, None), type)]
-FUNCTIONS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))}
+PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
+    f"{room}.{name}": getattr(getattr(jnx, room), name)
+    for room in ("design", "evaluation", "inverse", "linear", "regressors")
+    for name in dir(getattr(jnx, room))
+    if name not in jnx.__all__
+}
+KINDS = {
+    v for n in methods.__all__ if dataclasses.is_dataclass(v := getattr(methods, n))
+}
+SETTINGS = {n: v for n, v in PUBLIC.items() if isinstance(v, type) and v in KINDS}
+FUNCTIONS = {n: v for n, v in PUBLIC.items() if inspect.isfunction(v)}
 VERBS = FUNCTIONS | {"Dataset.from_arrays": jnx.Dataset.from_arrays}
 EXAMPLES = {
     n: textwrap.dedent(found[1])
@@ -23,20 +32,26 @@ EXAMPLES = {
 }
 MAIN = (
     "simulate predict select grow refine report check suggest_lags read read_split "
-    "Dataset.from_arrays polynomial_pool stability uncertainty bands cost diagnose "
-    "fit_linear run_sweep"
+    "Dataset.from_arrays polynomial_pool stability uncertainty bands evaluation.cost "
+    "diagnose linear.fit_linear run_sweep"
 ).split()
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_setting_is_explained_in_help(name):
-    settings = getattr(jnx, name)
+    settings = SETTINGS[name]
     texts = field_texts(settings)
     for field in dataclasses.fields(settings):
         assert texts[field.name].endswith((".", ")")), field.name
         first = " ".join(texts[field.name].split()[:2])
         assert f"    {field.name}: {first}" in settings.__doc__
     assert not settings.__doc__.startswith("Args:")
+    assert settings.__doc__.count("Args:\n") == 1
+
+
+def test_every_settings_class_is_offered_once():
+    offered = list(SETTINGS.values())
+    assert len(offered) == len(set(offered)) and set(offered) == KINDS
 
 
 @pytest.mark.parametrize("name", MAIN)

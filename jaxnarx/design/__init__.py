@@ -13,10 +13,26 @@ model, within the plan's own range and rate limits.
 Reference: R. K. Mehra, IEEE Trans. Automatic Control 19, 1974; thesis section 6.2.1.
 """
 
-from jaxnarx.design.adjust import adjust as adjust
-from jaxnarx.design.criteria import Criteria as Criteria
-from jaxnarx.design.criteria import criteria as criteria
-from jaxnarx.design.sensitivity import AbstractSensitivity as AbstractSensitivity
-from jaxnarx.design.sensitivity import NetworkSensitivity as NetworkSensitivity
-from jaxnarx.design.sensitivity import ResponseSensitivity as ResponseSensitivity
-from jaxnarx.design.sensitivity import network_sensitivity as network_sensitivity
+from jaxnarx.design.adjust import adjust
+from jaxnarx.design.criteria import Criteria, criteria
+from jaxnarx.design.sensitivity import (
+    AbstractSensitivity,
+    NetworkSensitivity,
+    ResponseSensitivity,
+    network_sensitivity,
+)
+from jaxnarx.methods import OptimalDesign
+from jaxnarx.texts import document
+
+__all__ = [
+    "AbstractSensitivity",
+    "Criteria",
+    "NetworkSensitivity",
+    "OptimalDesign",
+    "ResponseSensitivity",
+    "adjust",
+    "criteria",
+    "network_sensitivity",
+]
+
+document(OptimalDesign)

@@ -8,15 +8,32 @@ what cannot be inverted, `unity_gain` afterwards how near the cascade comes to o
 Reference: thesis section 7.3; B. Widrow, E. Walach, Adaptive Inverse Control, 1996.
 """
 
-from jaxnarx.inverse.cascade import Tracking as Tracking
-from jaxnarx.inverse.cascade import cascade as cascade
-from jaxnarx.inverse.compensate import compensate as compensate
-from jaxnarx.inverse.dataset import inverse_data as inverse_data
-from jaxnarx.inverse.forward import dead_times as dead_times
-from jaxnarx.inverse.invertible import Invertibility as Invertibility
-from jaxnarx.inverse.invertible import invertible as invertible
-from jaxnarx.inverse.reachable import Reach as Reach
-from jaxnarx.inverse.reachable import reachable as reachable
-from jaxnarx.inverse.region import Region as Region
-from jaxnarx.inverse.unity import UnityGain as UnityGain
-from jaxnarx.inverse.unity import unity_gain as unity_gain
+from jaxnarx.inverse.cascade import Tracking, cascade
+from jaxnarx.inverse.compensate import compensate
+from jaxnarx.inverse.dataset import inverse_data
+from jaxnarx.inverse.forward import dead_times
+from jaxnarx.inverse.invertible import Invertibility, invertible
+from jaxnarx.inverse.reachable import Reach, reachable
+from jaxnarx.inverse.region import Region
+from jaxnarx.inverse.unity import UnityGain, unity_gain
+from jaxnarx.methods import ActuatorLimits, TrackingError
+from jaxnarx.texts import document
+
+__all__ = [
+    "ActuatorLimits",
+    "Invertibility",
+    "Reach",
+    "Region",
+    "Tracking",
+    "TrackingError",
+    "UnityGain",
+    "cascade",
+    "compensate",
+    "dead_times",
+    "inverse_data",
+    "invertible",
+    "reachable",
+    "unity_gain",
+]
+
+document(ActuatorLimits, TrackingError)
