@@ -78,7 +78,7 @@ def make_network(models: int, terms: int, seed: int = 0):
 
 
 def make_records(network, samples: int, records: int = 1):
-    """`Drive` and anchors of records whose output is the network's own, with noise."""
+    """`Drive` and anchors of records: the network's own outputs, with noise."""
     import jax.numpy as jnp
     import numpy as np
 

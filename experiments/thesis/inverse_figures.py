@@ -65,7 +65,7 @@ def _panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
 def unity(found: Mapping[str, Any]) -> Figure:
     """Static gains and frequency responses of cascades by name.
 
-    `found` holds values of `jaxnarx.unity_gain`, of the same targets. Above: the static
+    `found` holds values of `unity_gain`, of the same targets. Above: the static
     gain from each reference to its target at every point that rests free of limits,
     over the reference, with the band of 5 % about one. Below: the median size of the
     response over the points, with their quartiles.

@@ -24,8 +24,9 @@ CHUNK = 1024
 class Points(eqx.Module):
     """Samples of a run as columns: lagged and scheduling variables, and the history.
 
-    `v` and `x` are those of `Drive`; `history` holds the past outputs each sample has
-    seen, newest first, scaled. `record` and `step` say where the samples come from.
+    `v` and `x` are those of `Drive`; `history` holds the past outputs each
+    sample has seen, newest first, scaled. `record` and `step` say where the samples
+    come from.
     """
 
     v: Float[Array | np.ndarray, "vars points"]
