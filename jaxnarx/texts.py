@@ -38,8 +38,10 @@ def documented(settings: type) -> str:
     node = _classes(settings.__module__).get(settings.__name__)
     # As written: what this returns may be the documentation already.
     words = ast.get_docstring(node) if node else inspect.getdoc(settings)
-    lines = [words or "", "", "Args:"]
-    for name, text in field_texts(settings).items():
+    lines, texts = [words or ""], field_texts(settings)
+    if texts:
+        lines += ["", "Args:"]
+    for name, text in texts.items():
         lines.append(
             textwrap.fill(
                 f"{name}: {text}",

@@ -16,7 +16,7 @@ from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.guard import guarded
 
 ROOMS = {
-    "evaluation": "cost describe_partition pareto",
+    "evaluation": "cost pareto",
     "partition": "switch",
     "regressors": "kautz_bank laguerre_bank low_pass_bank orthonormal_bank "
     "time_constants",
