@@ -310,10 +310,9 @@ def words_of_the_readme() -> set[str]:
 
 def words_of_the_examples() -> set[str]:
     found = set()
-    kinds = ast.FunctionDef | ast.ClassDef | ast.Module
     for path in modules().values():
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, kinds):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
                 found |= set(re.findall(r"jnx\.(\w+)", ast.get_docstring(node) or ""))
     return found
 
