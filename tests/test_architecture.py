@@ -288,6 +288,7 @@ def test_a_class_name_means_one_thing():
 # The public surface ---------------------------------------------------------------
 
 MOST_NAMES = 60
+NAMED = re.compile(r"\bjnx\.([a-zA-Z_]+(?:\.[a-zA-Z_]+)*)")
 
 
 def words_of_the_command_line() -> set[str]:
@@ -308,19 +309,32 @@ def words_of_the_readme() -> set[str]:
     return set(re.findall(r"\w+", " ".join(spans)))
 
 
-def words_of_the_examples() -> set[str]:
+def names_in_docstrings() -> set[str]:
+    """What follows `jnx.` in the package's docstrings."""
     found = set()
     for path in modules().values():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
-                found |= set(re.findall(r"jnx\.(\w+)", ast.get_docstring(node) or ""))
+                found |= set(NAMED.findall(ast.get_docstring(node) or ""))
     return found
+
+
+def names_in_the_readme() -> set[str]:
+    return set(NAMED.findall((PACKAGE.parent / "README.md").read_text("utf-8")))
 
 
 def test_top_level_names_are_few_and_each_is_used():
     assert len(jaxnarx.__all__) <= MOST_NAMES
-    used = words_of_the_command_line() | words_of_the_readme() | words_of_the_examples()
+    used = words_of_the_command_line() | words_of_the_readme()
+    used |= {name.split(".")[0] for name in names_in_docstrings()}
     assert not set(jaxnarx.__all__) - used
+
+
+@pytest.mark.parametrize("name", sorted(names_in_the_readme() | names_in_docstrings()))
+def test_a_name_that_a_text_gives_exists(name):
+    value: object = jaxnarx
+    for part in name.split("."):
+        value = getattr(value, part)
 
 
 def test_a_room_is_there_on_first_use_and_offers_what_no_other_name_does():
