@@ -277,7 +277,7 @@ def classes() -> dict[str, list[str]]:
 # that grow it; a command and what it prints.
 NAMESAKES = {"SigmoidTree", "Report"}
 # To be told apart yet.
-DOUBLE = {"Ground", "LowPass", "Rows", "State"}
+DOUBLE = {"Ground", "LowPass", "Rows", "Search"}
 
 
 def test_a_class_name_means_one_thing():
