@@ -175,10 +175,10 @@ _MODULE = {name: module for module, names in _HOME.items() for name in names.spl
 _ROOMS = {
     name: f"jaxnarx.{name}"
     for name in (
-        "data design engines evaluation inverse linear methods models partition "
-        "refinement regressors selection sweep"
+        "data design engines evaluation excitation inverse linear methods models "
+        "partition refinement regressors selection sweep"
     ).split()
-} | {"excitation": "jaxnarx.data.excitation"}
+}
 
 __all__ = sorted(_MODULE)  # noqa: PLE0605
 
