@@ -323,11 +323,11 @@ def limited(
 def has_diverged(
     held: Bool[Array | np.ndarray, "*rows time"],
     counted: Bool[Array | np.ndarray, "*rows time"] | None = None,
-) -> Bool[Array | np.ndarray, "*rows"] | np.bool_:
+) -> Any:
     """More than 5 % of the samples, or 50 in a row, held by the feedback bound.
 
-    Of the samples that are `counted`, by default all. NumPy in, NumPy out; inside
-    programs too.
+    Of the samples that are `counted`, by default all; a flag for every row. NumPy in,
+    NumPy out; inside programs too.
     """
     xp = np if isinstance(held, np.ndarray) else jnp
     counted = xp.ones_like(held) if counted is None else counted

@@ -9,6 +9,7 @@ in its own loop.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -48,20 +49,22 @@ class Linear(eqx.Module):
 
 
 class AbstractProblem(eqx.Module):
-    """What is minimised.
+    """What is minimised."""
 
-    Entries with a finite `wall`, the largest magnitude they may take, are the bounded
-    ones; a solver must not throw them from one limit to the other.
-    """
+    @property
+    @abc.abstractmethod
+    def wall(self) -> Float[Array, " params"]:
+        """Largest magnitude of every entry, infinite for those without limits.
 
-    wall: eqx.AbstractVar[Vector]
+        A solver must not throw the others from one limit to the other.
+        """
 
     @abc.abstractmethod
-    def loss(self, u: Vector) -> Number:
+    def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The loss alone: one run."""
 
     @abc.abstractmethod
-    def linear(self, u: Vector) -> Linear:
+    def linear(self, u: Float[Array, " params"]) -> Linear:
         """The loss and its normal equations: a run and its sensitivities.
 
         Of the point `u`, or of one with entries in their best place that the method
@@ -69,7 +72,7 @@ class AbstractProblem(eqx.Module):
         """
 
     @abc.abstractmethod
-    def pull(self, start: Linear) -> Vector:
+    def pull(self, start: Linear) -> Float[Array, " params"]:
         """Weights of the squared distance from where a search starts."""
 
 
@@ -94,7 +97,7 @@ class State(eqx.Module):
     status: Int[Array | np.ndarray, ""]
 
     @property
-    def u(self) -> Vector:
+    def u(self) -> Any:
         """The point."""
         return self.linear.u
 
@@ -102,9 +105,9 @@ class State(eqx.Module):
 class Trial(eqx.Module):
     """A point that may be taken, and whether what is minimised is lower there."""
 
-    u: Vector
-    damping: Number
-    value: Number
+    u: Float[Array, " params"]
+    damping: Float[Array, ""]
+    value: Float[Array, ""]
     tried: Int[Array, ""]
     lower: Bool[Array, ""]
 
@@ -207,14 +210,14 @@ def has_arrived(s: State) -> Bool[Array, ""]:
 
 def _slope(s: State) -> Float[Array, " params"]:
     """Half the gradient of what is minimised."""
-    return s.linear.gradient + s.pull * (s.linear.u - s.origin)
+    return jnp.asarray(s.linear.gradient) + s.pull * (s.linear.u - s.origin)
 
 
-def _direction(s: State, damping: Number) -> Float[Array, " params"]:
+def _direction(s: State, damping: Float[Array, ""]) -> Float[Array, " params"]:
     """Damped step; not finite where the equations cannot be solved.
 
     Entries without any information (padding, frozen directions) get a zero step.
     """
-    gram = s.linear.gram + jnp.diag(s.pull)
+    gram = jnp.diag(s.pull) + s.linear.gram
     delta = -cholesky_solve(gram, _slope(s), damping, least=0.0)
     return jnp.where(jnp.diagonal(gram) > 0, delta, 0.0)

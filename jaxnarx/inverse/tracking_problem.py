@@ -102,15 +102,16 @@ class TrackingProblem(AbstractProblem):
         """Bounded parameters keep from the flat ends of their map."""
         return self.layout.wall()
 
-    def loss(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
+    def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """Tracking error and the price of the effort."""
-        return sum(_losses(self.loop, self.layout, u, self.data))
+        error, change = _losses(self.loop, self.layout, u, self.data)
+        return error + change
 
-    def tracking(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
+    def tracking(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The tracking error alone."""
         return _losses(self.loop, self.layout, u, self.data)[0]
 
-    def linear(self, u: Float[Array | np.ndarray, " params"]) -> Linear:
+    def linear(self, u: Float[Array, " params"]) -> Linear:
         """Their normal equations."""
         found = _normal_equations(self.loop, self.layout, u, self.data)
         return Linear(u, self.loss(u), *found)

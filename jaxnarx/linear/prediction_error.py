@@ -46,24 +46,25 @@ class PredictionErrorProblem(AbstractProblem):
         size = self.structure.size + records * states(self.structure)
         return jnp.full(size, jnp.inf, self.data.y.dtype)
 
-    def _parts(self, u: Float[Array | np.ndarray, " params"]):
+    def _parts(self, u: Float[Array, " params"]):
         count = self.structure.size
         return u[:count], u[count:].reshape(self.data.y.shape[0], -1)
 
-    def is_admissible(self, u: Float[Array | np.ndarray, " params"]) -> Bool[Array, ""]:
+    def is_admissible(self, u: Float[Array, " params"]) -> Bool[Array, ""]:
         """Whether C and all F_i are stable."""
-        p = self.structure.split(jnp.asarray(u[: self.structure.size]))
-        return jnp.all(jnp.stack([is_stable(x) for x in (p.c, *p.f)]))
+        p = self.structure.split(u[: self.structure.size])
+        parts = (p.c, *p.f)
+        return jnp.all(jnp.stack([is_stable(jnp.asarray(x)) for x in parts]))
 
     def _limited(self, u, loss: Float[Array, ""]) -> Float[Array, ""]:
         return jnp.where(self.is_admissible(u), loss, jnp.inf)
 
-    def loss(self, u: Float[Array | np.ndarray, " params"]) -> Float[Array, ""]:
+    def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The loss; infinite where C or an F_i is not stable."""
         e = residuals(self.structure, *self._parts(u), self.data)
         return self._limited(u, jnp.sum(e**2))
 
-    def linear(self, u: Float[Array | np.ndarray, " params"]) -> Linear:
+    def linear(self, u: Float[Array, " params"]) -> Linear:
         """The loss and its normal equations, the states of all records assembled."""
         e, slope, gram = normal_equations(self.structure, *self._parts(u), self.data)
         count, own = self.structure.size, states(self.structure)

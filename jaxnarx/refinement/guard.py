@@ -68,7 +68,7 @@ def make_guard(layout: Layout, task: Task) -> Guard:
     """Of the records of a task; those without a scored sample cannot diverge."""
     masks, time = task.masks, np.arange(task.masks.anchors.shape[1])[None]
     counted = (time >= masks.start[:, None]) & (time < masks.end[:, None])
-    counted &= masks.scored.any(axis=(1, 2))[:, None]
+    counted &= np.any(masks.scored, axis=(1, 2))[:, None]
     return Guard(
         layout, task.drive, task.anchors(None), counted, task.weight, task.criterion
     )

@@ -33,12 +33,12 @@ class Restraint(eqx.Module):
     target: Float[Array, ""]
     weight: Float[Array, ""]
 
-    def __call__(self, layout: Layout, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+    def __call__(self, layout: Layout, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The penalty; its first derivative is exact."""
         excess = penalty_residuals(layout, u, self.points, self.metric, self.target)
         return self.weight * jnp.mean(excess**2)
 
-    def linear(self, layout: Layout, u: Float[Arrays, " params"]) -> Linear:
+    def linear(self, layout: Layout, u: Float[Array, " params"]) -> Linear:
         """The penalty with its normal equations."""
         found = penalty(layout, u, self.points, self.metric, self.target)
         share = self.weight / (self.points.v.shape[1] * len(self.metric.groups))
@@ -89,7 +89,7 @@ class Problem(AbstractProblem):
         """Bounded parameters keep from the flat ends of their map."""
         return self.layout.wall()
 
-    def loss(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+    def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """Errors of the run, and the penalty."""
         at = self.drive, self.anchor, self.weight, self.criterion
         value = loss(self.layout, u, *at)
@@ -97,7 +97,7 @@ class Problem(AbstractProblem):
             return value
         return value + self.restraint(self.layout, u)
 
-    def linear(self, u: Float[Arrays, " params"]) -> Linear:
+    def linear(self, u: Float[Array, " params"]) -> Linear:
         """Normal equations of both; zero where parameters rest."""
         at = self.drive, self.anchor, self.weight, self.criterion
         found = Linear(u, *normal_equations(self.layout, u, *at))

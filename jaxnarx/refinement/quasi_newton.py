@@ -84,13 +84,13 @@ def _reached(s: Scaled, judge, u):
 
 def reached(s: Scaled, judge, u: Array, before: Standing, state) -> Standing:
     """Where a step has led that is taken, whatever it has gained."""
-    u, value, total, judged = jax.device_get((u, *_reached(s, judge, u)))
+    value, total, judged = jax.device_get(_reached(s, judge, u))
     status = "ok" if np.isfinite(value) else "diverged"
     if status == "diverged":
         return dataclasses.replace(before, status=status)
     value, total = value.item(), total.item()
     gain = 1.0 - total / before.minimised if before.minimised > 0 else 0.0
-    return Standing(u, value, total, state, gain=gain, judged=judged)
+    return Standing(np.asarray(u), value, total, state, gain=gain, judged=judged)
 
 
 class QuasiNewton:

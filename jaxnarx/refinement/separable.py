@@ -75,14 +75,14 @@ class Separable(AbstractProblem):
         """That of the whole problem."""
         return self.problem.wall
 
-    def solved(self, u: Float[Arrays, " params"]) -> Float[Array, " params"]:
+    def solved(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
         """With the best coefficients for the partition, as linearised at `u`."""
         return solve_coefficients(self._penalised(u), self.inner)
 
-    def _penalty(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
-        return self.inner_pull @ (u - self.origin) ** 2
+    def _penalty(self, u: Float[Array, " params"]) -> Float[Array, ""]:
+        return jnp.dot(self.inner_pull, (u - self.origin) ** 2)
 
-    def _penalised(self, u: Float[Arrays, " params"]) -> Linear:
+    def _penalised(self, u: Float[Array, " params"]) -> Linear:
         """The whole problem's equations with the penalty of the coefficients."""
         whole = self.problem.linear(u)
         return Linear(
@@ -92,12 +92,12 @@ class Separable(AbstractProblem):
             whole.gram + jnp.diag(self.inner_pull),
         )
 
-    def loss(self, u: Float[Arrays, " params"]) -> Float[Array, ""]:
+    def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The loss at the partition of `u`, coefficients solved for."""
         u = self.solved(u)
         return self.problem.loss(u) + self._penalty(u)
 
-    def linear(self, u: Float[Arrays, " params"]) -> Linear:
+    def linear(self, u: Float[Array, " params"]) -> Linear:
         """Normal equations at the partition of `u`, coefficients solved for."""
         whole = self._penalised(self.solved(u))
         inner, outer = self.inner, self.outer

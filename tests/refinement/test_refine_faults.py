@@ -68,7 +68,10 @@ class Cliff(AbstractProblem):
 
     edge: float
     beyond: float
-    wall: np.ndarray = eqx.field(default_factory=lambda: np.array([np.inf]))
+
+    @property
+    def wall(self):
+        return jnp.array([jnp.inf])
 
     def loss(self, u):
         return jnp.where(u[0] <= self.edge, (u[0] - 3.0) ** 2, self.beyond)

@@ -72,7 +72,7 @@ class Search(eqx.Module):
     state: levenberg.State
     best: Float[Array, " params"]
     judged: Judged
-    limit: Float[Array, ""]
+    limit: Float[Array | np.ndarray, ""]
     accepted: Int[Array, ""]
     lead: Judged
     since: Int[Array, ""]
