@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.selection.basis import Basis, Lane
@@ -133,16 +134,27 @@ def _nested_errors(basis: Basis, lane: Lane, small, gain):
     )[1]
 
 
-def padded(path: Path, slots: int) -> Path:
-    """With room for `slots` terms."""
-    more = slots - path.index.shape[-1]
-    wide = ((0, 0), (0, more))
+def resized(path: Path, slots: int) -> Path:
+    """With room for `slots` terms, at least those that are chosen."""
+
+    def fit(array: Array, axes: int = 1, mode="constant") -> Array:
+        kept = np.asarray(array)[(..., *[slice(slots)] * axes)]
+        more = [(0, 0)] * (kept.ndim - axes)
+        more += [(0, slots - size) for size in kept.shape[-axes:]]
+        return jax.device_put(np.pad(kept, more, mode=mode))
+
     return dataclasses.replace(
         path,
-        index=jnp.pad(path.index, wide),
-        err=jnp.pad(path.err, wide),
-        sse=jnp.pad(path.sse, wide, mode="edge"),
-        press=jnp.pad(path.press, wide, mode="edge"),
-        nested=jnp.pad(path.nested, (*wide, (0, more))),
-        errors=jnp.pad(path.errors, (*wide, (0, more))),
+        index=fit(path.index),
+        err=fit(path.err),
+        sse=fit(path.sse, mode="edge"),
+        press=fit(path.press, mode="edge"),
+        nested=fit(path.nested, 2),
+        errors=fit(path.errors, 2),
+        history=dataclasses.replace(
+            path.history,
+            term=fit(path.history.term),
+            used=fit(path.history.used),
+            f=fit(path.history.f),
+        ),
     )

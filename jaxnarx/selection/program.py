@@ -159,11 +159,11 @@ def plan(
     }
     arrays |= {name: np.asarray(x, dtype) for name, x in numbers.items()}
     program = Program(**jax.device_put(arrays))
-    width = max(len(s) for s in starts)
-    table = np.array([s + [0] * (width - len(s)) for s in starts], np.int64)
+    # As wide as there is room: a program serves any number of first terms.
+    table = np.array([s + [0] * (slots - len(s)) for s in starts], np.int64)
     return Plan(
         program,
-        table.reshape(len(starts), width),
+        table.reshape(len(starts), slots),
         np.array([len(s) for s in starts]),
         slots,
         removes=not forward,

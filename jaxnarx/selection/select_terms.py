@@ -28,7 +28,7 @@ from jaxnarx.selection.basis import Basis, Lane
 from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
 from jaxnarx.selection.figures import figures_of, histories_of
 from jaxnarx.selection.own import own_choice
-from jaxnarx.selection.path import History, Path, padded, path_of
+from jaxnarx.selection.path import History, Path, path_of, resized
 from jaxnarx.selection.program import (
     Method,
     Plan,
@@ -44,6 +44,8 @@ from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.solution import RESULTS, Solution
 
 COLLINEAR = "collinear with the chosen terms"
+ROOM = 8
+"""Least squares of given terms are compiled for this many, twice, ... of them."""
 
 # Three programs rather than one: compiled together they take twice the memory.
 _lanes = jax.jit(make_lanes)
@@ -288,7 +290,7 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
     """
     slots = max(len(terms) for terms in chosen)
     paths = [
-        padded(_refit_one(pool, rows, o, terms), slots)
+        resized(_refit_one(pool, rows, o, terms), slots)
         for o, terms in enumerate(chosen)
     ]
     return jax.tree.map(lambda *lanes: jnp.concatenate(lanes), *paths)
@@ -297,31 +299,36 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
 def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
     own, back, target = rows.of_lanes(slice(lane, lane + 1)), None, None
     index, y = np.asarray(terms), own.y
+    size = len(index)
+    room = -(-size // ROOM) * ROOM
+    # What fills the room is not asked for and may not enter.
+    filled = np.resize(np.arange(size), room)
     centre = own.centring(pool.variables)
     if centre is None:
-        columns = evaluate(pool.factor[index], rows.v)
+        columns = evaluate(pool.factor[index[filled]], rows.v)
     else:
         columns, back = centre.columns(pool.factor[index], rows.v)
+        columns = columns[filled]
         target = target_of(pool, centre, np.isin(np.arange(len(pool)), index))
         y = y - target
-        back = jnp.asarray(back, columns.dtype)[None]
+        wide = np.pad(back, (0, room - size)).astype(columns.dtype)
+        back = jax.device_put(wide[None])
     ones = jnp.ones((1, columns.shape[1]), columns.dtype)
-    size = len(terms)
     zeros = dict.fromkeys(("tau_absolute", "f_in", "f_out", "f_last"), 0.0)
     numbers = zeros | {"rho": -1.0, "tau": 1e-24}
     arrays = {
-        "stages": np.zeros((1, size), bool),
+        "stages": np.zeros((1, room), bool),
         "limits": np.zeros(1, int),
-        "keep": np.zeros(size, bool),
+        "keep": np.zeros(room, bool),
         "rounds": np.asarray(0),
     }
     arrays |= {name: np.asarray(x, columns.dtype) for name, x in numbers.items()}
     nothing = Program(**jax.device_put(arrays))
     made = Plan(
         nothing,
-        start=np.arange(size)[None],
+        start=np.arange(room)[None],
         starts=np.array([size]),
-        max_terms=size,
+        max_terms=room,
         removes=False,
         exchanges=False,
         candidates=0,
@@ -331,15 +338,17 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
         jnp.concatenate([ones, columns]),
         y,
         own.weight,
-        np.arange(1, size + 1)[:, None],
+        np.arange(1, room + 1)[:, None],
         made,
     )
     if centre is not None and int(basis.count[0]) < size:
         # Columns made without the terms that are left out.
         kept = np.asarray(basis.index)[0, : int(basis.count[0])]
-        return padded(_refit_one(pool, rows, lane, index[kept].tolist()), size)
+        return resized(_refit_one(pool, rows, lane, index[kept].tolist()), size)
     path = jax.block_until_ready(_path(basis, lanes, history, back))
-    path = dataclasses.replace(path, index=jnp.asarray(index[np.asarray(path.index)]))
+    path = resized(path, size)
+    own_index = index[np.asarray(path.index)]
+    path = dataclasses.replace(path, index=jax.device_put(own_index))
     if target is not None:
         path = given_back(pool, path, target)
     return path

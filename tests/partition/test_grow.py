@@ -287,7 +287,7 @@ def test_a_tree_of_one_leaf_is_the_plain_model():
 def test_every_region_chooses_its_own_terms(make, local):
     settings: dict[str, Any] = {"max_models": 3}
     if make is Grid:
-        settings = {"models": (2, 1)}
+        settings = {"models": (3, 1)}
     solution = grow(pool(3), data(), make(SCHEDULE, local=local, **settings))
     network = solution.value
     phi = phi_of(network, data())

@@ -52,6 +52,23 @@ def test_coefficients_are_those_of_least_squares():
     )
 
 
+def test_outputs_keep_as_many_terms_as_act_on_each():
+    data = record(product)
+    rows = data.records[0]
+    both = Dataset.from_arrays(
+        rows.u,
+        np.c_[rows.y, rows.u[:, 2]],
+        inputs=["a", "b", "c"],
+        outputs=["y", "w"],
+        sample_time=0.1,
+    )
+    value = select(pool_of(both), both, Anova()).value
+    alone = select(pool_of(data), data, Anova()).value
+    assert value.names_of("y") == alone.names
+    assert len(value.names_of("w")) != len(alone.names)
+    assert value.sse[1, -1] < 1e-12 * value.sse[0, -1]
+
+
 def test_an_output_of_noise_has_no_effects():
     data = record(lambda u, rng: rng.normal(size=(len(u), 1)))
     solution = select(pool_of(data), data, Anova())

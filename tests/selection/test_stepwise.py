@@ -84,7 +84,7 @@ def test_backward_equals_elimination_by_explicit_refits(problem):
 @pytest.mark.parametrize("problem", ["slow", "correlated", "records"])
 def test_exchange_equals_trying_every_pair(problem):
     p, y = dense(problem)
-    start = choose(problem, ForwardOLS(max_terms=6)).value
+    start = choose(problem, ForwardOLS(max_terms=TERMS)).value.head(6)
     method = Backward(max_terms=TERMS, f_out=0.0)
     found = choose(problem, method, start).value
     expected = oracles.exchange(p, y, start.terms(), kept=(constant(),))
@@ -157,7 +157,8 @@ def test_weights_are_those_of_the_squared_error():
 def test_a_neighbour_leaves_once_the_true_terms_are_in():
     """The thesis's point: forward search keeps what stepwise search takes back."""
     solution = choose("slow", StepwiseF(max_terms=TERMS))
-    forward = choose("slow", ForwardOLS(max_terms=solution.value.size())).value
+    forward = choose("slow", ForwardOLS(max_terms=TERMS)).value
+    forward = forward.head(solution.value.size())
     p, y = dense("slow")
     f = oracles.partial_f(p, y, solution.value.terms())
     assert np.delete(f, 0).min() >= solution.stats["f_level"] * (1 - 1e-9)
@@ -187,7 +188,7 @@ def test_forced_terms_stay_and_forbidden_ones_stay_out():
 
 @pytest.mark.parametrize("text", ["y[t-1]*a[t-1]", "a[t-1] * y[t-1]", "b[t-2]^2"])
 def test_terms_are_found_in_any_order_of_their_factors(text):
-    names = choose("white", ForwardOLS(max_terms=3, forced=(text,))).value.names
+    names = choose("white", ForwardOLS(max_terms=TERMS, forced=(text,))).value.names
     assert names[1] in {"a[t-1]*y[t-1]", "b[t-2]^2"}
 
 
