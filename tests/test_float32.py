@@ -1,34 +1,29 @@
 """float32 data runs in float32 throughout: no accidental casts."""
 
-import subprocess
-import sys
+import jax
+import numpy as np
 
-SCRIPT = """
-import jax, numpy as np
-jax.config.update("jax_numpy_dtype_promotion", "strict")
 import jaxnarx as jnx
-rng = np.random.default_rng(3)
-u = rng.uniform(-1, 1, (400, 1)).astype(np.float32)
-y = np.zeros((400, 1), np.float32)
-for t in range(1, 400):
-    y[t] = 0.7 * y[t - 1] + u[t - 1] + 0.2 * u[t - 1] ** 2
-data = jnx.Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=1.0)
-pool = jnx.polynomial_pool(data.channels, input_lags=(1, 2), output_lags=(1,), degree=2)
-terms = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4)).value
-net = jnx.grow(terms, data, jnx.Lolimot(scheduling=["u[t-1]"], max_models=2)).value
-fit = jnx.refine(net, data, jnx.SimulationError(max_steps=2, horizons=()))
-for leaf in jax.tree.leaves(fit.value):
-    assert leaf.dtype.kind != "f" or leaf.dtype == np.float32, leaf.dtype
-run = jnx.simulate(fit.value, data).value[0]
-assert run.dtype == np.float32 and np.all(np.isfinite(run))
-assert np.sqrt(np.mean((run - y)[1:] ** 2)) < 0.05 * y.std()
-print("float32 ok")
-"""
+from jaxnarx.sweep.number_type import number_type
 
 
 def test_float32_stays_float32():
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=200
+    rng = np.random.default_rng(3)
+    u = rng.uniform(-1, 1, (400, 1)).astype(np.float32)
+    y = np.zeros((400, 1), np.float32)
+    for t in range(1, 400):
+        y[t] = 0.7 * y[t - 1] + u[t - 1] + 0.2 * u[t - 1] ** 2
+    data = jnx.Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=1.0)
+    pool = jnx.polynomial_pool(
+        data.channels, input_lags=(1, 2), output_lags=(1,), degree=2
     )
-    assert done.returncode == 0, done.stderr
-    assert "float32 ok" in done.stdout
+    parts = jnx.Lolimot(scheduling=["u[t-1]"], max_models=2)
+    with number_type(float64=False):
+        terms = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4)).value
+        net = jnx.grow(terms, data, parts).value
+        fit = jnx.refine(net, data, jnx.SimulationError(max_steps=2, horizons=()))
+        for leaf in jax.tree.leaves(fit.value):
+            assert leaf.dtype.kind != "f" or leaf.dtype == np.float32, leaf.dtype
+        run = jnx.simulate(fit.value, data).value[0]
+    assert run.dtype == np.float32 and np.all(np.isfinite(run))
+    assert np.sqrt(np.mean((run - y)[1:] ** 2)) < 0.05 * y.std()

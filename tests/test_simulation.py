@@ -5,10 +5,7 @@ several records is one of padding too.
 """
 
 import dataclasses
-import subprocess
-import sys
 from functools import cache, partial
-from pathlib import Path
 
 import common
 import equinox as eqx
@@ -23,7 +20,11 @@ from jax.flatten_util import ravel_pytree
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.methods import ForwardOLS, Global
 from jaxnarx.models import Network
+from jaxnarx.partition import grow
+from jaxnarx.regressors import polynomial_pool
+from jaxnarx.selection import select
 from jaxnarx.simulation import (
     has_diverged,
     make_drive,
@@ -31,6 +32,7 @@ from jaxnarx.simulation import (
     run_record,
     simulate,
 )
+from jaxnarx.sweep.number_type import number_type
 
 # Sixty steps of stable recursions, physical values of order ten.
 ROUNDING = 1e-10
@@ -468,48 +470,28 @@ def test_one_record_that_is_too_short_is_a_status():
 
 
 def test_float64_data_without_x64_say_how_to_switch_it_on():
-    # In a process of its own: the setting is global.
-    code = """
-import numpy as np
-from jaxnarx.data import Dataset
-from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Global
-from jaxnarx.partition import grow
-from jaxnarx.regressors import polynomial_pool
-from jaxnarx.selection import select
-from jaxnarx.simulation import simulate
-rng = np.random.default_rng(0)
-def make(dtype):
-    u = rng.normal(size=50).astype(dtype)
-    y = np.convolve(u, np.ones(3, dtype))[:50]
-    return Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=1.0)
-single, double = make(np.float32), make(np.float64)
-pool = polynomial_pool(single.channels, input_lags=(0, 1), output_lags=(1,), degree=1)
-net = grow(select(pool, single, ForwardOLS(max_terms=3)).value, single, Global()).value
-print(simulate(net, single).value[0].dtype)
-for verb in (
-    lambda: select(pool, double),
-    lambda: grow(pool, double, Global()),
-    lambda: simulate(net, double),
-):
-    try:
-        verb()
-    except SpecError as error:
-        print(error)
-"""
-    found = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=Path(__file__).parent,
-    )
-    assert found.returncode == 0, found.stderr
-    first, *errors = found.stdout.splitlines()
-    assert first == "float32"
-    assert len(errors) == 3
-    for error in errors:
-        assert "jax.config.update('jax_enable_x64', True)" in error
+    rng = np.random.default_rng(0)
+
+    def make(dtype):
+        u = rng.normal(size=50).astype(dtype)
+        y = np.convolve(u, np.ones(3, dtype))[:50]
+        return Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=1.0)
+
+    one, double = make(np.float32), make(np.float64)
+    pool = polynomial_pool(one.channels, input_lags=(0, 1), output_lags=(1,), degree=1)
+    with number_type(float64=False):
+        terms = select(pool, one, ForwardOLS(max_terms=3)).value
+        net = grow(terms, one, Global()).value
+        assert simulate(net, one).value[0].dtype == np.float32
+        for verb in (
+            lambda: select(pool, double),
+            lambda: grow(pool, double, Global()),
+            lambda: simulate(net, double),
+        ):
+            with pytest.raises(
+                SpecError, match=r"jax\.config\.update\('jax_enable_x64', True\)"
+            ):
+                verb()
 
 
 def test_float32_stays_float32():

@@ -5,10 +5,8 @@ the same compiled search.
 """
 
 import dataclasses
-import subprocess
-import sys
+import faulthandler
 from functools import cache
-from pathlib import Path
 
 import common
 import jax
@@ -362,25 +360,12 @@ def test_constant_after_is_the_thesis_ending():
 
 def test_a_constant_under_the_threshold_does_not_stall_the_search():
     # Weights of 0.001 make its squared norm 0.3, below the thesis's threshold of one;
-    # cubes are larger. In a process of its own, because a stall would last for ever.
-    code = (
-        "import sys; sys.path[:0] = sys.argv[1:]\n"
-        "import conftest, test_select as t\n"
-        "method = t.ForwardOLS(max_terms=3, constant='first', tau_absolute=1.0)\n"
-        "weights = [t.np.full(300, 1e-3)]\n"
-        "found = t.choose(t.rows_of('white'), method, weights=weights)\n"
-        "print(*found.value.names)"
-    )
-    here = Path(__file__).parent
-    found = subprocess.run(
-        [sys.executable, "-c", code, str(here.parent), str(here)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=here,
-    )
-    assert found.returncode == 0, found.stderr
-    assert len(found.stdout.split()) == 3 and "1" not in found.stdout.split()
+    # cubes are larger. A stall would last for ever: it ends the process instead.
+    faulthandler.dump_traceback_later(120, exit=True)
+    method = ForwardOLS(max_terms=TERMS, constant="first", tau_absolute=1.0)
+    found = choose(rows_of("white"), method, weights=[np.full(LENGTH, 1e-3)])
+    faulthandler.cancel_dump_traceback_later()
+    assert len(found.value.names) == TERMS and "1" not in found.value.names
 
 
 # invariances ----------------------------------------------------------------------
