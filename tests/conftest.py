@@ -76,6 +76,11 @@ def pytest_sessionstart(session):
         shutil.rmtree(COMPILED)
 
 
+def pytest_collection_finish(session):
+    # What is imported stays: the garbage collector need not look through it again.
+    gc.freeze()
+
+
 @pytest.fixture(scope="module", autouse=True)
 def few_programs():
     """Let compiled programs go after a file that has left too many of them."""
