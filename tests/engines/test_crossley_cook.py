@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bed_figures import half_digit
 
 from jaxnarx.engines import CrossleyCook
 from jaxnarx.errors import DataError
@@ -23,10 +24,6 @@ TABLE = [
 @pytest.fixture(scope="module")
 def bed():
     return CrossleyCook()
-
-
-def half_digit(entry: str) -> float:
-    return 0.5 * 10.0 ** -len(entry.partition(".")[2])
 
 
 @pytest.mark.parametrize("row", TABLE)

@@ -76,8 +76,15 @@ def test_flags_cover_every_event(bed, excited):
 def test_a_broken_bed_breaks_limits_and_is_refused(bed, excited):
     dead = jax.tree.map(lambda leaf: leaf * jnp.nan, bed)
     assert any(f.all() for f in dead.flags(excited.records[0].u).values())
-    with pytest.raises(DataError, match="is nan.* at event 0, .*where .* is"):
-        dead.simulate([r.u for r in excited], jax.random.key(0))
+    inputs, names = [r.u for r in excited], ["dead", "too"]
+    with pytest.raises(DataError, match="'dead': .* is nan.* event 0, .*where .* is"):
+        dead.simulate(inputs, jax.random.key(0), names=names)
+
+
+def test_inputs_of_another_number_are_refused(bed):
+    wrong = np.full((5, len(bed.ranges) + 1), 10.0)
+    with pytest.raises(SpecError, match=", ".join(bed.ranges)):
+        bed.simulate(wrong, jax.random.key(0))
 
 
 def test_inputs_outside_the_domain_are_refused(bed, excited):

@@ -6,17 +6,16 @@ row 3 %; times 3 % or 10 ms.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bed_figures import assert_finite, assert_slope
 from common import reference
 
 from jaxnarx.engines.gtdi.bed import START, Gtdi
 from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, scheduled
 from jaxnarx.engines.gtdi.state import Drive, gtdi_margins
-from jaxnarx.errors import DataError
 
 # Compilation of the turbocharged engine takes minutes.
 pytestmark = pytest.mark.slow
@@ -263,15 +262,6 @@ def test_late_spark_raises_the_boost_a_little(responses):
     assert [round(float(q.boost), 2) for q in (before, after)] == [106.14, 106.24]
 
 
-def at(path: str):
-    def where(engine):
-        for name in path.split("."):
-            engine = getattr(engine, name)
-        return engine
-
-    return where
-
-
 NAMES = ["turbine.gain", "inertia", "throttle_dead_time", "ambient_temperature"]
 
 
@@ -292,14 +282,12 @@ INPUTS = np.repeat([[16.5, 26.0, 14.0, 2000.0], [20.0, 20.0, 19.0, 2300.0]], 4, 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_equal_central_differences(name, slope, engine):
-    inputs, p = jnp.asarray(INPUTS), at(name)(engine)
-    ends = [
-        slope((eqx.tree_at(at(name), engine, p * f), inputs))[0]
-        for f in (1 - 1e-5, 1 + 1e-5)
-    ]
-    expected = float(ends[1] - ends[0]) / (2e-5 * float(p))
-    found = float(at(name)(slope((engine, inputs))[1][0]))
-    assert abs(found - expected) <= 1e-5 * abs(expected)
+    def by_bed(engine):
+        value, (found, _) = slope((engine, jnp.asarray(INPUTS)))
+        return value, found
+
+    # A smaller step is lost in rounding: by the inertia to 1e-5 of the slope.
+    assert_slope(by_bed, engine, name, step=3e-5)
 
 
 @pytest.mark.parametrize("column", range(4))
@@ -314,8 +302,7 @@ def test_input_gradients_equal_central_differences(column, slope, engine):
 
 
 def test_every_parameter_has_a_finite_gradient(slope, engine):
-    gradients = jax.tree.leaves(slope((engine, jnp.asarray(INPUTS)))[1])
-    assert all(bool(jnp.isfinite(g).all()) for g in gradients)
+    assert_finite(slope((engine, jnp.asarray(INPUTS)))[1])
 
 
 # All runs below share one shape, so that they share one compiled program.
@@ -370,12 +357,6 @@ def test_noise_records_and_dead_times(engine, key):
     # 15 ms are an event at 2000 rpm: the command of event 30 acts in event 31.
     jump = np.abs(np.diff(clean[:, 2])) > 0.05
     assert np.argmax(jump) == 31
-
-
-def test_an_input_outside_the_domain_is_refused(engine, key):
-    inputs = np.repeat([[16.5, 26.0, 14.0, -2000.0]], EVENTS, axis=0)
-    with pytest.raises(DataError, match="'record 1': input speed is -2000 rpm at .* 0"):
-        engine.simulate(inputs, key)
 
 
 def broken(q) -> set[str]:

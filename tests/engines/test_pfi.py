@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bed_figures import assert_finite, assert_prints, assert_slope, at
 from common import reference
 
 from jaxnarx.engines import Drive, Pfi, pfi_siso_records
@@ -25,17 +26,6 @@ EVENTS = 2000
 
 def numbers(entries: list[str]) -> jax.Array:
     return jnp.asarray([float(entry) for entry in entries])
-
-
-def half_digit(entry: str) -> float:
-    return 0.5 * 10.0 ** -len(entry.partition(".")[2])
-
-
-def assert_prints(values, entries: list[str]):
-    for value, entry in zip(np.asarray(values), entries, strict=True):
-        reference = float(entry)
-        allowed = max(0.005 * abs(reference), half_digit(entry))
-        assert abs(value - reference) <= allowed, (value, entry)
 
 
 @eqx.filter_jit
@@ -202,10 +192,6 @@ def test_step_response(name):
         np.testing.assert_allclose(y[0], case.first, rtol=0.005)
 
 
-def at(name: str):
-    return lambda engine: getattr(engine, name)
-
-
 NAMES = ["displacement", "friction_scale", "valve_centre"]
 
 
@@ -226,20 +212,14 @@ def gradients():
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_equal_central_differences(name, gradients):
     reverse, forward = gradients
-    p = getattr(Pfi(), name)
-    ends = [
-        reverse(eqx.tree_at(at(name), Pfi(), p * f))[0] for f in (1 - 1e-5, 1 + 1e-5)
-    ]
-    expected = float(ends[1] - ends[0]) / (2e-5 * float(p))
-    slope = float(getattr(reverse(Pfi())[1], name))
-    assert abs(slope - expected) <= 1e-5 * abs(expected)
+    slope = assert_slope(reverse, Pfi(), name)
     zero = jax.tree.map(jnp.zeros_like, Pfi())
-    pushed = forward(eqx.tree_at(at(name), zero, jnp.ones_like(p)))
+    pushed = forward(eqx.tree_at(at(name), zero, jnp.asarray(1.0)))
     np.testing.assert_allclose(pushed, slope, rtol=1e-9)
 
 
 def test_every_parameter_has_a_finite_gradient(gradients):
-    assert all(bool(jnp.isfinite(g)) for g in jax.tree.leaves(gradients[0](Pfi())))
+    assert_finite(gradients[0](Pfi()))
 
 
 # All runs below share one shape, so that they share one compiled program.

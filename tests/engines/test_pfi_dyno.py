@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bed_figures import assert_slope, half_digit
 
 from jaxnarx.engines import Drive, Pfi, PfiDyno
 
@@ -26,10 +27,6 @@ HELD = """
     1550  0.60  8.680  67.78  1.000  65.79
 """
 ROWS = [row.split() for row in HELD.strip().splitlines()]
-
-
-def half_digit(entry: str) -> float:
-    return 0.5 * 10.0 ** -len(entry.partition(".")[2])
 
 
 @pytest.fixture(scope="module")
@@ -117,15 +114,6 @@ def test_excitation_follows_the_air(bed, key):
 NAMES = ["engine.displacement", "engine.friction_scale", "engine.injector_gain"]
 
 
-def at(path: str):
-    def where(engine):
-        for name in path.split("."):
-            engine = getattr(engine, name)
-        return engine
-
-    return where
-
-
 @pytest.fixture(scope="module")
 def torque():
     u = jnp.asarray(stepped(0, 0.43)[5:17]).at[6:, 1].set(5.8).at[8:, 2].set(1530.0)
@@ -134,11 +122,7 @@ def torque():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_gradient_of_a_simulated_torque(bed, torque, name):
-    p = at(name)(bed)
-    ends = [torque(eqx.tree_at(at(name), bed, p * f))[0] for f in (1 - 1e-5, 1 + 1e-5)]
-    expected = float(ends[1] - ends[0]) / (2e-5 * float(p))
-    slope = float(at(name)(torque(bed)[1]))
-    assert abs(expected) > 0 and abs(slope - expected) <= 1e-5 * abs(expected)
+    assert_slope(torque, bed, name)
 
 
 def test_the_engine_is_the_free_one_with_its_speed_held(bed):

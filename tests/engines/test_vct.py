@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bed_figures import assert_finite, assert_prints, assert_slope
 from common import reference
 
 from jaxnarx.engines.integration import held
 from jaxnarx.engines.vct import Vct, VctDrive, vct_margins
-from jaxnarx.errors import DataError, SpecError
 
 # Compilation of the stiff steady states takes the better part of a minute.
 pytestmark = pytest.mark.slow
@@ -34,17 +34,6 @@ SAMPLES = 3000
 def drive(points) -> VctDrive:
     speed, throttle, cam = jnp.asarray(points).T
     return VctDrive(throttle, cam, speed, ratio=jnp.full_like(speed, 14.64))
-
-
-def half_digit(entry: str) -> float:
-    return 0.5 * 10.0 ** -len(entry.partition(".")[2])
-
-
-def assert_prints(values, entries: list[str]):
-    for value, entry in zip(np.asarray(values), entries, strict=True):
-        reference = float(entry)
-        allowed = max(0.005 * abs(reference), half_digit(entry))
-        assert abs(value - reference) <= allowed, (value, entry)
 
 
 @eqx.filter_jit
@@ -100,8 +89,7 @@ def test_retard_lowers_flow_and_nox(everywhere):
 
 
 def test_slopes_are_finite_at_every_tabulated_point(everywhere):
-    for leaf in jax.tree.leaves(everywhere[2]):
-        assert bool(jnp.isfinite(leaf).all())
+    assert_finite(everywhere[2])
 
 
 @pytest.fixture(scope="module")
@@ -159,26 +147,18 @@ def gradient():
     return lambda engine: both(engine, jnp.asarray(u))
 
 
-def at(name: str):
-    return lambda engine: getattr(engine, name)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_equal_central_differences(gradient, name):
-    p = getattr(Vct(), name)
-    ends = [
-        gradient(eqx.tree_at(at(name), Vct(), p * f))[0] for f in (1 - 1e-5, 1 + 1e-5)
-    ]
-    expected = float(ends[1] - ends[0]) / (2e-5 * float(p))
-    slope = float(getattr(gradient(Vct())[1][0], name))
+    def by_bed(engine):
+        value, (slope, _) = gradient(engine)
+        return value, slope
+
     # A difference of two sums resolves 1e-16 of them over the step.
-    rounding = 1e-11 * abs(float(ends[0]) / float(p))
-    assert abs(slope - expected) <= 1e-5 * abs(expected) + rounding
+    assert_slope(by_bed, Vct(), name, rounding=1e-11)
 
 
 def test_every_parameter_and_input_has_a_finite_gradient(gradient):
-    for g in jax.tree.leaves(gradient(Vct())[1]):
-        assert bool(jnp.isfinite(g).all())
+    assert_finite(gradient(Vct())[1])
 
 
 # All runs below share one shape, so that they share one compiled program.
@@ -232,18 +212,6 @@ def test_noise_has_the_stated_size(engine, excited, key):
         size[:, 2:4] = 0.004 * reading
         deviation = np.std((loud.y - quiet.y) / size, axis=0)
         np.testing.assert_allclose(deviation, 1, atol=4 / np.sqrt(2 * SAMPLES))
-
-
-def test_a_broken_engine_gives_no_record(excited, key):
-    with pytest.raises(DataError, match="'dead': torque is nan"):
-        Vct(air_gain=jnp.asarray(jnp.nan)).simulate(
-            [r.u for r in excited], key, names=["dead", "too"]
-        )
-
-
-def test_wrong_inputs_are_refused(engine, key):
-    with pytest.raises(SpecError, match="throttle, cam command, AFR command, speed"):
-        engine.simulate(np.full((5, 3), 10.0), key)
 
 
 def test_limits_have_the_specified_thresholds():
