@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import oracles
 from jax import monitoring
-from jaxtyping import Float
+from jaxtyping import Array, Float, Shaped
 
 from jaxnarx.arrays.sizes import bucket
 from jaxnarx.data import Channel, Channels, Dataset
@@ -48,6 +48,11 @@ class Part:
     width: Sequence[Sequence[float]] = ((),)
 
 
+def device(values: Shaped[np.ndarray, "..."]) -> Array:
+    """As a jax array; `jnp.asarray` would compile a program for every new shape."""
+    return jax.device_put(values)
+
+
 def output_model(part: Part, *, spare_models: int = 0, spare_slots: int = 0):
     """The part as an `OutputModel`; spare slots hold numbers that must not matter."""
     rows = sorted({row for model in part.models for row, _ in model})
@@ -69,16 +74,11 @@ def output_model(part: Part, *, spare_models: int = 0, spare_slots: int = 0):
     )
     return OutputModel(
         Variables(part.scheduling),
-        jnp.asarray(np.array(part.offset, float)),
-        jnp.asarray(np.array(part.span, float)),
-        Gaussians(jnp.asarray(centre), jnp.asarray(np.log(width))),
-        jnp.asarray(np.arange(models) < len(part.models)),
-        LocalModels(
-            jnp.asarray(np.array(rows)),
-            jnp.asarray(index),
-            jnp.asarray(used),
-            jnp.asarray(coefficient),
-        ),
+        device(np.array(part.offset, float)),
+        device(np.array(part.span, float)),
+        Gaussians(device(centre), device(np.log(width))),
+        device(np.arange(models) < len(part.models)),
+        LocalModels(device(np.array(rows)), *map(device, (index, used, coefficient))),
     )
 
 
@@ -101,12 +101,17 @@ def network(
             output_model(p, spare_models=spare_models, spare_slots=spare_slots)
             for p in parts
         ),
-        jnp.asarray(GAIN),
-        jnp.full(outputs, -bound),
-        jnp.full(outputs, bound),
-        jnp.asarray([-20.0, -5.0, -500.0, -150.0]),
-        jnp.asarray([20.0, 5.0, 500.0, 150.0]),
-        jnp.asarray(0.1),
+        *map(
+            device,
+            (
+                GAIN,
+                np.full(outputs, -bound),
+                np.full(outputs, bound),
+                np.array([-20.0, -5.0, -500.0, -150.0]),
+                np.array([20.0, 5.0, 500.0, 150.0]),
+                np.array(0.1),
+            ),
+        ),
     )
 
 
