@@ -5,6 +5,7 @@ import graphlib
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,18 @@ import jaxnarx
 PACKAGE = Path(jaxnarx.__file__).parent
 
 
+@cache
 def modules() -> dict[str, Path]:
-    """Every module of the package by name; looked up anew by every test."""
+    """Every module of the package by name."""
     return {
         ".".join(("jaxnarx", *path.relative_to(PACKAGE).with_suffix("").parts)): path
         for path in sorted(PACKAGE.rglob("*.py"))
     }
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
 
 
 # Rooms from the ground up. A module may import its own room and every room on a line
@@ -67,7 +74,7 @@ def room(module: str) -> str | None:
 
 def imports(path: Path, known: dict[str, Path]) -> list[tuple[str, bool]]:
     """(module, inside a function) of every import of this package, at any depth."""
-    tree = ast.parse(path.read_text())
+    tree = parsed(path)
     inside = {
         id(node)
         for function in ast.walk(tree)
@@ -104,6 +111,7 @@ def allowed(importer: str, imported: str) -> bool:
     return RANK[there] < RANK[here]
 
 
+@cache
 def edges() -> list[tuple[str, str, bool]]:
     """Every import of one module by another, the package's own list excepted."""
     known = modules()
@@ -195,7 +203,7 @@ def drives(path: Path) -> bool:
         and isinstance(node.value.func, ast.Attribute)
         and node.value.func.attr == "step"
         and [ast.unparse(a) for a in node.value.args] == [node.targets[0].id]
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(parsed(path))
     )
 
 
@@ -252,7 +260,7 @@ def public(tree: ast.Module) -> list[ast.FunctionDef | ast.ClassDef]:
 def test_every_public_function_and_class_has_a_docstring():
     count, missing = 0, []
     for module, path in modules().items():
-        tree = ast.parse(path.read_text())
+        tree = parsed(path)
         if ast.get_docstring(tree) is None and tree.body:
             missing.append(module)
         for node in public(tree):
