@@ -1,6 +1,7 @@
 """What a search returns: the chosen terms in order, figures of every nested size."""
 
 import dataclasses
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -137,7 +138,9 @@ def _nested_errors(basis: Basis, lane: Lane, small, gain):
 def resized(path: Path, slots: int) -> Path:
     """With room for `slots` terms, at least those that are chosen."""
 
-    def fit(array: Array, axes: int = 1, mode="constant") -> Array:
+    def fit(
+        array: Array, axes: int = 1, mode: Literal["constant", "edge"] = "constant"
+    ) -> Array:
         kept = np.asarray(array)[(..., *[slice(slots)] * axes)]
         more = [(0, 0)] * (kept.ndim - axes)
         more += [(0, slots - size) for size in kept.shape[-axes:]]
