@@ -57,7 +57,7 @@ def draw_partitions(rows: list[Row], beds: list[str]) -> Figure:
         figure, axes = canvas(8.0, 5.6, rows=3, columns=len(beds), **shared)
         for n, (group, colour) in enumerate(COLOURS.items()):
             for axis, bed in zip(axes[n * len(beds) :], beds, strict=False):
-                names = BEDS[bed].settings["scheduling"]
+                names = BEDS[bed].settings["grow.scheduling"]
                 own = [
                     np.reshape(r["centre"], (-1, len(names)))
                     for r in rows
