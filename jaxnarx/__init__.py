@@ -6,10 +6,8 @@ the others that `dir(jnx)` shows.
 """
 
 import importlib
-import inspect
 from typing import TYPE_CHECKING, Any
 
-from jaxnarx.guard import guarded
 from jaxnarx.texts import document
 
 if TYPE_CHECKING:
@@ -39,65 +37,29 @@ if TYPE_CHECKING:
     from jaxnarx.errors import JaxnarxError as JaxnarxError
     from jaxnarx.errors import ModelFileError as ModelFileError
     from jaxnarx.errors import SpecError as SpecError
-    from jaxnarx.evaluation import Cost as Cost
-    from jaxnarx.evaluation import Diagnostics as Diagnostics
     from jaxnarx.evaluation import Report as Report
-    from jaxnarx.evaluation import cost as cost
     from jaxnarx.evaluation import diagnose as diagnose
-    from jaxnarx.evaluation import pareto as pareto
     from jaxnarx.evaluation import report as report
     from jaxnarx.identification import identify as identify
-    from jaxnarx.inverse import cascade as cascade
-    from jaxnarx.inverse import compensate as compensate
-    from jaxnarx.inverse import inverse_data as inverse_data
-    from jaxnarx.inverse import invertible as invertible
-    from jaxnarx.inverse import reachable as reachable
-    from jaxnarx.inverse import unity_gain as unity_gain
-    from jaxnarx.linear import LinearModel as LinearModel
-    from jaxnarx.linear import NoiseModel as NoiseModel
-    from jaxnarx.linear import Regression as Regression
-    from jaxnarx.linear import TransferFunction as TransferFunction
-    from jaxnarx.linear import adapt as adapt
-    from jaxnarx.linear import extended_least_squares as extended_least_squares
-    from jaxnarx.linear import fit_linear as fit_linear
-    from jaxnarx.linear import fit_noise as fit_noise
-    from jaxnarx.linear import least_squares as least_squares
-    from jaxnarx.linear import nonlinearity as nonlinearity
-    from jaxnarx.linear import search_orders as search_orders
-    from jaxnarx.linear import spectra as spectra
-    from jaxnarx.methods import ARMAX as ARMAX
-    from jaxnarx.methods import ARX as ARX
-    from jaxnarx.methods import FIR as FIR
-    from jaxnarx.methods import ActuatorLimits as ActuatorLimits
     from jaxnarx.methods import Anova as Anova
     from jaxnarx.methods import Backward as Backward
-    from jaxnarx.methods import BoxJenkins as BoxJenkins
     from jaxnarx.methods import ForwardOLS as ForwardOLS
-    from jaxnarx.methods import GeneralLinear as GeneralLinear
     from jaxnarx.methods import Given as Given
     from jaxnarx.methods import Global as Global
     from jaxnarx.methods import Grid as Grid
     from jaxnarx.methods import Identification as Identification
-    from jaxnarx.methods import LeastSquares as LeastSquares
     from jaxnarx.methods import Lolimot as Lolimot
-    from jaxnarx.methods import OutputError as OutputError
     from jaxnarx.methods import Placed as Placed
     from jaxnarx.methods import Polynomial as Polynomial
     from jaxnarx.methods import PredictionError as PredictionError
-    from jaxnarx.methods import Recursive as Recursive
     from jaxnarx.methods import SigmoidTree as SigmoidTree
     from jaxnarx.methods import SimulationError as SimulationError
     from jaxnarx.methods import SimulationOLS as SimulationOLS
     from jaxnarx.methods import StepwiseF as StepwiseF
-    from jaxnarx.methods import TrackingError as TrackingError
     from jaxnarx.models import Network as Network
     from jaxnarx.models import load as load
     from jaxnarx.models import save as save
     from jaxnarx.partition import grow as grow
-    from jaxnarx.partition import switch as switch
-    from jaxnarx.refinement import Bands as Bands
-    from jaxnarx.refinement import Stability as Stability
-    from jaxnarx.refinement import Uncertainty as Uncertainty
     from jaxnarx.refinement import bands as bands
     from jaxnarx.refinement import freeze as freeze
     from jaxnarx.refinement import refine as refine
@@ -108,19 +70,9 @@ if TYPE_CHECKING:
     from jaxnarx.regressors import LowPass as LowPass
     from jaxnarx.regressors import Orthonormal as Orthonormal
     from jaxnarx.regressors import Pool as Pool
-    from jaxnarx.regressors import kautz_bank as kautz_bank
-    from jaxnarx.regressors import laguerre_bank as laguerre_bank
-    from jaxnarx.regressors import low_pass_bank as low_pass_bank
-    from jaxnarx.regressors import orthonormal_bank as orthonormal_bank
     from jaxnarx.regressors import polynomial_pool as polynomial_pool
-    from jaxnarx.regressors import time_constants as time_constants
     from jaxnarx.selection import Selection as Selection
-    from jaxnarx.selection import choose as choose
-    from jaxnarx.selection import coefficient_table as coefficient_table
     from jaxnarx.selection import select as select
-    from jaxnarx.selection import select_each as select_each
-    from jaxnarx.selection import select_weighted as select_weighted
-    from jaxnarx.selection import selection_frequency as selection_frequency
     from jaxnarx.shell import plot as plot
     from jaxnarx.simulation import predict as predict
     from jaxnarx.simulation import simulate as simulate
@@ -128,47 +80,26 @@ if TYPE_CHECKING:
     from jaxnarx.solution import Solution as Solution
     from jaxnarx.sweep import Fleet as Fleet
     from jaxnarx.sweep import IdentificationWork as IdentificationWork
-    from jaxnarx.sweep import OverDevices as OverDevices
-    from jaxnarx.sweep import SweepTable as SweepTable
-    from jaxnarx.sweep import best_per_group as best_per_group
-    from jaxnarx.sweep import grid_cases as grid_cases
-    from jaxnarx.sweep import identify_each as identify_each
-    from jaxnarx.sweep import network_of as network_of
-    from jaxnarx.sweep import paired_comparison as paired_comparison
-    from jaxnarx.sweep import pareto_front as pareto_front
-    from jaxnarx.sweep import random_cases as random_cases
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
 
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
     "errors": "DataError DataFileError JaxnarxError ModelFileError SpecError",
-    "evaluation": "Cost Diagnostics Report cost diagnose pareto report",
+    "evaluation": "Report diagnose report",
     "identification": "identify",
-    "inverse": "cascade compensate inverse_data invertible reachable unity_gain",
-    "linear": "LinearModel NoiseModel Regression TransferFunction adapt "
-    "extended_least_squares fit_linear fit_noise least_squares nonlinearity "
-    "search_orders spectra",
-    "methods": "ARMAX ARX ActuatorLimits Anova Backward BoxJenkins FIR "
-    "ForwardOLS GeneralLinear Given Global Grid Identification LeastSquares Lolimot "
-    "OutputError Placed Polynomial PredictionError Recursive SigmoidTree "
-    "SimulationError SimulationOLS StepwiseF TrackingError",
+    "methods": "Anova Backward ForwardOLS Given Global Grid Identification Lolimot "
+    "Placed Polynomial PredictionError SigmoidTree SimulationError "
+    "SimulationOLS StepwiseF",
     "models": "Network load save",
-    "partition": "grow switch",
-    "refinement": "Bands Stability Uncertainty bands freeze refine stability "
-    "uncertainty",
-    "regressors": (
-        "Kautz Laguerre LowPass Orthonormal Pool kautz_bank laguerre_bank "
-        "low_pass_bank orthonormal_bank polynomial_pool time_constants"
-    ),
-    "selection": "Selection choose coefficient_table select select_each "
-    "select_weighted selection_frequency",
+    "partition": "grow",
+    "refinement": "bands freeze refine stability uncertainty",
+    "regressors": "Kautz Laguerre LowPass Orthonormal Pool polynomial_pool",
+    "selection": "Selection select",
     "shell": "plot",
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
-    "sweep": "Fleet IdentificationWork OverDevices SweepTable best_per_group "
-    "grid_cases identify_each network_of paired_comparison pareto_front random_cases "
-    "read_sweep run_sweep",
+    "sweep": "Fleet IdentificationWork read_sweep run_sweep",
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
 
@@ -191,9 +122,7 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULE:
         raise AttributeError(f"module 'jaxnarx' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"jaxnarx.{_MODULE[name]}"), name)
-    if inspect.isfunction(value):
-        value = guarded(value)
-    elif _MODULE[name] == "methods":
+    if _MODULE[name] == "methods":
         document(value)
     globals()[name] = value
     return value

@@ -18,6 +18,7 @@ from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import (
     Network,
     advance,
@@ -38,7 +39,7 @@ IN_A_ROW = 50
 """... and so has one with this many limited samples in a row."""
 
 
-class Drive(eqx.Module):
+class RunInputs(eqx.Module):
     """What a run needs of the measurements, computed once per dataset.
 
     `v`: a leading one and the scaled lagged variables; `x`: scheduling variables of
@@ -100,7 +101,7 @@ def tables(network: Network) -> tuple[tuple[int, int], ...]:
 
 
 @program
-def make_drive(network: Network, batch: Batch) -> Drive:
+def make_drive(network: Network, batch: Batch) -> RunInputs:
     """Lagged and scheduling variables of every record."""
     return drive_of(network, batch.signals, jnp.asarray(batch.valid))
 
@@ -109,7 +110,7 @@ def drive_of(
     network: Network,
     signals: Float[Array, "records time signals"],
     valid: Bool[Array, "records time signals"],
-) -> Drive:
+) -> RunInputs:
     """The same inside a program, from the arrays of a batch."""
 
     def one(record):
@@ -118,7 +119,7 @@ def drive_of(
         scaled = signals / network.gain[None]
         return v, x, scaled[:, np.array(network.signals)]
 
-    return Drive(*jax.lax.map(one, (signals, valid)))
+    return RunInputs(*jax.lax.map(one, (signals, valid)))
 
 
 def make_masks(network: Network, batch: Batch) -> Masks:
@@ -178,7 +179,7 @@ def run_states(
 
 @program
 def run(
-    network: Network, drive: Drive, anchor: Bool[Array, "records time"]
+    network: Network, drive: RunInputs, anchor: Bool[Array, "records time"]
 ) -> Float[Array, "records time outputs"]:
     """Scaled outputs of all records."""
     one = partial(run_record, network)
@@ -187,7 +188,7 @@ def run(
 
 @program
 def states(
-    network: Network, drive: Drive, anchor: Bool[Array, "records time"]
+    network: Network, drive: RunInputs, anchor: Bool[Array, "records time"]
 ) -> Float[Array, "records time states"]:
     """All that the loop of a run carries, for all records; see `run_states`."""
     one = partial(run_states, network)
@@ -196,7 +197,7 @@ def states(
 
 @program
 def run_parallel(
-    network: Network, drive: Drive, anchor: Bool[Array, "records time"]
+    network: Network, drive: RunInputs, anchor: Bool[Array, "records time"]
 ) -> tuple[Float[Array, "records time outputs"], Bool[Array, " records"]]:
     """Scaled outputs of all records, parallel in time, and where that has succeeded.
 
@@ -216,7 +217,7 @@ def run_parallel(
 
 @program
 def run_steps(
-    network: Network, drive: Drive, k: Int[Array, ""]
+    network: Network, drive: RunInputs, k: Int[Array, ""]
 ) -> tuple[Float[Array, "records time outputs"], Bool[Array, "records time outputs"]]:
     """Scaled k-step-ahead prediction of every sample; `k` may be traced.
 
@@ -464,6 +465,7 @@ def _solution(
     return Solution(value, status, stats, detail)
 
 
+@guarded
 def simulate(
     network: Network, data: Dataset, *, time_parallel: bool | None = None
 ) -> Solution[Trajectories]:
@@ -509,6 +511,7 @@ def simulate(
     return dataclasses.replace(solution, stats=solution.stats | stats)
 
 
+@guarded
 def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectories]:
     """k-step-ahead prediction of every sample from measured history k samples before.
 

@@ -51,7 +51,7 @@ def nouns() -> dict:
         "ForwardOLS": jnx.ForwardOLS(),
         "Lolimot": jnx.Lolimot(scheduling=["a[t]"]),
         "SimulationError": jnx.SimulationError(),
-        "ActuatorLimits": jnx.ActuatorLimits(range={"a": (0.0, 1.0)}),
+        "ActuatorLimits": jnx.inverse.ActuatorLimits(range={"a": (0.0, 1.0)}),
         "class": jnx.SimulationError,
         "array": np.zeros((5, 2)),
         "text": "engine.toml",

@@ -78,12 +78,12 @@ def make_network(models: int, terms: int, seed: int = 0):
 
 
 def make_records(network, samples: int, records: int = 1):
-    """`Drive` and anchors of records: the network's own outputs, with noise."""
+    """`RunInputs` and anchors of records: the network's own outputs, with noise."""
     import jax.numpy as jnp
     import numpy as np
 
     from jaxnarx.data.batch import Batch
-    from jaxnarx.simulation import Drive, make_drive, run
+    from jaxnarx.simulation import RunInputs, make_drive, run
 
     u = np.stack([inputs(samples, seed=n) for n in range(records)])
     signals = np.concatenate([u, np.zeros((records, samples, 1))], axis=2)
@@ -93,7 +93,7 @@ def make_records(network, samples: int, records: int = 1):
     anchor = jnp.broadcast_to(first[None], (records, samples))
     noise = 0.05 * np.random.default_rng(5).normal(size=(records, samples, 1))
     measured = run(network, drive, anchor) + jnp.asarray(noise)
-    return Drive(drive.v, drive.x, measured), anchor, u
+    return RunInputs(drive.v, drive.x, measured), anchor, u
 
 
 def plain_run(network, v, x, measured, anchor):

@@ -220,11 +220,11 @@ def compared(
     rows: Sequence[Row], factor: str, before: str, after: str, by: str, seed: int
 ) -> dict[str, Any]:
     """Paired comparison over engines, as plain figures."""
-    table = jnx.SweepTable.from_rows(rows)
+    table = jnx.sweep.SweepTable.from_rows(rows)
     good = [set(_ended_well(rows, factor, level, by)) for level in (before, after)]
     if not good[0] & good[1]:
         return {"pairs": 0}
-    found = jnx.paired_comparison(
+    found = jnx.sweep.paired_comparison(
         table, pair=["engine"], factor=factor, levels=(before, after), by=by, seed=seed
     )
     figures = {
@@ -242,7 +242,7 @@ def compared(
 
 def _ended_well(rows: Sequence[Row], factor: str, level: str, by: str) -> list[str]:
     """Engines with a finite score at a level."""
-    table = jnx.SweepTable.from_rows([r for r in rows if r[factor] == level])
+    table = jnx.sweep.SweepTable.from_rows([r for r in rows if r[factor] == level])
     score = np.where(table.okay, table.numbers(by), np.nan)
     return table.column("engine")[np.isfinite(score)].tolist()
 

@@ -19,7 +19,7 @@ import jaxnarx as jnx
 from jaxnarx.engines import AbstractEngine, Diesel, Gtdi, Pfi, Vct, family
 from jaxnarx.engines.bench import refuse_faults
 from jaxnarx.engines.gtdi.operation import gtdi_demands
-from jaxnarx.engines.gtdi.state import Drive
+from jaxnarx.engines.gtdi.state import GtdiDrive
 
 PARTS = ("train", "validation", "test")
 SIDE_BY_SIDE = 32
@@ -207,7 +207,7 @@ def _scheduled_run(engine: Gtdi, demands: Float[Array, "time inputs"]):
 
     def drive(row):
         richness, offset, throttle, speed = row
-        return Drive(throttle, speed, richness=richness, offset=offset)
+        return GtdiDrive(throttle, speed, richness=richness, offset=offset)
 
     def inputs(now, row):
         return jnp.concatenate([jnp.stack([now.fuel, now.spark]), row[2:]])

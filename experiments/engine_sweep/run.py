@@ -162,7 +162,7 @@ def figures_of(rows: list[Row], records: Records, seed: int) -> dict[str, Any]:
             [r["engine"], r["detail"]] for r in by["LOLIMOT"] if not r["term_index"]
         ],
         score: {
-            s: score_figures(own, jnx.SweepTable.from_rows(own).okay, score)
+            s: score_figures(own, jnx.sweep.SweepTable.from_rows(own).okay, score)
             for s, own in engines.items()
         },
         "terms": term_figures(by["refined"]),
@@ -199,7 +199,7 @@ def kept(row: Row) -> Row:
 
 
 def _counts(rows: list[Row]) -> dict[str, int]:
-    return jnx.sweep.summary(jnx.SweepTable.from_rows(rows))
+    return jnx.sweep.summary(jnx.sweep.SweepTable.from_rows(rows))
 
 
 def main() -> None:
@@ -222,7 +222,7 @@ def main() -> None:
         found[bed] = known | figures_of(own_rows, records, size.seed)
         record(NAME, {"size": vars(size), "beds": found}, folder=folder)
         print(bed, json.dumps(found[bed]["comparisons"], indent=1), flush=True)
-    table = jnx.SweepTable.from_rows([kept(row) for row in rows])
+    table = jnx.sweep.SweepTable.from_rows([kept(row) for row in rows])
     written = {"compression": "zstd", "compression_level": 19}
     parquet.write_table(table.arrow, folder / f"{NAME}.parquet", **written)
     save(draw_terms(found), folder / "terms.png")

@@ -61,7 +61,7 @@ class RefitWork:
             return {"status": fleet.status[own]} | _figures({})
         data = {p: fleet.dataset(own, p) for p in fleet.parts}
         row = self.rows[donor]
-        network = jnx.network_of(self.work, row)
+        network = jnx.sweep.network_of(self.work, row)
         status = "ok"
         if structure != "as it is":
             terms = terms_of(self.work.pool, row["term_index"])

@@ -38,7 +38,7 @@ from jaxnarx.models import (
     scheduling_values,
 )
 from jaxnarx.regressors import Variables, evaluate, parse_variable
-from jaxnarx.simulation import Drive, make_drive, make_masks
+from jaxnarx.simulation import RunInputs, make_drive, make_masks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _range(data: jnx.Dataset, table: Variables):
 class Prepared:
     """What all structures over the same variables share: columns and masks."""
 
-    drive: Drive
+    drive: RunInputs
     start: Int[np.ndarray, " records"]
     scored: Bool[np.ndarray, "records time"]
 

@@ -21,7 +21,7 @@ import matplotlib.figure
 import numpy as np
 
 from jaxnarx.engines import BEDS, AbstractEngine, Diesel, Drive, Gtdi, Pfi, Vct, records
-from jaxnarx.engines.gtdi.state import Drive as GtdiDrive
+from jaxnarx.engines.gtdi.state import GtdiDrive
 from jaxnarx.engines.vct import VctDrive
 from jaxnarx.shell.excitation_figure import excitation
 

@@ -39,15 +39,15 @@ class Model:
     diverged: bool
 
 
-def linear_methods(chosen: jnx.ARX) -> dict[str, Any]:
+def linear_methods(chosen: jnx.linear.ARX) -> dict[str, Any]:
     """ARX as chosen and as in the thesis; the others of order two, with its delay."""
     nk = ORDERS[2]
     return {
         "ARX by MDL": chosen,
-        STRUCTURE: jnx.ARX(*ORDERS),
-        "ARMAX(2, 2, 2, 6)": jnx.ARMAX(2, 2, 2, nk),
-        "output error(2, 2, 6)": jnx.OutputError(2, 2, nk),
-        "Box-Jenkins(2, 2, 2, 2, 6)": jnx.BoxJenkins(2, 2, 2, 2, nk),
+        STRUCTURE: jnx.linear.ARX(*ORDERS),
+        "ARMAX(2, 2, 2, 6)": jnx.linear.ARMAX(2, 2, 2, nk),
+        "output error(2, 2, 6)": jnx.linear.OutputError(2, 2, nk),
+        "Box-Jenkins(2, 2, 2, 2, 6)": jnx.linear.BoxJenkins(2, 2, 2, 2, nk),
     }
 
 
@@ -72,7 +72,7 @@ def narx_pool(channels: jnx.Channels, *, duty: bool = False) -> Pool:
 
 def fitted(data: jnx.Dataset, method: Any) -> Model:
     """A linear model of the first record."""
-    found = jnx.fit_linear(data[:1], method)
+    found = jnx.linear.fit_linear(data[:1], method)
     model, errors = found.value, innovations(found.value, data)
     free = jnx.simulate(model.network(), data).value
     runs = {"one_step": list(errors.predicted), "free_run": _speeds(free)}
@@ -113,7 +113,7 @@ def pools(channels: jnx.Channels) -> dict[str, Pool]:
 
 
 def models(
-    data: jnx.Dataset, chosen: jnx.ARX, refinement: Any, names: Sequence[str]
+    data: jnx.Dataset, chosen: jnx.linear.ARX, refinement: Any, names: Sequence[str]
 ) -> dict[str, Model]:
     """Every linear model, and the networks of `names`, plain and refined."""
     methods = linear_methods(chosen)
@@ -183,7 +183,7 @@ def order_rows(search: OrderSearch, data: jnx.Dataset) -> list[dict[str, Any]]:
     """The best one-step structure of every size, and its free run on validation."""
     rows = []
     for place, row in zip(search.frontier.tolist(), search.table, strict=True):
-        model = jnx.fit_linear(data[:1], search.method(place)).value
+        model = jnx.linear.fit_linear(data[:1], search.method(place)).value
         validation = data.records[1]
         run = filtered(model, validation)
         rows.append(

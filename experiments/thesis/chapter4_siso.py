@@ -194,9 +194,9 @@ def measured(seed: int, *, smoke: bool, folder: Path) -> dict[str, Any]:
     length, top = (900, 3) if smoke else (LENGTH, ORDER)
     data = pfi_siso_records(jax.random.key(seed), (length,) * 3, names=PARTS)
     orders = range(1, top + 1)
-    search = jnx.search_orders(data[:1], na=orders, nb=orders, nk=orders).value
-    spectrum = jnx.spectra(data[:1])
-    check = jnx.nonlinearity(data[:1], noise=NOISE)
+    search = jnx.linear.search_orders(data[:1], na=orders, nb=orders, nk=orders).value
+    spectrum = jnx.linear.spectra(data[:1])
+    check = jnx.linear.nonlinearity(data[:1], noise=NOISE)
     chosen = search.best("mdl")
     names = (SQUARES,) if smoke else (STRUCTURE, SQUARES, DUTY)
     made = models(data, chosen, QUICK if smoke else REFINEMENT, names)

@@ -99,7 +99,7 @@ class Bench:
 def bench(
     inverse: jnx.Network,
     forward: jnx.Network,
-    limits: jnx.ActuatorLimits,
+    limits: jnx.inverse.ActuatorLimits,
     engine: Gtdi,
     inputs: np.ndarray,
     references: jnx.Dataset,

@@ -84,7 +84,7 @@ def found_in(data: jnx.Dataset, target: str, smoke: bool) -> dict[str, Any]:
     """The findings on one output, gains of model and bed, and their agreement."""
     network = network_of(data[:1], data[1:2], smoke)
     points = 50 if smoke else 400
-    found = jnx.invertible(
+    found = jnx.inverse.invertible(
         network, data[2:], commands=[COMMAND], targets=[target], points=points
     )
     value = found.value

@@ -110,7 +110,7 @@ def gains(case: Case, points: int):
     """Static gain and frequency response of the cascades on the model."""
     data = case.data[GUARD : GUARD + 1]
     found: dict[str, Any] = {
-        name: jnx.unity_gain(
+        name: jnx.inverse.unity_gain(
             net, case.forward, data, points=points, limits=LIMITS
         ).value
         for name, net in (("direct", case.direct), ("refined", case.refined))

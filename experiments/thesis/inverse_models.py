@@ -47,7 +47,7 @@ def forward_of(
 
 def turned(data: jnx.Dataset) -> jnx.Dataset:
     """Read backwards: from torque and lambda to spark and throttle."""
-    return jnx.inverse_data(
+    return jnx.inverse.inverse_data(
         data, commands=COMMANDS, targets=TARGETS, lead=LEAD, states=["MAP"]
     )
 

@@ -24,7 +24,7 @@ from jaxnarx.engines import Gtdi
 
 PARTS = ("one", "two", "three", "four", "validation", "test")
 TRAIN, GUARD, TEST = slice(0, 4), 4, 5
-LIMITS = jnx.ActuatorLimits(
+LIMITS = jnx.inverse.ActuatorLimits(
     range={"SA": (-12.0, 32.0), "THR": (12.0, 28.0)}, rate={"SA": 200.0, "THR": 200.0}
 )
 CLOSED = (0.03, 0.3, 1.0)
@@ -87,9 +87,9 @@ def seed_of(seed: int, size: Size) -> tuple[dict[str, Any], Case]:
     print(seed, "identified", round(time.perf_counter() - begin), "s", flush=True)
     row["spark"], spark = spark_of(seed, direct, test, u[TEST])
     own = reachable_of(forward, train[: size.trained]), reachable_of(forward, guard)
-    solution = jnx.compensate(
+    solution = jnx.inverse.compensate(
         *(airy, forward, own[0]),
-        jnx.TrackingError(max_steps=size.steps, effort=1e-4),
+        jnx.inverse.TrackingError(max_steps=size.steps, effort=1e-4),
         validation=own[1],
         trainable=throttle_alone(airy),
         limits=LIMITS,
@@ -142,7 +142,7 @@ def reachable_of(forward: jnx.Network, data: jnx.Dataset) -> jnx.Dataset:
 
 def standing_of(forward: jnx.Network, data: jnx.Dataset) -> list[dict[str, str]]:
     """What `invertible` finds against an inverse in the forward network."""
-    found = jnx.invertible(forward, data, commands=COMMANDS, targets=TARGETS)
+    found = jnx.inverse.invertible(forward, data, commands=COMMANDS, targets=TARGETS)
     return [
         {"severity": f.severity, "kind": f.kind, "message": f.message}
         for f in found.value.findings
@@ -150,13 +150,13 @@ def standing_of(forward: jnx.Network, data: jnx.Dataset) -> list[dict[str, str]]
 
 
 def tracked(inverse, forward, references) -> list[float]:
-    found = jnx.cascade(inverse, forward, references, LIMITS).value.nrmse()
+    found = jnx.inverse.cascade(inverse, forward, references, LIMITS).value.nrmse()
     return [float(e) for e in found]
 
 
 def unity_of(inverse, forward, data, points: int) -> dict[str, Any]:
     """How far the static gain of the cascade is from one."""
-    found = jnx.unity_gain(inverse, forward, data, points=points, limits=LIMITS)
+    found = jnx.inverse.unity_gain(inverse, forward, data, points=points, limits=LIMITS)
     value = found.value
     good = value.settled & ~value.held
     away = np.abs(value.gain[good] - np.eye(2)[None])
@@ -208,7 +208,7 @@ def rest_of(inverse, forward, references: jnx.Dataset) -> dict[str, Any]:
     """Where the cascade comes to rest: slope over the references, and errors left."""
     if len(references) < 3:
         return {"points": len(references)}
-    found = jnx.cascade(inverse, forward, references, LIMITS).value
+    found = jnx.inverse.cascade(inverse, forward, references, LIMITS).value
     wanted = np.array([r[-1] for r in found.references])
     reached = np.array([y[-1, list(found.targets)] for y in found.outputs])
     slope = [np.polyfit(*pair, 1)[0] for pair in zip(wanted.T, reached.T, strict=True)]

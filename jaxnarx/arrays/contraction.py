@@ -64,7 +64,7 @@ class Group:
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class ContractionPlan:
     """The matrix products for `variables` (the one included) and `degree`.
 
     Right rows are variables, at degree 4 pairs k <= l in lexical order; zeros fill them
@@ -119,7 +119,7 @@ def _widened(rows: Range, length: int) -> Range:
 
 
 @lru_cache(maxsize=32)
-def plan(variables: int, degree: int) -> Plan:
+def plan(variables: int, degree: int) -> ContractionPlan:
     """The cheapest groups for terms of up to `degree` (1 to 4) in `variables`.
 
     `variables` counts the leading one of `v`. Borders of the groups are found by
@@ -129,7 +129,7 @@ def plan(variables: int, degree: int) -> Plan:
         raise ValueError(f"degree must be 1 to 4, got {degree}")
     if degree == 1:
         one = Group(((0, 1),), _widened((0, variables), variables))
-        return Plan(variables, degree, (one,))
+        return ContractionPlan(variables, degree, (one,))
     best: list[tuple[float, tuple[Group, ...]]] = [(0.0, ())]
     for stop in range(1, variables + 1):
         options = []
@@ -138,7 +138,7 @@ def plan(variables: int, degree: int) -> Plan:
             options.append((best[start][0] + _cost(group), start, group))
         cost, start, group = min(options, key=lambda option: option[:2])
         best.append((cost, (*best[start][1], group)))
-    return Plan(variables, degree, best[-1][1])
+    return ContractionPlan(variables, degree, best[-1][1])
 
 
 def positions(
@@ -185,7 +185,9 @@ def _left(v: Float[Array, "vars block"], group: Group) -> Float[Array, "rows blo
 
 
 def _right(
-    v: Float[Array, "vars block"], q: Float[Array, "vectors block"], tables: Plan
+    v: Float[Array, "vars block"],
+    q: Float[Array, "vectors block"],
+    tables: ContractionPlan,
 ) -> Float[Array, "vectors right block"]:
     """Right rows times each vector, filled up with zeros."""
     right = v[None] * q[:, None]
@@ -198,7 +200,9 @@ def _right(
 
 
 def _products(
-    v: Float[Array, "vars block"], q: Float[Array, "vectors block"], tables: Plan
+    v: Float[Array, "vars block"],
+    q: Float[Array, "vectors block"],
+    tables: ContractionPlan,
 ) -> list[Float[Array, "rows columns"]]:
     """The groups' matrix products in one block; columns are (vector, right row)."""
     right = _right(v, q, tables)

@@ -67,7 +67,7 @@ class Recursion(eqx.Module):
         return jnp.sum(self.packed[:-1] ** 2)
 
 
-class History(NamedTuple):
+class RecursionHistory(NamedTuple):
     """What a recursion leaves behind at every sample."""
 
     error: Float[Array, " time"]
@@ -122,7 +122,7 @@ def recursive_least_squares(
     *,
     forgetting: Float[Array, ""] | float = 1.0,
     history: bool = False,
-) -> tuple[Recursion, History]:
+) -> tuple[Recursion, RecursionHistory]:
     """All samples in order from `start`; the end, and every error before its update.
 
     With `history` also the coefficients after every sample. `forgetting` in (0, 1].
@@ -136,7 +136,7 @@ def recursive_least_squares(
 
     # Two steps per turn: a third faster on a CPU; more gain nothing.
     end, (error, path) = jax.lax.scan(step, start, (columns.T, y, weight), unroll=2)
-    return end, History(error, path)
+    return end, RecursionHistory(error, path)
 
 
 def solve_recursively(

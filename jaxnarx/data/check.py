@@ -9,8 +9,10 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
+from jaxnarx.guard import guarded
 
 
+@guarded
 def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     """What a careful engineer would ask about `data` before modelling.
 

@@ -7,7 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.low_order import Fit, first_order, fitted, nearby, second_order
+from jaxnarx.data.low_order import (
+    LowOrderFit,
+    first_order,
+    fitted,
+    nearby,
+    second_order,
+)
 from jaxnarx.data.pieces import Piece, pieces
 
 _RIDGE = 1e-6
@@ -45,7 +51,7 @@ class Answer:
     in steps of `every` samples.
     """
 
-    fit: Fit
+    fit: LowOrderFit
     share: float
     clear: bool
     every: int = 1
@@ -167,7 +173,7 @@ class _Fitting:
         self.left = [
             p.y - g.sum(axis=0) for p, g in zip(parts, self.given, strict=True)
         ]
-        self.fits: dict[tuple[int, int], Fit] = {}
+        self.fits: dict[tuple[int, int], LowOrderFit] = {}
         self.refined: set[tuple[int, int]] = set()
 
     def run(self) -> dict[tuple[int, int], Answer]:
@@ -184,11 +190,11 @@ class _Fitting:
         pairs = ((i, o) for i in self.inputs for o in self.outputs)
         return {p: self._judged(*p) for p in pairs}
 
-    def _lags(self, i: int, outputs: list[int]) -> dict[int, Fit]:
+    def _lags(self, i: int, outputs: list[int]) -> dict[int, LowOrderFit]:
         """The best lag with dead time for what other inputs leave of some outputs."""
         return self._fit(i, outputs, first_order(self.times))
 
-    def _better(self, i: int, outputs: list[int]) -> dict[int, Fit]:
+    def _better(self, i: int, outputs: list[int]) -> dict[int, LowOrderFit]:
         """Systems of higher order; those next to the best of before when it was one."""
         new = [o for o in outputs if (i, o) not in self.refined]
         about = [self.fits[i, o].slowest for o in new]
@@ -199,7 +205,7 @@ class _Fitting:
             found |= self._fit(i, [o], nearby(found[o].system))
         return found
 
-    def _fit(self, i: int, outputs: list[int], systems) -> dict[int, Fit]:
+    def _fit(self, i: int, outputs: list[int], systems) -> dict[int, LowOrderFit]:
         if not outputs or not systems:
             return {}
         inputs = [p.u[i] for p in self.parts]
@@ -209,7 +215,7 @@ class _Fitting:
         found = fitted(systems, inputs, targets, self.reach)
         return dict(zip(outputs, found, strict=True))
 
-    def _put(self, i: int, fits: dict[int, Fit]) -> None:
+    def _put(self, i: int, fits: dict[int, LowOrderFit]) -> None:
         for o, fit in fits.items():
             self.fits[i, o] = fit
             for part, left, given in zip(

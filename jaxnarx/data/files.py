@@ -18,6 +18,7 @@ from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.record import Record
 from jaxnarx.data.tables import read_table
 from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.guard import guarded
 
 MAX_BYTES = 4e9
 """Limit of the expanded size of all files of a description, in bytes. Reading takes up
@@ -38,6 +39,7 @@ class Split:
     preparation: Preparation | None = None
 
 
+@guarded
 def read(
     path: str | os.PathLike[str],
     *,
@@ -60,6 +62,7 @@ def read(
     return _read(Path(path), load_description(Path(path)), root, max_bytes)[0]
 
 
+@guarded
 def read_split(
     path: str | os.PathLike[str],
     *,

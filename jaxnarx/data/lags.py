@@ -9,6 +9,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.errors import DataError
+from jaxnarx.guard import guarded
 
 
 def step_times(data: Dataset, output: str) -> dict[str, float]:
@@ -94,6 +95,7 @@ class LagSuggestion:
         return "\n".join(lines)
 
 
+@guarded
 def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
     """Input and output lags for `data`: 0, 1, 2, 4, 8, ... up to the settling time.
 

@@ -48,7 +48,7 @@ def filtered(u: Float[np.ndarray, " time"], by: Filter) -> Float[np.ndarray, " t
 
 
 @dataclasses.dataclass(frozen=True)
-class Fit:
+class LowOrderFit:
     """A system, its dead time [samples] and its gains.
 
     `score` is Akaike's criterion up to a constant: the less the better.
@@ -149,7 +149,7 @@ def fitted(
     inputs: Sequence[Float[np.ndarray, "_"]],
     outputs: Sequence[Float[np.ndarray, "outputs _"]],
     reach: int,
-) -> list[Fit]:
+) -> list[LowOrderFit]:
     """The best of `systems` with the best dead time up to `reach`, for every output.
 
     `inputs` and `outputs` hold a signal each for every piece of the data. Free runs are
@@ -180,7 +180,7 @@ def fitted(
         score = np.where(bad, np.inf, score)
         s, d = divmod(int(np.argmin(score)), score.shape[1])
         gains = (float(g1[s, d]), float(g2[s, d]))[: len(systems[s])]
-        fits.append(Fit(systems[s], d, gains, float(score[s, d])))
+        fits.append(LowOrderFit(systems[s], d, gains, float(score[s, d])))
     return fits
 
 

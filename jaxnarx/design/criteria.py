@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxnarx.guard import guarded
 from jaxnarx.methods import OptimalDesign
 
 
@@ -17,6 +18,7 @@ class Criteria(NamedTuple):
     largest: Float[Array, ""]  # prediction variance over the reference samples
 
 
+@guarded
 def criteria(
     slope: Float[Array, "time outputs params"],
     reference: Float[Array, "samples outputs params"],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel, scheduling_values
 from jaxnarx.simulation import run_record
 
@@ -132,6 +133,7 @@ class NetworkSensitivity(AbstractSensitivity):
         return jax.jacfwd(outputs)(self.parameters)
 
 
+@guarded
 def network_sensitivity(
     network: Network,
     *,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import Batch, stack
-from jaxnarx.evaluation.rows import Samples
+from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns
 from jaxnarx.simulation import fitting, has_diverged, tables
@@ -17,8 +17,8 @@ NAME = "linear, same lags"
 
 
 def linear_runs(
-    network: Network, train: Dataset, data: Dataset, free: list[list[Samples]]
-) -> list[list[Samples]]:
+    network: Network, train: Dataset, data: Dataset, free: list[list[ScoredSamples]]
+) -> list[list[ScoredSamples]]:
     """Free runs on `data` of ARX models fitted to `train`, by output and record.
 
     One for each output, of the network's lagged inputs and of that output's own past,
@@ -48,8 +48,8 @@ def _runs(
     train: Batch,
     data: Batch,
     bounds: tuple[float, float],
-    free: list[Samples],
-) -> list[Samples]:
+    free: list[ScoredSamples],
+) -> list[ScoredSamples]:
     step = float(network.sample_time)
     entries = network.variables.entries
     lags = [lag for s, lag, f in entries if s == signal and f is None]
@@ -75,11 +75,11 @@ def _runs(
 
 
 def _run(
-    one: Samples,
+    one: ScoredSamples,
     drive: Float[np.ndarray, " time"],
     recursion: Float[np.ndarray, " lags"],
     bounds: tuple[float, float],
-) -> Samples:
+) -> ScoredSamples:
     """One record: from the samples the network's own run started from."""
     from scipy.signal import lfilter, lfiltic  # takes longer to load than it runs
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.evaluation.operations import NONE, Operations, filtering, weighing
+from jaxnarx.guard import guarded
 from jaxnarx.models import Boxes, Network, OutputModel
 from jaxnarx.regressors import AbstractFilter
 
@@ -101,6 +102,7 @@ COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
 """Sizes, and operations of one sample, as they are shown."""
 
 
+@guarded
 def cost(network: Network, *, shared: bool = False) -> Cost:
     """Operations a control unit does at one sample, output by output and in total.
 
@@ -126,7 +128,7 @@ def cost(network: Network, *, shared: bool = False) -> Cost:
         Operations by purpose and sizes of the model, `outputs` those of each output.
 
     Example:
-        print(jnx.cost(network, shared=True))
+        print(jnx.evaluation.cost(network, shared=True))
     """
     outputs = {
         name: _output(network, model, shared)
@@ -197,6 +199,7 @@ def _filters(
     return [(s, f) for s, _, f in entries if f is not None]
 
 
+@guarded
 def pareto(
     points: Float[np.ndarray, "points objectives"],
 ) -> Bool[np.ndarray, " points"]:

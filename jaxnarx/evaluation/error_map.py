@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
-from jaxnarx.evaluation.rows import Samples
+from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns, variable_names
 from jaxnarx.simulation import fitting
@@ -36,7 +36,7 @@ class ErrorMap:
 
 
 def error_maps(
-    network: Any, data: Dataset, free: list[list[Samples]]
+    network: Any, data: Dataset, free: list[list[ScoredSamples]]
 ) -> tuple[ErrorMap, ...]:
     """A map per output, over its first two scheduling variables.
 

@@ -12,6 +12,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, fed_back, scheduling_values
 from jaxnarx.regressors import (
     Variables,
@@ -48,6 +49,7 @@ class LocalBehaviour:
     time_constant: Float[np.ndarray, " points"]
 
 
+@guarded
 def local_behaviour(
     network: Network,
     data: Dataset,

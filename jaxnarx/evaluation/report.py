@@ -29,7 +29,7 @@ from jaxnarx.evaluation.rows import (
     FREE_RUN,
     POOLED,
     Row,
-    Samples,
+    ScoredSamples,
     collect,
     mode_name,
     score,
@@ -37,6 +37,7 @@ from jaxnarx.evaluation.rows import (
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.verdict import Verdict, judge
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 
 
@@ -174,6 +175,7 @@ class Reportable(Protocol):
     def equations(self) -> Any: ...
 
 
+@guarded
 def report(
     network: Reportable,
     data: Dataset | Mapping[str, Dataset],
@@ -312,7 +314,7 @@ def _runs(
     outputs: tuple[Channel, ...],
     horizons: Sequence[int],
     free: Any,
-) -> dict[str, list[list[Samples]]]:
+) -> dict[str, list[list[ScoredSamples]]]:
     """Samples by output and record, for every mode; the free run comes last."""
     from jaxnarx.simulation import predict
 
@@ -331,11 +333,11 @@ def _beside(
     network: Any,
     parts: Mapping[str, Dataset],
     main: str,
-    free: list[list[Samples]],
+    free: list[list[ScoredSamples]],
     others: Mapping[str, Any],
 ) -> dict[str, tuple[Row, ...]]:
     """Pooled free-run rows of the linear model and of `others` on the main part."""
-    runs: dict[str, tuple[tuple[Channel, ...], list[list[Samples]]]] = {}
+    runs: dict[str, tuple[tuple[Channel, ...], list[list[ScoredSamples]]]] = {}
     if isinstance(network, Network) and "train" in parts:
         linear = linear_runs(network, parts["train"], parts[main], free)
         runs[NAME] = tuple(network.output_channels), linear
@@ -353,7 +355,7 @@ def _beside(
 
 
 def _rows(
-    part: str, outputs: tuple[Channel, ...], runs: dict[str, list[list[Samples]]]
+    part: str, outputs: tuple[Channel, ...], runs: dict[str, list[list[ScoredSamples]]]
 ) -> list[Row]:
     """By output, then record, then mode, so that modes stand beside one another."""
     rows = []
@@ -365,7 +367,7 @@ def _rows(
 
 def _pictures(
     outputs: tuple[Channel, ...],
-    runs: dict[str, list[list[Samples]]],
+    runs: dict[str, list[list[ScoredSamples]]],
     sample_time: float,
 ) -> tuple[tuple[Trace, ...], tuple[Residuals, ...]]:
     free, one = runs[FREE_RUN], runs.get(mode_name(1))

@@ -51,7 +51,7 @@ class Row:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Samples:
+class ScoredSamples:
     """What one output of one record did: measurement beside the model's answer."""
 
     record: str
@@ -72,7 +72,7 @@ def mode_name(k: int) -> str:
 
 def collect(
     data: Dataset, outputs: tuple[Channel, ...], run: Any
-) -> list[list[Samples]]:
+) -> list[list[ScoredSamples]]:
     """Samples by output, then record. `run` is what `predict` or `simulate` gave."""
     columns = [_column(data, channel.name) for channel in outputs]
     if len(run.outputs) != len(data):
@@ -88,11 +88,11 @@ def collect(
 
 
 def score(
-    part: str, mode: str, channel: Channel, samples: list[Samples]
+    part: str, mode: str, channel: Channel, samples: list[ScoredSamples]
 ) -> tuple[Row, ...]:
     """The pooled row first, then one row per record."""
 
-    def row(chosen: list[Samples], record: str, status: str, others=None) -> Row:
+    def row(chosen: list[ScoredSamples], record: str, status: str, others=None) -> Row:
         diverged = status.startswith("diverged")
         return Row(
             part=part,
@@ -133,7 +133,7 @@ def _column(data: Dataset, name: str) -> int:
     return names.index(name)
 
 
-def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
+def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> ScoredSamples:
     record, inputs = data.records[r], len(data.channels.inputs)
     predicted = np.asarray(run.outputs[r])[:, o, None]
     if len(predicted) != len(record):
@@ -144,7 +144,7 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
         )
     scored = np.asarray(run.scored[r])[:, o, None]
     lost = bool(run.diverged[r][o]) or not np.all(np.isfinite(predicted[scored]))
-    return Samples(
+    return ScoredSamples(
         record=record.name,
         measured=record.y[:, column, None],
         predicted=predicted,
@@ -156,7 +156,7 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> Samples:
     )
 
 
-def _pooled(samples: list[Samples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pooled(samples: list[ScoredSamples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (
         np.concatenate([s.measured for s in samples]),
         np.concatenate([s.predicted for s in samples]),
@@ -164,18 +164,18 @@ def _pooled(samples: list[Samples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _metrics(samples: list[Samples]) -> dict[str, float]:
+def _metrics(samples: list[ScoredSamples]) -> dict[str, float]:
     values = metrics.scores(*_pooled(samples))
     return {name: float(values[name][0]) for name in metrics.PERFECT}
 
 
-def _offset(samples: list[Samples]) -> float | None:
+def _offset(samples: list[ScoredSamples]) -> float | None:
     measured, predicted, scored = _pooled(samples)
     error = (measured - predicted)[scored]
     return float(error.mean()) if error.size else None
 
 
-def _status(samples: list[Samples]) -> str:
+def _status(samples: list[ScoredSamples]) -> str:
     measured, _, scored = _pooled(samples)
     if any(s.diverged for s in samples):
         return "diverged"

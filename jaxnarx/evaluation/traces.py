@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import metrics
-from jaxnarx.evaluation.rows import Samples
+from jaxnarx.evaluation.rows import ScoredSamples
 
 PAIRS = 3000
 """At most so many (measured, simulated) pairs are kept for the scatter figure."""
@@ -53,8 +53,8 @@ class Residuals:
 
 def choose(
     channel: Channel,
-    free: list[Samples],
-    one_step: list[Samples] | None,
+    free: list[ScoredSamples],
+    one_step: list[ScoredSamples] | None,
     sample_time: float,
 ) -> tuple[Trace, ...]:
     """The worst, the median and the best record, then the others in their order.
@@ -74,7 +74,7 @@ def choose(
     )
 
 
-def residuals(channel: Channel, free: list[Samples], bins: int = 41) -> Residuals:
+def residuals(channel: Channel, free: list[ScoredSamples], bins: int = 41) -> Residuals:
     """Histogram and thinned pairs of the records that did not diverge."""
     calm = [s for s in free if not s.diverged and s.scored.any()]
     empty = np.zeros(0)
@@ -103,7 +103,7 @@ def _histogram(error: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     return counts, edges * scale
 
 
-def _rmse(samples: Samples) -> float:
+def _rmse(samples: ScoredSamples) -> float:
     if samples.diverged:
         return np.inf
     return float(metrics.rmse(samples.measured, samples.predicted, samples.scored)[0])
@@ -111,10 +111,10 @@ def _rmse(samples: Samples) -> float:
 
 def _trace(
     channel: Channel,
-    free: Samples,
+    free: ScoredSamples,
     rank: str,
     sample_time: float,
-    one_step: list[Samples] | None,
+    one_step: list[ScoredSamples] | None,
     index: int,
 ) -> Trace:
     return Trace(

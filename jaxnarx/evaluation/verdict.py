@@ -60,7 +60,7 @@ REMEDIES = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Finding:
+class Reason:
     """One reason: what it makes of the model, and a key of `REMEDIES`."""
 
     level: str
@@ -74,7 +74,7 @@ class Verdict:
     first."""
 
     level: str
-    findings: tuple[Finding, ...]
+    findings: tuple[Reason, ...]
     praise: str = ""
 
     @property
@@ -150,7 +150,7 @@ def _pooled(rows: Iterable[Row]) -> list[Row]:
     return [r for r in rows if r.record == POOLED]
 
 
-def _runs(report: Judged, rows: list[Row]) -> Iterator[Finding]:
+def _runs(report: Judged, rows: list[Row]) -> Iterator[Reason]:
     """Divergence, nothing to judge, limits that act."""
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
         share = row.extrapolated / max(row.samples, 1)
@@ -170,18 +170,18 @@ def _runs(report: Judged, rows: list[Row]) -> Iterator[Finding]:
             text = f"the free run of {where} diverges in {names}"
             if strayed:
                 text += f", {share:.0%} of it outside the trained range"
-            yield Finding(UNUSABLE, text, "cover" if strayed else "bounded")
+            yield Reason(UNUSABLE, text, "cover" if strayed else "bounded")
         elif row.part == report.main and row.status == "no samples":
-            yield Finding(UNUSABLE, f"{where} has no valid sample to score", "records")
+            yield Reason(UNUSABLE, f"{where} has no valid sample to score", "records")
         elif row.part == report.main and row.status == "constant output":
-            yield Finding(LIMITED, f"{where} is constant: no judgement of it", "test")
+            yield Reason(LIMITED, f"{where} is constant: no judgement of it", "test")
         elif row.limited >= NOTICEABLE * max(row.samples, 1):
             held = row.limited / row.samples
             text = f"the feedback bound holds {where} at {held:.0%} of the samples"
-            yield Finding(LIMITED, text, "cover" if share >= STRAYED else "bounded")
+            yield Reason(LIMITED, text, "cover" if share >= STRAYED else "bounded")
 
 
-def _errors(report: Judged, rows: list[Row]) -> Iterator[Finding]:
+def _errors(report: Judged, rows: list[Row]) -> Iterator[Reason]:
     """Errors of whole parts, by themselves and beside that of training."""
     trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
@@ -191,21 +191,21 @@ def _errors(report: Judged, rows: list[Row]) -> Iterator[Finding]:
         own = trained.get(row.output)
         if row.nrmse >= WORTHLESS and not learned:
             text = f"the free run of {where} is no better than the mean"
-            yield Finding(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
+            yield Reason(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
         elif row.nrmse > ACCURATE:
             text = f"the free run leaves {row.nrmse**2:.0%} of the variance of {where}"
-            yield Finding(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
+            yield Reason(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
         if learned or own is None or row.nrmse <= max(SMALL, OVERFITTED * own):
             continue
         text = f"the error of {where} is {row.nrmse / own:.2g} times that of training"
-        yield Finding(LIMITED, text, "simpler")
+        yield Reason(LIMITED, text, "simpler")
 
 
 def _nrmse(value: float) -> str:
     return f"NRMSE {value:.3g}"
 
 
-def _records(rows: list[Row]) -> Iterator[Finding]:
+def _records(rows: list[Row]) -> Iterator[Reason]:
     """Single records that are far off, whatever their part."""
     for output in dict.fromkeys(r.output for r in rows):
         own = [r for r in rows if r.output == output]
@@ -232,20 +232,20 @@ def _records(rows: list[Row]) -> Iterator[Finding]:
                 text += f", mean of measured minus simulated {row.offset:+.3g}{unit}"
             if len(far) > 1:
                 text += f"; {len(far) - 1} more such"
-            yield Finding(LIMITED, text, "records")
+            yield Reason(LIMITED, text, "records")
 
 
-def _beside(report: Judged) -> Iterator[Finding]:
+def _beside(report: Judged) -> Iterator[Reason]:
     """A linear model that does better."""
     for row in report.beside.get(NAME, ()):
         own = report.pooled(row.output).nrmse
         if own is not None and row.nrmse is not None and row.nrmse < own:
             text = f"a linear model of the same lags does better on {row.output}"
             text += f" ({_nrmse(row.nrmse)}, this one {own:.3g})"
-            yield Finding(LIMITED, text, "linear")
+            yield Reason(LIMITED, text, "linear")
 
 
-def _memory(report: Judged) -> Iterator[Finding]:
+def _memory(report: Judged) -> Iterator[Reason]:
     """What the poles and the contraction bound say."""
     found = report.stability
     if found is None:
@@ -254,23 +254,23 @@ def _memory(report: Judged) -> Iterator[Finding]:
         if row.model is not None and row.samples and row.unstable > 0.5:
             text = f"local model {row.model} of {row.output} alone is unstable where it"
             text += f" leads (pole {row.median:.4g})"
-            yield Finding(LIMITED, text, "bounded")
+            yield Reason(LIMITED, text, "bounded")
     if not found.contracts and found.bound.fails >= UNSURE:
         text = f"nothing shows that it forgets its past at {found.bound.fails:.0%} of "
-        yield Finding(LIMITED, text + "the samples", "bounded")
+        yield Reason(LIMITED, text + "the samples", "bounded")
 
 
-def _data(report: Judged, rows: list[Row]) -> Iterator[Finding]:
+def _data(report: Judged, rows: list[Row]) -> Iterator[Reason]:
     """What the figures were measured on."""
     if any("EQUALS ESTIMATION" in note for note in report.notes):
         text = "it was judged on records that it was trained on"
-        yield Finding(LIMITED, text, "test")
+        yield Reason(LIMITED, text, "test")
     elif report.main in ("train", "validate"):
         text = f"there are no test data: {report.main} took part in making it"
-        yield Finding(LIMITED, text, "test")
+        yield Reason(LIMITED, text, "test")
     main = [r for r in _pooled(rows) if r.part == report.main]
     share = max((r.extrapolated / max(r.samples, 1) for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
     if share >= STRAYED and far:
         text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
-        yield Finding(LIMITED, f"{text} ({far[0]})", "cover")
+        yield Reason(LIMITED, f"{text} ({far[0]})", "cover")

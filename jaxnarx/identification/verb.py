@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jaxnarx.data import Channels, Dataset, match_channels
+from jaxnarx.guard import guarded
 from jaxnarx.identification.pools import make_pool
 from jaxnarx.methods import Global, Identification
 from jaxnarx.models import Network
@@ -16,6 +17,7 @@ from jaxnarx.solution import RESULTS, Solution
 Events = Callable[[dict[str, Any]], None]
 
 
+@guarded
 def identify(
     data: Dataset,
     method: Identification | None = None,

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.metrics import nrmse
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.methods.inverse import ActuatorLimits
@@ -60,6 +61,7 @@ class Tracking:
         )
 
 
+@guarded
 def cascade(
     inverse: Network,
     forward: Network,

@@ -12,6 +12,7 @@ from jaxnarx.arrays.minimise import (
 )
 from jaxnarx.arrays.programs import plain
 from jaxnarx.data import Dataset
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect
 from jaxnarx.inverse.task import CascadeTask, make_task, spreads
 from jaxnarx.inverse.tracking_problem import TrackingProblem, tracking_problem
@@ -21,6 +22,7 @@ from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.solution import RESULTS, Solution
 
 
+@guarded
 def compensate(
     inverse: Network,
     forward: Network,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels, Dataset, Record, delays
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.forward import dead_times
 from jaxnarx.models import Network
 
@@ -29,6 +30,7 @@ def parse_ahead(name: str) -> tuple[str, int] | None:
     return None if match is None else (match["name"], int(match["lead"]))
 
 
+@guarded
 def inverse_data(
     data: Dataset,
     *,

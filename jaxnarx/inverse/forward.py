@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel
 
 
@@ -36,6 +37,7 @@ def positions(
     )
 
 
+@guarded
 def dead_times(network: Network) -> Float[np.ndarray, "outputs signals"]:
     """Samples after which each modelled output first feels each signal.
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Dataset, Finding, Findings
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.dataset import Lead, leads_of
 from jaxnarx.inverse.forward import dead_times, positions
 from jaxnarx.inverse.linearise import (
@@ -62,6 +63,7 @@ class Invertibility:
     reach: Reach | None = None
 
 
+@guarded
 def invertible(
     forward: Network,
     data: Dataset,

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.forward import positions
 from jaxnarx.inverse.linearise import require_shared
 from jaxnarx.inverse.statics import Statics, statics
@@ -74,6 +75,7 @@ class _Aim(eqx.Module):
         return jnp.where(found, (y - wanted) / self.span, 1e3)
 
 
+@guarded
 def reachable(
     forward: Network,
     references: Dataset,

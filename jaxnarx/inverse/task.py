@@ -15,7 +15,7 @@ from jaxnarx.inverse.loop import Loop
 from jaxnarx.simulation import fitting, tables
 
 
-class Signals(eqx.Module):
+class TaskSignals(eqx.Module):
     """Signals and validity of all records, as the loop wants them."""
 
     signals: Float[Array, "records time signals"]
@@ -32,7 +32,7 @@ class CascadeTask:
     """
 
     data: Dataset
-    batch: Signals
+    batch: TaskSignals
     anchors: Bool[np.ndarray, "records time"]
     start: Int[np.ndarray, " records"]
     end: Int[np.ndarray, " records"]
@@ -80,7 +80,7 @@ def make_task(loop: Loop, references: Dataset) -> CascadeTask:
     target = np.array(forward.signals)[np.array(loop.wiring.targets)]
     return CascadeTask(
         data,
-        Signals(batch.signals, jnp.asarray(batch.valid)),
+        TaskSignals(batch.signals, jnp.asarray(batch.valid)),
         anchors,
         start,
         np.array([len(r) for r in data]),

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.arrays.levenberg import AbstractProblem, Linear
 from jaxnarx.arrays.programs import twin
 from jaxnarx.inverse.loop import Loop, run_record
-from jaxnarx.inverse.task import CascadeTask, Signals
+from jaxnarx.inverse.task import CascadeTask, TaskSignals
 from jaxnarx.refinement.layout import Layout
 
 
@@ -27,7 +27,7 @@ class Weighed(eqx.Module):
     residual: of tracking errors and of changes of commands.
     """
 
-    batch: Signals
+    batch: TaskSignals
     anchor: Bool[Array, "records time"]
     scored: Float[Array, "records time targets"]
     moved: Float[Array, "records time commands"]

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from jaxnarx.arrays.programs import program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
+from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run_record
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.methods.inverse import ActuatorLimits
@@ -52,6 +53,7 @@ class UnityGain:
         return float(np.abs(self.gain[good] - unit).max()) if good.any() else np.inf
 
 
+@guarded
 def unity_gain(
     inverse: Network,
     forward: Network,

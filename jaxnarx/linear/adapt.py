@@ -19,10 +19,11 @@ from jaxnarx.arrays.recurrence import history_of
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.adapt_program import (
     Limits,
-    Record,
-    Samples,
+    WindowedSamples,
+    WindowRecord,
     adapt_windows,
     make_plan,
     place,
@@ -40,6 +41,7 @@ from jaxnarx.simulation import (
 from jaxnarx.solution import RESULTS, Solution
 
 
+@guarded
 def adapt(
     network: Network, data: Dataset, method: Recursive | None = None
 ) -> Solution[Network]:
@@ -77,7 +79,9 @@ def adapt(
     return Solution(value, *_status(network, stats))
 
 
-def _samples(network: Network, data: Dataset, window: int, simulated: bool) -> Samples:
+def _samples(
+    network: Network, data: Dataset, window: int, simulated: bool
+) -> WindowedSamples:
     """Every record behind the other, in windows; padding has weight zero."""
     batch = stack(data)
     masks = make_masks(network, batch)
@@ -106,7 +110,7 @@ def _samples(network: Network, data: Dataset, window: int, simulated: bool) -> S
     )
     longest = max(len(r) for r in data)
     cut = partial(_windows, longest=longest, window=window)
-    return Samples(*jax.tree.map(cut, every))
+    return WindowedSamples(*jax.tree.map(cut, every))
 
 
 def _windows(a: jax.Array, longest: int, window: int) -> jax.Array:
@@ -118,7 +122,7 @@ def _windows(a: jax.Array, longest: int, window: int) -> jax.Array:
     return flat.reshape(len(flat) // window, window, *flat.shape[1:])
 
 
-def _stats(network: Network, record: Record) -> dict:
+def _stats(network: Network, record: WindowRecord) -> dict:
     gain = np.asarray(network.gain)[np.array(network.signals)]
     return {
         "rmse": np.sqrt(np.asarray(record.mse)) * gain,

@@ -110,7 +110,7 @@ FLOOR = 1e-4
 undone: a start that is exact has no error to compare with."""
 
 
-class Samples(NamedTuple):
+class WindowedSamples(NamedTuple):
     """All samples behind one another, cut into windows."""
 
     v: Float[Array, "windows window vars"]
@@ -144,7 +144,7 @@ class Output(eqx.Module):
     first: Float[Array, "models slots"]
 
 
-class Record(NamedTuple):
+class WindowRecord(NamedTuple):
     """What one window leaves behind, per output."""
 
     theta: tuple[Float[Array, "_ _"], ...]
@@ -236,8 +236,12 @@ def _mean(total, count):
 
 @program
 def adapt_windows(
-    network: Network, plan: Plan, samples: Samples, limits: Limits, simulated: bool
-) -> tuple[tuple[Float[Array, "_ _"], ...], Record]:
+    network: Network,
+    plan: Plan,
+    samples: WindowedSamples,
+    limits: Limits,
+    simulated: bool,
+) -> tuple[tuple[Float[Array, "_ _"], ...], WindowRecord]:
     """Final coefficients of the chosen models, and a record of every window."""
     joint = plan.joint
 
@@ -268,7 +272,7 @@ def adapt_windows(
         )
         return (outputs, past, jnp.zeros_like(lost)), figures
 
-    def window(carry, block: Samples):
+    def window(carry, block: WindowedSamples):
         v, x = block.v, block.x
         rows = None
         if not simulated:
@@ -285,7 +289,7 @@ def adapt_windows(
         ]
         outputs = tuple(output for output, _ in judged)
         undone = jnp.stack([flag for _, flag in judged])
-        record = Record(
+        record = WindowRecord(
             tuple(_estimate(o) for o in outputs),
             mse,
             mse_start,

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset
 from jaxnarx.data.scaling import gains
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.fit import WORST
 from jaxnarx.linear.orders import output_place
 from jaxnarx.linear.triangle import factorise
@@ -48,6 +49,7 @@ class ExtendedFit:
     residual: tuple[Float[np.ndarray, " _"], ...]
 
 
+@guarded
 def extended_least_squares(
     terms: Pool | Selection,
     data: Dataset,

@@ -11,9 +11,10 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.linear.orders import output_place, require_varying
-from jaxnarx.linear.prediction_error import Found, least_innovations
+from jaxnarx.linear.prediction_error import PredictionErrorEnd, least_innovations
 from jaxnarx.linear.recursion import Signals, signals, window_start
 from jaxnarx.linear.starts import starts
 from jaxnarx.linear.structure import Structure, structure_of
@@ -93,6 +94,7 @@ WORST = 1 / np.sqrt(np.finfo(float).eps)
 are not told apart."""
 
 
+@guarded
 def fit_linear(
     data: Dataset, method: LinearMethod, *, output: str | None = None
 ) -> Solution[LinearModel]:
@@ -207,7 +209,9 @@ def _searched(data: Dataset, structure: Structure, output: int, method) -> Solut
     return _solution(model, variance, found.status, stats, weak, figures)
 
 
-def _physical(data, structure: Structure, output: int, found: Found, scale: Scale):
+def _physical(
+    data, structure: Structure, output: int, found: PredictionErrorEnd, scale: Scale
+):
     """The model in physical units, and what its information says."""
     size = np.sqrt(np.diagonal(found.information))
     unit = np.where(size > 0, size, 1.0)

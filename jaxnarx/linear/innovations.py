@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.linear.recursion import (
     best_states,
@@ -43,6 +44,7 @@ class Innovations:
         return np.concatenate([e[s] for e, s in pairs])
 
 
+@guarded
 def innovations(model: LinearModel, data: Dataset) -> Innovations:
     """e(t) of (2.3) for every sample: the one-step prediction errors.
 

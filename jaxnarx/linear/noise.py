@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
+from jaxnarx.guard import guarded
 from jaxnarx.linear.fit import fit_linear
 from jaxnarx.linear.innovations import Innovations, innovations
 from jaxnarx.linear.model import LinearModel
@@ -48,6 +49,7 @@ class NoiseModel(eqx.Module):
         return dataclasses.replace(found, predicted=tuple(predicted))
 
 
+@guarded
 def fit_noise(
     network: Network,
     data: Dataset,

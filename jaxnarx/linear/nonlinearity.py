@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Channel, Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.orders import output_place
 from jaxnarx.linear.spectra import (
     OVERLAP,
@@ -82,6 +83,7 @@ class NonlinearityCheck:
         )
 
 
+@guarded
 def nonlinearity(
     data: Dataset,
     *,

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.order_table import OrderSearch, order_search
 from jaxnarx.linear.structure import by_input
 from jaxnarx.linear.triangle import Triangle, triangle
@@ -30,6 +31,7 @@ Lengths = Sequence[int] | Mapping[str, Sequence[int]]
 """Candidates for every input, or by input name."""
 
 
+@guarded
 def search_orders(
     data: Dataset,
     *,

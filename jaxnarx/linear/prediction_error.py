@@ -98,7 +98,7 @@ def start_of(
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
+class PredictionErrorEnd:
     """Where a search ended. `information` is J'J with the states eliminated."""
 
     parameters: Float[np.ndarray, " params"]
@@ -118,7 +118,7 @@ def least_innovations(
     *,
     max_steps: int,
     tolerance: float | int,
-) -> Found:
+) -> PredictionErrorEnd:
     """Search from the start with the smallest loss by its own best states."""
     search = Levenberg(PredictionErrorProblem(structure, data))
     places = [search.start(start_of(structure, np.asarray(s), data)) for s in starts]
@@ -133,7 +133,7 @@ def least_innovations(
         rounding=ROUNDING * samples,
     )
     count = structure.size
-    return Found(
+    return PredictionErrorEnd(
         end.u[:count],
         end.u[count:].reshape(data.y.shape[0], -1),
         eliminated(np.asarray(end.state.linear.gram), count),

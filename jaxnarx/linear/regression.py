@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxnarx.arrays.least_squares import Fit, leverage, solve
 from jaxnarx.arrays.recursive_least_squares import solve_recursively
+from jaxnarx.guard import guarded
 from jaxnarx.linear.regression_input import require_numbers, require_weights
 from jaxnarx.methods.least_squares import LeastSquares
 from jaxnarx.solution import RESULTS, Solution
@@ -138,6 +139,7 @@ def _figures(
     return residual, leverage(x, weight * fade, fit.root), spread @ spread.T
 
 
+@guarded
 def least_squares(
     columns: Any,
     y: Any,

@@ -19,6 +19,7 @@ from jaxtyping import Complex, Float
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.linear.orders import output_place
 
 WINDOW = "hann"
@@ -64,6 +65,7 @@ class Spectra:
         return float(scipy.stats.beta.ppf(0.95, inputs, self.averages - inputs))
 
 
+@guarded
 def spectra(
     data: Dataset,
     *,

@@ -19,7 +19,7 @@ from jaxnarx.regressors.rows import regression_rows
 
 
 @dataclasses.dataclass(frozen=True)
-class Fit:
+class SubsetFit:
     """Least squares in some of the columns, in physical units.
 
     `inverse` is (X'X)^-1, by the pseudo-inverse where the rank falls short; it leaves
@@ -55,7 +55,7 @@ class Triangle:
         """Sum of squares of the target, about its mean where there is a constant."""
         return float(self.norm[-1] ** 2)
 
-    def solve(self, use: Sequence[int]) -> Fit:
+    def solve(self, use: Sequence[int]) -> SubsetFit:
         """Minimum-norm least squares of the target by the columns `use`."""
         use = list(use)
         a, b = self.r[:, use], self.r[:, -1]
@@ -64,7 +64,7 @@ class Triangle:
         norm = np.where(self.norm > 0, self.norm, 1.0)
         unit = 1.0 / norm[use]
         weak = np.flatnonzero(np.abs(found.weakest) > 0.2)
-        return Fit(
+        return SubsetFit(
             theta * unit * norm[-1],
             float(np.sum((b - a @ theta) ** 2)) * norm[-1] ** 2,
             found.inverse @ found.inverse.T * np.outer(unit, unit),

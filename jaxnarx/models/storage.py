@@ -24,6 +24,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.data.batch import check_precision
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
+from jaxnarx.guard import guarded
 from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import KINDS, Gaussians
 from jaxnarx.regressors import (
@@ -89,6 +90,7 @@ def _tensors(network: Network) -> dict[str, np.ndarray]:
     }
 
 
+@guarded
 def save(
     network: Network,
     path: str | os.PathLike[str],
@@ -148,6 +150,7 @@ def _require_known(network: Network) -> None:
                 )
 
 
+@guarded
 def load(path: str | os.PathLike[str]) -> Network:
     """Read what `save` wrote. Any defect of the file is a `ModelFileError`.
 

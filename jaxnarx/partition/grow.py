@@ -8,6 +8,7 @@ import numpy as np
 from jaxnarx.arrays.least_squares import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import Given, Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.models import (
     AbstractValidity,
@@ -32,6 +33,7 @@ _least_squares = jax.jit(least_squares)
 Method = Given | Global | Grid | Lolimot | Placed | SigmoidTree
 
 
+@guarded
 def grow(
     source: Selection | Pool,
     data: Dataset,

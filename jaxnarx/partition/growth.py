@@ -27,7 +27,7 @@ from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.lolimot import boxes_of_validity, lolimot, validity_of_boxes
 from jaxnarx.partition.placed import moved_output
 from jaxnarx.partition.prune import prune
-from jaxnarx.partition.split import Rows
+from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 from jaxnarx.selection.own import require_room
@@ -133,10 +133,10 @@ def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method)
     }
 
 
-def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> Rows:
+def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> SplitRows:
     smoothness = _number(method.smoothness, p.dtype)
     fitting = _fitting(ground, output, p, method)
-    return Rows(p, ground.z, y, ground.weight(output), smoothness, **fitting)
+    return SplitRows(p, ground.z, y, ground.weight(output), smoothness, **fitting)
 
 
 def _run(

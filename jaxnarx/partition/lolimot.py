@@ -37,7 +37,7 @@ class Growth(eqx.Module):
     going: Bool[Array, ""]
 
 
-class Stage(eqx.Module):
+class LolimotStage(eqx.Module):
     """One stage of the growth as it is kept: the network so far and its figures."""
 
     low: Float[Array, "models dims"]
@@ -132,7 +132,7 @@ def lolimot(
     picks: int | None = None,
     first: int | None = None,
     start: tuple[Float[Array, "given dims"], Float[Array, "given dims"]] | None = None,
-) -> Stage:
+) -> LolimotStage:
     """Grow to `max_models`; returns every stage, stacked, the start first.
 
     `start` holds the lower and upper corners of the boxes to begin with, whose local
@@ -225,13 +225,13 @@ def lolimot(
         s = jax.lax.while_loop(lambda s: s.going & (s.count < target), attempt, s)
         return s, keep(s)
 
-    def keep(s: Growth) -> Stage:
+    def keep(s: Growth) -> LolimotStage:
         phi = _share(s.curves, jnp.sum(s.curves, axis=0)[None])
         used = (slots < s.count)[:, None]
         used = used & (s.theta != 0) if picks else jnp.broadcast_to(used, s.theta.shape)
         pull = jnp.where(s.count > 1, ridge, 0.0)
         n = effective(p, phi, weight, used, pull)
-        return Stage(s.low, s.high, s.theta, s.count, s.sse, n)
+        return LolimotStage(s.low, s.high, s.theta, s.count, s.sse, n)
 
     def padded(first):
         return jnp.zeros((max_models, *first.shape[1:]), p.dtype).at[:given].set(first)

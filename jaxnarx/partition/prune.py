@@ -15,11 +15,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.criteria import information
 from jaxnarx.partition.local_fit import effective
-from jaxnarx.partition.split import Rows
+from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.tree import TreeStage, validity_of_stage
 
 
-def prune(stage: TreeStage, rows: Rows, *, oblique: bool = True) -> TreeStage:
+def prune(stage: TreeStage, rows: SplitRows, *, oblique: bool = True) -> TreeStage:
     """Merge siblings, the best pair first, while the corrected Akaike criterion falls.
 
     `stage` is one stage of `sigmoid_tree` on `rows`, and `oblique` as there. Returns a
@@ -76,7 +76,7 @@ class _Tree:
         return float(information(sse, size, self.samples)["aicc"][0])
 
 
-def _begin(stage: TreeStage, rows: Rows, oblique: bool) -> _Tree:
+def _begin(stage: TreeStage, rows: SplitRows, oblique: bool) -> _Tree:
     """The stage without empty slots."""
     n = int(stage.count)
     shape = validity_of_stage(jax.tree.map(lambda a: a[None], stage), 0, n)
@@ -101,7 +101,7 @@ def _siblings(path: Int[np.ndarray, "models gates"]) -> list[tuple[int, int, int
     return [(g, int(m[0]), int(m[1])) for g, m in enumerate(behind) if len(m) == 2]
 
 
-def _merge(tree: _Tree, rows: Rows, gate: int, first: int, second: int) -> _Tree:
+def _merge(tree: _Tree, rows: SplitRows, gate: int, first: int, second: int) -> _Tree:
     """With one leaf in place of two; the gate is gone."""
     pair = [first, second]
     parts, both = jnp.asarray(tree.phi[pair]), jnp.asarray(tree.theta[pair])
@@ -121,7 +121,7 @@ def _merge(tree: _Tree, rows: Rows, gate: int, first: int, second: int) -> _Tree
 
 @jax.jit
 def _refit(
-    rows: Rows,
+    rows: SplitRows,
     parts: Float[Array, "2 rows"],
     theta: Float[Array, "2 terms"],
     output: Float[Array, " rows"],
@@ -138,7 +138,7 @@ def _refit(
 
 
 def _trace(
-    rows: Rows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]
+    rows: SplitRows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]
 ) -> Float[Array, ""]:
     """Effective parameters of one leaf."""
     used = rows.used(theta)[None]

@@ -45,7 +45,7 @@ STIFFEST = 1e8
 """Damping at which it gives up."""
 
 
-class Rows(eqx.Module):
+class SplitRows(eqx.Module):
     """Regressors, target and weights, and the settings of every split.
 
     `least` is the smallest sum of validities that a child may have; `ridge`, `picks`
@@ -108,7 +108,7 @@ class Point(eqx.Module):
     gradient: Float[Array, " params"]
 
 
-class Search(eqx.Module):
+class DirectionSearch(eqx.Module):
     """Where the search stands; `damping` is Marquardt's."""
 
     best: Point
@@ -118,7 +118,7 @@ class Search(eqx.Module):
 
 
 def make_leaf(
-    rows: Rows,
+    rows: SplitRows,
     phi: Float[Array, " rows"],
     theta: Float[Array, " terms"],
     target: Float[Array, " rows"],
@@ -159,7 +159,7 @@ def extent(direction: Float[Array, " dims"], leaf: Leaf) -> Float[Array, ""]:
     return jnp.sqrt(jnp.maximum(square, FLAT**2))
 
 
-def divide(gate: Float[Array, " params"], leaf: Leaf, rows: Rows) -> Children:
+def divide(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Children:
     """The children that a gate makes of a leaf."""
     phi = _sides(gate, leaf, rows)
 
@@ -172,16 +172,16 @@ def divide(gate: Float[Array, " params"], leaf: Leaf, rows: Rows) -> Children:
     return Children(phi, theta, _sse(gate, phi, error, leaf, rows))
 
 
-def _sides(gate, leaf: Leaf, rows: Rows) -> Float[Array, "2 rows"]:
+def _sides(gate, leaf: Leaf, rows: SplitRows) -> Float[Array, "2 rows"]:
     side = jax.nn.sigmoid(argument(gate, leaf, rows.smoothness))
     return leaf.phi[None] * jnp.stack([side, 1 - side])
 
 
-def _error(leaf: Leaf, rows: Rows, share: Float[Array, "2 rows"]):
+def _error(leaf: Leaf, rows: SplitRows, share: Float[Array, "2 rows"]):
     return jnp.where(rows.weight > 0, leaf.target - share[0] - share[1], 0.0)
 
 
-def _sse(gate, phi, error, leaf: Leaf, rows: Rows) -> Float[Array, ""]:
+def _sse(gate, phi, error, leaf: Leaf, rows: SplitRows) -> Float[Array, ""]:
     """Squared error of the network; infinite where the split is forbidden."""
     sse = jnp.sum(rows.weight * error**2)
     mass = jnp.sum(jnp.where(rows.weight[None] > 0, phi, 0.0), axis=1)
@@ -190,7 +190,7 @@ def _sse(gate, phi, error, leaf: Leaf, rows: Rows) -> Float[Array, ""]:
     return jnp.where(allowed, sse, jnp.inf)
 
 
-def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: Rows) -> Point:
+def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Point:
     """Loss of a gate, and its normal equations by the exact derivative.
 
     Where local models choose their terms, of the choice made.
@@ -227,21 +227,21 @@ def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: Rows) -> Point:
 
 
 def search(
-    gate: Float[Array, " params"], leaf: Leaf, rows: Rows, steps: int
+    gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows, steps: int
 ) -> Float[Array, " params"]:
     """Move a gate downhill for at most `steps` trials; never to a worse one."""
 
-    def step(s: Search) -> Search:
+    def step(s: DirectionSearch) -> DirectionSearch:
         new = linearise(_damped(s.best, s.damping), leaf, rows)
         better = new.sse < s.best.sse
         small = s.best.sse - new.sse < TOLERANCE * s.best.sse
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, s.best)
         damping = jnp.where(better, s.damping / 10, s.damping * 4)
         going = jnp.where(better, ~small, damping < STIFFEST)
-        return Search(best, damping, going, s.steps + 1)
+        return DirectionSearch(best, damping, going, s.steps + 1)
 
     start = linearise(gate, leaf, rows)
-    begin = Search(
+    begin = DirectionSearch(
         start,
         jnp.asarray(1e-2, gate.dtype),
         jnp.isfinite(start.sse),

@@ -19,9 +19,10 @@ from jaxnarx.arrays.recurrence import free_run
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, depth
 from jaxnarx.simulation import (
-    Drive,
+    RunInputs,
     Trajectories,
     first_anchor,
     fitting,
@@ -37,6 +38,7 @@ Region = Mapping[str, tuple[float | int, float | int]]
 """Lower and upper limit of some channels, in their units."""
 
 
+@guarded
 def switch(
     networks: Sequence[Network],
     data: Dataset,
@@ -134,7 +136,7 @@ def _held(
 @program
 def _run(
     networks: tuple[Network, ...],
-    drives: list[Drive],
+    drives: list[RunInputs],
     anchor: Bool[Array, "records time"],
     acting: Int[Array, "records time"],
 ) -> tuple[Float[Array, "records time outputs"], Bool[Array, "records time outputs"]]:

@@ -25,7 +25,7 @@ from jaxnarx.partition.local_fit import effective
 from jaxnarx.partition.split import (
     Children,
     Leaf,
-    Rows,
+    SplitRows,
     divide,
     make_leaf,
     search,
@@ -99,7 +99,7 @@ def sigmoid_tree(
     of the smoothing matrices, and with `oblique` counts the `dims` free parameters of
     every gate. Once no split is allowed the remaining stages repeat the last.
     """
-    rows = Rows(p, z, y, weight, smoothness, ridge, least, picks, first)
+    rows = SplitRows(p, z, y, weight, smoothness, ridge, least, picks, first)
     given = 1 if start is None else len(start.path)
     begin = _begin(rows, max_models, start, oblique)
     if max_models == given:
@@ -119,7 +119,7 @@ def sigmoid_tree(
 
 
 def _begin(
-    rows: Rows, max_models: int, start: SigmoidTree | None, oblique: bool
+    rows: SplitRows, max_models: int, start: SigmoidTree | None, oblique: bool
 ) -> _Growth:
     """One model for everything, or those of the leaves of a tree."""
     (terms, _), dims, dtype = rows.p.shape, rows.z.shape[0], rows.p.dtype
@@ -163,17 +163,17 @@ def _begin(
     )
 
 
-def _trace(rows: Rows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]):
+def _trace(rows: SplitRows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]):
     """Effective parameters of one local model."""
     used = rows.used(theta)[None]
     return effective(rows.p, phi[None], rows.weight, used, rows.ridge)
 
 
-def _sse(rows: Rows, output: Float[Array, " rows"]) -> Float[Array, ""]:
+def _sse(rows: SplitRows, output: Float[Array, " rows"]) -> Float[Array, ""]:
     return jnp.sum(jnp.where(rows.weight > 0, rows.weight * (rows.y - output) ** 2, 0))
 
 
-def _attempt(s: _Growth, rows: Rows, oblique: bool, steps: int) -> _Growth:
+def _attempt(s: _Growth, rows: SplitRows, oblique: bool, steps: int) -> _Growth:
     """Divide the worst leaf that is not locked, or lock it."""
     square = jnp.where(rows.weight > 0, rows.weight * (rows.y - s.output) ** 2, 0.0)
     free = (jnp.arange(s.locked.shape[0]) < s.stage.count) & ~s.locked
@@ -209,7 +209,7 @@ def _starts(
 
 
 def _best_axis(
-    starts: Float[Array, "starts params"], leaf: Leaf, rows: Rows
+    starts: Float[Array, "starts params"], leaf: Leaf, rows: SplitRows
 ) -> Float[Array, " params"]:
     """The first of the starts with the smallest error."""
     sse = jax.lax.map(lambda gate: divide(gate, leaf, rows).sse, starts)
@@ -222,7 +222,7 @@ def _divided(
     gate: Float[Array, " params"],
     leaf: Leaf,
     children: Children,
-    rows: Rows,
+    rows: SplitRows,
     oblique: bool,
 ) -> _Growth:
     """The growth with the leaf's children: one in its place, one appended."""

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.refinement.information import variances
 from jaxnarx.refinement.layout import Layout
@@ -52,6 +53,7 @@ class Bands:
         return self.run.scored
 
 
+@guarded
 def bands(
     network: Network,
     uncertainty: Uncertainty,

@@ -10,7 +10,7 @@ from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation import Drive, has_diverged, limited, run
+from jaxnarx.simulation import RunInputs, has_diverged, limited, run
 
 
 class Judged(eqx.Module):
@@ -38,7 +38,7 @@ class Guard(eqx.Module):
     """
 
     layout: Layout
-    drive: Drive
+    drive: RunInputs
     anchor: Bool[Array | np.ndarray, "records time"]
     counted: Bool[Array | np.ndarray, "records time"]
     weight: Float[Array, "records time outputs"]

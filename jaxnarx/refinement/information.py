@@ -16,7 +16,7 @@ from jaxnarx.arrays.recurrence import linear_recurrence
 from jaxnarx.models import Network, depth, folded
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import joined, stream
-from jaxnarx.simulation import Drive, states
+from jaxnarx.simulation import RunInputs, states
 
 
 class Sums(NamedTuple):
@@ -50,7 +50,7 @@ def _stream(
     network: Network,
     layout: Layout,
     y: Float[Array, "records time states"],
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     start: Int[Array, " records"],
     *rest: Any,
@@ -82,7 +82,7 @@ def coloured(shape: Float[Array, " order"], j, past):
 def sums(
     network: Network,
     layout: Layout,
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     start: Int[Array, " records"],
     weight: Float[Array, "records time outputs"],
@@ -129,7 +129,7 @@ def sums(
 def variances(
     network: Network,
     layout: Layout,
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     start: Int[Array, " records"],
     root: Float[Array, "columns rank"],

@@ -15,11 +15,13 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.programs import program, twin
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.refinement.initial import Initial
 from jaxnarx.regressors.centring import Centring
 
 
+@guarded
 def freeze(
     network: Network, *, coefficients: bool = True, partition: bool = True
 ) -> Network:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 
-class Noise(NamedTuple):
+class OutputNoise(NamedTuple):
     """Stationary noise of every output, in scaled signals.
 
     An autoregression, e(t) = sum_k shape[o, k] e(t - 1 - k) + white noise of variance
@@ -22,7 +22,7 @@ class Noise(NamedTuple):
     samples: Int[np.ndarray, " outputs"]
     freedom: Float[np.ndarray, " outputs"]
 
-    def less(self, parameters: Float[np.ndarray, " outputs"]) -> "Noise":
+    def less(self, parameters: Float[np.ndarray, " outputs"]) -> "OutputNoise":
         """With so many parameters of each output estimated from the same samples.
 
         Variances become sums of squares over max(n - p, 1).
@@ -92,7 +92,7 @@ def estimate_noise(
     *,
     coloured: bool,
     depth: int,
-) -> Noise:
+) -> OutputNoise:
     """Noise of every output from its residuals, mean squares over all samples.
 
     With `coloured` an autoregression of each output's residuals is fitted, see
@@ -109,4 +109,4 @@ def estimate_noise(
     shape = np.stack([np.pad(a, (0, order - len(a))) for a, _ in fits])
     innovation = np.array([v for _, v in fits])
     freedom = np.maximum(count, 1).astype(innovation.dtype)
-    return Noise(shape, innovation, np.stack(covariance), count, freedom)
+    return OutputNoise(shape, innovation, np.stack(covariance), count, freedom)

@@ -13,14 +13,14 @@ from jaxnarx.models import folded
 from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import stream
-from jaxnarx.simulation import Drive, run, states
+from jaxnarx.simulation import RunInputs, run, states
 
 
 @program
 def loss(
     layout: Layout,
     u: Float[Array, " params"],
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     weight: Float[Array, "records time outputs"],
     criterion: Criterion | None = None,
@@ -36,7 +36,7 @@ def _rule(criterion: Criterion | None, y) -> Criterion:
     return squares(y.shape[-1], y.dtype) if criterion is None else criterion
 
 
-def _started(layout: Layout, u, drive: Drive) -> Drive:
+def _started(layout: Layout, u, drive: RunInputs) -> RunInputs:
     measured = layout.begin(u, drive.measured)
     return eqx.tree_at(lambda d: d.measured, drive, measured)
 
@@ -53,7 +53,7 @@ def _initial_loss(layout: Layout, u) -> Float[Array, ""]:
 def normal_equations(
     layout: Layout,
     u: Float[Array, " params"],
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     weight: Float[Array, "records time outputs"],
     criterion: Criterion | None = None,

@@ -20,7 +20,7 @@ from jaxnarx.refinement.stability import (
     penalty_residuals,
 )
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation import Drive
+from jaxnarx.simulation import RunInputs
 
 Arrays = Array | np.ndarray
 
@@ -70,7 +70,7 @@ class Problem(AbstractProblem):
     """
 
     layout: Layout
-    drive: Drive
+    drive: RunInputs
     anchor: Bool[Array, "records time"]
     weight: Float[Array, "records time outputs"]
     criterion: Criterion

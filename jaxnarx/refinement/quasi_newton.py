@@ -26,7 +26,7 @@ MEMORY = 15
 """Past steps that L-BFGS remembers."""
 
 
-class Scaled(eqx.Module):
+class ScaledLoss(eqx.Module):
     """The penalised loss in scaled coordinates w: u = origin + w * unit."""
 
     problem: Problem
@@ -45,9 +45,9 @@ class Scaled(eqx.Module):
         return jnp.sum(self.pull * (u - self.origin) ** 2)
 
 
-def scaled(problem: Problem, s: State) -> Scaled:
+def scaled(problem: Problem, s: State) -> ScaledLoss:
     """Coordinates of a stage that starts there."""
-    return Scaled(problem, jnp.asarray(s.u), *_units(s))
+    return ScaledLoss(problem, jnp.asarray(s.u), *_units(s))
 
 
 @jax.jit
@@ -62,14 +62,14 @@ def _units(s: State):
     return jnp.where(alive, jnp.sqrt(height / full), 0.0), s.pull, height
 
 
-def objective(w: Float[Array, " params"], s: Scaled):
+def objective(w: Float[Array, " params"], s: ScaledLoss):
     """Penalised loss over its value at the start, and nothing beside it."""
     u = s.place(w)
     return (s.problem.loss(u) + s.ridge(u)) / s.height, None
 
 
 @eqx.filter_jit
-def trial(solver: optx.AbstractMinimiser, w, s: Scaled, inner):
+def trial(solver: optx.AbstractMinimiser, w, s: ScaledLoss, inner):
     """One trial of the solver: where it stands, its state, and that in `u`."""
     with jax.numpy_dtype_promotion("standard"):
         w, inner, _ = solver.step(objective, w, s, {}, inner, frozenset())
@@ -77,12 +77,12 @@ def trial(solver: optx.AbstractMinimiser, w, s: Scaled, inner):
 
 
 @eqx.filter_jit
-def _reached(s: Scaled, judge, u):
+def _reached(s: ScaledLoss, judge, u):
     value = s.problem.loss(u)
     return value, value + s.ridge(u), judge(u)
 
 
-def reached(s: Scaled, judge, u: Array, before: Standing, state) -> Standing:
+def reached(s: ScaledLoss, judge, u: Array, before: Standing, state) -> Standing:
     """Where a step has led that is taken, whatever it has gained."""
     value, total, judged = jax.device_get(_reached(s, judge, u))
     status = "ok" if np.isfinite(value) else "diverged"

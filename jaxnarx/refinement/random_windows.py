@@ -19,8 +19,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.minimise import Levenberg, Standing
 from jaxnarx.models import depth
-from jaxnarx.refinement.quasi_newton import Scaled, reached, scaled
-from jaxnarx.simulation import Drive, run
+from jaxnarx.refinement.quasi_newton import ScaledLoss, reached, scaled
+from jaxnarx.simulation import RunInputs, run
 
 UPDATES = 25
 """Updates in one step of the stage, between two looks at the whole loss."""
@@ -28,7 +28,7 @@ CLIP = 1.0
 """Largest norm of a gradient, in scaled parameters."""
 
 
-def _cut(drive: Drive, weight, record, start, size: int):
+def _cut(drive: RunInputs, weight, record, start, size: int):
     """One window of the drive and of the weights."""
 
     def slice_of(a, axis):
@@ -40,7 +40,7 @@ def _cut(drive: Drive, weight, record, start, size: int):
 
 def batch_loss(
     w: Float[Array, " params"],
-    s: Scaled,
+    s: ScaledLoss,
     at: Int[Array, "windows 2"],
     share: Float[Array, ""],
     length: int,
@@ -52,7 +52,7 @@ def batch_loss(
     size = before + length
     cut = partial(_cut, problem.drive, problem.weight, size=size)
     v, x, measured, weight = jax.vmap(cut)(at[:, 0], at[:, 1] - before)
-    window = Drive(v, x, measured)
+    window = RunInputs(v, x, measured)
     anchor = jnp.broadcast_to(jnp.arange(size) == before, (at.shape[0], size))
     y = run(network, window, anchor)
     weight = jnp.where(jnp.arange(size)[None, :, None] < before, 0.0, weight)
@@ -63,7 +63,7 @@ def batch_loss(
 
 
 @eqx.filter_jit
-def updates(w, moments, s: Scaled, windows, share, key, rate, *, length, batch):
+def updates(w, moments, s: ScaledLoss, windows, share, key, rate, *, length, batch):
     """Several updates by Adam on fresh batches."""
     adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxnarx.arrays.minimise import Progress
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement.folds import best_position, curve
@@ -26,6 +27,7 @@ from jaxnarx.solution import RESULTS, Solution
 __all__ = ["make_task", "refine", "refine_task"]
 
 
+@guarded
 def refine(
     network: Network,
     data: Dataset,

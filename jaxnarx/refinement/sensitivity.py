@@ -33,7 +33,7 @@ from jaxnarx.models import (
 )
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.regressors import evaluate
-from jaxnarx.simulation import Drive, recursion
+from jaxnarx.simulation import RunInputs, recursion
 
 SAMPLES = 4096
 """Samples per block over all records: the block's Jacobian then stays near the
@@ -175,7 +175,7 @@ def stream(
     network: Network,
     layout: Layout,
     y: Float[Array, "records time states"],
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     direct: Direct,
     columns: int,

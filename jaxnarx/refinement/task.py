@@ -13,8 +13,8 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
 from jaxnarx.simulation import (
-    Drive,
     Masks,
+    RunInputs,
     first_anchor,
     make_drive,
     make_masks,
@@ -29,7 +29,7 @@ CONSTANT = 1e-12
 class Task:
     """A dataset prepared for runs of one network: the loss is mean squared NRMSE."""
 
-    drive: Drive
+    drive: RunInputs
     masks: Masks
     weight: Float[Array, "records time outputs"]
     criterion: Criterion

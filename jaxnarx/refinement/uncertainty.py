@@ -24,11 +24,12 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, depth
 from jaxnarx.refinement.information import Sums, sums
 from jaxnarx.refinement.labels import Labels, label
 from jaxnarx.refinement.layout import Layout, make_layout
-from jaxnarx.refinement.noise import Noise, estimate_noise
+from jaxnarx.refinement.noise import OutputNoise, estimate_noise
 from jaxnarx.refinement.refine import Task, make_task
 from jaxnarx.simulation import fitting, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
@@ -98,6 +99,7 @@ class Uncertainty:
         return "\n".join(lines)
 
 
+@guarded
 def uncertainty(
     network: Network,
     data: Dataset,
@@ -188,7 +190,7 @@ def _one_of(value: str, known: tuple[str, ...], field: str) -> None:
         raise SpecError(f"{field} must be {names}, got {value!r}", field=field)
 
 
-def _sums(network: Network, layout: Layout, task: Task, noise: Noise) -> Sums:
+def _sums(network: Network, layout: Layout, task: Task, noise: OutputNoise) -> Sums:
     """`sums` of one run over the whole records."""
     dtype = np.asarray(task.weight).dtype
     return sums(
@@ -228,13 +230,13 @@ def pseudo_inverse(
     return half @ half.T, np.where(size > 0, lost, 1.0), condition
 
 
-def start_covariance(noise: Noise) -> Float[np.ndarray, "starts starts"]:
+def start_covariance(noise: OutputNoise) -> Float[np.ndarray, "starts starts"]:
     """Covariance of the measured samples a run starts from, output by output."""
     blocks = [scipy.linalg.toeplitz(c) for c in noise.covariance]
     return np.asarray(scipy.linalg.block_diag(*blocks))
 
 
-def _meat(total: Sums, noise: Noise, begin: np.ndarray) -> np.ndarray:
+def _meat(total: Sums, noise: OutputNoise, begin: np.ndarray) -> np.ndarray:
     """M: noise during the run, the rest of its filter, and noise of the start."""
     _, during, states, by_start = (np.asarray(part, float) for part in total)
     meat = np.einsum("rph,hi,rqi->pq", by_start, begin, by_start)
@@ -261,7 +263,7 @@ def rest_of_filter(
     return np.asarray(scipy.linalg.solve_discrete_lyapunov(companion.T, once))
 
 
-def _value(network, layout, labels: Labels, noise: Noise, begin, spread, lost):
+def _value(network, layout, labels: Labels, noise: OutputNoise, begin, spread, lost):
     real = labels.real
     slope = labels.slope[real]
     gain = np.asarray(network.gain)[list(network.signals)]

@@ -23,6 +23,7 @@ from typing import Any, ClassVar
 
 from jaxnarx.checks import positive, whole
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 
 LARGEST_ORDER = 30
 """Functions a cascade may have; the state grows with them."""
@@ -216,16 +217,19 @@ def _pole(value: object) -> complex:
     return pole
 
 
+@guarded
 def low_pass_bank(time_constants: Iterable[float | int]) -> tuple[LowPass, ...]:
     """A first-order lag for each time constant [s]."""
     return tuple(LowPass(t) for t in time_constants)
 
 
+@guarded
 def laguerre_bank(time_constant: float | int, orders: int) -> tuple[Laguerre, ...]:
     """Laguerre functions 1 to `orders` with one time constant [s]."""
     return tuple(Laguerre(time_constant, k + 1) for k in range(orders))
 
 
+@guarded
 def kautz_bank(
     frequency: float | int, damping: float | int, orders: int
 ) -> tuple[Kautz, ...]:
@@ -233,6 +237,7 @@ def kautz_bank(
     return tuple(Kautz(frequency, damping, k + 1) for k in range(orders))
 
 
+@guarded
 def orthonormal_bank(
     poles: Sequence[float | int | complex], orders: int | None = None
 ) -> tuple[Orthonormal, ...]:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.regressors.filters import AbstractFilter, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
@@ -134,6 +135,7 @@ def _filtered(
     ]
 
 
+@guarded
 def polynomial_pool(
     channels: Channels,
     *,

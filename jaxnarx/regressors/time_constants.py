@@ -10,6 +10,7 @@ from jaxnarx.checks import choice, known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.lags import bank_times, step_times
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool
 from jaxnarx.regressors.rows import regression_rows
@@ -21,6 +22,7 @@ SWEEPS = 2
 """How often every chosen one may be exchanged for a better one."""
 
 
+@guarded
 def time_constants(
     data: Dataset,
     output: str,

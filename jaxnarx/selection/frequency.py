@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
 from jaxnarx.regressors import Pool
 from jaxnarx.selection.many import select_weighted
@@ -31,6 +32,7 @@ class SelectionFrequency:
         }
 
 
+@guarded
 def selection_frequency(
     pool: Pool,
     data: Dataset,

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
 from jaxnarx.regressors import Pool
 from jaxnarx.regressors.rows import Rows, flat_weights, regression_rows
@@ -24,6 +25,7 @@ MEMORY = 2.5e8
 """Bytes that the directions of all lanes of one call may take."""
 
 
+@guarded
 def select_weighted(
     pool: Pool,
     data: Dataset,
@@ -85,6 +87,7 @@ def _enough(solution: Solution[Selection], size: int) -> Solution[Selection]:
     return Solution(empty, RESULTS.too_short, solution.stats, detail)
 
 
+@guarded
 def select_each(
     pool: Pool, datasets: Sequence[Dataset], method: Method
 ) -> list[Solution[Selection]]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.selection.basis import Basis, Lane
 
 
-class History(eqx.Module):
+class PartialFHistory(eqx.Module):
     """Partial F of every term in the model after each round, thesis Table 5.2.
 
     Row r lists the terms in order of entry; `f` is NaN-free: unused slots hold 0.
@@ -25,10 +25,10 @@ class History(eqx.Module):
     rounds: Int[Array, "*lanes"]
 
     @staticmethod
-    def empty(rounds: int, slots: int, dtype) -> "History":
+    def empty(rounds: int, slots: int, dtype) -> "PartialFHistory":
         """Room for `rounds` rows."""
         shape = (rounds, slots)
-        return History(
+        return PartialFHistory(
             jnp.zeros(shape, int),
             jnp.zeros(shape, bool),
             jnp.zeros(shape, dtype),
@@ -37,10 +37,10 @@ class History(eqx.Module):
 
     def written(
         self, basis: Basis, f: Float[Array, " slots"], wanted: Bool[Array, ""]
-    ) -> "History":
+    ) -> "PartialFHistory":
         """With one more row where `wanted`."""
         row = jnp.where(wanted, self.rounds, self.term.shape[0])
-        return History(
+        return PartialFHistory(
             self.term.at[row].set(basis.index, mode="drop"),
             self.used.at[row].set(basis.used, mode="drop"),
             self.f.at[row].set(jnp.where(basis.used, f, 0.0), mode="drop"),
@@ -68,13 +68,13 @@ class Path(eqx.Module):
     nested: Float[Array, "*lanes slots slots"]
     errors: Float[Array, "*lanes slots slots"]
     cond: Float[Array, "*lanes"]
-    history: History
+    history: PartialFHistory
 
 
 def path_of(
     basis: Basis,
     lane: Lane,
-    history: History,
+    history: PartialFHistory,
     back: Float[Array, "slots slots"] | None = None,
 ) -> Path:
     """Orthogonalise the chosen columns in order of entry, and take what follows.

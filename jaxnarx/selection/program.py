@@ -20,7 +20,7 @@ ROUNDS = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Plan:
+class SearchPlan:
     """A program, its static settings, and the terms every lane starts from."""
 
     program: Program
@@ -118,7 +118,7 @@ def plan(
     samples: int,
     dtype: np.dtype,
     parents: Int[np.ndarray, "terms parts"] | None = None,
-) -> Plan:
+) -> SearchPlan:
     """What `search` needs for `method`; `chosen` are the terms every lane starts from.
 
     `usable` is False for terms that may not be chosen at all. With `parents` every term
@@ -161,7 +161,7 @@ def plan(
     program = Program(**jax.device_put(arrays))
     # As wide as there is room: a program serves any number of first terms.
     table = np.array([s + [0] * (slots - len(s)) for s in starts], np.int64)
-    return Plan(
+    return SearchPlan(
         program,
         table.reshape(len(starts), slots),
         np.array([len(s) for s in starts]),

@@ -43,7 +43,7 @@ from jaxnarx.selection.basis import (
     squared_error,
     swaps,
 )
-from jaxnarx.selection.path import History
+from jaxnarx.selection.path import PartialFHistory
 
 ENTERING, EXCHANGING, DONE = range(3)
 WORTH = 1e-9
@@ -78,7 +78,7 @@ class Program(eqx.Module):
     parents: Int[Array, "terms parts"] | None = None
 
 
-class State(eqx.Module):
+class LaneState(eqx.Module):
     """Where one lane stands. `alive` terms may still enter.
 
     `awaited` is the product for which a part was just taken in, past the pool for none.
@@ -93,7 +93,7 @@ class State(eqx.Module):
     started: Int[Array, "*lanes"]
     rounds: Int[Array, "*lanes"]
     changed: Bool[Array, "*lanes"]
-    history: History
+    history: PartialFHistory
 
 
 def make_lanes(
@@ -137,7 +137,7 @@ def search(
     max_terms: int,
     removes: bool,
     exchanges: bool,
-) -> tuple[Basis, History, Bool[Array, "lanes terms"]]:
+) -> tuple[Basis, PartialFHistory, Bool[Array, "lanes terms"]]:
     """Run the search on every lane at once; they share each pass over the pool.
 
     `removes` and `exchanges` are static: a plain forward search does not carry their
@@ -151,7 +151,7 @@ def search(
 
     rounds = 4 * max_terms + 16 if removes else 0
 
-    def body(s: State) -> State:
+    def body(s: LaneState) -> LaneState:
         swapped = jnp.zeros(s.phase.shape, bool)
         incoming = jnp.zeros(s.phase.shape, int)
         if removes:
@@ -171,7 +171,7 @@ def search(
     return end.basis, end.history, collinear
 
 
-def _collinear(program: Program, lane: Lane, s: State) -> Bool[Array, " terms"]:
+def _collinear(program: Program, lane: Lane, s: LaneState) -> Bool[Array, " terms"]:
     """Candidates of which too little is left beside the chosen terms."""
     _, d = remaining(s.basis, lane)
     candidates = jnp.any(program.stages, axis=0) & (lane.norm > 0)
@@ -184,7 +184,7 @@ def _enough_left(program: Program, lane: Lane, d: Float[Array, " terms"]):
 
 
 def _admitted(
-    program: Program, s: State, *, joining: bool = False
+    program: Program, s: LaneState, *, joining: bool = False
 ) -> Bool[Array, " terms"] | bool:
     """Terms of which every part is in the model, or may join it before them."""
     if program.parents is None:
@@ -194,7 +194,7 @@ def _admitted(
     return jnp.all(jnp.append(there, True)[program.parents], axis=1)
 
 
-def _first_part(program: Program, s: State, term: Int[Array, ""]):
+def _first_part(program: Program, s: LaneState, term: Int[Array, ""]):
     """The smallest part that a product still lacks, or the product itself."""
     if program.parents is None:
         return term
@@ -203,13 +203,13 @@ def _first_part(program: Program, s: State, term: Int[Array, ""]):
     return parts[jnp.argmax(~there[parts] | (parts == term))]
 
 
-def _awaited(s: State, usable: Bool[Array, " terms"], best: Int[Array, ""]):
+def _awaited(s: LaneState, usable: Bool[Array, " terms"], best: Int[Array, ""]):
     """The product for which a part made way, or else the best candidate."""
     term = jnp.minimum(s.awaited, usable.shape[0] - 1).astype(best.dtype)
     return jnp.where((s.awaited < usable.shape[0]) & usable[term], term, best)
 
 
-def _held(program: Program, s: State) -> Bool[Array, " slots"]:
+def _held(program: Program, s: LaneState) -> Bool[Array, " slots"]:
     """Terms that stay: kept ones, and parts of chosen or awaited terms."""
     index = s.basis.index
     keep = program.keep[index]
@@ -222,9 +222,9 @@ def _held(program: Program, s: State) -> Bool[Array, " slots"]:
     return keep | jnp.any(part & s.basis.used[:, None], axis=0)
 
 
-def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:
+def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> LaneState:
     zero = jnp.asarray(0)
-    return State(
+    return LaneState(
         basis=empty(max_terms, lane),
         alive=lane.norm > 0,
         phase=jnp.where(lane.power > 0, ENTERING, DONE),
@@ -234,11 +234,11 @@ def _start(program: Program, max_terms: int, rounds: int, lane: Lane) -> State:
         started=zero,
         rounds=program.rounds,
         changed=jnp.asarray(False),
-        history=History.empty(rounds, max_terms, lane.target.dtype),
+        history=PartialFHistory.empty(rounds, max_terms, lane.target.dtype),
     )
 
 
-def _candidate(program: Program, lane: Lane, s: State):
+def _candidate(program: Program, lane: Lane, s: LaneState):
     """Best term of this stage, whether there is one, and whether it was asked for.
 
     Also the term for which it makes way, itself if none, and what that one would save.
@@ -265,7 +265,14 @@ def _candidate(program: Program, lane: Lane, s: State):
 
 
 def _take(
-    program: Program, factor, v, removes: bool, lane: Lane, s: State, incoming, swapped
+    program: Program,
+    factor,
+    v,
+    removes: bool,
+    lane: Lane,
+    s: LaneState,
+    incoming,
+    swapped,
 ):
     """Take in the best candidate, or `incoming`; say what phase follows."""
     entering = s.phase == ENTERING
@@ -304,7 +311,7 @@ def _take(
     )
 
 
-def _entry_f(lane: Lane, s: State, saved: Float[Array, ""]) -> Float[Array, ""]:
+def _entry_f(lane: Lane, s: LaneState, saved: Float[Array, ""]) -> Float[Array, ""]:
     """F of a term that lowers the squared error by `saved`, thesis (5.13)."""
     left = jnp.maximum(squared_error(s.basis, lane) - saved, 0.0)
     floor = jnp.finfo(left.dtype).eps ** 2 * lane.power
@@ -312,7 +319,7 @@ def _entry_f(lane: Lane, s: State, saved: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.where(spare > 0, saved * spare / jnp.maximum(left, floor), 0.0)
 
 
-def _next_stage(program, lane, s: State, entering, asked, refused, full, removes):
+def _next_stage(program, lane, s: LaneState, entering, asked, refused, full, removes):
     if not removes:
         # Known at once, which spares the last term's pass over the pool.
         full = s.basis.count >= s.basis.index.shape[0]
@@ -330,7 +337,7 @@ def _next_stage(program, lane, s: State, entering, asked, refused, full, removes
     )
 
 
-def _exchange(program: Program, lanes: Lane, s: State, exchanges: bool):
+def _exchange(program: Program, lanes: Lane, s: LaneState, exchanges: bool):
     """Drop the term whose exchange saves most; without one, end or enter anew."""
     active = s.phase == EXCHANGING
     zero = jnp.zeros(active.shape, int)
@@ -356,7 +363,7 @@ def _exchange(program: Program, lanes: Lane, s: State, exchanges: bool):
     return s, incoming, worth
 
 
-def _best_exchange(program: Program, lane: Lane, s: State, active):
+def _best_exchange(program: Program, lane: Lane, s: LaneState, active):
     basis = s.basis
     usable = jnp.any(program.stages, axis=0) & (lane.norm > 0) & _admitted(program, s)
     usable &= ~inside(basis, lane.norm.shape[0])
@@ -372,10 +379,12 @@ def _best_exchange(program: Program, lane: Lane, s: State, active):
     )
 
 
-def _tidy(program: Program, lanes: Lane, s: State, entered, rounds: int) -> State:
+def _tidy(
+    program: Program, lanes: Lane, s: LaneState, entered, rounds: int
+) -> LaneState:
     """Remove what has too small a partial F, smallest first; write the history."""
 
-    def weakest(s: State):
+    def weakest(s: LaneState):
         f = jax.vmap(partial_f)(s.basis, lanes)
         free = jnp.where(jax.vmap(partial(_held, program))(s), jnp.inf, f)
         slot = jnp.argmin(free, axis=1)
@@ -395,6 +404,8 @@ def _tidy(program: Program, lanes: Lane, s: State, entered, rounds: int) -> Stat
 
     carry = (s, *weakest(s), jnp.zeros_like(entered))
     s, f, _, _, removed = jax.lax.while_loop(lambda c: jnp.any(c[3]), remove, carry)
-    history = jax.vmap(History.written)(s.history, s.basis, f, entered | removed)
+    history = jax.vmap(PartialFHistory.written)(
+        s.history, s.basis, f, entered | removed
+    )
     phase = jnp.where(history.rounds >= rounds, DONE, s.phase)
     return dataclasses.replace(s, history=history, phase=phase)

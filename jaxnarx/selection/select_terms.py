@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import (
     Anova,
     Backward,
@@ -28,10 +29,10 @@ from jaxnarx.selection.basis import Basis, Lane
 from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
 from jaxnarx.selection.figures import figures_of, histories_of
 from jaxnarx.selection.own import own_choice
-from jaxnarx.selection.path import History, Path, path_of, resized
+from jaxnarx.selection.path import PartialFHistory, Path, path_of, resized
 from jaxnarx.selection.program import (
     Method,
-    Plan,
+    SearchPlan,
     adds_constant,
     allowed_terms,
     constant_term,
@@ -53,6 +54,7 @@ _search = jax.jit(search, static_argnames=("max_terms", "removes", "exchanges"))
 _path = jax.jit(jax.vmap(path_of))
 
 
+@guarded
 def select(
     source: Pool | Selection,
     data: Dataset,
@@ -214,7 +216,7 @@ class Choice(NamedTuple):
     """What a search found: its path and plan, and the candidates it dropped."""
 
     path: Path
-    made: Plan
+    made: SearchPlan
     collinear: Bool[np.ndarray, "lanes terms"]
     centre: Centring | None
 
@@ -251,8 +253,8 @@ def _run(
     y: Float[Array, "lanes rows"],
     weight: Float[Array, "lanes rows"],
     factor: Int[np.ndarray, "terms degree"],
-    made: Plan,
-) -> tuple[Basis, Lane, History, Bool[Array, "lanes terms"]]:
+    made: SearchPlan,
+) -> tuple[Basis, Lane, PartialFHistory, Bool[Array, "lanes terms"]]:
     """Run a plan on every lane."""
     place = positions(factor, v.shape[0])
     lanes = _lanes(v, y, weight, factor, place, made.start, made.starts)
@@ -324,7 +326,7 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
     }
     arrays |= {name: np.asarray(x, columns.dtype) for name, x in numbers.items()}
     nothing = Program(**jax.device_put(arrays))
-    made = Plan(
+    made = SearchPlan(
         nothing,
         start=np.arange(room)[None],
         starts=np.array([size]),

@@ -42,7 +42,7 @@ from jaxnarx.refinement.refine import make_task, refine_task
 from jaxnarx.refinement.sensitivity import linearised, seen_history
 from jaxnarx.regressors import Pool
 from jaxnarx.regressors.centring import Centring
-from jaxnarx.simulation import Drive, run
+from jaxnarx.simulation import RunInputs, run
 from jaxnarx.solution import RESULTS
 
 HORIZONS = (10, 30, 100, 300)
@@ -52,7 +52,7 @@ HORIZONS = (10, 30, 100, 300)
 @eqx.filter_jit
 def pool_derivatives(
     network: Network,
-    drive: Drive,
+    drive: RunInputs,
     anchor: Bool[Array, "records time"],
     weight: Float[Array, "records time outputs"],
     factor: Int[Array, "terms degree"] | Int[np.ndarray, "terms degree"],

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation.metrics import nrmse
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, assemble, global_model
 from jaxnarx.regressors import evaluate
 from jaxnarx.regressors.rows import regression_rows
@@ -64,6 +65,7 @@ def largest_variance(
     return float(np.sum((y - columns @ theta) ** 2) / (samples - rank))
 
 
+@guarded
 def choose(
     selection: Selection,
     criterion: str = "bic",

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.special
 
+from jaxnarx.guard import guarded
 from jaxnarx.selection.selection import Selection
 
 Numbers = Sequence[float | None] | np.ndarray
@@ -19,6 +20,7 @@ STYLES = (
 """Factor, form and width of ERR, coefficient, standard error, t and p."""
 
 
+@guarded
 def coefficient_table(selection: Selection, output: int = 0) -> str:
     """Terms in order of choice with ERR, coefficient, standard error, t and p.
 

@@ -24,7 +24,7 @@ def refinement_progress() -> Iterator[Progress]:
         with _bar() as callback:
             yield callback
     else:
-        lines = _Lines()
+        lines = _StageLines()
         yield lines
         lines.tell()
 
@@ -61,7 +61,7 @@ def _bar() -> Iterator[Progress]:
         yield callback
 
 
-class _Lines:
+class _StageLines:
     """Quiet form: the last step of every stage, once the stage is over."""
 
     def __init__(self):

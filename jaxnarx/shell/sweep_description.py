@@ -80,7 +80,7 @@ class Measured:
 
 
 @dataclasses.dataclass(frozen=True)
-class Description:
+class SweepDescription:
     """A parsed description of a sweep; `folder` is that of its file."""
 
     data: Relatives | Measured
@@ -89,7 +89,7 @@ class Description:
     folder: Path
 
 
-def load_sweep(path: Path) -> Description:
+def load_sweep(path: Path) -> SweepDescription:
     """Parse a description. What is wrong in it is a DataFileError naming file and key.
 
     Points at random are drawn here, so the same file gives the same sweep.
@@ -111,7 +111,7 @@ def load_sweep(path: Path) -> Description:
             cases = tuple(_cases(table))
             for case in cases:
                 changed(method, case)  # what does not fit is said now
-            return Description(data, method, cases, path.parent)
+            return SweepDescription(data, method, cases, path.parent)
         except SpecError as error:
             raise DataFileError(f"{path}: {error}", path=path) from error
 

@@ -11,13 +11,13 @@ from jaxnarx.engines import BEDS, AbstractEngine
 from jaxnarx.errors import DataError, DataFileError, SpecError, suggest
 from jaxnarx.shell.output import slug
 from jaxnarx.shell.progress import count, say
-from jaxnarx.shell.sweep_description import Description, Measured, Relatives
+from jaxnarx.shell.sweep_description import Measured, Relatives, SweepDescription
 from jaxnarx.sweep import Fleet
 
 RECORDS = ("train", "validate", "test")
 
 
-def make_fleet(description: Description) -> Fleet:
+def make_fleet(description: SweepDescription) -> Fleet:
     """The fleet of a description: every engine with records for the same parts."""
     if isinstance(description.data, Relatives):
         return _simulated(description.data)

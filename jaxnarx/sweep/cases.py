@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.methods import Identification
 from jaxnarx.methods.settings import hint_at, plain, value_at
 
@@ -18,6 +19,7 @@ SCALES = ("log", "uniform", "integer")
 Case = Mapping[str, Any]
 
 
+@guarded
 def grid_cases(values: Mapping[str, Any]) -> list[Case]:
     """Cases of all combinations of values by path; the last path varies fastest.
 
@@ -31,6 +33,7 @@ def grid_cases(values: Mapping[str, Any]) -> list[Case]:
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*rows)]
 
 
+@guarded
 def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]:
     """`count` cases with settings drawn at random, the same for the same `seed`.
 

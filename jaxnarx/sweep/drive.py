@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.sweep.analysis.table import SweepTable
 from jaxnarx.sweep.folder.claims import clear_dead
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 
+@guarded
 def run_sweep(
     work: Work,
     folder: str | Path,
@@ -87,6 +89,7 @@ def run_sweep(
     return _solution(run, redone, notes)
 
 
+@guarded
 def read_sweep(folder: str | Path) -> SweepTable:
     """The rows of a sweep's folder: all, or those that are finished so far.
 
@@ -98,6 +101,7 @@ def read_sweep(folder: str | Path) -> SweepTable:
     return SweepTable(run.table(), run.path)
 
 
+@guarded
 def so_far(run: RunFolder) -> str:
     """How much of a sweep is finished, and how to go on, as a sentence."""
     done = run.finished()

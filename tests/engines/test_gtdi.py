@@ -15,7 +15,7 @@ from common import reference
 
 from jaxnarx.engines.gtdi.bed import START, Gtdi
 from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, scheduled
-from jaxnarx.engines.gtdi.state import Drive, gtdi_margins
+from jaxnarx.engines.gtdi.state import GtdiDrive, gtdi_margins
 
 # Compilation of the turbocharged engine takes minutes.
 pytestmark = pytest.mark.slow
@@ -54,11 +54,11 @@ def steady(engine, settle):
         jnp.asarray([float(entry) for entry in entries[name]])
         for name in list(STEADY)[:4]
     )
-    drive = filled(Drive(throttle, speed, fuel=fuel, spark=spark))
+    drive = filled(GtdiDrive(throttle, speed, fuel=fuel, spark=spark))
     return entries, drive, *settle(engine, drive)
 
 
-def filled(drive: Drive) -> Drive:
+def filled(drive: GtdiDrive) -> GtdiDrive:
     """The drive with every entry an array like its throttle."""
     return jax.tree.map(
         lambda value: jnp.broadcast_to(
@@ -128,15 +128,15 @@ def test_torque_is_greatest_at_the_best_spark(engine, steady):
 class Response(NamedTuple):
     """A step response: levels of quantities, times of fractions, what comes at once."""
 
-    before: Drive
-    after: Drive
+    before: GtdiDrive
+    after: GtdiDrive
     levels: dict[str, tuple[float, float]]
     times: dict[str, dict[float, float]]
     first: dict[str, float]
     peak: dict[str, float]
 
 
-HELD = Drive(14.0, 2000.0, fuel=16.5, spark=26.0)
+HELD = GtdiDrive(14.0, 2000.0, fuel=16.5, spark=26.0)
 RESPONSES = {
     "fuel": Response(
         HELD,
@@ -167,8 +167,8 @@ RESPONSES = {
         peak={"torque": 64.7},
     ),
     "tip-in at 2000": Response(
-        Drive(12.6, 2000.0),
-        Drive(55.6, 2000.0),
+        GtdiDrive(12.6, 2000.0),
+        GtdiDrive(55.6, 2000.0),
         levels={
             "pressure": (49.2, 184.4),
             "boost": (103.8, 190.9),
@@ -179,8 +179,8 @@ RESPONSES = {
         peak={},
     ),
     "tip-in at 3000": Response(
-        Drive(12.6, 3000.0),
-        Drive(55.6, 3000.0),
+        GtdiDrive(12.6, 3000.0),
+        GtdiDrive(55.6, 3000.0),
         levels={"pressure": (33.9, 190.2), "torque": (18.6, 316.1)},
         times={"pressure": {0.63: 0.50, 0.9: 0.76}},
         first={},

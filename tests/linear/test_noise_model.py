@@ -40,7 +40,7 @@ def plant() -> jnx.Network:
 
 @cache
 def fitted() -> jnx.Solution:
-    return jnx.fit_noise(plant(), system(1)[0], nc=1, nd=1)
+    return jnx.linear.fit_noise(plant(), system(1)[0], nc=1, nd=1)
 
 
 def test_the_noise_is_recovered_within_its_standard_errors():
@@ -74,7 +74,7 @@ def test_one_step_predictions_leave_the_innovations():
 def test_without_c_and_with_d_it_is_an_autoregression_of_the_free_run_error():
     """Least squares of v(t) on v(t-1) and one, by hand."""
     data, _, _ = system(1)
-    model = jnx.fit_noise(plant(), data, nc=0, nd=1).value.noise
+    model = jnx.linear.fit_noise(plant(), data, nc=0, nd=1).value.noise
     run = jnx.simulate(plant(), data).value
     v = data.records[0].y[:, 0] - run.outputs[0][:, 0]
     v = v[run.scored[0][:, 0]][1:]

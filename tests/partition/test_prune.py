@@ -8,7 +8,7 @@ import tree_oracles
 
 from jaxnarx.models import SigmoidTree
 from jaxnarx.partition.prune import prune
-from jaxnarx.partition.split import Rows
+from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.tree import TreeStage, sigmoid_tree
 
 ROWS, MODELS = 300, 6
@@ -16,7 +16,7 @@ ROWS, MODELS = 300, 6
 _compiled = jax.jit(sigmoid_tree, static_argnames="max_models")
 
 
-def problem(bent: bool) -> Rows:
+def problem(bent: bool) -> SplitRows:
     """A plane, or two that meet on a diagonal, with noise; every tenth row unused."""
     rng = np.random.default_rng(2)
     z = rng.uniform(size=(2, ROWS))
@@ -28,10 +28,10 @@ def problem(bent: bool) -> Rows:
     data = (jnp.asarray(a) for a in (p, z, y, weight))
     settings = {"smoothness": 1.0, "ridge": 0.0, "least": 3.0}
     number = {name: jnp.asarray(value) for name, value in settings.items()}
-    return Rows(*data, **number, picks=None, first=None)
+    return SplitRows(*data, **number, picks=None, first=None)
 
 
-def grown(rows: Rows) -> TreeStage:
+def grown(rows: SplitRows) -> TreeStage:
     """Six leaves, whether they are needed or not."""
     settings = {n: getattr(rows, n) for n in ("smoothness", "ridge", "least")}
     data = rows.p, rows.z, rows.y, rows.weight
@@ -39,13 +39,13 @@ def grown(rows: Rows) -> TreeStage:
     return jax.tree.map(lambda a: a[-1], stages)
 
 
-def validities(stage: TreeStage, rows: Rows) -> np.ndarray:
+def validities(stage: TreeStage, rows: SplitRows) -> np.ndarray:
     tree = SigmoidTree(stage.direction, stage.border, stage.log_steepness, stage.path)
     tree.check(stage.theta.shape[0], 2)
     return np.asarray(tree(rows.z, jnp.arange(stage.theta.shape[0]) < stage.count))
 
 
-def aicc(stage: TreeStage, rows: Rows) -> float:
+def aicc(stage: TreeStage, rows: SplitRows) -> float:
     """N ln(SSE/N) + 2 n + 2 n (n + 1)/(N - n - 1), N the rows that count."""
     n, samples = float(stage.effective), int(np.sum(rows.weight > 0))
     fit = samples * np.log(float(stage.sse) / samples)

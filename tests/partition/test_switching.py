@@ -29,8 +29,8 @@ def part(side: str) -> jnx.Dataset:
 def model(side: str) -> jnx.Network:
     """A polynomial NARX of the low side, an output-error model of the high one."""
     if side == "high":
-        method = jnx.OutputError(1, 1, 1, constant=False)
-        return jnx.fit_linear(part(side), method).value.network()
+        method = jnx.linear.OutputError(1, 1, 1, constant=False)
+        return jnx.linear.fit_linear(part(side), method).value.network()
     lags: dict[str, Any] = {"input_lags": (1,), "output_lags": (1,), "degree": 1}
     pool = jnx.polynomial_pool(part(side).channels, **lags)
     return jnx.grow(pool, part(side), jnx.Global()).value
@@ -52,7 +52,7 @@ def loop(data: jnx.Dataset, side: np.ndarray) -> np.ndarray:
 
 def test_the_first_valid_model_acts_and_goes_on_where_the_other_stood():
     data = both()
-    found = jnx.switch([model("low"), model("high")], data)
+    found = jnx.partition.switch([model("low"), model("high")], data)
     u = data.records[0].u[:, 0]
     low, high = float(model("low").low[0]), float(model("low").high[0])
     side = (u < low) | (u > high)
@@ -68,16 +68,16 @@ def test_regions_and_priorities_decide():
     data = both()
     u = data.records[0].u[:, 0]
     pair = [model("high"), model("low")]
-    found = jnx.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None])
+    found = jnx.partition.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None])
     np.testing.assert_allclose(found.value[0][:, 0], loop(data, u >= 1.5), atol=1e-5)
-    held = jnx.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None], hold=3)
+    held = jnx.partition.switch(pair, data, regions=[{"u": (1.5, 9.0)}, None], hold=3)
     late = np.array([np.all(u[max(0, t - 3) : t + 1] >= 1.5) for t in range(len(u))])
     np.testing.assert_allclose(held.value[0][:, 0], loop(data, late), atol=1e-5)
 
 
 def test_one_model_alone_is_its_free_run():
     data, network = part("low"), model("low")
-    alone = jnx.switch([network], data).value
+    alone = jnx.partition.switch([network], data).value
     run = jnx.simulate(network, data).value
     np.testing.assert_allclose(alone[0], run[0], rtol=1e-12)
     np.testing.assert_array_equal(alone.scored[0], run.scored[0])
@@ -86,8 +86,8 @@ def test_one_model_alone_is_its_free_run():
 def test_wrong_use_says_what_to_do():
     data, network = part("low"), model("low")
     with pytest.raises(SpecError, match="by priority"):
-        jnx.switch([], data)
+        jnx.partition.switch([], data)
     with pytest.raises(SpecError, match="no channel 'v'"):
-        jnx.switch([network, network], data, regions=[{"v": (0, 1)}, None])
+        jnx.partition.switch([network, network], data, regions=[{"v": (0, 1)}, None])
     with pytest.raises(SpecError, match="hold"):
-        jnx.switch([network], data, hold=-1)
+        jnx.partition.switch([network], data, hold=-1)

@@ -15,7 +15,7 @@ from jaxnarx import methods
 from jaxnarx.data import Dataset
 from jaxnarx.models import SigmoidTree
 from jaxnarx.partition import grow
-from jaxnarx.partition.split import Rows, divide, linearise, make_leaf, search
+from jaxnarx.partition.split import SplitRows, divide, linearise, make_leaf, search
 from jaxnarx.partition.tree import TreeStage, sigmoid_tree
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import polynomial_pool
@@ -173,11 +173,11 @@ def test_models_choose_terms_of_their_own_and_may_be_pulled_to_their_parent():
 # one gate -------------------------------------------------------------------------
 
 
-def rows_of(p, z, y, weight, *, ridge: float = 0.0) -> Rows:
+def rows_of(p, z, y, weight, *, ridge: float = 0.0) -> SplitRows:
     data = (jnp.asarray(a) for a in (p.T, z.T, y, weight))
     settings = {"smoothness": SMOOTHNESS, "ridge": ridge, "least": 5.0}
     number = {name: jnp.asarray(value) for name, value in settings.items()}
-    return Rows(*data, **number, picks=None, first=None)
+    return SplitRows(*data, **number, picks=None, first=None)
 
 
 def leaf_problem(ridge: float = 0.0):

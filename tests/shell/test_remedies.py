@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from jaxnarx.evaluation.verdict import REMEDIES, Finding, Verdict
+from jaxnarx.evaluation.verdict import REMEDIES, Reason, Verdict
 from jaxnarx.methods import Identification, Polynomial
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.flags import words_of
@@ -22,7 +22,7 @@ def of(outputs):
 
 
 def following(command, remedy, outputs=("NOx",)):
-    found = (Finding("not usable", "why", remedy),) if remedy else ()
+    found = (Reason("not usable", "why", remedy),) if remedy else ()
     words, then = next_words(
         command,
         Verdict("", found),

@@ -18,8 +18,8 @@ from jaxnarx.engines.gtdi.operation import gtdi_demands, scheduled
 from jaxnarx.engines.gtdi.state import (
     EVENT,
     SLOWEST,
-    Drive,
-    Quantities,
+    GtdiDrive,
+    GtdiQuantities,
     given_or,
     gtdi_margins,
     imposed,
@@ -150,12 +150,14 @@ class Gtdi(AbstractEngine):
         return 0.015
 
     def derivative(
-        self, state: Float[Array, " states"], drive: Drive
+        self, state: Float[Array, " states"], drive: GtdiDrive
     ) -> Float[Array, " states"]:
         """Rate of change of `[th, x_wg, p_b, p_im, p_em, p_t, w]`, per second."""
         return self.quantities(state, drive).derivative
 
-    def quantities(self, state: Float[Array, " states"], drive: Drive) -> Quantities:
+    def quantities(
+        self, state: Float[Array, " states"], drive: GtdiDrive
+    ) -> GtdiQuantities:
         """All quantities of the model at one instant.
 
             d th/dt   = (THR - th)/tau_th
@@ -218,7 +220,7 @@ class Gtdi(AbstractEngine):
                 push / self.inertia,
             ]
         )
-        return Quantities(
+        return GtdiQuantities(
             fuel=fuel,
             spark=spark,
             best_spark=best,
@@ -245,7 +247,7 @@ class Gtdi(AbstractEngine):
             derivative=derivative,
         )
 
-    def balance(self, drive: Drive) -> Float[Array, " states"]:
+    def balance(self, drive: GtdiDrive) -> Float[Array, " states"]:
         """The state that does not change under `drive`; NaN where there is none.
 
         Found by `settled` from a fixed start; throttle and wastegate are where the
@@ -338,7 +340,7 @@ class Gtdi(AbstractEngine):
         )
 
     def _settled(
-        self, rest: Float[Array, " unknowns"], drive: Drive
+        self, rest: Float[Array, " unknowns"], drive: GtdiDrive
     ) -> Float[Array, " states"]:
         """The state with throttle and wastegate where the other five put them."""
         over = rest[0] - self.ambient_pressure - self.wastegate_opens

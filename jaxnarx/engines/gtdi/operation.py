@@ -8,7 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.engines.delays import lagging_speed
-from jaxnarx.engines.gtdi.state import EVENT, SLOWEST, Drive, Quantities, imposed
+from jaxnarx.engines.gtdi.state import (
+    EVENT,
+    SLOWEST,
+    GtdiDrive,
+    GtdiQuantities,
+    imposed,
+)
 from jaxnarx.excitation import aprbs
 
 # `engine` is a `Gtdi` throughout; its type is not named to keep imports one-way.
@@ -17,7 +23,7 @@ SPEED_LAG = 0.5  # s [O]
 
 
 @eqx.filter_jit
-def operate(engine: Any, inputs: Float[Array, "time inputs"]) -> Quantities:
+def operate(engine: Any, inputs: Float[Array, "time inputs"]) -> GtdiQuantities:
     """All quantities at the start of each event of a run, before delays and sensors."""
 
     def event(carry, row):
@@ -30,7 +36,7 @@ def operate(engine: Any, inputs: Float[Array, "time inputs"]) -> Quantities:
 @eqx.filter_jit
 def scheduled(
     engine: Any, demands: Float[Array, "time inputs"]
-) -> tuple[Float[Array, "time inputs"], Quantities]:
+) -> tuple[Float[Array, "time inputs"], GtdiQuantities]:
     """Inputs whose fuel and spark follow the engine, and what `operate` says of them.
 
     `demands` has the columns richness (factor on the fuel for lambda one at the present
@@ -39,9 +45,9 @@ def scheduled(
     inputs give the same run in `simulate`.
     """
 
-    def demanded(row: Float[Array, " inputs"]) -> Drive:
+    def demanded(row: Float[Array, " inputs"]) -> GtdiDrive:
         richness, offset, throttle, speed = row
-        return Drive(throttle, speed, richness=richness, offset=offset)
+        return GtdiDrive(throttle, speed, richness=richness, offset=offset)
 
     def event(carry, row):
         now = engine.quantities(carry[0], demanded(row))

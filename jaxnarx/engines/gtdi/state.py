@@ -9,7 +9,7 @@ SLOWEST = 1000.0  # rpm
 EVENT = 180.0  # degrees crank angle
 
 
-class Drive(NamedTuple):
+class GtdiDrive(NamedTuple):
     """What is imposed on the engine; an entry that is `None` takes care of itself.
 
     `throttle` angle [deg, 4 is shut]. `speed` [rpm], held by the dynamometer. `fuel`
@@ -25,7 +25,7 @@ class Drive(NamedTuple):
     offset: ScalarLike = 0.0
 
 
-class Quantities(NamedTuple):
+class GtdiQuantities(NamedTuple):
     """Everything the model knows at one instant; derivatives are per second."""
 
     fuel: Float[Array, "*time"]  # mg/stroke
@@ -56,12 +56,12 @@ class Quantities(NamedTuple):
 
 def imposed(
     inputs: Float[Array, " inputs"], arrived: Float[Array, ""] | None = None
-) -> Drive:
+) -> GtdiDrive:
     """The columns of a record: fuel, spark, throttle, speed; `arrived` is the throttle
     command behind its dead time, if not the present one."""
     fuel, spark, throttle, speed = inputs
     throttle = throttle if arrived is None else arrived
-    return Drive(throttle, speed, fuel=fuel, spark=spark)
+    return GtdiDrive(throttle, speed, fuel=fuel, spark=spark)
 
 
 def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Array, ""]:
@@ -71,7 +71,7 @@ def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Arr
     return jnp.asarray(value, otherwise.dtype)
 
 
-def gtdi_margins(q: Quantities) -> dict[str, Float[Array, "*time"]]:
+def gtdi_margins(q: GtdiQuantities) -> dict[str, Float[Array, "*time"]]:
     """How far inside the limits of the bed [O]; any shape.
 
     `mixture`: lambda inside 0.7 to 1.4. `heat`: exhaust up to 1250 K, enrich above.

@@ -37,6 +37,7 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import (
     normality,
     runs_test,
 )
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.simulation import fitting, predict
@@ -46,6 +47,7 @@ SPARE = 10
 """Samples needed beside those for lags and parameters."""
 
 
+@guarded
 def diagnose(
     network: Network,
     data: Dataset,

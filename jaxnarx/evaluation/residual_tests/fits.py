@@ -19,7 +19,7 @@ from jaxnarx.arrays.factorisation import directions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fit:
+class ResidualBasis:
     """B of the residual e - B B'e. Of a global fit B is an orthonormal basis.
 
     Of local models estimated each by itself, with its validity phi as weight, it stacks
@@ -57,21 +57,21 @@ class Fit:
         return z - self.basis @ (self.basis.T @ z)
 
 
-def no_fit(rows: int) -> Fit:
+def no_fit(rows: int) -> ResidualBasis:
     """Nothing was estimated from these samples: the residual is the noise."""
-    return Fit(np.zeros((rows, 0)), np.zeros((rows, 0)), ())
+    return ResidualBasis(np.zeros((rows, 0)), np.zeros((rows, 0)), ())
 
 
-def global_fit(columns: Float[np.ndarray, "rows params"]) -> Fit:
+def global_fit(columns: Float[np.ndarray, "rows params"]) -> ResidualBasis:
     """All coefficients by one least squares problem."""
     basis, inverse, condition = _factorised(columns)
-    return Fit(basis, basis @ inverse.T, (condition,))
+    return ResidualBasis(basis, basis @ inverse.T, (condition,))
 
 
 def local_fit(
     columns: Sequence[Float[np.ndarray, "rows _"]],
     weights: Float[np.ndarray, "models rows"],
-) -> Fit:
+) -> ResidualBasis:
     """The coefficients of every local model by its own problem, weighted by phi_m."""
     bases, answers, conditions = [], [], []
     for p, phi in zip(columns, weights, strict=True):
@@ -80,7 +80,7 @@ def local_fit(
         bases.append(root * basis)
         answers.append(bases[-1] @ inverse.T)
         conditions.append(condition)
-    return Fit(
+    return ResidualBasis(
         np.concatenate(bases, axis=1),
         np.concatenate(answers, axis=1),
         tuple(conditions),

@@ -12,7 +12,12 @@ from jaxnarx.arrays.factorisation import quadratic
 from jaxnarx.data import Channel
 from jaxnarx.data.batch import Batch
 from jaxnarx.data.scaling import unit_of
-from jaxnarx.evaluation.residual_tests.fits import Fit, global_fit, local_fit, no_fit
+from jaxnarx.evaluation.residual_tests.fits import (
+    ResidualBasis,
+    global_fit,
+    local_fit,
+    no_fit,
+)
 from jaxnarx.evaluation.residual_tests.residual import Residual, make_residual
 from jaxnarx.models import Network, OutputModel, weights_at
 from jaxnarx.regressors import evaluate, row_columns
@@ -46,7 +51,7 @@ class OneStep:
     residual: Residual
     measured: Float[np.ndarray, "records time"]
     estimated: str
-    design: Fit
+    design: ResidualBasis
     owner: Int[np.ndarray, " params"]
     unit: float
 
@@ -140,7 +145,7 @@ def _found(
     place: int,
     every: Int[np.ndarray, " known"],
     value: Float[np.ndarray, "records time"],
-    design: Fit,
+    design: ResidualBasis,
     parts: tuple[list[np.ndarray], Float[np.ndarray, "models rows"]],
 ) -> str:
     """`"global"`, `"local"` or `"no"`, from the normal equations of all samples."""

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.evaluation.residual_tests.fits import Fit, no_fit
+from jaxnarx.evaluation.residual_tests.fits import ResidualBasis, no_fit
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Residual:
     value: Float[np.ndarray, "records time"]
     known: Bool[np.ndarray, "records time"]
     at: Int[np.ndarray, " rows"]
-    fit: Fit
+    fit: ResidualBasis
     mean: float
     centred: bool
 
@@ -72,7 +72,7 @@ def make_residual(
     known: Bool[np.ndarray, "records time"],
     *,
     at: Int[np.ndarray, " rows"] | None = None,
-    fit: Fit | None = None,
+    fit: ResidualBasis | None = None,
     centre: bool | None = None,
 ) -> Residual:
     """Residuals as the tests take them; without `fit` nothing was estimated.

@@ -8,13 +8,14 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.refinement.stability.bound import Bound, bounds
 from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
 from jaxnarx.simulation import (
-    Drive,
     Masks,
+    RunInputs,
     Trajectories,
     first_anchor,
     fitting,
@@ -125,7 +126,7 @@ def _cells(row: Poles) -> tuple[str, ...]:
 
 
 def _own_outputs(
-    network: Network, drive: Drive, masks: Masks, run: Trajectories
+    network: Network, drive: RunInputs, masks: Masks, run: Trajectories
 ) -> np.ndarray:
     """What a finished run has carried, scaled and padded as the drive is.
 
@@ -141,6 +142,7 @@ def _own_outputs(
     return y.astype(drive.measured.dtype)
 
 
+@guarded
 def stability(
     network: Network,
     data: Dataset,

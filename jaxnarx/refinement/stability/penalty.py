@@ -31,7 +31,7 @@ from jaxnarx.refinement.stability.points import (
     part_of,
     points_of,
 )
-from jaxnarx.simulation import Drive, Masks
+from jaxnarx.simulation import Masks, RunInputs
 
 
 class Metric(eqx.Module):
@@ -42,7 +42,7 @@ class Metric(eqx.Module):
 
 
 def penalty_points(
-    network: Network, drive: Drive, masks: Masks, *, count: int = 300
+    network: Network, drive: RunInputs, masks: Masks, *, count: int = 300
 ) -> Points:
     """Up to `count` samples with measured histories, evenly spaced."""
     return points_of(network, drive, masks, count=count)

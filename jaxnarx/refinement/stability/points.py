@@ -15,7 +15,7 @@ from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError
 from jaxnarx.models import Network, depth, sources
 from jaxnarx.refinement.sensitivity import linearised
-from jaxnarx.simulation import Drive, Masks
+from jaxnarx.simulation import Masks, RunInputs
 
 CHUNK = 1024
 """Samples handled at once: one compiled program and bounded memory for any number."""
@@ -24,7 +24,7 @@ CHUNK = 1024
 class Points(eqx.Module):
     """Samples of a run as columns: lagged and scheduling variables, and the history.
 
-    `v` and `x` are those of `Drive`; `history` holds the past outputs each
+    `v` and `x` are those of `RunInputs`; `history` holds the past outputs each
     sample has seen, newest first, scaled. `record` and `step` say where the samples
     come from.
     """
@@ -58,7 +58,7 @@ def thin(size: int, count: int | None) -> Int[np.ndarray, " some"]:
 
 def points_of(
     network: Network,
-    drive: Drive,
+    drive: RunInputs,
     masks: Masks,
     *,
     count: int | None = None,

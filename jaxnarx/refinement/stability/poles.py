@@ -21,7 +21,7 @@ from jaxnarx.refinement.stability.points import (
     points_of,
 )
 from jaxnarx.regressors import evaluate
-from jaxnarx.simulation import Drive, Masks
+from jaxnarx.simulation import Masks, RunInputs
 
 FEWEST = 20
 """A local model that is valid nowhere by more than one half is looked at here: at the
@@ -129,7 +129,9 @@ def pole_table(
     return (*rows, _row("network", None, whole, sample_time))
 
 
-def _medians(network: Network, drive: Drive, masks: Masks) -> Float[np.ndarray, " _"]:
+def _medians(
+    network: Network, drive: RunInputs, masks: Masks
+) -> Float[np.ndarray, " _"]:
     points = points_of(network, drive, masks, count=1000)
     return np.array(
         [
@@ -140,7 +142,7 @@ def _medians(network: Network, drive: Drive, masks: Masks) -> Float[np.ndarray, 
     )
 
 
-def slowest(network: Network, drive: Drive, masks: Masks) -> float:
+def slowest(network: Network, drive: RunInputs, masks: Masks) -> float:
     """Time constant [samples] of the slowest stable local model, at the median sample.
 
     Unstable local models are passed over; infinite when there is no other.
@@ -150,7 +152,7 @@ def slowest(network: Network, drive: Drive, masks: Masks) -> float:
     return time_constant(float(stable.max())) if len(stable) else float("inf")
 
 
-def first_horizon(network: Network, drive: Drive, masks: Masks) -> int:
+def first_horizon(network: Network, drive: RunInputs, masks: Masks) -> int:
     """Horizon [samples] to begin a refinement with, from the slowest local pole.
 
     One time constant of the slowest stable local model: shorter windows do not show it,

@@ -178,7 +178,7 @@ def judge(
     return float(f), float(fdtrc(freedom, spare, f))
 
 
-class Layout(NamedTuple):
+class CellLayout(NamedTuple):
     """Where the samples of a group of variables lie: `pick` if thinned to equal cells,
     else the `cell` of each.
     """
@@ -192,7 +192,7 @@ def lay_out(
     codes: Sequence[UInt8[np.ndarray, " rows"]],
     shape: tuple[int, ...],
     balance: float | int,
-) -> Layout:
+) -> CellLayout:
     """Thin to equal cells where this keeps at least the share `balance` of the samples,
     and two in every cell.
     """
@@ -201,12 +201,12 @@ def lay_out(
     if cells * LEAST <= len(cell):
         count = np.bincount(cell, minlength=cells)
         if int(count.min()) >= max(LEAST, balance * len(cell) / cells):
-            return Layout(shape, equal_cells(cell, count), None)
-    return Layout(shape, None, cell)
+            return CellLayout(shape, equal_cells(cell, count), None)
+    return CellLayout(shape, None, cell)
 
 
 def group_tests(
-    layout: Layout,
+    layout: CellLayout,
     y: Float[np.ndarray, " rows"],
     group: Effect,
     wanted: Sequence[Effect],

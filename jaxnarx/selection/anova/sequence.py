@@ -33,9 +33,9 @@ from jaxtyping import Float
 from jaxnarx.methods.anova import Anova
 from jaxnarx.selection.anova.cells import (
     LEAST,
+    CellLayout,
     Effect,
     FTest,
-    Layout,
     effects_of,
     group_tests,
     lay_out,
@@ -46,7 +46,7 @@ HELD = 40_000_000
 """Sample numbers held at most, so as not to sort into cells again for every step."""
 
 
-class Outcome(NamedTuple):
+class TestedEffects(NamedTuple):
     """The deciding test of every effect, those that stay, and whether the test was one
     factorial of all variables.
     """
@@ -61,7 +61,7 @@ def sequence(
     levels: dict[int, int],
     y: Float[np.ndarray, " rows"],
     method: Anova,
-) -> Outcome:
+) -> TestedEffects:
     """Test all effects of up to `method.interactions` variables; y is centred.
 
     In one factorial where the data fill its cells, so that balancing keeps enough of
@@ -79,12 +79,12 @@ def sequence(
 
 
 def _whole(
-    layout: Layout,
+    layout: CellLayout,
     y: Float[np.ndarray, " rows"],
     group: Effect,
     effects: Sequence[Effect],
     method: Anova,
-) -> Outcome:
+) -> TestedEffects:
     order = method.interactions
     tests = {t.effect: t for t in group_tests(layout, y, group, effects, order=order)}
     kept: list[Effect] = []
@@ -92,7 +92,7 @@ def _whole(
         if tests[effect].p >= _level(tests, len(kept), method):
             break
         kept.append(effect)
-    return Outcome(tests, kept, True)
+    return TestedEffects(tests, kept, True)
 
 
 def weakness(test: FTest) -> tuple[float, float]:
@@ -113,9 +113,9 @@ def _stepwise(
     y: Float[np.ndarray, " rows"],
     effects: Sequence[Effect],
     method: Anova,
-) -> Outcome:
+) -> TestedEffects:
 
-    def place(e: Effect) -> Layout:
+    def place(e: Effect) -> CellLayout:
         variables = [codes[v] for v in e]
         return lay_out(variables, tuple(levels[v] for v in e), method.balance)
 
@@ -155,4 +155,4 @@ def _stepwise(
         if now[worst].p < _level(first, len(kept) - 1, method):
             break
         kept.remove(worst)
-    return Outcome(own | decided, kept, False)
+    return TestedEffects(own | decided, kept, False)

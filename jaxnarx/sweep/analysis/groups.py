@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.evaluation import pareto
+from jaxnarx.guard import guarded
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.analysis.table import SweepTable
 
 
+@guarded
 def best_per_group(
     table: SweepTable, group: str | Sequence[str], by: str, *, smallest: bool = True
 ) -> SweepTable:
@@ -29,12 +31,13 @@ def best_per_group(
     return table.take(np.array(kept, np.int64))
 
 
+@guarded
 def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
     """The rows that no other beats in all objectives, each to be made small.
 
     Values that are not finite do not compete; the status does not count, as for
     `best_per_group`. The rows come in the order of the first objective. See
-    `jaxnarx.pareto`.
+    `jaxnarx.evaluation.pareto`.
     """
     points = np.stack([table.numbers(name) for name in objectives], axis=1)
     points[~np.isfinite(points).all(axis=1)] = np.nan
@@ -42,6 +45,7 @@ def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
     return table.take(chosen[np.argsort(points[chosen, 0], kind="stable")])
 
 
+@guarded
 def summary(table: SweepTable) -> dict[str, int]:
     """How many rows have which status, in the order of the table of statuses."""
     found = table.column("status").tolist()

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.sweep.analysis.groups import labels
 from jaxnarx.sweep.analysis.table import SweepTable
 
@@ -80,6 +81,7 @@ class Comparison:
         )
 
 
+@guarded
 def paired_comparison(
     table: SweepTable,
     *,

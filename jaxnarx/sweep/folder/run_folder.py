@@ -11,6 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.sweep.folder.chunks import (
     Damaged,
     arrow_table,
@@ -162,6 +163,7 @@ def open_run(path: Path, asked: Manifest, *, new: bool = False) -> RunFolder:
     return RunFolder(path, found)
 
 
+@guarded
 def find_run(path: Path) -> RunFolder:
     """The folder of a sweep that was begun, to look at."""
     path = path.resolve()

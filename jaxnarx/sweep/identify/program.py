@@ -13,7 +13,7 @@ from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
 from jaxnarx.partition import scattered
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
-from jaxnarx.simulation import Drive, drive_of
+from jaxnarx.simulation import RunInputs, drive_of
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.identify.choose import Chosen, choose
 from jaxnarx.sweep.identify.divide import Divided, Rows, divide
@@ -89,11 +89,11 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     )
 
 
-def _drive(member: Member, part: Part) -> Drive:
+def _drive(member: Member, part: Part) -> RunInputs:
     return drive_of(member.network, jnp.asarray(part.signals), jnp.asarray(part.valid))
 
 
-def _scheduling(network: Network, drive: Drive) -> Float[Array, "dims rows"]:
+def _scheduling(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:
     """Scaled scheduling variables of all rows."""
     model = network.models[0]
     dims, rows = len(model.offset), drive.measured.size
@@ -132,7 +132,7 @@ def _refined(
     frame: Frame,
     member: Member,
     network: Network,
-    drive: Drive,
+    drive: RunInputs,
     rows: Rows,
     settings: Settings,
 ) -> tuple[Trained, Float[Array, " params"], Layout]:
@@ -181,7 +181,7 @@ def _moving(
     return moving, moving & (own | ~staged), staged
 
 
-def _weight(part: Part, drive: Drive) -> Float[Array, "records time outputs"]:
+def _weight(part: Part, drive: RunInputs) -> Float[Array, "records time outputs"]:
     """Weights that make mean squared NRMSE, by the output's spread in this part."""
     counted = jnp.asarray(part.scored)
     own = counted.astype(drive.measured.dtype)
@@ -192,7 +192,7 @@ def _weight(part: Part, drive: Drive) -> Float[Array, "records time outputs"]:
 
 
 def _scores(
-    member: Member, layout: Layout, drive: Drive, ends: Float[Array, "2 params"]
+    member: Member, layout: Layout, drive: RunInputs, ends: Float[Array, "2 params"]
 ) -> dict[str, Score]:
     """Of every part: start and end, one step and free run."""
     parts = {"train": (member.train, drive)}
@@ -200,7 +200,7 @@ def _scores(
         if part is not None:
             parts[name] = part, _drive(member, part)
 
-    def of(part: Part, drive: Drive) -> Score:
+    def of(part: Part, drive: RunInputs) -> Score:
         def one(turn):
             u, free = turn
             return score(layout.place(u), drive, part, free)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import (
     AbstractValidity,
     Boxes,
@@ -37,6 +38,7 @@ def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
     return Boxes(each, each) if kind == "Boxes" else Gaussians(each, each)
 
 
+@guarded
 def network_of(work: IdentificationWork, row: Row) -> Network:
     """The refined network of a row of this work; `row["engine"]` names the member.
 

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxnarx.guard import guarded
 from jaxnarx.models import (
     AbstractValidity,
     Gaussians,
@@ -39,6 +40,7 @@ LISTS = (
 )
 
 
+@guarded
 def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
     """`train_one_step_start`, ..., `test_free_run`: before and after the refinement."""
     return [f"{p}_{mode}{when}" for p in parts for when in WHEN for mode in MODES]

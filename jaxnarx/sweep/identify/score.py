@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.evaluation import metrics
 from jaxnarx.models import Network
-from jaxnarx.simulation import Drive, first_anchor, has_diverged, limited, run
+from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, limited, run
 from jaxnarx.sweep.identify.member import Part
 
 
@@ -26,7 +26,9 @@ def counted(part: Part) -> Bool[Array, "records time"]:
     return (at >= start[:, None]) & (at < end[:, None])
 
 
-def score(network: Network, drive: Drive, part: Part, free: Bool[Array, ""]) -> Score:
+def score(
+    network: Network, drive: RunInputs, part: Part, free: Bool[Array, ""]
+) -> Score:
     """NRMSE of the free run, or of one step from measured history.
 
     One step counts the samples with a complete measured history alone, and as nothing

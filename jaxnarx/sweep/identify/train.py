@@ -17,7 +17,7 @@ from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import Guard, Judged, Layout, Problem, Stage, squares, stages
 from jaxnarx.refinement.starts import SHRINK as FACTORS
 from jaxnarx.refinement.starts import shrunk
-from jaxnarx.simulation import Drive, first_anchor, window_anchors
+from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import Settings
@@ -35,10 +35,10 @@ class Ground(eqx.Module):
     """
 
     layout: Layout
-    drive: Drive
+    drive: RunInputs
     part: Part
     weight: Float[Array, "records time outputs"]
-    guard: Drive
+    guard: RunInputs
     guard_part: Part
     guard_weight: Float[Array, "_ _ outputs"]
     moving: Bool[Array, " params"]
