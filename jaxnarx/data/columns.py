@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
 from jaxnarx.errors import DataError
 
@@ -25,7 +25,7 @@ class Table:
     """
 
     columns: Mapping[str, Any]
-    place: Place
+    place: RowSource
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -68,7 +68,9 @@ def table_source(
     return Source(name, np.stack(parts, axis=1), table.place, cuts), sample_time
 
 
-def numbers(column: Any, *, channel: str, place: Place) -> Float[np.ndarray, " time"]:
+def numbers(
+    column: Any, *, channel: str, place: RowSource
+) -> Float[np.ndarray, " time"]:
     """An arrow column as float32 (if it is) or float64, with NaN for nulls.
 
     Text is read where all of it are numbers. Labels, dates and nested values raise
@@ -98,7 +100,7 @@ def numbers(column: Any, *, channel: str, place: Place) -> Float[np.ndarray, " t
 
 
 def seconds(
-    column: Any, *, name: str, place: Place, unit: str | None = None
+    column: Any, *, name: str, place: RowSource, unit: str | None = None
 ) -> tuple[Float[np.ndarray, " time"], str | None]:
     """A time column in seconds, and the unit it is in if that is known.
 
@@ -181,7 +183,7 @@ def is_readable(kind: Any) -> bool:
     )
 
 
-def _numbers_in_text(column, channel: str, place: Place) -> np.ndarray:
+def _numbers_in_text(column, channel: str, place: RowSource) -> np.ndarray:
     """Text as numbers; DataError with the labels found where it is anything else."""
     import pyarrow as pa
     import pyarrow.types as kinds
@@ -203,7 +205,7 @@ def _numbers_in_text(column, channel: str, place: Place) -> np.ndarray:
     return np.array([*known, np.nan])[at]
 
 
-def _text(values, at, good, channel: str, place: Place) -> DataError:
+def _text(values, at, good, channel: str, place: RowSource) -> DataError:
     row = int(np.argmin(good[at]))
     odd, labels = values[at[row]], sorted(values[i] for i in set(at[~good[at]]))
     shown = ", ".join(repr(v[:40]) for v in labels[:8]) + (

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source, alike
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataError, SpecError
 
 
@@ -34,7 +34,7 @@ def array_sources(
     for label, a, b in zip(labels, us, ys, strict=True):
         _require_equal_length(a, b, label, channels, several=len(us) > 1)
     sources = [
-        Source(label, np.concatenate(pair, axis=1), Place(label if names else ""))
+        Source(label, np.concatenate(pair, axis=1), RowSource(label if names else ""))
         for label, *pair in zip(labels, us, ys, strict=True)
     ]
     return alike(sources)

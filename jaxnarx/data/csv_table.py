@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from jaxnarx.data.columns import DECIMAL_COMMA, Table, is_number
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
 
 _HEAD = 1 << 17  # fields of more characters are beyond what the csv module cuts
@@ -96,7 +96,9 @@ def read_csv(
     if layout.unit_row:
         fields = head.fields(head.first - 1)
         units = {n: u.strip() for n, u in zip(head.names, fields, strict=False)}
-    place = Place(str(path), head.first + 1, ", counted from 1 with the header line")
+    place = RowSource(
+        str(path), head.first + 1, ", counted from 1 with the header line"
+    )
     if layout.columns:
         place = dataclasses.replace(place, counting=", counted from 1")
     columns = dict(zip(wanted, table.columns, strict=True))

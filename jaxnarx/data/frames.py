@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.columns import Table, table_source
 from jaxnarx.data.missing import Source, alike
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
 from jaxnarx.errors import DataError, SpecError, suggest
 
@@ -109,7 +109,7 @@ def _convert(frame, wanted):
 def _pieces(table, record: str | None):
     """(name, rows, place) of every record; a record's rows must be together."""
     if record is None:
-        return [("record 1", table, Place())]
+        return [("record 1", table, RowSource())]
     values = table.column(record).to_pylist()
     bounds = np.cumsum([0] + [len(list(g)) for _, g in itertools.groupby(values)])
     found: dict[str, int] = {}
@@ -124,5 +124,5 @@ def _pieces(table, record: str | None):
                 row=first,
             )
         found[name] = first
-        pieces.append((name, table.slice(first, stop - first), Place(name, first)))
+        pieces.append((name, table.slice(first, stop - first), RowSource(name, first)))
     return pieces

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.checks import choice
 from jaxnarx.data.channels import Channels, require_plain
-from jaxnarx.data.record import Place, Record
+from jaxnarx.data.record import Record, RowSource
 from jaxnarx.errors import DataError, SpecError
 
 _HUGE = {"float64": 1e151, "float32": 1e18}
@@ -26,7 +26,7 @@ class Source:
 
     name: str
     x: Float[np.ndarray, "time signals"]
-    place: Place = Place()
+    place: RowSource = RowSource()
     cuts: Sequence[int] = ()
 
 

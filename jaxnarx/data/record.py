@@ -38,7 +38,7 @@ class Record:
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
+class RowSource:
     """A source of rows: `name` leads a message, `start_row` is the first row's number.
 
     `counting` says how rows are counted (", counted from 1 with the header line"); it

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import choice
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataError, SpecError
 
 MAX_JITTER = 0.01
@@ -54,7 +54,7 @@ def sampling(
     t: Float[np.ndarray, " time"],
     *,
     column: str,
-    place: Place,
+    place: RowSource,
     sample_time: float | None = None,
     split: bool = False,
     unit: str | None = None,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxnarx.data.columns import Table, is_readable, is_text
 from jaxnarx.data.csv_table import CsvLayout, read_csv
-from jaxnarx.data.record import Place
+from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, reading, suggest
 
 _ARCHIVES = {
@@ -81,7 +81,7 @@ def _read_parquet(path: Path, wanted: list[str], *, max_bytes: float) -> Table:
     if not table.num_rows:
         raise DataFileError(f"{path}: the file has no data rows.", path=path)
     columns = {name: table.column(name) for name in wanted}
-    return Table(columns, Place(str(path), 1, ", counted from 1"))
+    return Table(columns, RowSource(str(path), 1, ", counted from 1"))
 
 
 def _require_columns(path: Path, schema, wanted: Sequence[str]) -> list[str]:

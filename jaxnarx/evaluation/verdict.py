@@ -105,7 +105,7 @@ class Verdict:
 
 
 @runtime_checkable
-class Judged(Protocol):
+class Scored(Protocol):
     """What a verdict rests on; a `Report` is one, and tells what these are."""
 
     @property
@@ -125,7 +125,7 @@ class Judged(Protocol):
     def pooled(self, output: str) -> Row: ...
 
 
-def judge(report: Judged) -> Verdict:
+def judge(report: Scored) -> Verdict:
     """The verdict by the rules above."""
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
@@ -135,7 +135,7 @@ def judge(report: Judged) -> Verdict:
     return Verdict(level, tuple(findings), _praise(report))
 
 
-def _praise(report: Judged) -> str:
+def _praise(report: Scored) -> str:
     shares = [report.pooled(c.name).r2 for c in report.outputs]
     least = min((s for s in shares if s is not None), default=0.0)
     names = ", ".join(c.name for c in report.outputs)
@@ -150,7 +150,7 @@ def _pooled(rows: Iterable[Row]) -> list[Row]:
     return [r for r in rows if r.record == POOLED]
 
 
-def _runs(report: Judged, rows: list[Row]) -> Iterator[Reason]:
+def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """Divergence, nothing to judge, limits that act."""
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
         share = row.extrapolated / max(row.samples, 1)
@@ -181,7 +181,7 @@ def _runs(report: Judged, rows: list[Row]) -> Iterator[Reason]:
             yield Reason(LIMITED, text, "cover" if share >= STRAYED else "bounded")
 
 
-def _errors(report: Judged, rows: list[Row]) -> Iterator[Reason]:
+def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """Errors of whole parts, by themselves and beside that of training."""
     trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
@@ -235,7 +235,7 @@ def _records(rows: list[Row]) -> Iterator[Reason]:
             yield Reason(LIMITED, text, "records")
 
 
-def _beside(report: Judged) -> Iterator[Reason]:
+def _beside(report: Scored) -> Iterator[Reason]:
     """A linear model that does better."""
     for row in report.beside.get(NAME, ()):
         own = report.pooled(row.output).nrmse
@@ -245,7 +245,7 @@ def _beside(report: Judged) -> Iterator[Reason]:
             yield Reason(LIMITED, text, "linear")
 
 
-def _memory(report: Judged) -> Iterator[Reason]:
+def _memory(report: Scored) -> Iterator[Reason]:
     """What the poles and the contraction bound say."""
     found = report.stability
     if found is None:
@@ -260,7 +260,7 @@ def _memory(report: Judged) -> Iterator[Reason]:
         yield Reason(LIMITED, text + "the samples", "bounded")
 
 
-def _data(report: Judged, rows: list[Row]) -> Iterator[Reason]:
+def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """What the figures were measured on."""
     if any("EQUALS ESTIMATION" in note for note in report.notes):
         text = "it was judged on records that it was trained on"

@@ -22,7 +22,7 @@ from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
 from jaxnarx.regressors import evaluate
 
 
-class Rows(eqx.Module):
+class RegressionRows(eqx.Module):
     """One output's regression at one sample or at many (leading axes).
 
     `columns`: the slots of every chosen model; `phi` their validities; `fixed` the part
@@ -40,14 +40,14 @@ class Rows(eqx.Module):
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class AdaptationPlan:
     """Which local models of each output are adapted, and whether jointly."""
 
     chosen: tuple[tuple[int, ...], ...]
     joint: bool
 
 
-def make_plan(network: Network, method: Recursive) -> Plan:
+def make_plan(network: Network, method: Recursive) -> AdaptationPlan:
     """The chosen models of every output; `SpecError` for one that is not there."""
     chosen = []
     for name, model in zip(network.output_names, network.models, strict=True):
@@ -61,7 +61,7 @@ def make_plan(network: Network, method: Recursive) -> Plan:
                 field="models",
             )
         chosen.append(tuple(wanted))
-    return Plan(tuple(chosen), method.estimation == "joint")
+    return AdaptationPlan(tuple(chosen), method.estimation == "joint")
 
 
 def output_rows(
@@ -69,7 +69,7 @@ def output_rows(
     chosen: tuple[int, ...],
     v: Float[Array, "vars *rows"],
     x: Float[Array, "dims *rows"],
-) -> Rows:
+) -> RegressionRows:
     """Rows of one output from its lagged and scheduling variables."""
     local, at = model.local, np.array(chosen)
     terms = evaluate(local.factor, v)
@@ -79,7 +79,7 @@ def output_rows(
     columns = jnp.where(used, terms[local.index[at]], 0.0)
     rest = local.dense().at[at].set(0.0)
     fixed = jnp.sum(phi * jnp.tensordot(rest, terms, axes=1), axis=0)
-    return Rows(
+    return RegressionRows(
         jnp.moveaxis(columns, (0, 1), (-2, -1)), jnp.moveaxis(phi[at], 0, -1), fixed
     )
 
@@ -93,7 +93,7 @@ def coefficients(
 
 
 def place(
-    network: Network, plan: Plan, theta: tuple[Float[Array, "_ _"], ...]
+    network: Network, plan: AdaptationPlan, theta: tuple[Float[Array, "_ _"], ...]
 ) -> Network:
     """The network with these coefficients; unused slots keep what they hold."""
     new = []
@@ -179,7 +179,7 @@ def _updated(packed, columns, target, weight, fade, least):
 
 
 def _learn(
-    output: Output, rows: Rows, y, weight, limits: Limits, joint: bool
+    output: Output, rows: RegressionRows, y, weight, limits: Limits, joint: bool
 ) -> tuple[Output, Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
     """One sample: the output, its prediction, whether it rested, and held its memory.
 
@@ -237,7 +237,7 @@ def _mean(total, count):
 @program
 def adapt_windows(
     network: Network,
-    plan: Plan,
+    plan: AdaptationPlan,
     samples: WindowedSamples,
     limits: Limits,
     simulated: bool,

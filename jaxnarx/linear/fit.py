@@ -26,7 +26,7 @@ from jaxnarx.solution import RESULTS, Solution
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Scale:
+class ColumnScale:
     """(x - mean) / spread of the inputs in use and, last, the output.
 
     Without a constant term the means are zero: the data are deviations as they are. A
@@ -38,7 +38,7 @@ class Scale:
     spread: Float[np.ndarray, " signals"]
 
     @classmethod
-    def of(cls, data: Signals, valid: np.ndarray, *, constant: bool) -> "Scale":
+    def of(cls, data: Signals, valid: np.ndarray, *, constant: bool) -> "ColumnScale":
         """From the valid samples of all records."""
         every = np.concatenate([data.u, np.asarray(data.y)[..., None]], axis=2)[valid]
         mean = every.mean(axis=0) if constant else np.zeros(every.shape[1])
@@ -190,7 +190,7 @@ def _searched(data: Dataset, structure: Structure, output: int, method) -> Solut
     count = structure.size + int(np.any(known, axis=1).sum()) * sum(structure.nf)
     enough(data, known[..., None], history=window_start(structure), need=count + 1)
     valid = _valid(structure, batch, inputs + output)
-    scale = Scale.of(whole, valid, constant=structure.constant)
+    scale = ColumnScale.of(whole, valid, constant=structure.constant)
     scaled = scale.apply(whole)
     _require_motion(np.asarray(scaled.y)[valid], data, output)
     begin = starts(structure, np.asarray(scaled.u), np.asarray(scaled.y), valid)
@@ -210,7 +210,11 @@ def _searched(data: Dataset, structure: Structure, output: int, method) -> Solut
 
 
 def _physical(
-    data, structure: Structure, output: int, found: PredictionErrorEnd, scale: Scale
+    data,
+    structure: Structure,
+    output: int,
+    found: PredictionErrorEnd,
+    scale: ColumnScale,
 ):
     """The model in physical units, and what its information says."""
     size = np.sqrt(np.diagonal(found.information))

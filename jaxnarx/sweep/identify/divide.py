@@ -19,7 +19,7 @@ from jaxnarx.partition import (
 from jaxnarx.sweep.identify.settings import Settings, Shape
 
 
-class Rows(eqx.Module):
+class GrowthRows(eqx.Module):
     """Regressors of the chosen terms, scaled scheduling variables, target, weight."""
 
     p: Float[Array, "terms rows"]
@@ -37,7 +37,7 @@ class Divided(eqx.Module):
 
 
 def divide(
-    shape: Shape, rows: Rows, least: Int[Array, ""], settings: Settings
+    shape: Shape, rows: GrowthRows, least: Int[Array, ""], settings: Settings
 ) -> Divided:
     """Place the models as `shape.grow` says.
 
@@ -84,7 +84,7 @@ def divide(
 
 
 def _fitted(
-    rows: Rows,
+    rows: GrowthRows,
     validity: Gaussians,
     count: Int[Array, ""],
     ridge: Float[Array, ""],

@@ -16,12 +16,12 @@ from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import RunInputs, drive_of
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.identify.choose import Chosen, choose
-from jaxnarx.sweep.identify.divide import Divided, Rows, divide
+from jaxnarx.sweep.identify.divide import Divided, GrowthRows, divide
 from jaxnarx.sweep.identify.frame import Frame
 from jaxnarx.sweep.identify.member import Member, Part
 from jaxnarx.sweep.identify.score import Score, score
 from jaxnarx.sweep.identify.settings import Settings
-from jaxnarx.sweep.identify.train import Ground, Trained, schedule, train
+from jaxnarx.sweep.identify.train import Trained, TrainingData, schedule, train
 
 
 class Outcome(eqx.Module):
@@ -67,7 +67,7 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     variables = jnp.asarray(member.variables)
     chosen = choose(frame, v, y, weight, variables, settings)
     p = jnp.where(chosen.used[:, None], evaluate(chosen.factor, v), 0.0)
-    rows = Rows(p, _scheduling(member.network, drive), y, weight)
+    rows = GrowthRows(p, _scheduling(member.network, drive), y, weight)
     least = jnp.sum(chosen.used)
     divided = divide(frame.shape, rows, least, settings)
     network = _network(member.network, chosen, divided)
@@ -133,7 +133,7 @@ def _refined(
     member: Member,
     network: Network,
     drive: RunInputs,
-    rows: Rows,
+    rows: GrowthRows,
     settings: Settings,
 ) -> tuple[Trained, Float[Array, " params"], Layout]:
     """The end and the start of the refinement, as vectors of its layout."""
@@ -152,7 +152,7 @@ def _refined(
         weight = jnp.where(jnp.asarray(member.train.anchors)[..., None], weight, 0.0)
     judging = member.train if member.validation is None else member.validation
     guard = drive if member.validation is None else _drive(member, judging)
-    ground = Ground(
+    ground = TrainingData(
         layout,
         drive,
         member.train,

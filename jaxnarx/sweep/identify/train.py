@@ -26,7 +26,7 @@ FULL = 2**30
 """A window longer than any record."""
 
 
-class Ground(eqx.Module):
+class TrainingData(eqx.Module):
     """What a refinement reads and never changes.
 
     `weight` makes mean squared NRMSE of the training errors, `guard_weight` of those of
@@ -61,7 +61,7 @@ class Ground(eqx.Module):
         return Problem(*at, moving, ridge)
 
 
-class Search(eqx.Module):
+class TrainingState(eqx.Module):
     """Where the search stands, and the best so far by judgement.
 
     No loss above the start's, `limit`, is best. `lead` is the best judgement whatever
@@ -121,7 +121,9 @@ def schedule(method: SimulationError | PredictionError, steps: int) -> Turn:
     return Turn(*(jnp.asarray(np.array(column)) for column in zip(*rows, strict=True)))
 
 
-def active(ground: Ground, turns: Turn, settings: Settings) -> Bool[Array, " turns"]:
+def active(
+    ground: TrainingData, turns: Turn, settings: Settings
+) -> Bool[Array, " turns"]:
     """Which turns a case makes: windows shorter than the longest record, and on full
     records its own number of steps, of coefficients alone where it is staged.
     """
@@ -136,7 +138,7 @@ def active(ground: Ground, turns: Turn, settings: Settings) -> Bool[Array, " tur
 
 
 def train(
-    ground: Ground, u: Float[Array, " params"], settings: Settings, turns: Turn
+    ground: TrainingData, u: Float[Array, " params"], settings: Settings, turns: Turn
 ) -> Trained:
     """Run the whole schedule from `u`, and where nothing that runs is found, once more
     with shrunk feedback.
@@ -144,7 +146,7 @@ def train(
     start = ground.judge(u)
     state, none = levenberg.begin(u), jnp.asarray(0)
     going = jnp.asarray(False)
-    begin = Search(state, u, start, start.loss, none, start, none, none, going)
+    begin = TrainingState(state, u, start, start.loss, none, start, none, none, going)
     made = active(ground, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
     order, count = jnp.argsort(~made, stable=True), jnp.sum(made)
@@ -188,7 +190,7 @@ def train(
     return Trained(end.best, start, end.judged, end.accepted, loss, judged, factor)
 
 
-def _shrunk(ground: Ground, u: Float[Array, " params"]):
+def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
     """The first factor on the feedback whose free run does not diverge, that start, and
     whether there is one.
     """
@@ -205,7 +207,9 @@ def _shrunk(ground: Ground, u: Float[Array, " params"]):
     return factors[n - 1], v, runs
 
 
-def advanced(ground: Ground, s: Search, turn: Turn, settings: Settings) -> Search:
+def advanced(
+    ground: TrainingData, s: TrainingState, turn: Turn, settings: Settings
+) -> TrainingState:
     """One turn: the first of a stage takes stock, the others make a step.
 
     A stage ends as on the host, see `jaxnarx.arrays.minimise`.
@@ -218,7 +222,7 @@ def advanced(ground: Ground, s: Search, turn: Turn, settings: Settings) -> Searc
     state = levenberg.step(ground.problem(turn, jnp.asarray(settings.ridge)), state)
     moved = ~fresh & (state.status == levenberg.OK)
 
-    def reached() -> Search:
+    def reached() -> TrainingState:
         judged = ground.judge(state.u)
         better = judged.better(s.judged) & (judged.loss <= s.limit)
         leads = judged.better(s.lead)
@@ -231,7 +235,7 @@ def advanced(ground: Ground, s: Search, turn: Turn, settings: Settings) -> Searc
         done = (small >= QUIET) | (state.linear.loss <= ROUNDING) | enough
         accepted = s.accepted + moved.astype(s.accepted.dtype)
         counts = lead, since, small, moved & done
-        return Search(state, best, best_judged, s.limit, accepted, *counts)
+        return TrainingState(state, best, best_judged, s.limit, accepted, *counts)
 
     stayed = eqx.tree_at(lambda s: (s.state, s.ended), s, (state, jnp.asarray(True)))
     return jax.lax.cond(fresh | moved, reached, lambda: stayed)
