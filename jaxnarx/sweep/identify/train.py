@@ -112,7 +112,8 @@ def schedule(method: SimulationError | PredictionError, steps: int) -> Turn:
     """The stages of a staged case, in turns; a stage begins with step zero."""
     order = [Stage(1, steps)]
     if isinstance(method, SimulationError):
-        order = stages(list(method.horizons), method.window_steps, steps, staged=True)
+        horizons = [int(h) for h in method.horizons]
+        order = stages(horizons, method.window_steps, steps, staged=True)
     rows = [
         (stage.horizon or FULL, n, stage.only_coefficients, stage is order[-1])
         for stage in order
