@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxnarx import design as design
     from jaxnarx import engines as engines
     from jaxnarx import evaluation as evaluation
+    from jaxnarx import excitation as excitation
     from jaxnarx import inverse as inverse
     from jaxnarx import linear as linear
     from jaxnarx import methods as methods
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from jaxnarx.data import Channels as Channels
     from jaxnarx.data import Dataset as Dataset
     from jaxnarx.data import check as check
-    from jaxnarx.data import excitation as excitation
     from jaxnarx.data import read as read
     from jaxnarx.data import read_split as read_split
     from jaxnarx.data import suggest_lags as suggest_lags

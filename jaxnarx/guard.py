@@ -59,6 +59,8 @@ def _fits(value: Any, wanted: Any) -> bool:
     if wanted is None or wanted is type(None):
         return value is None
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin is collections.abc.Callable:
+        return callable(value) and not isinstance(value, type)
     if origin in (collections.abc.Sequence, collections.abc.Mapping):
         if not _is_ours(inner[-1]):
             table = origin is collections.abc.Mapping
@@ -109,6 +111,8 @@ def _listed(wanted: Any) -> str:
     if wanted in words:
         return words[wanted]
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin is collections.abc.Callable:
+        return "a function"
     if origin is typing.Literal:
         return " or ".join(map(repr, inner))
     name = getattr(origin or wanted, "__name__", str(wanted))

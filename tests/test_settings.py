@@ -1,6 +1,7 @@
 """The settings tree: tables, paths, kinds, and what is refused."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 
@@ -154,7 +155,7 @@ def test_a_path_that_leads_nowhere_is_refused(path):
 def test_each_setting_is_declared_once_and_explained():
     """A field that a base class has is not written again by its kinds."""
     for name in methods.__all__:
-        kind = getattr(methods, name)
+        kind: Any = getattr(methods, name)
         if not dataclasses.is_dataclass(kind):
             continue
         texts = field_texts(kind)

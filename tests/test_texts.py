@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import re
 import textwrap
+from typing import Any
 
 import common
 import jax
@@ -39,7 +40,7 @@ MAIN = (
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_setting_is_explained_in_help(name):
-    settings = SETTINGS[name]
+    settings: Any = SETTINGS[name]
     texts = field_texts(settings)
     for field in dataclasses.fields(settings):
         assert texts[field.name].endswith((".", ")")), field.name

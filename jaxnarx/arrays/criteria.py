@@ -16,7 +16,7 @@ def information(
     samples: float | int | Float[Array, ""],
     *,
     least: float | int | None = None,
-) -> dict[str, Numbers]:
+) -> dict[str, Any]:
     """`aic`, `aicc`, `bic` and `fpe` of models with n parameters on N samples.
 
     With fit = N ln(SSE/N): AIC = fit + 2 n (Akaike 1974), AICc = AIC + 2 n (n + 1) /

@@ -41,8 +41,13 @@ def _filter(value: Any) -> Any:
 
 def joint_pool(methods: Sequence[Polynomial | Pool], channels: Channels) -> Pool:
     """One pool with the terms of all, so that one program serves them all."""
-    distinct = [m for n, m in enumerate(methods) if m not in methods[:n]]
-    if len(distinct) == 1 or any(isinstance(m, Pool) for m in distinct):
+    distinct: list[Polynomial] = []
+    for method in methods:
+        if isinstance(method, Pool):
+            return make_pool(method, channels)
+        if method not in distinct:
+            distinct.append(method)
+    if len(distinct) == 1:
         return make_pool(distinct[0], channels)
     pools = [make_pool(m, channels) for m in distinct]
     if len({pool.outputs for pool in pools}) > 1:
@@ -74,7 +79,7 @@ def terms_of(method: Polynomial | Pool, pool: Pool) -> Bool[np.ndarray, " terms"
 
 
 def _by_name(lags: Any, names: Iterable[str]) -> dict[str, Sequence[int]]:
-    return dict(lags) if isinstance(lags, Mapping) else dict.fromkeys(names, lags)
+    return dict(lags) if isinstance(lags, Mapping) else {name: lags for name in names}
 
 
 def _union(tables: list[dict[str, Sequence[int]]]) -> dict[str, Sequence[int]]:

@@ -116,7 +116,7 @@ def value_at(tree: Any, path: str) -> Any:
 def hint_at(kind: type, path: str) -> tuple[type, Any]:
     """The class that declares a path first, and what it allows there."""
     *way, last = path.split(".")
-    owners = [kind]
+    owners: list[Any] = [kind]
     for name in way:
         inner = [
             k

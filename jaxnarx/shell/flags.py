@@ -102,7 +102,7 @@ def with_options(command: type) -> type:
                 else (field.name, hint, dataclasses.field(default=usual))
             )
             continue
-        base = field.default
+        base: Any = field.default
         for name, path in OPTIONS[command].items():
             made.append((name, _option(name, path, base), None))
         made.append(("set", _explained(tuple[str, ...], SET, _SET), ()))
@@ -123,7 +123,7 @@ def settled(command: type, parsed: Any) -> Any:
     if command not in OPTIONS:
         return parsed
     own = {f.name: f for f in dataclasses.fields(command)}
-    method = own["method"].default
+    method: Any = own["method"].default
     if parsed.settings is not None:
         method = _of_file(Path(parsed.settings))
     changes = {
@@ -158,7 +158,8 @@ def _changed(
             f"max_models must be at least 1, got {models}", field="max_models"
         )
     divides = changes.get("grow", "global") != "global"
-    if divides and "grow.scheduling" not in changes:
+    scheduled = getattr(method.grow, "scheduling", ())
+    if divides and not changes.get("grow.scheduling", scheduled):
         told = [f"--{_typed(command, path)}" for path in (*inside, "grow")]
         raise SpecError(
             f"{told[0]} needs --schedule, the variables that divide the operating "
@@ -215,7 +216,7 @@ def words_of(command: Identify) -> list[str]:
     if kinds["grow"] not in ("global", DIVIDED[Identify]):
         words += ["--partition", str(kinds["grow"])]
     if kinds["grow"] != "global":
-        words += ["--schedule", *map(str, kinds["grow.scheduling"])]
+        words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
     named = {path: name for name, path in FLAGS.items()}
     others = []
     for path, value in paths(spread(method)).items():
@@ -288,8 +289,8 @@ def _option(name: str, path: str, base: Identification) -> Any:
         shown = f"(default: 1, with --schedule {owner.max_models})"
     elif not shown and path.startswith("grow."):
         shown = _hint(getattr(owner, last, None))
-    extra = {"metavar": WORDS[name]} if name in WORDS else {}
-    conf = arg(help=" ".join(words.split()), help_behavior_hint=shown, **extra)
+    told = " ".join(words.split())
+    conf = arg(metavar=WORDS.get(name), help=told, help_behavior_hint=shown)
     return Annotated[_type(name, hint) | None, conf]
 
 
@@ -322,6 +323,8 @@ def _explained(hint: Any, text: str, conf: Any = None) -> Any:
     """An annotation that carries its own help."""
     kind, *told = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     text = " ".join(text.split())
-    known = conf or next((c for c in told if hasattr(c, "help_behavior_hint")), arg())
+    known: Any = conf or next(
+        (c for c in told if hasattr(c, "help_behavior_hint")), arg()
+    )
     rest = [c for c in told if c is not known]
     return Annotated[(kind, *rest, dataclasses.replace(known, help=text))]

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_partitions_that_make_no_sense_are_usage(place, capsys, given, words):
 
 
 def test_options_settings_and_files_are_one_tree(place):
-    def method(*words: str):
+    def method(*words: str) -> Any:
         command = parse(["identify", "a.toml", *words])
         assert isinstance(command, Identify)
         return command.method
@@ -98,4 +99,6 @@ def test_options_settings_and_files_are_one_tree(place):
     found = method("--settings", "method.toml", "--models", "5")
     assert found.select == StepwiseF(max_terms=9)
     assert found.grow == TreeOfSigmoids(["load[t]"], max_models=5)
+    found = method("--settings", "method.toml", "--partition", "lolimot")
+    assert found.grow == Lolimot(["load[t]"])
     assert method("--steps", "0").refine is None

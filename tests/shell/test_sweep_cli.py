@@ -3,6 +3,7 @@
 import csv
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -235,7 +236,7 @@ def load(folder, text):
 def test_a_description_is_settings_and_cases(tmp_path):
     found = load(tmp_path, BED)
     assert found.data == Relatives("pfi-cc", 2, 0.02, 120)
-    method = found.method
+    method: Any = found.method
     assert method.select.max_terms == 3 and method.pool.input_lags == (0, 1)
     assert found.cases == ({"refine.ridge": 1e-6}, {"refine.ridge": 1e-4})
     text = BED.split("[cases]")[0]

@@ -117,10 +117,10 @@ def test_cases_that_differ_in_numbers_share_a_program():
     found = shapes([changed(METHOD, case) for case in cases])
     assert found[0] == found[1] == found[2] != found[3]
     assert found[4:] == [None] * 3
-    shape = found[0]
-    assert shape is not None
+    shape, tree = found[0], found[3]
+    assert shape is not None and tree is not None
     assert (shape.terms, shape.models, shape.steps) == (5, 5, 3)
-    assert isinstance(found[3].grow, SigmoidTree)
+    assert isinstance(tree.grow, SigmoidTree)
 
 
 def test_the_stage_is_chosen_as_on_the_host():

@@ -53,7 +53,9 @@ def divide(
     if isinstance(grow, Placed):
         count = jnp.asarray(settings.models)
         active = jnp.arange(models) < count
-        placed = place(rows.z, rows.weight, active, k_sigma, settings.seed, at=grow.at)
+        placed = place(
+            rows.z, rows.weight, active, k_sigma, jnp.asarray(settings.seed), at=grow.at
+        )
         return _fitted(rows, placed, count, ridge)
     data = rows.p, rows.z, rows.y, rows.weight
     common = {

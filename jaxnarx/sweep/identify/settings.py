@@ -126,7 +126,7 @@ def shapes(methods: Sequence[Identification]) -> list[Shape | None]:
         found.append(
             Shape(
                 *keys[n],
-                terms=max(m.select.max_terms for m in group),
+                terms=max(m.select.max_terms for m in group),  # pyright: ignore
                 models=max(getattr(m.grow, "max_models", 1) for m in group),
                 steps=max(m.refine.max_steps if m.refine else 0 for m in group),
             )

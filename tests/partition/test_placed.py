@@ -1,0 +1,114 @@
+"""Partitions at samples and clusters, and grown ones that are moved at random."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import ForwardOLS, Lolimot, Placed, SigmoidTree
+from jaxnarx.models import Gaussians
+from jaxnarx.partition import grow
+from jaxnarx.regressors import polynomial_pool
+from jaxnarx.simulation import predict
+
+MIDDLES = np.array([[0.0, 0.0], [1.0, 0.2], [0.3, 1.0]])
+EACH = 60
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    """Three clouds of inputs, and a plane of its own over each."""
+    rng = np.random.default_rng(4)
+    u = np.repeat(MIDDLES, EACH, axis=0) + 0.02 * rng.normal(size=(3 * EACH, 2))
+    slope = np.repeat([[1.0, 2.0], [-1.0, 0.5], [3.0, -2.0]], EACH, axis=0)
+    y = np.sum(slope * u, axis=1) + np.repeat([0.0, 1.0, -1.0], EACH)
+    return Dataset.from_arrays(
+        u, y[:, None], inputs=["a", "b"], outputs=["y"], sample_time=1.0
+    )
+
+
+@pytest.fixture(scope="module")
+def pool(data):
+    return polynomial_pool(data.channels, input_lags=(0,), output_lags=(), degree=1)
+
+
+def regions(network, data):
+    """Scaled scheduling variables (rows, dims) and the validity functions."""
+    model = network.models[0]
+    z = (data.records[0].u - np.asarray(model.offset)) / np.asarray(model.span)
+    assert isinstance(model.validity, Gaussians)
+    return z, model.validity
+
+
+def test_clusters_are_found_and_fitted(data, pool):
+    method = Placed(["a[t]", "b[t]"], max_models=3, seed=3)
+    network = grow(pool, data, method).value
+    z, validity = regions(network, data)
+    means = z.reshape(3, EACH, 2).mean(axis=1)
+    found = np.asarray(validity.centre)
+    order = [int(np.argmin(np.sum((found - m) ** 2, axis=1))) for m in means]
+    assert sorted(order) == [0, 1, 2]
+    np.testing.assert_allclose(found[order], means, atol=1e-12)
+    # Least squares with the weights of the validity functions, by NumPy.
+    phi = np.asarray(validity(jnp.asarray(z.T), jnp.ones(3, bool)))
+    x = np.column_stack([np.ones(len(z)), data.records[0].u])
+    y, expected = data.records[0].y[:, 0], np.zeros(len(z))
+    for weight in phi:
+        root = np.sqrt(weight)
+        own = np.linalg.lstsq(x * root[:, None], y * root, rcond=None)[0]
+        expected += weight * (x @ own)
+    found = np.asarray(predict(network, data).value[0])[:, 0]
+    # columns with a ridge of 1e-12
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+def test_samples_are_drawn_by_the_seed(data, pool):
+    centres = []
+    for seed in (1, 1, 2):
+        method = Placed(["a[t]", "b[t]"], max_models=3, at="samples", seed=seed)
+        z, validity = regions(grow(pool, data, method).value, data)
+        centre = np.asarray(validity.centre)
+        away = np.abs(centre[:, None] - z[None]).sum(axis=2).min(axis=1)
+        np.testing.assert_allclose(away, 0.0, atol=1e-12)
+        centres.append(centre)
+    np.testing.assert_array_equal(centres[0], centres[1])
+    assert np.any(centres[0] != centres[2])
+
+
+@pytest.mark.parametrize("kind", [Lolimot, SigmoidTree])
+def test_a_grown_partition_is_moved_and_fitted_anew(data, pool, kind):
+    still = kind(["a[t]", "b[t]"], max_models=3, criterion="none")
+    moved = dataclasses.replace(still, scatter=0.5, seed=2)
+    networks = [grow(pool, data, method).value for method in (still, moved, moved)]
+    first, second, again = (
+        [np.asarray(leaf) for leaf in (n.models[0].validity.parameters)]
+        for n in networks
+    )
+    assert all(np.any(a != b) for a, b in zip(first, second, strict=True))
+    for a, b in zip(second, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    # What is fitted anew is least squares again: no local coefficient gains by moving.
+    theta = np.asarray(networks[1].models[0].local.dense())
+    assert np.all(np.isfinite(theta)) and np.any(
+        theta != np.asarray(networks[0].models[0].local.dense())
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Placed(["a[t]"], max_models=0), "max_models"),
+        (lambda: Placed(["a[t]"], k_sigma=0.0), "k_sigma"),
+        (lambda: Placed(["a[t]"], seed=-1), "seed"),
+        (lambda: Placed(["a[t]"], local=ForwardOLS()), "local"),
+        (lambda: Lolimot(["a[t]"], scatter=-1.0), "scatter"),
+        (lambda: Lolimot(["a[t]"], scatter=0.5, local=ForwardOLS()), "scatter"),
+    ],
+)
+def test_wrong_settings_are_named(make, field):
+    with pytest.raises(SpecError) as caught:
+        make()
+    assert caught.value.field == field
