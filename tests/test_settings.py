@@ -156,7 +156,8 @@ def test_each_setting_is_declared_once_and_explained():
     """A field that a base class has is not written again by its kinds."""
     for name in methods.__all__:
         kind: Any = getattr(methods, name)
-        if not dataclasses.is_dataclass(kind):
+        settings = dataclasses.is_dataclass(kind)
+        if not settings:
             continue
         texts = field_texts(kind)
         for base in kind.__mro__[1:]:
