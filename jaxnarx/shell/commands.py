@@ -69,8 +69,7 @@ class Identify:
     The description (TOML) names files, channels, units and which records train,
     validate and test; `jaxnarx check --help` shows one. Without validation records some
     are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT or
-    a tree of sigmoids, and all parameters are refined together on the free-run error;
-    --steps 0 keeps the one-step model.
+    a tree of sigmoids, and all parameters are refined together on the free-run error.
     The last lines are a verdict (good, usable with limits, or not usable, and why) and
     the command that would help.
 

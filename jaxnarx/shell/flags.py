@@ -81,6 +81,9 @@ TEXTS = {
     "particle number; they must be positive.",
     "local_terms": "Every region keeps this many of the chosen terms, chosen anew by "
     "error reduction ratio; without it all of them.",
+    "steps": "Refinement steps on full records; 0 keeps the one-step model.",
+    "direct_steps": "Refinement steps of the inverse by itself, on its free run; 0 for "
+    "none.",
 }
 """What an option says that its setting does not."""
 
@@ -104,7 +107,7 @@ def with_options(command: type) -> type:
             continue
         base: Any = field.default
         for name, path in OPTIONS[command].items():
-            made.append((name, _option(name, path, base), None))
+            made.append((name, _option(command, name, path, base), None))
         made.append(("set", _explained(tuple[str, ...], SET, _SET), ()))
         made.append(("settings", _explained(str | None, SETTINGS, _FILE), None))
     return dataclasses.make_dataclass(command.__name__, made, frozen=True)
@@ -279,19 +282,35 @@ def _of_file(path: Path) -> Identification:
         raise DataFileError(f"{path}: {error}", path=path) from error
 
 
-def _option(name: str, path: str, base: Identification) -> Any:
+def _option(command: type, name: str, path: str, base: Identification) -> Any:
     """The annotated type of one option, with its help."""
     owner, hint = hint_at(Identification, path)
     last = path.rpartition(".")[2]
-    words = TEXTS.get(name) or field_texts(owner)[last]
-    shown = "" if name in TEXTS else _hint(value_at(base, path))
-    if name == "models":
-        shown = f"(default: 1, with --schedule {owner.max_models})"
-    elif not shown and path.startswith("grow."):
-        shown = _hint(getattr(owner, last, None))
-    told = " ".join(words.split())
-    conf = arg(metavar=WORDS.get(name), help=told, help_behavior_hint=shown)
+    words = TEXTS.get(name) or field_texts(owner)[last].partition(" In Python")[0]
+    conf = arg(
+        metavar=WORDS.get(name),
+        help=" ".join(words.split()),
+        help_behavior_hint=_usual(command, name, path, base),
+    )
     return Annotated[_type(name, hint) | None, conf]
+
+
+def _usual(command: type, name: str, path: str, base: Identification) -> str:
+    """What help says of the default."""
+    owner, _ = hint_at(Identification, path)
+    if name == "models":
+        return f"(default: 1, with --schedule {owner.max_models})"
+    if name == "partition":
+        return f"(default: global, with --schedule {DIVIDED[command]})"
+    if name in ("log", "local_terms"):
+        return ""
+    usual = plain(value_at(base, path))
+    if usual is None:
+        usual = plain(getattr(owner, path.rpartition(".")[2], None))
+    if usual is None or usual == []:
+        return ""
+    shown = " ".join(map(str, usual)) if isinstance(usual, list) else usual
+    return f"(default: {'1/3' if shown == 1 / 3 else shown})"
 
 
 def _type(name: str, hint: Any) -> Any:
@@ -308,15 +327,6 @@ def _type(name: str, hint: Any) -> Any:
         if get_origin(kind) is Sequence:
             return tuple[get_args(kind)[0], ...]
     return float
-
-
-def _hint(usual: Any) -> str:
-    """What help says of the default."""
-    usual = plain(usual)
-    if usual is None or usual == [] or isinstance(usual, Mapping):
-        return ""
-    shown = " ".join(map(str, usual)) if isinstance(usual, list) else usual
-    return f"(default: {'1/3' if shown == 1 / 3 else shown})"
 
 
 def _explained(hint: Any, text: str, conf: Any = None) -> Any:
