@@ -1,15 +1,15 @@
 """Settings of inverse models: what actuators can do, and how an inverse is trained."""
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 
 from jaxnarx.checks import require
+from jaxnarx.methods.fields import NotNegative, Steps, settings
 
 Number = float | int
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class ActuatorLimits:
     """What the actuators behind the commands can do, by name of the command.
 
@@ -39,7 +39,7 @@ class ActuatorLimits:
             )
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class TrackingError:
     """Training of an inverse through a forward network that does not move.
 
@@ -50,37 +50,29 @@ class TrackingError:
     inverse's training data. Least squares by Levenberg-Marquardt; limits act inside.
     """
 
-    effort: Number = 1e-3
+    effort: NotNegative = 1e-3
     """Price of moving the commands. A change by the whole range in every sample costs
     as much as a tracking error of sqrt(effort) standard deviations."""
     horizons: Sequence[int] = ()
     """Window lengths [samples] before the full record: windows begin at recorded
     commands and outputs. Useful where the direct inverse runs away."""
-    max_steps: int = 40
+    max_steps: Steps = 40
     """Accepted steps on the full record."""
-    window_steps: int = 10
+    window_steps: Steps = 10
     """Accepted steps at each window length."""
-    tolerance: Number = 1e-4
+    tolerance: NotNegative = 1e-4
     """Stop when an accepted step lowers the loss by less than this share, twice in a
     row."""
-    patience: int = 10
+    patience: Steps = 10
     """Stop after this many accepted steps on full records without a better
     validation."""
-    ridge: Number = 1e-5
+    ridge: NotNegative = 1e-5
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
     width_band: tuple[Number, Number] = (0.5, 2.0)
     """Limits of a validity's width as multiples of its start."""
 
     def __post_init__(self):
-        for name in ("effort", "tolerance", "ridge"):
-            value = getattr(self, name)
-            require(
-                0 <= value < math.inf, name, f"{name} must not be negative, got {value}"
-            )
-        for name in ("max_steps", "window_steps", "patience"):
-            value = getattr(self, name)
-            require(value >= 0, name, f"{name} must not be negative, got {value}")
         require(
             all(h >= 1 for h in self.horizons),
             "horizons",

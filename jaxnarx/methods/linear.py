@@ -15,39 +15,35 @@ Reference: L. Ljung, System Identification: Theory for the User, 2nd ed. 1999, c
 4.2.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
-from jaxnarx.checks import whole
-from jaxnarx.errors import SpecError
+from jaxnarx.methods.fields import Bound, Share, Steps, settings
 
-Orders = int | Sequence[int] | Mapping[str, int]
+
+def _orders(least: int) -> Bound:
+    """At least so much for every input."""
+
+    def holds(orders: Any) -> bool:
+        if isinstance(orders, Mapping):
+            orders = tuple(orders.values())
+        values = orders if isinstance(orders, Sequence) else (orders,)
+        return all(value >= least for value in values)
+
+    return Bound(f"be at least {least}", holds)
+
+
+Orders = Annotated[int | Sequence[int] | Mapping[str, int], _orders(0)]
 """One number for all inputs, one for each in order, or by input name."""
+Counts = Annotated[int | Sequence[int] | Mapping[str, int], _orders(1)]
+"""The same of at least one."""
 
 
-class _Linear:
-    """What every class checks of the fields it has."""
-
-    def __post_init__(self):
-        least = {"na": 0, "nb": 1, "nc": 0, "nd": 0, "nf": 0, "nk": 0, "max_steps": 0}
-        for field, smallest in least.items():
-            orders = getattr(self, field, smallest)
-            if isinstance(orders, Mapping):
-                orders = list(orders.values())
-            for value in orders if isinstance(orders, Sequence) else [orders]:
-                whole(value, field, smallest)
-        tolerance = getattr(self, "tolerance", 0)
-        if not 0 <= tolerance < 1:
-            raise SpecError(
-                f"tolerance must lie in [0, 1), got {tolerance}", field="tolerance"
-            )
-
-
-@dataclasses.dataclass(frozen=True)
-class FIR(_Linear):
+@settings
+class FIR:
     """Finite impulse response, y = B u + e: (2.1). Linear least squares."""
 
-    nb: Orders = 10
+    nb: Counts = 10
     """Coefficients of B."""
     nk: Orders = 1
     """Delay [samples]; 0 lets the input act at once."""
@@ -55,13 +51,13 @@ class FIR(_Linear):
     """Estimate the constant term."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ARX(_Linear):
+@settings
+class ARX:
     """Autoregression with inputs, A y = B u + e. Linear least squares."""
 
-    na: int = 2
+    na: Steps = 2
     """Order of A."""
-    nb: Orders = 2
+    nb: Counts = 2
     """Coefficients of B."""
     nk: Orders = 1
     """Delay [samples]; 0 lets the input act at once."""
@@ -69,31 +65,31 @@ class ARX(_Linear):
     """Estimate the constant term."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ARMAX(_Linear):
+@settings
+class ARMAX:
     """ARX with a moving average of the noise, A y = B u + C e. Prediction error."""
 
-    na: int = 2
+    na: Steps = 2
     """Order of A."""
-    nb: Orders = 2
+    nb: Counts = 2
     """Coefficients of B."""
-    nc: int = 1
+    nc: Steps = 1
     """Order of C."""
     nk: Orders = 1
     """Delay [samples]; 0 lets the input act at once."""
     constant: bool = True
     """Estimate the constant term."""
-    max_steps: int = 100
+    max_steps: Steps = 100
     """Accepted steps of the search."""
-    tolerance: float | int = 1e-9
+    tolerance: Share = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
 
-@dataclasses.dataclass(frozen=True)
-class OutputError(_Linear):
+@settings
+class OutputError:
     """Noise on the output only, y = B/F u + e. Prediction error."""
 
-    nb: Orders = 2
+    nb: Counts = 2
     """Coefficients of B."""
     nf: Orders = 2
     """Order of F."""
@@ -101,21 +97,21 @@ class OutputError(_Linear):
     """Delay [samples]; 0 lets the input act at once."""
     constant: bool = True
     """Estimate the constant term."""
-    max_steps: int = 100
+    max_steps: Steps = 100
     """Accepted steps of the search."""
-    tolerance: float | int = 1e-9
+    tolerance: Share = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
 
-@dataclasses.dataclass(frozen=True)
-class BoxJenkins(_Linear):
+@settings
+class BoxJenkins:
     """Dynamics and noise apart, y = B/F u + C/D e. Prediction error."""
 
-    nb: Orders = 2
+    nb: Counts = 2
     """Coefficients of B."""
-    nc: int = 1
+    nc: Steps = 1
     """Order of C."""
-    nd: int = 1
+    nd: Steps = 1
     """Order of D."""
     nf: Orders = 2
     """Order of F."""
@@ -123,27 +119,27 @@ class BoxJenkins(_Linear):
     """Delay [samples]; 0 lets the input act at once."""
     constant: bool = True
     """Estimate the constant term."""
-    max_steps: int = 100
+    max_steps: Steps = 100
     """Accepted steps of the search."""
-    tolerance: float | int = 1e-9
+    tolerance: Share = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
 
-@dataclasses.dataclass(frozen=True)
-class GeneralLinear(_Linear):
+@settings
+class GeneralLinear:
     """All polynomials together, A y = B/F u + C/D e: (2.3). Prediction error.
 
     Dynamics that input and noise share are in A, the others apart in F and D. Orders
     that are zero leave a polynomial out; all other classes are such cases.
     """
 
-    na: int = 1
+    na: Steps = 1
     """Order of A."""
-    nb: Orders = 2
+    nb: Counts = 2
     """Coefficients of B."""
-    nc: int = 1
+    nc: Steps = 1
     """Order of C."""
-    nd: int = 1
+    nd: Steps = 1
     """Order of D."""
     nf: Orders = 1
     """Order of F."""
@@ -151,9 +147,9 @@ class GeneralLinear(_Linear):
     """Delay [samples]; 0 lets the input act at once."""
     constant: bool = True
     """Estimate the constant term."""
-    max_steps: int = 100
+    max_steps: Steps = 100
     """Accepted steps of the search."""
-    tolerance: float | int = 1e-9
+    tolerance: Share = 1e-9
     """The search ends when a step lowers the loss by less than this share."""
 
 

@@ -5,27 +5,30 @@ import itertools
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from jaxnarx.checks import choice, require
+from jaxnarx.checks import require
+from jaxnarx.methods.fields import (
+    Count,
+    NotNegative,
+    Positive,
+    Seed,
+    settings,
+)
 from jaxnarx.methods.selection import ForwardOLS, StepwiseF
 
-CRITERIA = ("aicc", "bic", "validation", "none")
-CURVES = ("gaussians", "compact", "boxes")
-FEEDBACK = ("network", "own", "choose")
 
-
-@dataclasses.dataclass(frozen=True)
+@settings
 class Global:
     """One local model that is valid everywhere: an ordinary polynomial NARX model."""
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class _Local:
     """What every partition is told about its local models."""
 
     local: ForwardOLS | StepwiseF | None = dataclasses.field(default=None, kw_only=True)
     """How every local model chooses terms of its own, weighted with its validity;
     default: all have the terms that they are given."""
-    ridge: float | int = dataclasses.field(default=0.0, kw_only=True)
+    ridge: NotNegative = dataclasses.field(default=0.0, kw_only=True)
     """Pull of a local model's coefficients towards the model it was split from (of a
     partition that is given: towards the global model), as a share of the data's own
     information about each. Not for local models with terms of their own."""
@@ -38,12 +41,6 @@ class _Local:
     any on the training records. It makes no difference one step ahead."""
 
     def __post_init__(self):
-        choice(self.feedback, FEEDBACK, "feedback")
-        require(
-            0 <= self.ridge < float("inf"),
-            "ridge",
-            f"ridge must be finite and not negative, got {self.ridge}",
-        )
         require(
             self.local is None or self.ridge == 0,
             "ridge",
@@ -51,7 +48,7 @@ class _Local:
         )
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class _Scheduled(_Local):
     """What every partition of several models is told."""
 
@@ -61,7 +58,7 @@ class _Scheduled(_Local):
     def __post_init__(self):
         super().__post_init__()
         name = type(self).__name__
-        object.__setattr__(self, "scheduling", _names(self.scheduling))
+        _require_once(self.scheduling)
         require(
             bool(self.scheduling),
             "scheduling",
@@ -70,24 +67,21 @@ class _Scheduled(_Local):
         )
 
 
-def _names(scheduling: Sequence[str]) -> tuple[str, ...]:
-    """Scheduling variables as a tuple; one alone may be given as a text."""
-    names = (scheduling,) if isinstance(scheduling, str) else tuple(scheduling)
+def _require_once(scheduling: Sequence[str]) -> None:
     require(
-        len(set(names)) == len(names),
+        len(set(scheduling)) == len(scheduling),
         "scheduling",
-        f"a scheduling variable is named twice: {', '.join(names)}",
+        f"a scheduling variable is named twice: {', '.join(scheduling)}",
     )
-    return names
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class _Grown(_Scheduled):
     """What every growth is told."""
 
-    max_models: int = dataclasses.field(default=8, kw_only=False)
+    max_models: Count = dataclasses.field(default=8, kw_only=False)
     """Largest number of local models."""
-    patience: int = dataclasses.field(default=2, kw_only=True)
+    patience: Count = dataclasses.field(default=2, kw_only=True)
     """Stop after this many successive stages without a better criterion."""
     criterion: Literal["aicc", "bic", "validation", "none"] = dataclasses.field(
         default="aicc", kw_only=True
@@ -95,57 +89,33 @@ class _Grown(_Scheduled):
     """What decides on the number of models: the corrected Akaike or the Bayesian
     criterion with the effective number of parameters; the free run on the records that
     `grow` is given as `validation`; or nothing but `max_models`."""
-    least: float | int | None = dataclasses.field(default=None, kw_only=True)
+    least: Positive | None = dataclasses.field(default=None, kw_only=True)
     """Least sum of a local model's validity over the samples; default: its number of
     parameters. A split that would leave less is forbidden."""
-    scatter: float | int = dataclasses.field(default=0.0, kw_only=True)
+    scatter: NotNegative = dataclasses.field(default=0.0, kw_only=True)
     """Standard deviation of a random move of the grown partition, in the coordinates of
     the refinement (0.7 is that of `SimulationError.starts`); the local models are then
     fitted anew."""
-    seed: int = dataclasses.field(default=0, kw_only=True)
+    seed: Seed = dataclasses.field(default=0, kw_only=True)
     """Of that move."""
 
     def __post_init__(self):
         super().__post_init__()
         require(
-            0 <= self.scatter < float("inf"),
-            "scatter",
-            f"scatter must be finite and not negative, got {self.scatter}",
-        )
-        require(
             not self.scatter or self.local is None,
             "scatter",
             "a partition whose models have terms of their own is not moved",
         )
-        require(
-            0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
-        )
-        require(
-            self.max_models >= 1,
-            "max_models",
-            f"max_models must be at least 1, got {self.max_models}",
-        )
-        require(
-            self.patience >= 1,
-            "patience",
-            f"patience must be at least 1, got {self.patience}",
-        )
-        choice(self.criterion, CRITERIA, "criterion")
-        require(
-            self.least is None or self.least > 0,
-            "least",
-            f"least must be positive, got {self.least}",
-        )
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class Lolimot(_Grown):
     """Local linear model tree: axis-orthogonal halving of the worst local model.
 
     Nelles and Isermann 1996; thesis section 6.2.
     """
 
-    k_sigma: float | int = 1 / 3
+    k_sigma: Positive = 1 / 3
     """Width of a Gaussian as a share of its box's extension; with `compact` validity,
     half the width of the zone of transition."""
     _: dataclasses.KW_ONLY
@@ -156,85 +126,56 @@ class Lolimot(_Grown):
     """Form of the validity functions: normalised Gaussians, smooth curves of bounded
     support, or piecewise constant."""
 
-    def __post_init__(self):
-        super().__post_init__()
-        require(
-            self.k_sigma > 0, "k_sigma", f"k_sigma must be positive, got {self.k_sigma}"
-        )
-        choice(self.worst, ("squares", "nmse"), "worst")
-        choice(self.validity, CURVES, "validity")
 
-
-@dataclasses.dataclass(frozen=True)
+@settings
 class SigmoidTree(_Grown):
     """Hierarchical local model tree: the worst leaf is cut by a sigmoid gate.
 
     O. Nelles 2006; B. Hartmann and O. Nelles 2009 (HILOMOT); thesis section 7.2.
     """
 
-    smoothness: float | int = 1.0
+    smoothness: Positive = 1.0
     """Width of a gate's transition: its steepness is 16 over this and over the distance
     between the middles of the regions on its sides."""
     _: dataclasses.KW_ONLY
     oblique: bool = True
     """Optimise the direction and place of every gate; False: gates across one variable
     each."""
-    steps: int = 15
+    steps: Count = 15
     """Steps of that optimisation."""
     prune: bool = False
     """Merge sibling leaves again, after the growth, while AICc falls."""
 
-    def __post_init__(self):
-        super().__post_init__()
-        require(
-            self.smoothness > 0,
-            "smoothness",
-            f"smoothness must be positive, got {self.smoothness}",
-        )
-        require(self.steps >= 1, "steps", f"steps must be at least 1, got {self.steps}")
 
-
-@dataclasses.dataclass(frozen=True)
+@settings
 class Placed(_Scheduled):
     """Gaussians at samples drawn at random, or at the means of clusters from there.
 
     Clusters: S. Lloyd, "Least squares quantization in PCM", 1982.
     """
 
-    max_models: int = 8
+    max_models: Count = 8
     """Number of local models."""
-    k_sigma: float | int = 1 / 3
+    k_sigma: Positive = 1 / 3
     """Width of a Gaussian as a share of the extension of one of as many equal boxes; of
     a cluster, of its own."""
     _: dataclasses.KW_ONLY
     at: Literal["samples", "clusters"] = "clusters"
     """Where the centres lie."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the samples that are drawn."""
 
     def __post_init__(self):
         super().__post_init__()
         require(
-            self.max_models >= 1,
-            "max_models",
-            f"max_models must be at least 1, got {self.max_models}",
-        )
-        require(
-            self.k_sigma > 0, "k_sigma", f"k_sigma must be positive, got {self.k_sigma}"
-        )
-        require(
             self.local is None, "local", "models that are placed have terms in common"
-        )
-        choice(self.at, ("samples", "clusters"), "at")
-        require(
-            0 <= self.seed < 2**31, "seed", f"seed must lie in [0, 2^31): {self.seed}"
         )
 
 
 Numbers = Sequence[float | int]
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class Grid(_Scheduled):
     """A partition that is given: equal boxes, borders, or centres.
 
@@ -253,33 +194,20 @@ class Grid(_Scheduled):
     times the distance to the nearest other centre (ranges scaled to one)."""
     validity: Literal["gaussians", "compact", "boxes", "log-sigmoids"] = "gaussians"
     """Form of the validity functions; log-sigmoids divide one variable."""
-    k_sigma: float | int = 1 / 3
+    k_sigma: Positive = 1 / 3
     """Width of a Gaussian as a share of its box's extension; with `compact` validity,
     half the width of the zone of transition."""
-    steepness: float | int | None = None
+    steepness: Positive | None = None
     """Steepness of the log-sigmoids, per unit of the scheduling variable; default: 5
     over the mean distance between borders."""
 
     def __post_init__(self):
         super().__post_init__()
-        for name in ("borders", "centres", "widths"):
-            value = tuple(tuple(map(float, row)) for row in getattr(self, name))
-            object.__setattr__(self, name, value)
-        models = self.models
-        models = (models,) if isinstance(models, int) else tuple(models)
-        object.__setattr__(self, "models", models)
-        choice(self.validity, (*CURVES, "log-sigmoids"), "validity")
         given = [n for n in ("models", "borders", "centres") if len(getattr(self, n))]
         require(
             len(given) == 1,
             "models",
             f"give one of models, borders and centres, got {given or 'none'}",
-        )
-        require(self.k_sigma > 0, "k_sigma", "k_sigma must be positive")
-        require(
-            self.steepness is None or self.steepness > 0,
-            "steepness",
-            f"steepness must be positive, got {self.steepness}",
         )
         self._check_sizes()
 
@@ -337,7 +265,7 @@ class Grid(_Scheduled):
         )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@settings(eq=False)
 class Given(_Local):
     """A partition from elsewhere: only the local models are made here.
 
@@ -360,9 +288,8 @@ class Given(_Local):
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "scheduling", _names(self.scheduling))
-        ranges = tuple(tuple(map(float, row)) for row in self.ranges)
-        object.__setattr__(self, "ranges", ranges)
+        _require_once(self.scheduling)
+        ranges = self.ranges
         require(
             not ranges or len(ranges) == len(self.scheduling),
             "ranges",

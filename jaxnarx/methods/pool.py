@@ -1,15 +1,16 @@
 """Settings of the candidate terms."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
-from jaxnarx.errors import SpecError
+from jaxnarx.checks import require
+from jaxnarx.methods.fields import Bound, settings
 
 Lags = Sequence[int] | Mapping[str, Sequence[int]]
+Degree = Annotated[int, Bound("be 1 to 4", lambda n: 1 <= n <= 4)]
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class Polynomial:
     """Candidate terms: all products of up to `degree` lagged variables.
 
@@ -26,27 +27,19 @@ class Polynomial:
     filters: Sequence[Any] = ()
     """Time constants [s] of first-order lags; inputs enter through each of them too. In
     Python also other filters, such as `Laguerre`."""
-    degree: int = 2
+    degree: Degree = 2
     """Largest number of factors of a term."""
     filter_lags: Sequence[int] = (0,)
     """Lags of the filtered inputs in samples."""
 
     def __post_init__(self):
-        single = isinstance(self.outputs, str)
-        outputs = (self.outputs,) if single else tuple(self.outputs)
-        object.__setattr__(self, "outputs", tuple(dict.fromkeys(outputs)))
-        for field in ("input_lags", "output_lags"):
-            value = getattr(self, field)
-            if not isinstance(value, Mapping):
-                object.__setattr__(self, field, tuple(value))
-        object.__setattr__(self, "filters", tuple(dict.fromkeys(self.filters)))
-        object.__setattr__(self, "filter_lags", tuple(self.filter_lags))
-        for value in self.filters:
-            if isinstance(value, int | float) and not 0 < value < float("inf"):
-                raise SpecError(
-                    "filters must be positive time constants in seconds, got "
-                    f"{' '.join(map(str, self.filters))}",
-                    field="filters",
-                )
-        if not 1 <= self.degree <= 4:
-            raise SpecError(f"degree must be 1 to 4, got {self.degree}", field="degree")
+        for field in ("outputs", "filters"):
+            once = tuple(dict.fromkeys(getattr(self, field)))
+            object.__setattr__(self, field, once)
+        times = [f for f in self.filters if isinstance(f, int | float)]
+        require(
+            all(0 < time < float("inf") for time in times),
+            "filters",
+            "filters must be positive time constants in seconds, got "
+            f"{' '.join(map(str, self.filters))}",
+        )

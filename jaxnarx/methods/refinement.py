@@ -1,15 +1,27 @@
 """Settings of refinement."""
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from numbers import Integral
-from typing import Literal
+from typing import Annotated, Literal
 
-from jaxnarx.checks import choice, require
+from jaxnarx.checks import require
+from jaxnarx.methods.fields import (
+    Bound,
+    Count,
+    NotNegative,
+    Positive,
+    Steps,
+    settings,
+)
+
+Folds = Annotated[int, Bound("be 0 (none) or at least 2", lambda n: n == 0 or n >= 2)]
+Band = Annotated[
+    tuple[float | int, float | int],
+    Bound("enclose one", lambda band: 0 < band[0] < 1 < band[1]),
+]
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class SimulationError:
     """Training on the error of the free run, by default least squares by
     Levenberg-Marquardt.
@@ -21,9 +33,9 @@ class SimulationError:
     horizons: Sequence[int] | Literal["auto"] = (10, 30, 100, 300, 1000)
     """Window lengths in samples before the full record. `"auto"`: the first is the
     slowest time constant of the local models, each of the next three times longer."""
-    max_steps: int = 40
+    max_steps: Steps = 40
     """Accepted steps on the full record."""
-    window_steps: int = 20
+    window_steps: Steps = 20
     """Accepted steps at each window length, and of the coefficients alone on the full
     record."""
     train: Literal["staged", "joint", "either", "coefficients", "partition"] = "staged"
@@ -34,22 +46,22 @@ class SimulationError:
     `"partition"`: one kind alone, the other as it is. With noisy outputs a partition
     that moves in the windows adapts to biased coefficients and does not come back
     (`experiments/nelles`)."""
-    tolerance: float | int = 1e-4
+    tolerance: NotNegative = 1e-4
     """A stage ends when an accepted step lowers the loss by less than this share, twice
     in a row."""
-    patience: int = 15
+    patience: Count = 15
     """Stop after this many accepted full-record steps without a better validation."""
-    ridge: float | int = 1e-5
+    ridge: NotNegative = 1e-5
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
-    width_band: tuple[float | int, float | int] = (0.5, 2.0)
+    width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     solver: Literal["levenberg", "bfgs", "lbfgs", "windows"] = "levenberg"
     """Levenberg-Marquardt; quasi-Newton with or without a full matrix; or Adam on
     random windows, which has no stage of full records."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"
     """What errors cost. The robust ones grow linearly beyond `corner`."""
-    corner: float | int = 0.2
+    corner: Positive = 0.2
     """Error at which a robust loss turns linear, in standard deviations of the output
     (after its transform)."""
     box_cox: float | int | Mapping[str, float | int] = 1.0
@@ -59,66 +71,30 @@ class SimulationError:
     initial_conditions: Literal["measured", "estimated"] = "measured"
     """Whether training runs start from the measured outputs, or from ones estimated
     beside the parameters. The result is judged from measured starts in any case."""
-    starts: int = 1
+    starts: Count = 1
     """Starting points. Those beyond the given network move the partition at random and
     take the coefficients of least squares there; the best by validation goes on."""
-    folds: int = 0
+    folds: Folds = 0
     """Choose the length of the search by cross-validation over this many groups of
     records, then train on all; in place of validation records."""
-    stability: float | int = 0.0
+    stability: NotNegative = 0.0
     """Weight of the penalty on samples at which the network does not contract; 0
     none."""
-    contraction: float | int = 1.0
+    contraction: Positive = 1.0
     """Norm of a step's linearisation above which the penalty acts."""
-    batch: int = 32
+    batch: Count = 32
     """Windows in one update of the solver `"windows"`."""
-    learning_rate: float | int = 0.01
+    learning_rate: Positive = 0.01
     """Step of Adam, in parameters scaled by their effect."""
     seed: int = 0
     """Of random starts and windows."""
 
     def __post_init__(self):
-        if self.horizons != "auto":
-            object.__setattr__(self, "horizons", tuple(self.horizons))
-            require(
-                all(isinstance(h, Integral) and int(h) >= 2 for h in self.horizons),
-                "horizons",
-                "horizons must be at least 2 samples each, and whole numbers, got "
-                f"{self.horizons}",
-            )
+        horizons = () if self.horizons == "auto" else self.horizons
         require(
-            self.max_steps >= 0 and self.window_steps >= 0,
-            "max_steps",
-            "step budgets must not be negative",
-        )
-        for name in ("ridge", "tolerance"):
-            value = getattr(self, name)
-            require(
-                0 <= value < math.inf,
-                name,
-                f"{name} must be finite and not negative, got {value}",
-            )
-        object.__setattr__(self, "width_band", tuple(self.width_band))
-        _check_width_band(self.width_band)
-        for name in ("patience", "starts", "batch"):
-            value = getattr(self, name)
-            require(
-                isinstance(value, Integral) and int(value) >= 1,
-                name,
-                f"{name} must be a whole number of at least 1, got {value}",
-            )
-        for name in ("corner", "learning_rate", "contraction"):
-            value = getattr(self, name)
-            require(value > 0, name, f"{name} must be positive, got {value}")
-        require(
-            self.stability >= 0,
-            "stability",
-            f"stability must not be negative, got {self.stability}",
-        )
-        require(
-            self.folds == 0 or self.folds >= 2,
-            "folds",
-            f"folds must be 0 (none) or at least 2, got {self.folds}",
+            all(h >= 2 for h in horizons),
+            "horizons",
+            f"horizons must be at least 2 samples each, got {self.horizons}",
         )
         powers = self.box_cox
         powers = powers.values() if isinstance(powers, Mapping) else (powers,)
@@ -138,23 +114,15 @@ class SimulationError:
             "horizons",
             'solver="windows" needs at least one horizon, the length of its windows',
         )
-        choice(self.solver, ("levenberg", "bfgs", "lbfgs", "windows"), "solver")
-        choice(
-            self.train,
-            ("staged", "joint", "either", "coefficients", "partition"),
-            "train",
-        )
         require(
             not (self.folds and self.train == "either"),
             "train",
             'folds choose a position in one schedule; take train "staged" or "joint" '
             "with them",
         )
-        choice(self.loss, ("squares", "huber", "log-cosh"), "loss")
-        choice(self.initial_conditions, ("measured", "estimated"), "initial_conditions")
 
 
-@dataclasses.dataclass(frozen=True)
+@settings
 class PredictionError:
     """Least squares of the one-step error, by separable Gauss-Newton.
 
@@ -163,43 +131,17 @@ class PredictionError:
     Golub and Pereyra 1973, in Kaufman's form of 1975).
     """
 
-    max_steps: int = 40
+    max_steps: Steps = 40
     """Accepted steps of the partition."""
-    tolerance: float | int = 1e-4
+    tolerance: NotNegative = 1e-4
     """The search ends when a step lowers the loss by less than this share, twice in a
     row."""
-    patience: int = 15
+    patience: Count = 15
     """Stop after this many accepted steps without a better validation."""
-    ridge: float | int = 1e-9
+    ridge: NotNegative = 1e-9
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
-    width_band: tuple[float | int, float | int] = (0.5, 2.0)
+    width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     train: Literal["joint", "coefficients", "partition"] = "joint"
     """What is trained: everything, or one kind alone."""
-
-    def __post_init__(self):
-        require(self.max_steps >= 0, "max_steps", "step budgets must not be negative")
-        for name in ("ridge", "tolerance"):
-            value = getattr(self, name)
-            require(
-                0 <= value < math.inf,
-                name,
-                f"{name} must be finite and not negative, got {value}",
-            )
-        require(
-            self.patience >= 1,
-            "patience",
-            f"patience must be at least 1, got {self.patience}",
-        )
-        object.__setattr__(self, "width_band", tuple(self.width_band))
-        _check_width_band(self.width_band)
-        choice(self.train, ("joint", "coefficients", "partition"), "train")
-
-
-def _check_width_band(band: tuple[float | int, float | int]) -> None:
-    require(
-        0 < band[0] < 1 < band[1],
-        "width_band",
-        f"width_band must enclose one, got {band}",
-    )

@@ -7,14 +7,13 @@ A path names one setting, `"grow.max_models"`.
 """
 
 import dataclasses
-import functools
-import types
 from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.methods.anova import Anova
+from jaxnarx.methods.fields import fields_of, fits, kinds_of, words
 from jaxnarx.methods.partition import Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.methods.pool import Polynomial
 from jaxnarx.methods.refinement import PredictionError, SimulationError
@@ -137,19 +136,6 @@ def names_of(hint: Any) -> list[str]:
     kinds = kinds_of(hint)
     names = [name for name, kind, _ in KINDS if kind in kinds]
     return names + ["none"] * (bool(names) and type(None) in kinds)
-
-
-def kinds_of(hint: Any) -> tuple[Any, ...]:
-    """The members of a union, or the one type there is."""
-    union = get_origin(hint) in (Union, types.UnionType)
-    return get_args(hint) if union else (hint,)
-
-
-@functools.cache
-def fields_of(kind: type) -> dict[str, Any]:
-    """The fields of a settings class and what they may hold."""
-    hints = get_type_hints(kind)
-    return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 
 
 def plain(value: Any) -> Any:
@@ -291,55 +277,7 @@ def _value(hint: Any, value: Any, path: str) -> Any:
     elif value == "none" and type(None) in kinds_of(hint):
         return None
     if not fits(hint, value):
-        raise SpecError(f"{path} must be {words(hint)}, got {value!r}", field=path)
+        told = ", ".join(names_of(hint))
+        wanted = f"one of {told}" if told else words(hint)
+        raise SpecError(f"{path} must be {wanted}, got {value!r}", field=path)
     return tuple(value) if isinstance(value, list) else value
-
-
-def fits(hint: Any, value: Any) -> bool:
-    """Whether a value is of the kind that a field is annotated with."""
-    origin, inside = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        return any(fits(part, value) for part in inside)
-    if origin is Literal:
-        return value in inside
-    if hint is Any or hint is type(value):
-        return True
-    if hint in (None, type(None)):
-        return value is None
-    if isinstance(value, bool):
-        return hint is bool
-    if hint is int:
-        return isinstance(value, Integral)
-    if hint is float:
-        return isinstance(value, Real)
-    if origin is tuple and inside[-1] is not ...:
-        listed = isinstance(value, list | tuple) and len(value) == len(inside)
-        return listed and all(map(fits, inside, value))
-    if origin in (tuple, Sequence):
-        listed = isinstance(value, list | tuple)
-        return listed and all(fits(inside[0], item) for item in value)
-    if origin is Mapping:
-        return isinstance(value, Mapping) and all(
-            fits(inside[0], k) and fits(inside[1], v) for k, v in value.items()
-        )
-    return isinstance(hint, type) and isinstance(value, hint)
-
-
-_WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
-
-
-def words(hint: Any) -> str:
-    """What a field may hold, for messages."""
-    origin, inside = get_origin(hint), get_args(hint)
-    if names_of(hint):
-        return "one of " + ", ".join(names_of(hint))
-    if origin in (Union, types.UnionType):
-        parts = [p for p in inside if p is not int or float not in inside]
-        return " or ".join(dict.fromkeys(map(words, parts)))
-    if origin is Literal:
-        return "one of " + ", ".join(map(str, inside))
-    if origin in (tuple, Sequence):
-        return "a list"
-    if origin is Mapping:
-        return "a table by name"
-    return _WORDS.get(hint, "none" if hint is type(None) else "a value of another kind")
