@@ -256,7 +256,7 @@ def test_a_description_is_settings_and_cases(tmp_path):
         ("spread = 0.02", "spread = nan", "spread must be a number"),
         ("max_steps = 1", "stps = 1", "Did you mean 'max_steps'"),
         ("max_steps = 1", "max_steps = true", "refine.max_steps must be a whole"),
-        ("max_steps = 1", "max_steps = -1", "must not be negative"),
+        ("max_steps = 1", "max_steps = -1", "refine.max_steps must be at least 0"),
         (
             "[cases]",
             "[identification.grow]\nmax_models = 2\n[cases]",
