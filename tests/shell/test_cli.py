@@ -555,7 +555,7 @@ USAGE = {
     "--input-lags -1": ("--input-lags of 'speed'", "-1"),
     "--input-lags 1 1": ("--input-lags of 'speed' repeat",),
     "--output-lags 0": ("--output-lags of 'temp'", "at least 1"),
-    "--steps -4": ("negative",),
+    "--steps -4": ("--steps must be at least 0, got -4",),
     "--ridge nan": ("--ridge", "nan"),
     "--ridge -1": ("--ridge", "-1"),
     "--hold-out 1.5": ("--hold-out", "between 0 and 1"),
