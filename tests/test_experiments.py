@@ -288,3 +288,19 @@ def test_compilations_are_counted(tmp_path):
     assert 0 < found["after"]["command"]["warm"] < found["after"]["command"]["cold"]
     for aim in found["aims"].values():
         assert_target(aim)
+
+
+@pytest.mark.slow
+def test_the_verbs_beside_the_program(tmp_path):
+    (row,) = run("verbs.py", results=tmp_path)["verbs"].values()
+    assert all(seconds > 0 for seconds in row["seconds a fit"].values())
+    assert_target(row["loop over program"])
+
+
+def test_the_house_is_counted(tmp_path):
+    found = run("house.py", results=tmp_path)["house"]["now"]
+    rooms = found["rooms"]
+    assert found["public names"] <= 60
+    parts = [sums for room, sums in rooms.items() if room.startswith("jaxnarx/")]
+    for figure, total in rooms["jaxnarx"].items():
+        assert sum(part[figure] for part in parts) == total > 0

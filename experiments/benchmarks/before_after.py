@@ -3,8 +3,8 @@
     git worktree add ../before COMMIT
     python experiments/benchmarks/before_after.py --before ../before
 
-The workers are those of the benchmarks, of this checkout, and run the package of either
-one: selection of 15 of 13,244 terms at 10,000 samples, free run and gradient at 1,800,
+Each version is measured by the workers of its own checkout, which know its interface:
+selection of 15 of 13,244 terms at 10,000 samples, free run and gradient at 1,800,
 growth to 16 models at 1,500, a sweep of fits of 1,000. Every round starts a fresh
 process for each version, the order changing by round; a figure is the best of all
 rounds, since what else runs on a machine only ever adds. `after` over `before` should
@@ -77,8 +77,9 @@ def measure(before: Path, rounds: int, smoke: bool) -> dict[str, Any]:
 
 
 def call(name: str, checkout: Path, smoke: bool) -> dict[str, float]:
-    """One worker in a fresh process with the package of that checkout."""
-    arguments = [sys.executable, __file__, "--worker", name]
+    """One worker of that checkout in a fresh process, with its package."""
+    own = checkout / Path(__file__).resolve().relative_to(ROOT)
+    arguments = [sys.executable, str(own), "--worker", name]
     path = os.pathsep.join(filter(None, (str(checkout), os.environ.get("PYTHONPATH"))))
     done = child(
         arguments + ["--smoke"] * smoke, environment={"PYTHONPATH": path}, cwd=checkout

@@ -81,6 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--smoke", action="store_true", help="as without it")
     parser.add_argument("--before", metavar="DIR", help="another checkout")
+    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     options = parser.parse_args()
     found = {"now": figures(ROOT)}
     if options.before:
@@ -89,7 +90,7 @@ def main() -> None:
         print(f"{when}: {figure['public names']} public names")
         for room, sums in figure["rooms"].items():
             print(f"  {room:24s}", *(f"{k} {v:6d}" for k, v in sums.items()))
-    record("house", found, folder=results_folder(None, smoke=options.smoke))
+    record("house", found, folder=results_folder(options.results, smoke=options.smoke))
 
 
 if __name__ == "__main__":
