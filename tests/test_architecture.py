@@ -13,6 +13,7 @@ import pytest
 import jaxnarx
 
 PACKAGE = Path(jaxnarx.__file__).parent
+ROOT = Path(__file__).parents[1]
 
 
 @cache
@@ -311,7 +312,7 @@ def words_of_the_command_line() -> set[str]:
 
 
 def words_of_the_readme() -> set[str]:
-    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     spans = re.findall(r"```.*?```|`[^`\n]*`", text, re.S)
     return set(re.findall(r"\w+", " ".join(spans)))
 
@@ -327,7 +328,7 @@ def names_in_docstrings() -> set[str]:
 
 
 def names_in_the_readme() -> set[str]:
-    return set(NAMED.findall((PACKAGE.parent / "README.md").read_text("utf-8")))
+    return set(NAMED.findall((ROOT / "README.md").read_text("utf-8")))
 
 
 def test_top_level_names_are_few_and_each_is_used():

@@ -130,7 +130,7 @@ def sweep(
             f"{statistics.median(r['train_free_run_start'] for r in rows):.4g}"
         ),
         "median_nrmse": float(f"{statistics.median(scores):.4g}"),
-        "pool": len(work.pool_of_all),
+        "pool": len(work.pool),
     }
 
 
