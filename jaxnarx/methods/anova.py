@@ -2,14 +2,14 @@
 
 from typing import Annotated, Literal
 
-from jaxnarx.methods.fields import Bound, Chance, settings
+from jaxnarx.methods.fields import Chance, Rule, settings
 
-Levels = Annotated[int, Bound("be a whole number from 2 to 10", lambda n: 2 <= n <= 10)]
-Order = Annotated[int, Bound("be a whole number from 1 to 4", lambda n: 1 <= n <= 4)]
+Levels = Annotated[int, Rule("be a whole number from 2 to 10", lambda n: 2 <= n <= 10)]
+Order = Annotated[int, Rule("be a whole number from 1 to 4", lambda n: 1 <= n <= 4)]
 Columns = Annotated[
-    int, Bound("be a whole number from 1 to 5000", lambda n: 1 <= n <= 5000)
+    int, Rule("be a whole number from 1 to 5000", lambda n: 1 <= n <= 5000)
 ]
-Part = Annotated[float | int, Bound("lie in [0, 1]", lambda x: 0 <= x <= 1)]
+Part = Annotated[float | int, Rule("lie in [0, 1]", lambda x: 0 <= x <= 1)]
 
 
 @settings

@@ -21,7 +21,6 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
-    overload,
 )
 
 from jaxnarx.checks import choice
@@ -31,44 +30,40 @@ T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
-class Bound:
+class Rule:
     """What a number must be, in words behind "must", and whether it is."""
 
     words: str
     holds: Callable[[Any], bool]
 
 
-Count = Annotated[int, Bound("be at least 1", lambda n: n >= 1)]
-Steps = Annotated[int, Bound("be at least 0", lambda n: n >= 0)]
-Seed = Annotated[int, Bound("lie in [0, 2^31)", lambda n: 0 <= n < 2**31)]
-Positive = Annotated[float | int, Bound("be positive", lambda x: 0 < x < math.inf)]
+Count = Annotated[int, Rule("be at least 1", lambda n: n >= 1)]
+Steps = Annotated[int, Rule("be at least 0", lambda n: n >= 0)]
+Seed = Annotated[int, Rule("lie in [0, 2^31)", lambda n: 0 <= n < 2**31)]
+Positive = Annotated[float | int, Rule("be positive", lambda x: 0 < x < math.inf)]
 NotNegative = Annotated[
-    float | int, Bound("be finite and not negative", lambda x: 0 <= x < math.inf)
+    float | int, Rule("be finite and not negative", lambda x: 0 <= x < math.inf)
 ]
-Share = Annotated[float | int, Bound("lie in [0, 1)", lambda x: 0 <= x < 1)]
-Chance = Annotated[float | int, Bound("lie in (0, 1)", lambda x: 0 < x < 1)]
+Share = Annotated[float | int, Rule("lie in [0, 1)", lambda x: 0 <= x < 1)]
+Chance = Annotated[float | int, Rule("lie in (0, 1)", lambda x: 0 < x < 1)]
 Forgetting = Annotated[
     float | int,
-    Bound("lie in (0, 1], where 1 forgets nothing", lambda x: 0 < x <= 1),
+    Rule("lie in (0, 1], where 1 forgets nothing", lambda x: 0 < x <= 1),
 ]
 
 
-@overload
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def settings(kind: type[T], /) -> type[T]: ...
-@overload
+def settings(kind: type[T]) -> type[T]:
+    """A class decorator: a frozen dataclass whose fields are checked."""
+    return _settings(kind, eq=True)
+
+
 @dataclass_transform(
     frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field,)
 )
-def settings(*, eq: Literal[False]) -> Callable[[type[T]], type[T]]: ...
-def settings(kind: Any = None, /, *, eq: bool = True) -> Any:
-    """A class decorator: a frozen dataclass whose fields are checked.
-
-    With `eq=False` two objects are equal only if they are one.
-    """
-    if kind is None:
-        return functools.partial(_settings, eq=eq)
-    return _settings(kind, eq=eq)
+def unlike_settings(kind: type[T]) -> type[T]:
+    """The same, but that two objects are equal only if they are one."""
+    return _settings(kind, eq=False)
 
 
 def _settings(kind: Any, *, eq: bool) -> Any:
@@ -158,7 +153,7 @@ def words(hint: Any) -> str:
     if len(kinds) > 1:
         parts = [p for p in kinds if p is not int or float not in kinds]
         return " or ".join(dict.fromkeys(map(words, parts)))
-    (kind,) = kinds
+    kind = kinds[0]
     origin, inside = get_origin(kind), get_args(kind)
     if origin is Literal:
         return "one of " + ", ".join(map(str, inside))

@@ -5,16 +5,16 @@ from typing import Annotated, Literal
 
 from jaxnarx.checks import require
 from jaxnarx.methods.fields import (
-    Bound,
     Count,
     Forgetting,
     NotNegative,
     Positive,
+    Rule,
     Share,
     settings,
 )
 
-Growth = Annotated[float | int, Bound("be above 1", lambda x: x > 1)]
+Growth = Annotated[float | int, Rule("be above 1", lambda x: x > 1)]
 
 
 @settings

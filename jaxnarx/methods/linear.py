@@ -18,10 +18,10 @@ Reference: L. Ljung, System Identification: Theory for the User, 2nd ed. 1999, c
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from jaxnarx.methods.fields import Bound, Share, Steps, settings
+from jaxnarx.methods.fields import Rule, Share, Steps, settings
 
 
-def _orders(least: int) -> Bound:
+def _orders(least: int) -> Rule:
     """At least so much for every input."""
 
     def holds(orders: Any) -> bool:
@@ -30,7 +30,7 @@ def _orders(least: int) -> Bound:
         values = orders if isinstance(orders, Sequence) else (orders,)
         return all(value >= least for value in values)
 
-    return Bound(f"be at least {least}", holds)
+    return Rule(f"be at least {least}", holds)
 
 
 Orders = Annotated[int | Sequence[int] | Mapping[str, int], _orders(0)]

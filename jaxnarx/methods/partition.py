@@ -12,6 +12,7 @@ from jaxnarx.methods.fields import (
     Positive,
     Seed,
     settings,
+    unlike_settings,
 )
 from jaxnarx.methods.selection import ForwardOLS, StepwiseF
 
@@ -265,7 +266,7 @@ class Grid(_Scheduled):
         )
 
 
-@settings(eq=False)
+@unlike_settings
 class Given(_Local):
     """A partition from elsewhere: only the local models are made here.
 

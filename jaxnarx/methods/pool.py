@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from jaxnarx.checks import require
-from jaxnarx.methods.fields import Bound, settings
+from jaxnarx.methods.fields import Rule, settings
 
 Lags = Sequence[int] | Mapping[str, Sequence[int]]
-Degree = Annotated[int, Bound("be 1 to 4", lambda n: 1 <= n <= 4)]
+Degree = Annotated[int, Rule("be 1 to 4", lambda n: 1 <= n <= 4)]
 
 
 @settings

@@ -6,18 +6,18 @@ from typing import Annotated, Literal
 
 from jaxnarx.checks import require
 from jaxnarx.methods.fields import (
-    Bound,
     Count,
     NotNegative,
     Positive,
+    Rule,
     Steps,
     settings,
 )
 
-Folds = Annotated[int, Bound("be 0 (none) or at least 2", lambda n: n == 0 or n >= 2)]
+Folds = Annotated[int, Rule("be 0 (none) or at least 2", lambda n: n == 0 or n >= 2)]
 Band = Annotated[
     tuple[float | int, float | int],
-    Bound("enclose one", lambda band: 0 < band[0] < 1 < band[1]),
+    Rule("enclose one", lambda band: 0 < band[0] < 1 < band[1]),
 ]
 
 
