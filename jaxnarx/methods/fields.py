@@ -153,7 +153,7 @@ def words(hint: Any) -> str:
     if len(kinds) > 1:
         parts = [p for p in kinds if p is not int or float not in kinds]
         return " or ".join(dict.fromkeys(map(words, parts)))
-    kind = kinds[0]
+    kind = next(iter(kinds))
     origin, inside = get_origin(kind), get_args(kind)
     if origin is Literal:
         return "one of " + ", ".join(map(str, inside))
