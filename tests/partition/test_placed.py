@@ -35,27 +35,24 @@ def pool(data):
     return polynomial_pool(data.channels, input_lags=(0,), output_lags=(), degree=1)
 
 
-def regions(network, data):
-    """Scaled scheduling variables (rows, dims) and the validity functions."""
+def scaled(network, data) -> np.ndarray:
+    """Scheduling variables (rows, dims), scaled."""
     model = network.models[0]
-    z = (data.records[0].u - np.asarray(model.offset)) / np.asarray(model.span)
-    assert isinstance(model.validity, Gaussians)
-    return z, model.validity
+    return (data.records[0].u - np.asarray(model.offset)) / np.asarray(model.span)
 
 
-def test_clusters_are_found_and_fitted(data, pool):
-    method = Placed(["a[t]", "b[t]"], max_models=3, seed=3)
-    network = grow(pool, data, method).value
-    z, validity = regions(network, data)
-    means = z.reshape(3, EACH, 2).mean(axis=1)
-    found = np.asarray(validity.centre)
-    order = [int(np.argmin(np.sum((found - m) ** 2, axis=1))) for m in means]
-    assert sorted(order) == [0, 1, 2]
-    np.testing.assert_allclose(found[order], means, atol=1e-12)
-    # Least squares with the weights of the validity functions, by NumPy.
-    phi = np.asarray(validity(jnp.asarray(z.T), jnp.ones(3, bool)))
-    x = np.column_stack([np.ones(len(z)), data.records[0].u])
-    y, expected = data.records[0].y[:, 0], np.zeros(len(z))
+def centres(network) -> np.ndarray:
+    validity = network.models[0].validity
+    assert isinstance(validity, Gaussians)
+    return np.asarray(validity.centre)
+
+
+def assert_least_squares(network, data) -> None:
+    """Every local model is that of least squares weighted with its validity."""
+    model = network.models[0]
+    phi = np.asarray(model.validity(jnp.asarray(scaled(network, data).T), model.active))
+    x = np.column_stack([np.ones(3 * EACH), data.records[0].u])
+    y, expected = data.records[0].y[:, 0], np.zeros(3 * EACH)
     for weight in phi:
         root = np.sqrt(weight)
         own = np.linalg.lstsq(x * root[:, None], y * root, rcond=None)[0]
@@ -65,17 +62,28 @@ def test_clusters_are_found_and_fitted(data, pool):
     np.testing.assert_allclose(found, expected, atol=1e-7)
 
 
+def test_clusters_are_found_and_fitted(data, pool):
+    method = Placed(["a[t]", "b[t]"], max_models=3, seed=3)
+    network = grow(pool, data, method).value
+    means = scaled(network, data).reshape(3, EACH, 2).mean(axis=1)
+    found = centres(network)
+    order = [int(np.argmin(np.sum((found - m) ** 2, axis=1))) for m in means]
+    assert sorted(order) == [0, 1, 2]
+    np.testing.assert_allclose(found[order], means, atol=1e-12)
+    assert_least_squares(network, data)
+
+
 def test_samples_are_drawn_by_the_seed(data, pool):
-    centres = []
+    drawn = []
     for seed in (1, 1, 2):
         method = Placed(["a[t]", "b[t]"], max_models=3, at="samples", seed=seed)
-        z, validity = regions(grow(pool, data, method).value, data)
-        centre = np.asarray(validity.centre)
+        network = grow(pool, data, method).value
+        centre, z = centres(network), scaled(network, data)
         away = np.abs(centre[:, None] - z[None]).sum(axis=2).min(axis=1)
         np.testing.assert_allclose(away, 0.0, atol=1e-12)
-        centres.append(centre)
-    np.testing.assert_array_equal(centres[0], centres[1])
-    assert np.any(centres[0] != centres[2])
+        drawn.append(centre)
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    assert np.any(drawn[0] != drawn[2])
 
 
 @pytest.mark.parametrize("kind", [Lolimot, SigmoidTree])
@@ -90,11 +98,7 @@ def test_a_grown_partition_is_moved_and_fitted_anew(data, pool, kind):
     assert all(np.any(a != b) for a, b in zip(first, second, strict=True))
     for a, b in zip(second, again, strict=True):
         np.testing.assert_array_equal(a, b)
-    # What is fitted anew is least squares again: no local coefficient gains by moving.
-    theta = np.asarray(networks[1].models[0].local.dense())
-    assert np.all(np.isfinite(theta)) and np.any(
-        theta != np.asarray(networks[0].models[0].local.dense())
-    )
+    assert_least_squares(networks[1], data)
 
 
 @pytest.mark.parametrize(
