@@ -1,0 +1,153 @@
+"""Candidates in the order of what they promise, judged by groups left out."""
+
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+LIMIT = 1.0
+"""Standard errors within which a cheaper model counts as no worse than the best."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One candidate for one output.
+
+    Errors are NRMSE: root mean square over the standard deviation of the output, pooled
+    over the samples that count. `free_run` is that of models each of which runs freely
+    over records that it has not seen.
+    """
+
+    output: str
+    number: int
+    """Counts candidates of all outputs in the order in which they were tried, from 1;
+    what `jaxnarx take` is given."""
+    family: str
+    """Constant, ARX, OE, filters, polynomial, shared feedback, LOLIMOT, tree ..."""
+    name: str
+    """What sets it apart in its family, in words."""
+    free_run: float | None = None
+    """None where a model diverged, or there is none."""
+    standard_error: float | None = None
+    """Of `free_run`, over groups."""
+    groups: tuple[float | None, ...] = ()
+    """`free_run` of every group."""
+    one_step: float | None = None
+    """One-step error on the same records."""
+    diverged: int = 0
+    """Records left out in which the free run diverged; any is a veto."""
+    operations: int | None = None
+    """Multiplications, divisions and exponentials at a sample."""
+    parameters: int | None = None
+    seconds: float = 0.0
+    status: str = "ok"
+    """`ok`, `diverged`, `failed` or `skipped`."""
+    detail: str = ""
+
+    @property
+    def eligible(self) -> bool:
+        """Whether it may be chosen."""
+        return self.status == "ok" and self.free_run is not None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For files."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any]) -> "Row":
+        """From a file."""
+        return cls(**table | {"groups": tuple(table.get("groups", ()))})
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaderboard:
+    """All candidates of an identification, output by output, best first."""
+
+    rows: tuple[Row, ...]
+    group_names: tuple[str, ...] = ()
+    rule: str = "near"
+    """`near`: the cheapest to compute within one standard error of the best; `best`."""
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names, in the order of their first candidates."""
+        return list(dict.fromkeys(row.output for row in self.rows))
+
+    def of(self, output: str) -> list[Row]:
+        """Rows of one output, best first; those that may not be chosen come last."""
+        return sorted((r for r in self.rows if r.output == output), key=_place)
+
+    def best(self, output: str) -> Row | None:
+        """The smallest error, whatever it costs."""
+        return next((row for row in self.of(output) if row.eligible), None)
+
+    def chosen(self, output: str) -> Row | None:
+        """The one to use by the rule; None where every candidate is vetoed."""
+        best = self.best(output)
+        if best is None or self.rule == "best":
+            return best
+        bound = _bound(best)
+        near = [r for r in self.of(output) if r.eligible and _error(r) <= bound]
+        return min(near, key=lambda r: (_cost(r), _error(r)))
+
+    def worst_group(self, row: Row) -> tuple[str, float] | None:
+        """Name and error of the group that a candidate serves worst."""
+        seen = [
+            (error, name)
+            for error, name in zip(row.groups, self.group_names, strict=False)
+            if error is not None
+        ]
+        if not seen:
+            return None
+        error, name = max(seen)
+        return name, error
+
+    def to_csv(self) -> str:
+        """A table with one line a candidate."""
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["rank", "chosen", *HEAD, "worst_group", "worst_group_error"])
+        for output in self.outputs:
+            chosen = self.chosen(output)
+            for rank, row in enumerate(self.of(output), 1):
+                name, error = self.worst_group(row) or ("", None)
+                values = [getattr(row, key) for key in HEAD]
+                writer.writerow([rank, int(row == chosen), *values, name, error])
+        return file.getvalue()
+
+
+HEAD = (
+    "output number family name free_run standard_error one_step diverged operations "
+    "parameters seconds status detail"
+).split()
+"""Columns of the table that are fields of a row."""
+
+
+def _error(row: Row) -> float:
+    return math.inf if row.free_run is None else row.free_run
+
+
+def _cost(row: Row) -> float:
+    return math.inf if row.operations is None else row.operations
+
+
+def _place(row: Row) -> tuple[bool, float, float]:
+    return (not row.eligible, _error(row), _cost(row))
+
+
+def _bound(best: Row) -> float:
+    """Error up to which a candidate counts as near the best."""
+    return _error(best) + LIMIT * (best.standard_error or 0.0)
+
+
+def first(rows: Sequence[Row]) -> int:
+    """The number of the next candidate."""
+    return 1 + max((row.number for row in rows), default=0)

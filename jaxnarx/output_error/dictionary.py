@@ -1,0 +1,201 @@
+"""Terms of nested regions, filtered by the common feedback: columns of the free run.
+
+    y(t) = s(t) + sum_(b,k) theta[b, k] [w_b p_k / A](t)
+
+Block b holds the terms p_k times w_b, the product of the gates on the way from the root
+of a tree of halvings to region b. The root has w = 1. Of a halved region only the upper
+half enters: the lower one is the difference. So a term that is the same everywhere
+needs one coefficient, and what is known of a region stays when it is divided.
+"""
+
+import dataclasses
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnarx.output_error.equations import NormalEquations
+from jaxnarx.output_error.signals import Signals, Stretch
+from jaxnarx.regressors import evaluate
+
+WIDTH = 0.5
+"""Standard deviation of the two Gaussians whose ratio a gate is, as a share of the half
+region's extension; O. Nelles, "Nonlinear System Identification", 2001, 13.2.2."""
+MARGIN = 0.02
+"""Share of the trained range by which predictions may leave it."""
+HARD = 60.0
+"""Steepness of a gate between the levels of a variable that has few."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gate:
+    """sigma(steepness (x_dim - border)), or one minus it where `side` is -1."""
+
+    dim: int
+    border: float
+    steepness: float
+    side: int = 1
+
+    def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
+        a = np.clip(self.side * self.steepness * (x[self.dim] - self.border), -700, 700)
+        return 1.0 / (1.0 + np.exp(-a))
+
+    @property
+    def other(self) -> "Gate":
+        """The other half's."""
+        return dataclasses.replace(self, side=-self.side)
+
+
+Region = tuple[Gate, ...]
+"""Gates on the way from the root."""
+
+
+def weight(region: Region, x: Float[np.ndarray, "dims time"]) -> np.ndarray:
+    """Product of the gates at every sample."""
+    out = np.ones(x.shape[1])
+    for gate in region:
+        out = out * gate(x)
+    return out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Filtered columns of one region at the samples that count, group by group."""
+
+    region: Region
+    terms: Int[np.ndarray, " terms"]
+    columns: tuple[Float[np.ndarray, "terms _"], ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dictionary:
+    """Blocks for one A(q), their normal equations and the targets.
+
+    Columns of the equations are terms, block by block.
+    """
+
+    signals: Signals
+    a: Float[np.ndarray, " _"]
+    blocks: tuple[Block, ...]
+    target: tuple[Float[np.ndarray, " _"], ...]
+    measured: tuple[Float[np.ndarray, " _"], ...]
+    equations: NormalEquations
+
+    @classmethod
+    def of(cls, signals: Signals, a: Float[np.ndarray, " _"]) -> "Dictionary":
+        """Without blocks."""
+        target = _grouped([_target(s, a) for s in signals.stretches])
+        groups = len(target)
+        empty = NormalEquations(
+            np.zeros((groups, 0, 0)),
+            np.zeros((groups, 0)),
+            np.array([e[0] @ e[0] for e in target]),
+            np.array([e.shape[1] for e in target], float),
+        )
+        y = _grouped([_at(s.y[None], s.counted) for s in signals.stretches])
+        own = tuple(e[0] for e in target), tuple(e[0] for e in y)
+        return cls(signals, a, (), *own, empty)
+
+    def block(
+        self, region: Region, terms: Int[np.ndarray, " terms"] | None = None
+    ) -> Block:
+        """Columns of a region, all terms unless said; a pass over the data."""
+        factor = self.signals.factor
+        terms = np.arange(len(factor)) if terms is None else terms
+        parts = []
+        for one in self.signals.stretches:
+            raw = evaluate(factor[terms], one.z) * weight(region, one.x)[None]
+            parts.append(_at(one.filtered(np.asarray(raw), self.a), one.counted))
+        return Block(region, terms, tuple(_grouped(parts)))
+
+    def only(self, at: Int[np.ndarray, " chosen"]) -> "Dictionary":
+        """Of these columns; blocks have the terms that are left."""
+        blocks, edge = [], 0
+        for block in self.blocks:
+            size = len(block.terms)
+            own = at[(at >= edge) & (at < edge + size)] - edge
+            edge += size
+            if own.size:
+                own = np.sort(own)
+                columns = tuple(c[own] for c in block.columns)
+                blocks.append(Block(block.region, block.terms[own], columns))
+        equations = self.equations.taken(np.sort(at))
+        return dataclasses.replace(self, blocks=tuple(blocks), equations=equations)
+
+    def moved(self, a: Float[np.ndarray, " _"]) -> "Dictionary":
+        """The same columns with other feedback."""
+        out = Dictionary.of(self.signals, a)
+        for block in self.blocks:
+            out = out.extended(out.block(block.region, block.terms))
+        return out
+
+    def extended(self, block: Block) -> "Dictionary":
+        """With one more block."""
+        gram, right = self.products(block)
+        own = np.stack([c @ c.T for c in block.columns])
+        top = np.concatenate([self.equations.gram, gram.transpose(0, 2, 1)], axis=2)
+        low = np.concatenate([gram, own], axis=2)
+        equations = dataclasses.replace(
+            self.equations,
+            gram=np.concatenate([top, low], axis=1),
+            right=np.concatenate([self.equations.right, right], axis=1),
+        )
+        blocks = (*self.blocks, block)
+        return dataclasses.replace(self, blocks=blocks, equations=equations)
+
+    def products(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """C'B and C'e of a block's columns C with those of the dictionary, B."""
+        own = [c @ e for c, e in zip(block.columns, self.target, strict=True)]
+        cross = [c @ b.T for c, b in zip(block.columns, self.rows(), strict=True)]
+        return np.stack(cross), np.stack(own)
+
+    def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:
+        """Sum of squared errors of every group by a model made without it."""
+        out = []
+        for g, rows in enumerate(self.rows()):
+            theta = self.equations.without(g).solve(ridge)
+            out.append(self.loss(g, theta @ rows))
+        return np.array(out)
+
+    def curve(
+        self, ridge: float, sizes: Sequence[int], first: Sequence[int]
+    ) -> Float[np.ndarray, "groups sizes"]:
+        """The same with so many columns, chosen anew without the group."""
+        out = np.empty((len(self.target), len(sizes)))
+        for g, rows in enumerate(self.rows()):
+            path = self.equations.without(g).forward(ridge, max(sizes), first)
+            for n, size in enumerate(sizes):
+                at, theta = path.at(size)
+                out[g, n] = self.loss(g, theta @ rows[at])
+        return out
+
+    def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
+        """Sum of squared errors of a group, held within the range of all others."""
+        rest = [y for g, y in enumerate(self.measured) if g != group]
+        low, high = min(y.min() for y in rest), max(y.max() for y in rest)
+        margin = MARGIN * (high - low)
+        start = self.measured[group] - self.target[group]
+        held = np.clip(run + start, low - margin, high + margin)
+        return float(np.sum((self.measured[group] - held) ** 2))
+
+    def rows(self) -> list[np.ndarray]:
+        """Columns at the samples that count, group by group."""
+        return [
+            np.concatenate([np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)])
+            for g, e in enumerate(self.target)
+        ]
+
+
+def _target(one: Stretch, a: Float[np.ndarray, " _"]) -> list[np.ndarray]:
+    error = one.y - one.left_by_start(a)
+    return _at(error[None], one.counted)
+
+
+def _at(rows: np.ndarray, counted) -> list[np.ndarray]:
+    return [rows[:, at] for at in counted]
+
+
+def _grouped(parts: list[list[np.ndarray]]) -> list[np.ndarray]:
+    """Of records' groups the groups of all records."""
+    return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]

@@ -1,0 +1,137 @@
+"""Regions by halving, judged by the free run of groups left out."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnarx.output_error.dictionary import HARD, WIDTH, Block, Dictionary, Gate, Region
+
+RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+SIZES = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320)
+"""Numbers of columns that are tried."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Leaf:
+    """A region and the box it covers, in scheduling variables from 0 to 1."""
+
+    region: Region
+    low: Float[np.ndarray, " dims"]
+    high: Float[np.ndarray, " dims"]
+
+    def halved(self, gate: Gate) -> tuple["Leaf", "Leaf"]:
+        """Upper and lower half."""
+        low, high = self.low.copy(), self.high.copy()
+        low[gate.dim] = high[gate.dim] = gate.border
+        upper = Leaf((*self.region, gate), low, self.high)
+        return upper, Leaf((*self.region, gate.other), self.low, high)
+
+    def gate(self, dim: int, levels: Sequence[float] | None) -> Gate | None:
+        """The gate that halves the box across a variable, between levels if any."""
+        if levels is not None:
+            inside = [v for v in levels if self.low[dim] <= v <= self.high[dim]]
+            if len(inside) < 2:
+                return None
+            middle = len(inside) // 2
+            return Gate(dim, (inside[middle - 1] + inside[middle]) / 2, HARD)
+        extent = self.high[dim] - self.low[dim]
+        return Gate(dim, self.low[dim] + extent / 2, 2 / (WIDTH**2 * extent))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stage:
+    """One partition with the number of columns and the ridge that serve it best."""
+
+    dictionary: Dictionary
+    leaves: tuple[Leaf, ...]
+    losses: Float[np.ndarray, " groups"]
+    """Sum of squared errors of every group left out."""
+    size: int
+    ridge: float
+
+    @property
+    def score(self) -> float:
+        """Root mean square error of the groups left out, in standard deviations."""
+        count = self.dictionary.equations.samples.sum()
+        return float(np.sqrt(self.losses.sum() / max(count, 1.0)))
+
+    def chosen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and coefficients from all groups."""
+        system = self.dictionary.equations.without(None)
+        first = constants(self.dictionary)
+        return system.forward(self.ridge, self.size, first).at(self.size)
+
+
+def constants(dictionary: Dictionary) -> list[int]:
+    """The constant, which every model has."""
+    rows = np.asarray(dictionary.signals.factor)
+    return np.flatnonzero(np.all(rows == 0, axis=1))[:1].tolist()
+
+
+def sized(
+    dictionary: Dictionary,
+    leaves: tuple[Leaf, ...],
+    ridges: Sequence[float] = RIDGES,
+) -> Stage:
+    """Number of columns and ridge by the groups left out."""
+    equations = dictionary.equations
+    most = min(equations.columns, int(equations.samples.sum() / 8))
+    sizes = [s for s in SIZES if s < most] + [min(most, SIZES[-1])]
+    found = []
+    for ridge in ridges:
+        curve = dictionary.curve(ridge, sizes, constants(dictionary))
+        n = int(curve.sum(axis=0).argmin())
+        found.append((curve[:, n].sum(), n, ridge, curve[:, n]))
+    _, n, ridge, losses = min(found, key=lambda one: one[0])
+    return Stage(dictionary, leaves, losses, sizes[n], ridge)
+
+
+def grown(
+    start: Stage,
+    *,
+    max_models: int,
+    levels: Sequence[Sequence[float] | None],
+    patience: int = 3,
+    told: Callable[[Stage], None] = lambda stage: None,
+) -> list[Stage]:
+    """One more region a stage; those that no halving improves end it."""
+    stages, kept = [start], {}
+    while len(stages[-1].leaves) < max_models:
+        last = stages[-1]
+        tried = _tried(last, levels, kept)
+        if not tried:
+            break
+        _, n, gate, block = min(tried, key=lambda one: one[0])
+        leaf = last.leaves[n]
+        upper, lower = leaf.halved(gate)
+        leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
+        near = [r for r in RIDGES if last.ridge / 11 < r < last.ridge * 11]
+        stage = sized(last.dictionary.extended(block), leaves, near)
+        stages.append(stage)
+        told(stage)
+        best = int(np.argmin([s.score for s in stages]))
+        if len(stages) - 1 - best >= patience:
+            break
+    return stages
+
+
+def _tried(stage: Stage, levels, kept: dict[Region, Block]):
+    """Loss of every halving: the chosen columns and all of the new block."""
+    at, _ = stage.chosen()
+    small, out = stage.dictionary.only(at), []
+    for n, leaf in enumerate(stage.leaves):
+        for dim, own in enumerate(levels):
+            gate = leaf.gate(dim, own)
+            if gate is None:
+                continue
+            region = (*leaf.region, gate)
+            if region not in kept:
+                kept[region] = stage.dictionary.block(region)
+            out.append((_with(small, kept[region], stage.ridge), n, gate, kept[region]))
+    return out
+
+
+def _with(small: Dictionary, block: Block, ridge: float) -> float:
+    return float(small.extended(block).left_out(ridge).sum())

@@ -1,0 +1,128 @@
+"""What all structures over the same variables share: columns' factors and targets."""
+
+import dataclasses
+
+import numpy as np
+import scipy.signal
+from jaxtyping import Float, Int
+
+import equinox as eqx
+
+from jaxnarx.data import Dataset
+from jaxnarx.data.batch import stack
+from jaxnarx.data.scaling import gains
+from jaxnarx.models import assemble, global_model
+from jaxnarx.models.assemble import ranges
+from jaxnarx.regressors import Pool, Variables
+from jaxnarx.regressors.centring import Centring
+from jaxnarx.simulation import make_drive, make_masks
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stretch:
+    """One record from the first sample of a free run on."""
+
+    z: Float[np.ndarray, "vars time"]
+    """A leading one and the centred variables of unit spread."""
+    x: Float[np.ndarray, "dims time"]
+    """Scheduling variables, 0 to 1 over the training range."""
+    y: Float[np.ndarray, " time"]
+    """Output, centred, in standard deviations."""
+    before: Float[np.ndarray, " history"]
+    """Outputs before the first sample, latest first."""
+    counted: tuple[Int[np.ndarray, " _"], ...]
+    """Samples that count, group by group."""
+
+    def filtered(
+        self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
+    ) -> Float[np.ndarray, "columns time"]:
+        """Columns through 1/A from rest."""
+        return columns if len(a) == 1 else scipy.signal.lfilter([1.0], a, columns)
+
+    def left_by_start(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
+        """Free run on nothing but the measured start."""
+        rest = np.zeros(len(self.y))
+        if len(a) == 1:
+            return rest
+        state = scipy.signal.lfiltic([1.0], a, self.before[: len(a) - 1])
+        return scipy.signal.lfilter([1.0], a, rest, zi=state)[0]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Signals:
+    """All records of one output, with the scales of what they hold."""
+
+    pool: Pool
+    centring: Centring
+    gain: Float[np.ndarray, " signals"]
+    middle: float
+    """Mean of the output, scaled by its gain ..."""
+    spread: float
+    """... and its standard deviation."""
+    scheduling: Variables
+    offset: Float[np.ndarray, " dims"]
+    span: Float[np.ndarray, " dims"]
+    stretches: tuple[Stretch, ...]
+
+    @property
+    def factor(self) -> Int[np.ndarray, "terms degree"]:
+        """Terms without feedback."""
+        return self.pool.factor
+
+
+def signals_of(
+    data: Dataset,
+    pool: Pool,
+    scheduling: Variables,
+    labels,
+    *,
+    history: int,
+    every: int,
+) -> Signals:
+    """Columns' factors and targets of every record, each computed once.
+
+    `pool` has one output and terms of inputs alone. Runs start behind `history`
+    samples at least; every so many samples one counts.
+    """
+    table = Variables.of([*pool.variables.entries, (len(data.channels.inputs) + pool.outputs[0], history, None)])
+    low, high = ranges(data)
+    gain = gains(data)
+    groups = 1 + max(int(one.max(initial=-1)) for one in labels)
+    offset, span = low[scheduling.signal], (high - low)[scheduling.signal]
+    span = np.where(span > 0, span, 1.0)
+    empty = global_model(pool.factor[:1], np.zeros(1))
+    empty = dataclasses.replace(empty, scheduling=scheduling)
+    larger = Pool(table, pool.factor, pool.channels, pool.outputs)
+    network = assemble(larger, data, gain, [empty])
+    batch = stack(data)
+    drive, masks = make_drive(network, batch), make_masks(network, batch)
+    v, x = np.asarray(drive.v)[:, :-1], np.asarray(drive.x[0])
+    y, scored = np.asarray(drive.measured)[..., 0], masks.scored[..., 0]
+    rows = v.transpose(1, 0, 2)[:, scored]
+    shift, size = rows.mean(axis=1), rows.std(axis=1)
+    size = np.where(size > 1e-9 * np.maximum(np.abs(shift), 1e-300), size, 1.0)
+    shift[0], size[0] = 0.0, 1.0
+    middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
+    centring = Centring(shift, size, np.array([middle]))
+    stretches = []
+    for n, record in enumerate(data):
+        s, e = int(masks.start[n]), int(masks.end[n])
+        if s >= e:
+            continue
+        label = np.full(e, -1)
+        label[: len(record)] = labels[n][:e]
+        seen = scored[n, s:e]
+        seen[np.arange(e - s) % every != 0] = False
+        counted = [np.flatnonzero(seen & (label[s:] == g)) for g in range(groups)]
+        stretches.append(
+            Stretch(
+                (v[n, :, s:e] - shift[:, None]) / size[:, None],
+                (x[n, :, s:e] - offset[:, None]) / span[:, None],
+                (y[n, s:e] - middle) / spread,
+                (y[n, s - history : s][::-1] - middle) / spread,
+                tuple(counted),
+            )
+        )
+    return Signals(
+        pool, centring, gain, middle, spread, scheduling, offset, span, tuple(stretches)
+    )
