@@ -1,5 +1,6 @@
 """What a leaderboard says: the choice in words, and its rows as plain tables."""
 
+import math
 from typing import Any
 
 from jaxnarx.identification.leaderboard import Leaderboard, Row
@@ -29,9 +30,10 @@ def figure(row: Row) -> str:
     """`0.131 ± 0.004`, or what became of the candidate."""
     if row.free_run is None:
         return row.status
-    if row.standard_error is None:
+    if not row.standard_error:
         return f"{row.free_run:.3g}"
-    return f"{row.free_run:.3g} ± {row.standard_error:.2g}"
+    digits = min(max(1 - math.floor(math.log10(row.standard_error)), 0), 9)
+    return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
 
 def used(board: Leaderboard, output: str, taken: int | None = None) -> Row:
