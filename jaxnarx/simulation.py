@@ -58,7 +58,7 @@ class Masks:
     `start` is the first sample of each record with a complete measured history (the
     longest record's length where there is none), `end` the one behind the last sample
     with any valid signal; `anchors` all samples with such a history; `scored` where the
-    output is measured and the inputs of its window are valid.
+    output is measured and counts, and the inputs of its window are valid.
     """
 
     start: Int[np.ndarray, " records"]
@@ -134,6 +134,8 @@ def make_masks(network: Network, batch: Batch) -> Masks:
     good = usable(batch.valid, inputs, network.history)
     start = np.where(np.any(anchors, axis=1), np.argmax(anchors, axis=1), time)
     after = np.arange(time)[None] >= start[:, None]
+    if batch.scored is not None:
+        good &= batch.scored
     scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
     return Masks(start, end, anchors, scored)
 
