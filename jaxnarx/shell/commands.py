@@ -118,6 +118,8 @@ class Simulate:
     only."""
     prepare: _Flag = False
     """Prepare raw files first as the model's training records were prepared."""
+    no_limits: _Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     force: _Flag = False
     """Overwrite files of an earlier run."""
 
@@ -197,6 +199,8 @@ class Report:
     """Folder for report.html and report.json; default: only print."""
     beside: Annotated[tuple[str, ...], _optional("MODEL [MODEL ...]")] = ()
     """Other models to compare with on the same records, in free run."""
+    no_limits: _Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     force: _Flag = False
     """Overwrite an earlier report."""
     require_fit: _Percent = None
