@@ -27,6 +27,7 @@ from jaxnarx.models import (
     collapses,
     depth,
     general_step,
+    reported,
     widened,
 )
 from jaxnarx.solution import NAMES, RESULTS, Solution
@@ -58,7 +59,7 @@ class Masks:
     `start` is the first sample of each record with a complete measured history (the
     longest record's length where there is none), `end` the one behind the last sample
     with any valid signal; `anchors` all samples with such a history; `scored` where the
-    output is measured and the inputs of its window are valid.
+    output is measured and counts, and the inputs of its window are valid.
     """
 
     start: Int[np.ndarray, " records"]
@@ -74,14 +75,17 @@ class Trajectories:
     Samples before the first prediction repeat the measurement. `scored` marks predicted
     samples whose measurement is valid, `limited` those held by the feedback bound (of a
     k-step prediction: those that the bound held on the way, for k = 1 none; or that are
-    beyond all numbers), `extrapolated` those with an input outside its training range,
-    or in a prediction a measured or predicted output; `diverged` tells per output
-    whether the record counts as diverged.
+    beyond all numbers), `held` those of a network with limits whose output is at the
+    edge of its trained range in place of what was `computed`, `extrapolated` those with
+    an input outside its training range, or in a prediction a measured or computed
+    output; `diverged` tells per output whether the record counts as diverged.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
+    computed: tuple[Float[np.ndarray, "_ outputs"], ...]
     scored: tuple[Bool[np.ndarray, "_ outputs"], ...]
     limited: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    held: tuple[Bool[np.ndarray, "_ outputs"], ...]
     extrapolated: tuple[Bool[np.ndarray, " _"], ...]
     diverged: tuple[Bool[np.ndarray, " outputs"], ...]
     names: tuple[str, ...]
@@ -134,6 +138,8 @@ def make_masks(network: Network, batch: Batch) -> Masks:
     good = usable(batch.valid, inputs, network.history)
     start = np.where(np.any(anchors, axis=1), np.argmax(anchors, axis=1), time)
     after = np.arange(time)[None] >= start[:, None]
+    if batch.scored is not None:
+        good &= batch.scored
     scored = (good & after)[:, :, None] & batch.valid[:, :, np.array(network.signals)]
     return Masks(start, end, anchors, scored)
 
@@ -382,24 +388,23 @@ def _trajectories(
     else:
         limited = lost | np.asarray(ahead[1])
         extrapolated |= np.any((outputs < low) | (outputs > high), axis=2)
-    columns: tuple[list, ...] = ([], [], [], [], [])
+    edge, at_edge = reported(network, outputs)
+    columns: tuple[list, ...] = ([], [], [], [], [], [], [])
     for n, record in enumerate(data):
         length = len(record)
         first = min(int(start[n]), length)
-        y = outputs[n, :length]
-        y[:first] = record.y[:first, np.array(network.modelled)]
-        hold = limited[n, :length].copy()
-        hold[:first] = False
-        bad = np.asarray(has_diverged(hold[first:].T))
-        parts = (y, scored[n, :length], hold, extrapolated[n, :length], bad)
+        values = edge[n, :length], outputs[n, :length]
+        for y in values:
+            y[:first] = record.y[:first, np.array(network.modelled)]
+        masks = limited[n, :length].copy(), at_edge[n, :length].copy()
+        for mask in masks:
+            mask[:first] = False
+        bad = np.asarray(has_diverged(masks[0][first:].T))
+        parts = *values, scored[n, :length], *masks, extrapolated[n, :length], bad
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     return Trajectories(
-        outputs=tuple(columns[0]),
-        scored=tuple(columns[1]),
-        limited=tuple(columns[2]),
-        extrapolated=tuple(columns[3]),
-        diverged=tuple(columns[4]),
+        *map(tuple, columns),
         names=tuple(data.names),
         output_names=tuple(network.output_names),
     )
@@ -425,6 +430,7 @@ def _solution(
     stats: dict = {
         "record_status": codes,
         "limited": np.array([h.sum(axis=0) for h in value.limited]),
+        "held": np.array([h.sum(axis=0) for h in value.held]),
         "extrapolated": np.array([e.mean() for e in value.extrapolated]),
     }
     status, detail = RESULTS.ok, ""
@@ -475,7 +481,9 @@ def simulate(
     matched by name; extra ones are ignored. Outputs are held within the model's
     feedback bound; status `diverged` when that bound acts on more than 5 % or on 50
     successive samples of a record, `too_short` when a record has no valid start. Never
-    NaN.
+    NaN. A model with limits (`jnx.models.hold_to_range`) sees inputs no farther than at
+    the edge of their trained ranges, and reports no output far beyond its own; neither
+    what is fed back nor the status depends on that margin.
 
     `time_parallel` solves for the whole trajectory at once (Newton's method, see
     `jaxnarx.arrays.time_parallel`) with the same outputs to 1e-9; the records for which
@@ -491,8 +499,9 @@ def simulate(
 
     Returns:
         `value` holds the outputs record by record, `value[0]` (time, outputs), with
-        masks `scored`, `limited` and `extrapolated`; `stats["record_status"]` a code
-        for every record, `stats["ignored"]` the names of channels not used.
+        masks `scored`, `limited`, `held` and `extrapolated`; `stats["record_status"]` a
+        code for every record, `stats["limited"]` and `stats["held"]` how many samples
+        of each record and output, `stats["ignored"]` the names of channels not used.
 
     Example:
         run = jnx.simulate(network, data)

@@ -233,8 +233,10 @@ def neural_run(model: Neural, data: Dataset, *, one_step: bool) -> Trajectories:
     cut = [(n, slice(len(record))) for n, record in enumerate(data)]
     return Trajectories(
         outputs=tuple(y[at] for at in cut),
+        computed=tuple(y[at] for at in cut),
         scored=tuple(scored[at] for at in cut),
         limited=tuple(held[at] for at in cut),
+        held=tuple(np.zeros_like(held[at]) for at in cut),
         extrapolated=tuple(np.zeros(len(record), bool) for record in data),
         diverged=tuple(np.array([has_diverged(held[at][:, 0])]) for at in cut),
         names=tuple(data.names),

@@ -18,6 +18,9 @@ from jaxnarx.data.files import read_files as read_files
 from jaxnarx.data.files import read_split as read_split
 from jaxnarx.data.findings import Finding as Finding
 from jaxnarx.data.findings import Findings as Findings
+from jaxnarx.data.groups import Fold as Fold
+from jaxnarx.data.groups import Groups as Groups
+from jaxnarx.data.groups import groups as groups
 from jaxnarx.data.hold_out import hold_out as hold_out
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import step_times as step_times

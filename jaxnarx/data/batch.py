@@ -14,11 +14,13 @@ class Batch(eqx.Module):
     """Records padded to one length. Signals are inputs, then outputs, physical units.
 
     Padding repeats a record's last sample: a free run goes on quietly and unscored.
-    `valid` is False for missing samples and for padding alike.
+    `valid` is False for missing samples and for padding alike, `scored` where errors do
+    not count though samples are measured (`Record.scored`); None: they count.
     """
 
     signals: Float[Array, "records time signals"]
     valid: Bool[np.ndarray, "records time signals"]
+    scored: Bool[np.ndarray, "records time"] | None = None
 
     @property
     def flat(self) -> Float[Array, "samples signals"]:
@@ -50,10 +52,13 @@ def stack(data: Dataset) -> Batch:
     width, inputs = len(data.channels.all), len(data.channels.inputs)
     signals = np.zeros((len(data), longest, width), dtype)
     valid = np.zeros((len(data), longest, width), bool)
+    scored = np.ones((len(data), longest), bool)
     for n, record in enumerate(data):
         signals[n, : len(record), :inputs] = record.u
         signals[n, : len(record), inputs:] = record.y
         valid[n, : len(record)] = record.valid
+        if record.scored is not None:
+            scored[n, : len(record)] = record.scored
         signals[n, len(record) :] = signals[n, len(record) - 1 : len(record)]
     # device_put takes the memory over where it can; jnp.asarray would copy it.
-    return Batch(jax.device_put(signals), valid)
+    return Batch(jax.device_put(signals), valid, scored)

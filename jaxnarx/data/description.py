@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from jaxnarx.data.channels import Channel, Channels
+from jaxnarx.data.channels import Channel, Channels, require_plain
 from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.missing import require_missing
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
@@ -25,7 +25,8 @@ class Description:
     """A parsed description: which columns of which files make which dataset.
 
     `columns` maps channel names to column names; `patterns` maps parts (`files`, or
-    `train`, `validate`, `test`) to glob patterns. `preparation` is a file, relative to
+    `train`, `validate`, `test`) to glob patterns, `groups` the names of what is left
+    out together in cross-validation. `preparation` is a file, relative to
     the root, that tells how the files were made from raw ones.
     """
 
@@ -39,6 +40,7 @@ class Description:
     layout: CsvLayout
     preparation: str | None = None
     time_unit: str | None = None
+    groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     @property
     def wanted(self) -> list[str]:
@@ -119,6 +121,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     require_missing(settings.get("missing", "refuse"))
     require_time_unit(settings.get("time_unit"))
     channels, columns = _channels(_section(table, "channels"))
+    records = _section(table, "records")
     preparation = settings.get("preparation")
     if preparation is not None and not _is_inside(preparation):
         raise SpecError(
@@ -128,7 +131,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     return Description(
         channels=channels,
         columns=columns,
-        patterns=_patterns(_section(table, "records")),
+        patterns=_patterns(records),
         sample_time=settings.get("sample_time"),
         time=settings.get("time"),
         missing=settings.get("missing", "refuse"),
@@ -136,6 +139,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         layout=_layout(settings),
         preparation=preparation,
         time_unit=settings.get("time_unit"),
+        groups=_groups(records.get("groups", {})),
     )
 
 
@@ -201,8 +205,12 @@ def _channels(section) -> tuple[Channels, dict[str, str]]:
 
 
 def _patterns(section) -> dict[str, tuple[str, ...]]:
-    _require_keys(section, ("files", *PARTS), "records")
-    found = {k: tuple(_typed(v, list, f"records.{k}")) for k, v in section.items()}
+    _require_keys(section, ("files", *PARTS, "groups"), "records")
+    found = {
+        k: tuple(_typed(v, list, f"records.{k}"))
+        for k, v in section.items()
+        if k != "groups"
+    }
     if "files" in found and len(found) > 1:
         raise SpecError(
             "[records] has files beside train, validate or test; use either",
@@ -215,6 +223,29 @@ def _patterns(section) -> dict[str, tuple[str, ...]]:
         )
     order = ("files", *PARTS)
     return {part: found[part] for part in order if found.get(part)}
+
+
+def _groups(value: Any) -> dict[str, tuple[str, ...]]:
+    """Patterns by group; those of a list are called as their patterns."""
+    field = "records.groups"
+    if isinstance(value, dict):
+        listed = {n: _typed(v, list, f"{field}.{n}") for n, v in value.items()}
+    elif isinstance(value, list) and all(isinstance(v, list) for v in value):
+        patterns = [_typed(v, list, f"{field}[{n}]") for n, v in enumerate(value)]
+        listed = {", ".join(own): own for own in patterns}
+    else:
+        raise SpecError(
+            f'{field} must be lists of patterns by name, {{cold = ["day1_*"]}}, or a '
+            f'list of such lists, [["day1_*"], ["day2_*"]], got {reprlib.repr(value)}',
+            field=field,
+        )
+    for name, own in listed.items():
+        require_plain(name, "names of groups", field=field)
+        if not own or not name:
+            raise SpecError(
+                f"{field}: the group {name!r} has no pattern or no name", field=field
+            )
+    return {name: tuple(own) for name, own in listed.items()}
 
 
 _NO_DELIMITER = string.digits + string.ascii_letters + '"+-.\r\n\0'

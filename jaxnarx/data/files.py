@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.columns import table_source
@@ -14,6 +14,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import alike, assemble
+from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.record import Record
 from jaxnarx.data.tables import read_table
@@ -150,12 +151,18 @@ def _read(
     """All records, and the part each belongs to."""
     with reading(path, "a description", advice="Correct it."):
         folder = _root(path, root, description)
-        found = _find(description, folder, path)
+        found = find_files(description, folder, path)
+        groups = find_groups(description, folder, path, found)
     files = [file for file, _ in found]
     names = _record_names(files, folder)
     data = _assembled(files, names, description, max_bytes)
-    part_of = {name: part for name, (_, part) in zip(names, found, strict=True)}
-    return data, [part_of[_source_name(r, part_of)] for r in data]
+    place = {name: n for n, name in enumerate(names)}
+    source = [found[place[_source_name(r, place)]] for r in data]
+    records = tuple(
+        dataclasses.replace(record, group=groups.get(file, ""))
+        for record, (file, _) in zip(data, source, strict=True)
+    )
+    return dataclasses.replace(data, records=records), [part for _, part in source]
 
 
 def _assembled(
@@ -204,7 +211,7 @@ def _root(path: Path, root, description: Description) -> Path:
         origin = "JAXNARX_DATA" if root is None else "the argument root"
     folder = base / description.root
     if given:
-        _require_inside(folder, base, path, "data.root")
+        require_inside(folder, base, path, "data.root")
     if not folder.is_dir():
         raise DataFileError(
             f"{path}: the data folder {folder} does not exist (from {origin}). Give "
@@ -212,81 +219,6 @@ def _root(path: Path, root, description: Description) -> Path:
             path=folder,
         )
     return folder
-
-
-def _find(description: Description, folder: Path, path: Path) -> list[tuple[Path, str]]:
-    """Every file with its part, in order; a file in two parts is refused."""
-    found: dict[Path, str] = {}
-    for part, patterns in description.patterns.items():
-        for file in _chosen(folder, patterns, part, path):
-            if found.setdefault(file, part) != part:
-                raise SpecError(
-                    f"{path}: {file.name} is in {found[file]} and in {part}. A record "
-                    "may serve one part only.",
-                    field=f"records.{part}",
-                )
-    return list(found.items())
-
-
-def _chosen(folder: Path, patterns: Sequence[str], part: str, path: Path) -> list[Path]:
-    """The files of a part: each pattern adds some, or with "!" takes some away."""
-    chosen: dict[Path, None] = {}
-    for pattern in patterns:
-        files = _glob(folder, pattern.removeprefix("!"), part, path)
-        if not pattern.startswith("!"):
-            chosen.update(dict.fromkeys(files))
-            continue
-        if chosen.keys().isdisjoint(files):
-            raise SpecError(
-                f"{path}: {pattern!r} takes away files that no pattern before it has "
-                "chosen. Write it after the patterns that it makes an exception of.",
-                field=f"records.{part}",
-            )
-        chosen = {file: None for file in chosen if file not in files}
-    if not chosen:
-        raise SpecError(
-            f"{path}: {part} has no file left, all are taken away by patterns with !.",
-            field=f"records.{part}",
-        )
-    return list(chosen)
-
-
-def _glob(folder: Path, pattern: str, part: str, path: Path) -> list[Path]:
-    pure = PurePosixPath(pattern)
-    if not pattern or pure.is_absolute() or ".." in pure.parts or "\\" in pattern:
-        raise SpecError(
-            f"{path}: the pattern {pattern!r} leaves the data folder {folder}. Write "
-            "it relative to that folder, with /, and set root to a folder above all "
-            "files.",
-            field=f"records.{part}",
-        )
-    try:
-        files = sorted(f for f in folder.glob(pattern) if f.is_file())
-    except (ValueError, NotImplementedError) as error:
-        raise SpecError(
-            f"{path}: {pattern!r} is no pattern of files ({error})",
-            field=f"records.{part}",
-        ) from error
-    if not files:
-        raise DataFileError(
-            f"{path}: no file matches {pattern!r} in {folder} (records.{part}). Check "
-            "the pattern, and that the folder is the right one (root=..., or the "
-            "environment variable JAXNARX_DATA).",
-            path=folder / pattern,
-        )
-    for file in files:
-        _require_inside(file, folder, path, f"records.{part}")
-    return files
-
-
-def _require_inside(file: Path, folder: Path, path: Path, field: str):
-    """Nothing outside is read, whether by .., by an absolute name or by a link."""
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise SpecError(
-            f"{path}: {field} names {file}, which is, or is a link to, a place outside "
-            f"the data folder {folder}. Give as root a folder above all files.",
-            field=field,
-        )
 
 
 def _with_units(

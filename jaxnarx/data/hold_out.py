@@ -1,83 +1,76 @@
-"""Validation records held out of training, chosen so that they ask for interpolation.
+"""Validation records held out of training: one of the groups left out together.
 
-Taking every fifth record may take every record of one regime (fuel cut-off, say), and
-then validation measures extrapolation. Here a record is held out only if another one
-resembles it and stays in training.
+Records that repeat each other's inputs stay on one side: validation on a record whose
+like is trained on tests nothing.
 """
+
+import dataclasses
 
 import numpy as np
 
+from jaxnarx.checks import require
 from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.groups import whole_groups
 from jaxnarx.data.record import Record
+from jaxnarx.data.repeats import cycles
 from jaxnarx.errors import DataError, SpecError
-
-
-def _features(data: Dataset) -> np.ndarray:
-    """Level, spread and extremes of every input of every record, in unit scale."""
-    scale = np.concatenate([r.u for r in data]).std(axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    rows = []
-    for record in data:
-        u = record.u / scale
-        parts = [u.mean(axis=0), u.std(axis=0), *np.quantile(u, (0.01, 0.99), axis=0)]
-        rows.append(np.concatenate(parts))
-    return np.array(rows)
 
 
 def hold_out(data: Dataset, *, share: float | int = 0.2) -> tuple[Dataset, Dataset]:
     """Split into training and validation; about `share` of the samples validate.
 
-    With four records or more whole ones are held out: those most alike to a record that
-    stays. With fewer, or where no record is small enough for that, the last part of
-    every record is cut off. The order of records is kept.
+    Of the groups of whole records of about that size (`jaxnarx.data.groups`) the one
+    that is nearest to it is held out, of equal ones the first. Where records are too
+    few for that, the last part of every one is cut off; those that repeat each other
+    are cut at the same place. The order of records is kept.
     """
     if not 0 < share < 1:
         raise SpecError(
             f"the share held out must lie between 0 and 1, got {share}", field="share"
         )
-    if len(data) < 4:
+    require(len(data) > 0, "data", "the dataset has no records")
+    found = whole_groups(data, max(round(1 / share), 2))
+    if found is None:
         return _cut(data, share)
-    points = _features(data)
-    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
-    np.fill_diagonal(distance, np.inf)
-    wanted, taken = share * data.samples, 0
-    held: list[int] = []
-    kept: set[int] = set()
-    for flat in np.argsort(distance, axis=None).tolist():
-        a, b = divmod(flat, len(data))
-        free = [i for i in (max(a, b), min(a, b)) if i not in held and i not in kept]
-        if {a, b} & set(held) or not free:
-            continue
-        size = len(data.records[free[0]])
-        if taken + size > 1.25 * wanted:
-            continue
-        held.append(free[0])
-        kept.add(a + b - free[0])
-        taken += size
-        if taken >= 0.8 * wanted:
-            break
-    if not held:
-        return _cut(data, share)
-    train = [i for i in range(len(data)) if i not in held]
-    return data[train], data[sorted(held)]
+    sizes = np.zeros(len(found))
+    for label in found.labels:
+        sizes[label[0]] += len(label)
+    fold = found.fold(data, int(np.argmin(np.abs(sizes - share * data.samples))))
+    return fold.train, fold.left
 
 
 def _cut(data: Dataset, share: float | int) -> tuple[Dataset, Dataset]:
-    def part(record: Record, rows: slice, name: str) -> Record:
-        start = record.start_row + (rows.start or 0)
-        return Record(record.u[rows], record.y[rows], record.valid[rows], name, start)
-
-    first, last = [], []
-    for record in data:
-        edge = int(round(len(record) * (1 - share)))
-        if not 0 < edge < len(record):
-            raise DataError(
-                f"{record.name} has {len(record)} rows, of which a share of {share:g} "
-                "cannot be held out. Name validation records, or take another share."
-            )
-        first.append(part(record, slice(0, edge), record.name))
-        last.append(part(record, slice(edge, None), f"{record.name} (end)"))
+    edges = {}
+    for cycle in cycles(data):
+        rows = max(len(data.records[n]) for n in cycle.records)
+        for n, begin in zip(cycle.records, cycle.begins, strict=True):
+            edge = round(rows * (1 - share)) - begin
+            edges[n] = edge if 0 < edge < len(data.records[n]) else None
+    if not any(edges.values()):
+        longest = max(data, key=len)
+        raise DataError(
+            f"{longest.name} has {len(longest)} rows, of which a share of {share:g} "
+            "cannot be held out. Name validation records, or take another share."
+        )
+    first = [_part(r, 0, edges[n]) for n, r in enumerate(data)]
+    pairs = [(r, edges[n]) for n, r in enumerate(data) if edges[n]]
+    last = [
+        dataclasses.replace(_part(r, edge, None), name=f"{r.name} (end)")
+        for r, edge in pairs
+    ]
     return (
-        Dataset(tuple(first), data.channels, data.sample_time),
-        Dataset(tuple(last), data.channels, data.sample_time),
+        dataclasses.replace(data, records=tuple(first)),
+        dataclasses.replace(data, records=tuple(last)),
+    )
+
+
+def _part(record: Record, first: int, stop: int | None) -> Record:
+    rows = slice(first, stop)
+    return dataclasses.replace(
+        record,
+        u=record.u[rows],
+        y=record.y[rows],
+        valid=record.valid[rows],
+        scored=None if record.scored is None else record.scored[rows],
+        start_row=record.start_row + first,
     )

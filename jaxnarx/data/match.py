@@ -1,5 +1,7 @@
 """Datasets brought into the order of a model's channels, by name."""
 
+import dataclasses
+
 import numpy as np
 
 from jaxnarx.checks import known_name
@@ -63,10 +65,9 @@ def _stated(channel: Channel, own: Channels) -> Channel:
 
 def _pick(record: Record, inputs: list[int], outputs: list[int]) -> Record:
     signals = record.signals
-    return Record(
+    return dataclasses.replace(
+        record,
         u=np.ascontiguousarray(signals[:, inputs]),
         y=np.ascontiguousarray(signals[:, outputs]),
         valid=record.valid[:, inputs + outputs],
-        name=record.name,
-        start_row=record.start_row,
     )

@@ -40,9 +40,9 @@ def pieces(data: Dataset, *, every: int = 1) -> list[Piece]:
         count = max(_ROWS * every * len(spans) // data.samples, 1)
         chosen = np.linspace(0, len(spans) - 1, count).round().astype(int)
         spans = [spans[i] for i in np.unique(chosen)]
-    u = [_thinned(r.u[a:b].T, every) for r, a, b in spans]
-    y = [_thinned(r.y[a:b].T, every) for r, a, b in spans]
-    return [Piece(a, b) for a, b in zip(_scaled(u), _scaled(y), strict=True)]
+    u = [thinned(r.u[a:b].T, every) for r, a, b in spans]
+    y = [thinned(r.y[a:b].T, every) for r, a, b in spans]
+    return [Piece(a, b) for a, b in zip(standardised(u), standardised(y), strict=True)]
 
 
 def _cut(record: Record, longest: int) -> list[tuple[Record, int, int]]:
@@ -53,9 +53,10 @@ def _cut(record: Record, longest: int) -> list[tuple[Record, int, int]]:
     ]
 
 
-def _thinned(
+def thinned(
     x: Float[np.ndarray, "channels time"], every: int
 ) -> Float[np.ndarray, "channels fewer"]:
+    """Means of every `every` samples, in float64; incomplete ones are left out."""
     count = x.shape[1] // every
     return (
         x[:, : count * every]
@@ -65,7 +66,13 @@ def _thinned(
     )
 
 
-def _scaled(parts: list[np.ndarray]) -> list[np.ndarray]:
+def standardised(
+    parts: list[Float[np.ndarray, "channels _"]],
+) -> list[Float[np.ndarray, "channels _"]]:
+    """Channels freed of their means over all `parts`, in units of their deviations.
+
+    A constant channel is zero.
+    """
     unit = unit_of(*parts)[:, None]
     parts = [p / unit for p in parts]
     count = sum(p.shape[1] for p in parts)

@@ -15,6 +15,11 @@ class Record:
     finite; nothing is ever fitted to or scored on such a sample. `start_row` is the
     record's first row in its source, so that messages can name rows as the user sees
     them.
+
+    `scored` marks the rows whose error counts, None stands for all: of a record in
+    which one block is judged, the rest is measured history (`jaxnarx.data.groups`).
+    `group` names what the record is left out together with in cross-validation; empty
+    where that is to be found.
     """
 
     u: Float[np.ndarray, "time inputs"]
@@ -22,6 +27,8 @@ class Record:
     valid: Bool[np.ndarray, "time signals"]
     name: str
     start_row: int = 0
+    scored: Bool[np.ndarray, " time"] | None = None
+    group: str = ""
 
     def __len__(self) -> int:
         return self.u.shape[0]

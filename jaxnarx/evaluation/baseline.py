@@ -95,5 +95,6 @@ def _run(
         one,
         predicted=y[:, None],
         limited=held,
+        held=np.zeros_like(held),
         diverged=bool(has_diverged(held[start:, 0])),
     )

@@ -13,7 +13,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, fed_back, scheduling_values
+from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
 from jaxnarx.regressors import (
     Variables,
     evaluate,
@@ -69,7 +69,7 @@ def local_behaviour(
     o = _position(network, output)
     model = network.models[o]
     data = fitting(network, data)
-    batch = stack(data)
+    batch = held_inputs(network, stack(data))
     at = even_places(
         batch, tables(network), network.history, points, "local models need"
     )

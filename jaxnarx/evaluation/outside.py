@@ -70,19 +70,56 @@ def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
     return tuple(sorted(found, key=lambda o: -o.beyond))
 
 
-def range_notes(rows: Iterable[Row], found: Iterable[Outside]) -> list[str]:
-    """Parts with at least 1 % of their samples outside the trained range, how far."""
+def range_notes(
+    rows: Iterable[Row], found: Iterable[Outside], *, held: bool = False
+) -> list[str]:
+    """Parts with at least 1 % of their samples outside the trained range, how far.
+
+    `held` tells that the network's inputs are held at the edge of their range.
+    """
     share: dict[str, float] = {}
     for row in rows:
         if row.mode == FREE_RUN and row.record == POOLED and row.samples:
             here = row.extrapolated / row.samples
             share[row.part] = max(share.get(row.part, 0.0), here)
     how_far = {part: [o for o in found if o.part == part] for part in share}
+    what = "where the model extrapolates"
+    if held:
+        what = "at whose edge the model's limits hold its inputs"
     return [
         f"{100 * value:.3g} % of the {part} samples lie outside the range of the "
-        "training data, where the model extrapolates"
+        f"training data, {what}"
         + "".join(f"; {o}" for o in how_far[part][:4])
         + ". `extrapolated` of a run's value marks them."
         for part, value in share.items()
         if value >= NOTICEABLE
     ]
+
+
+def held_notes(rows: Iterable[Row]) -> list[str]:
+    """Outputs held at the edge of their trained range, with the records where at least
+    1 % of the samples were; free run."""
+    rows = [row for row in rows if row.mode == FREE_RUN and row.samples]
+    notes = []
+    for pooled in (row for row in rows if row.record == POOLED):
+        own = [
+            row
+            for row in rows
+            if (row.part, row.output) == (pooled.part, pooled.output)
+            and row is not pooled
+            and row.held >= NOTICEABLE * row.samples
+        ]
+        own.sort(key=lambda row: -row.held / row.samples)
+        if not own:
+            continue
+        told = [f"{_share(row)} of the samples of record {row.record}" for row in own]
+        more = f" and {len(own) - 4} more records" if len(own) > 4 else ""
+        notes.append(
+            f"{pooled.output}, {pooled.part}, free run: {', '.join(told[:4])}{more} "
+            f"were held at the edge of the trained range ({_share(pooled)} of all)."
+        )
+    return notes
+
+
+def _share(row: Row) -> str:
+    return f"{100 * row.held / row.samples:.3g} %"

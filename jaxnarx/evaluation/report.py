@@ -21,7 +21,7 @@ from jaxnarx.evaluation.notes import (
     stability_notes,
     stability_values,
 )
-from jaxnarx.evaluation.outside import Outside, outside, range_notes
+from jaxnarx.evaluation.outside import Outside, held_notes, outside, range_notes
 from jaxnarx.evaluation.reactivation import reactivation_notes
 from jaxnarx.evaluation.region_errors import RegionError, region_errors
 from jaxnarx.evaluation.regions import describe_partition
@@ -53,7 +53,8 @@ class Report:
     `outside` tells which inputs leave their trained range, and how far; `regions` which
     local model carries the free-run error of the main part; `beside` holds the pooled
     free-run rows of other models by their name, among them a linear model of the same
-    lags where training data are at hand.
+    lags where training data are at hand. `limits` is the margin by which
+    reported outputs may leave their trained range, None where nothing holds them.
 
     Optional, shown when present; attach them with the arguments of `report` or with
     `dataclasses.replace(report, history=...)`:
@@ -90,6 +91,7 @@ class Report:
     diagnostics: Diagnostics | None = None
     provenance: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     outside: tuple[Outside, ...] = ()
+    limits: float | None = None
     beside: Mapping[str, tuple[Row, ...]] = dataclasses.field(default_factory=dict)
     maps: tuple[ErrorMap, ...] = ()
     regions: tuple[RegionError, ...] = ()
@@ -248,7 +250,9 @@ def report(
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
     strayed = outside(network, parts)
-    notes += range_notes(rows, strayed) + reactivation_notes(network, parts[main])
+    limits = _limits(network)
+    notes += range_notes(rows, strayed, held=limits is not None) + held_notes(rows)
+    notes += reactivation_notes(network, parts[main])
     if stability is True:
         stability = assess(network, parts[main], free[main])
     notes += stability_notes(stability or None, main)
@@ -272,11 +276,18 @@ def report(
         diagnostics=tested,
         provenance=_provenance(parts) | dict(provenance or {}),
         outside=strayed,
+        limits=limits,
         maps=error_maps(network, parts[main], runs[main][FREE_RUN]),
         regions=region_errors(network, parts[main], runs[main][FREE_RUN]),
         leaderboard=leaderboard,
         beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
     )
+
+
+def _limits(network: Any) -> float | None:
+    """The margin of the network's limits, None where it has none."""
+    hold = network.hold if isinstance(network, Network) else None
+    return None if hold is None else float(hold)
 
 
 def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:

@@ -20,12 +20,13 @@ class Row:
     """The scores of one output in one mode of use, for one record or `"pooled"`.
 
     `mode` is `"one step"`, `"10 steps"`, ... or `"free run"`. `rmse` has the output's
-    unit, `fit` is in percent. `samples` are those that count; `limited` and
-    `extrapolated` tell at how many of them the feedback bound acted and the trained
-    range was left. A diverged row has no metrics (`None`): its figures would only tell
-    where the bound is. Pooled rows say how many records diverged in `status`, and
-    `others` holds the pooled metrics of the records that did not. `offset` is the mean
-    of measured minus predicted.
+    unit, `fit` is in percent. `samples` are those that count; `limited`, `held` and
+    `extrapolated` tell at how many of them the feedback bound acted, the output was
+    held at the edge of its trained range, and the trained range was left. A diverged
+    row has no metrics (`None`): its figures would only tell where the bound is. Pooled
+    rows say how many records diverged in `status`, and `others` holds the pooled
+    metrics of the records that did not. `offset` is the mean of measured minus
+    predicted.
     """
 
     part: str
@@ -44,6 +45,7 @@ class Row:
     status: str
     others: dict[str, float] | None = None
     offset: float | None = None
+    held: int = 0
 
     @property
     def diverged(self) -> bool:
@@ -59,6 +61,7 @@ class ScoredSamples:
     predicted: Float[np.ndarray, "time 1"]
     scored: Bool[np.ndarray, "time 1"]
     limited: Bool[np.ndarray, "time 1"]
+    held: Bool[np.ndarray, "time 1"]
     extrapolated: Bool[np.ndarray, " time"]
     diverged: bool
     short: bool
@@ -103,6 +106,7 @@ def score(
             **(dict.fromkeys(metrics.PERFECT) if diverged else _metrics(chosen)),
             samples=sum(int(s.scored.sum()) for s in chosen),
             limited=sum(int((s.limited & s.scored).sum()) for s in chosen),
+            held=sum(int((s.held & s.scored).sum()) for s in chosen),
             extrapolated=sum(
                 int((s.extrapolated & s.scored[:, 0]).sum()) for s in chosen
             ),
@@ -150,6 +154,7 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> ScoredSamp
         predicted=predicted,
         scored=scored,
         limited=np.asarray(run.limited[r])[:, o, None],
+        held=np.asarray(run.held[r])[:, o, None],
         extrapolated=np.asarray(run.extrapolated[r]),
         diverged=lost,
         short=not scored.any() and bool(record.valid[:, inputs + column].any()),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.data import Channels, Dataset, match_channels
+from jaxnarx.data import Channels, Dataset, Groups, match_channels
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.identification.automatic import search
@@ -32,7 +32,7 @@ def identify(
     budget: float | None = None,
     candidates: int | None = None,
     outputs: Sequence[str] = (),
-    groups: Any = None,
+    groups: Groups | None = None,
     validation: Dataset | None = None,
     folder: str | os.PathLike[str] | None = None,
     progress: Events | None = None,
@@ -60,8 +60,8 @@ def identify(
         budget: Time for the search [s]; default the preset's.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
-        groups: Which records are left out together; default as the records say, else
-            records that repeat one another's inputs belong together.
+        groups: What is left out together (`jaxnarx.data.groups`); default as the records
+            say, else records that repeat one another's inputs belong together.
         validation: Records that judge growth and refinement of a method. A search
             counts them among the data, as a group of their own.
         folder: Where the search writes what it has tried, after every candidate. The
@@ -105,7 +105,7 @@ class _Search:
     budget: float | None = None
     candidates: int | None = None
     outputs: tuple[str, ...] = ()
-    groups: Any = None
+    groups: Groups | None = None
     folder: str | os.PathLike[str] | None = None
 
     def states(self, name: str) -> bool:
@@ -166,7 +166,8 @@ def _searched(
 def with_group(data: Dataset, more: Dataset, name: str) -> Dataset:
     """The records of both; the second ones are a group of that name."""
     more = match_channels(more, data.channels)[0]
-    return dataclasses.replace(data, records=(*data.records, *more.records))
+    named = (dataclasses.replace(record, group=name) for record in more)
+    return dataclasses.replace(data, records=(*data.records, *named))
 
 
 def _by_method(

@@ -13,7 +13,7 @@ from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.methods.inverse import ActuatorLimits
-from jaxnarx.models import Network
+from jaxnarx.models import Network, reported
 from jaxnarx.simulation import has_diverged
 from jaxnarx.solution import NAMES, RESULTS, Solution
 
@@ -27,9 +27,10 @@ class Tracking:
 
     Samples before the start repeat what was recorded. `at_range` and `at_rate` mark
     commands held by a limit, `limited` outputs held by the forward network's feedback
-    bound; `scored` the samples at which `outputs` of the targets are compared with
-    `references`. `outputs` holds all that the forward network computes, `targets` the
-    places of the targets among them.
+    bound, `held` those at the edge of its trained range where it has limits; `scored`
+    the samples at which `outputs` of the targets are compared with `references`.
+    `outputs` holds all that the forward network computes, `targets` the places of the
+    targets among them.
     """
 
     commands: tuple[Float[np.ndarray, "_ commands"], ...]
@@ -38,6 +39,7 @@ class Tracking:
     at_range: tuple[Bool[np.ndarray, "_ commands"], ...]
     at_rate: tuple[Bool[np.ndarray, "_ commands"], ...]
     limited: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    held: tuple[Bool[np.ndarray, "_ outputs"], ...]
     scored: tuple[Bool[np.ndarray, "_ targets"], ...]
     targets: tuple[int, ...]
     command_names: tuple[str, ...]
@@ -79,9 +81,12 @@ def cascade(
 
     `limits` bound the commands; without, the range of the inverse's training, widened
     as its feedback is. The inverse is given the limited commands back (anti-windup).
+    Where the forward network has limits (`jnx.models.hold_to_range`), commands stay
+    within its trained range, and outputs are reported as `simulate` does.
 
     `stats` holds `nrmse` of every target, the share of samples `at_range` and
-    `at_rate` per record and command, and `record_status`. Statuses as in `simulate`:
+    `at_rate` per record and command, how many samples of each record and output were
+    `held`, and `record_status`. Statuses as in `simulate`:
     `diverged` when the forward network's bound acts on more than 5 % of a record or on
     50 samples in a row, `too_short` where a record has no valid start.
     """
@@ -106,7 +111,7 @@ def _tracking(
     count, shown = len(low), len(forward.models)
     lower, upper = np.asarray(forward.lower), np.asarray(forward.upper)
     near = NEAR * (high - low)
-    columns: tuple[list, ...] = ([], [], [], [], [], [], [])
+    columns: tuple[list, ...] = ([], [], [], [], [], [], [], [])
     at = list(loop.command_signals)
     inputs = len(forward.channels.inputs)
     for n, record in enumerate(task.data):
@@ -115,17 +120,17 @@ def _tracking(
         u = z[n, :length, :count] * np.asarray(loop.command_gain)
         y = z[n, :length, count : count + shown]
         limited = (y <= lower) | (y >= upper)
-        y = y * np.asarray(loop.output_gain)
+        y, held = reported(forward, y * np.asarray(loop.output_gain))
         u[:first] = record.u[:first, at]
         y[:first] = record.y[:first, np.array(forward.signals) - inputs]
         moved = np.abs(np.diff(u, axis=0, prepend=u[:1]))
         at_range = (u <= low + near) | (u >= high - near)
         at_rate = np.isfinite(move) & (moved >= np.where(move < np.inf, move, 0) - near)
-        for mask in (limited, at_range, at_rate):
+        for mask in (limited, held, at_range, at_rate):
             mask[:first] = False
         parts = (
             *(u, y, task.reference[n, :length]),
-            *(at_range, at_rate, limited, task.scored[n, :length]),
+            *(at_range, at_rate, limited, held, task.scored[n, :length]),
         )
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
@@ -153,6 +158,7 @@ def _solution(loop: Loop, task: CascadeTask, value: Tracking) -> Solution[Tracki
         "nrmse": value.nrmse(),
         "at_range": np.array([m.mean(axis=0) for m in value.at_range]),
         "at_rate": np.array([m.mean(axis=0) for m in value.at_rate]),
+        "held": np.array([m.sum(axis=0) for m in value.held]),
     }
     if bad.any():
         n = int(np.argmax(bad))

@@ -151,7 +151,11 @@ def _swapped(
 
     x = columns(signals)
     return dataclasses.replace(
-        record, u=x[:, :inputs], y=x[:, inputs:], valid=columns(record.valid)
+        record,
+        u=x[:, :inputs],
+        y=x[:, inputs:],
+        valid=columns(record.valid),
+        scored=None if record.scored is None else record.scored[:length],
     )
 
 

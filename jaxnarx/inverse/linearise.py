@@ -18,7 +18,7 @@ from jaxnarx.arrays.programs import program
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, scheduling_values
+from jaxnarx.models import Network, held_inputs, scheduling_values
 from jaxnarx.regressors import AbstractFilter, FilterSystem, realise, row_columns
 from jaxnarx.regressors.columns import even_places
 from jaxnarx.simulation import fitting, tables
@@ -102,11 +102,12 @@ def _system(filter_: AbstractFilter, network: Network) -> FilterSystem:
 def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> LocalSlopes:
     """Linearise at `points` measured samples, evenly spaced.
 
-    Local models with feedback of their own are refused: their past is not measured.
+    Local models with feedback of their own are refused: their past is not measured. Of
+    a network with limits, inputs beyond their range stand at its edge.
     """
     require_shared(network)
     data = fitting(network, data)
-    batch = stack(data)
+    batch = held_inputs(network, stack(data))
     at = even_places(
         batch, tables(network), network.history, points, "the network needs"
     )

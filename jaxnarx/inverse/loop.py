@@ -119,18 +119,22 @@ def _filled(
 ):
     """Both kinds of variables with `values` in physical units put in their places.
 
-    Column k of `values` is lag `first` + k.
+    Column k of `values` is lag `first` + k. A network with limits sees them `within`
+    its ranges where they are inputs.
     """
     rows, sources, lags = _columns(places[0])
     if len(rows):
         signal = network.variables.signal[rows]
-        fresh = values[sources, lags - first] / network.gain[signal]
-        v = v.at[rows + 1].set(fresh)
+        fresh = network.within(values[sources, lags - first], signal)
+        v = v.at[rows + 1].set(fresh / network.gain[signal])
     out = []
-    for x_o, own in zip(x, places[1:], strict=True):
+    for x_o, model, own in zip(x, network.models, places[1:], strict=True):
         rows, sources, lags = _columns(own)
-        fresh = values[sources, lags - first]
-        out.append(x_o.at[rows].set(fresh) if len(rows) else x_o)
+        if len(rows):
+            fresh = values[sources, lags - first]
+            fresh = network.within(fresh, model.scheduling.signal[rows])
+            x_o = x_o.at[rows].set(fresh)
+        out.append(x_o)
     return v, tuple(out)
 
 
@@ -144,8 +148,9 @@ def connect(
     """The cascade of two networks; channels are matched by name.
 
     Commands are bounded by `limits` and, in any case, by the bounds that the inverse's
-    feedback has had in training. `SpecError` where the two do not fit, see `wire`, or
-    where a limit leaves no room.
+    feedback has had in training; by the forward network's trained range too, if it has
+    limits (`jaxnarx.models.limits`), as it would not see them go beyond. `SpecError`
+    where the two do not fit, see `wire`, or where a limit leaves no room.
     """
     limits = ActuatorLimits() if limits is None else limits
     wiring, names = wire(inverse, forward), inverse.output_names
@@ -153,6 +158,10 @@ def connect(
         _require_named(getattr(limits, field), names, field)
     gain = np.asarray(inverse.gain)[np.array(inverse.signals)]
     low, high = np.asarray(inverse.lower) * gain, np.asarray(inverse.upper) * gain
+    if forward.hold is not None:
+        at = [forward.channels.signal(name) for name in names]
+        low = np.maximum(low, np.asarray(forward.low)[at])
+        high = np.minimum(high, np.asarray(forward.high)[at])
     pairs = [limits.range.get(n, (-np.inf, np.inf)) for n in names]
     low = np.maximum(low, [a for a, _ in pairs])
     high = np.minimum(high, [b for _, b in pairs])
@@ -160,7 +169,7 @@ def connect(
         if not a < b:
             raise SpecError(
                 f"the range of {name} has nothing in common with that of the "
-                f"inverse's training; it leaves {a:g} to {b:g}",
+                f"networks' training; it leaves {a:g} to {b:g}",
                 field="range",
             )
     move = [limits.rate.get(n, np.inf) * float(inverse.sample_time) for n in names]

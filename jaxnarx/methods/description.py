@@ -26,6 +26,7 @@ DESCRIPTION = """All keys of a description of records:
     [records]
     files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
     # or parts: train = [...], validate = [...], test = [...]
+    groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
 
 Only sample_time or time, one output and [records] are required. Columns that no channel
 names are ignored. Numbers under time that look like milliseconds are refused until
@@ -35,4 +36,7 @@ environment variable JAXNARX_DATA, and stays inside; else it is relative to the 
 of the description. The patterns of [records] are relative to root and stay inside. Each
 pattern's files come in alphabetical order, and each file is one record; a pattern that
 begins with ! takes its files out of those that the patterns before it have chosen.
+groups names training records that are left out together where models are judged on what
+they were not trained on; a list of lists of patterns serves as well. Records in no
+group are put together where they repeat each other's inputs.
 """

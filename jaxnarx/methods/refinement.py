@@ -75,8 +75,8 @@ class SimulationError:
     """Starting points. Those beyond the given network move the partition at random and
     take the coefficients of least squares there; the best by validation goes on."""
     folds: Folds = 0
-    """Choose the length of the search by cross-validation over this many groups of
-    records, then train on all; in place of validation records."""
+    """Choose the length of the search by cross-validation over up to this many groups
+    of what is left out together, then train on all; in place of validation records."""
     stability: NotNegative = 0.0
     """Weight of the penalty on samples at which the network does not contract; 0
     none."""

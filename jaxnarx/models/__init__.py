@@ -18,6 +18,10 @@ from jaxnarx.models.feedback import sources as sources
 from jaxnarx.models.feedback import widened as widened
 from jaxnarx.models.feedback import with_history as with_history
 from jaxnarx.models.feedback import with_own as with_own
+from jaxnarx.models.limits import held_inputs as held_inputs
+from jaxnarx.models.limits import hold_to_range as hold_to_range
+from jaxnarx.models.limits import reported as reported
+from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel

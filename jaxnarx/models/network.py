@@ -82,8 +82,10 @@ class Network(eqx.Module):
     `variables` are the lagged variables of all outputs' terms; `modelled` the positions
     of the modelled outputs among `channels.outputs`. `gain` brings signals to unit
     size. `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are
-    the training ranges in physical units. A free run starts from `history` measured
-    samples, those of local models with their own feedback too.
+    the training ranges in physical units, to which inputs and reported outputs are held
+    if there is a `hold`: the share of its range by which an output may leave it, see
+    `jaxnarx.models.limits`. A free run starts from `history` measured samples, those of
+    local models with their own feedback too.
     """
 
     channels: Channels = eqx.field(static=True)
@@ -96,6 +98,7 @@ class Network(eqx.Module):
     low: Float[Array, " signals"]
     high: Float[Array, " signals"]
     sample_time: Float[Array, ""]
+    hold: Float[Array, ""] | None = None
 
     def __check_init__(self):
         if len(self.models) != len(self.modelled):
@@ -112,6 +115,11 @@ class Network(eqx.Module):
             f"history: {', '.join(self.channels.input_names)} -> "
             + ", ".join(self.output_names)
         ]
+        if self.hold is not None:
+            lines.append(
+                "inputs held within their trained ranges, reported outputs within "
+                f"theirs widened by {100 * float(self.hold):g} %"
+            )
         names = self.variable_names
         for o, (name, model) in enumerate(
             zip(self.output_names, self.models, strict=True)
@@ -176,6 +184,25 @@ class Network(eqx.Module):
         """`speed[t-2]` for every lagged variable."""
         return variable_names(self.channels, self.variables)
 
+    def within(
+        self,
+        values: Float[Array, "*rows columns"],
+        signal: Int[np.ndarray, " columns"] | None = None,
+    ) -> Float[Array, "*rows columns"]:
+        """Signals as the network sees them: with `hold`, inputs in their trained range.
+
+        `signal` tells which signals the columns are, by default all in order; physical
+        units. The slope by an input is one up to and at the edge, and zero beyond.
+        """
+        if self.hold is None:
+            return values
+        at = np.arange(values.shape[-1]) if signal is None else signal
+        given, lead = at < len(self.channels.inputs), (1,) * (values.ndim - 1)
+        low = jnp.where(given, self.low[at], -jnp.inf).reshape(*lead, -1)
+        high = jnp.where(given, self.high[at], jnp.inf).reshape(*lead, -1)
+        # Not jnp.clip: its slope at the edge, where a constant input always is, is 1/2.
+        return jnp.where(values < low, low, jnp.where(values > high, high, values))
+
     def columns(
         self,
         signals: Float[Array, "time signals"],
@@ -184,9 +211,11 @@ class Network(eqx.Module):
         """Lagged variables of one record, known before the run, at every sample.
 
         The scaled ones of the terms behind a leading one, and per output those of the
-        scheduling in physical units. Filters begin at rest at the first valid sample
-        (without `valid`: the first); see `jaxnarx.regressors.record_columns`.
+        scheduling in physical units, of inputs held `within` their ranges. Filters
+        begin at rest at the first valid sample (without `valid`: the first); see
+        `jaxnarx.regressors.record_columns`.
         """
+        signals = self.within(signals)
         at = jnp.arange(signals.shape[0])
         ones = jnp.ones((1, at.shape[0]), signals.dtype)
 

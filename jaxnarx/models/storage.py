@@ -5,7 +5,8 @@ channels with units and the static tables; the tensors are the network's arrays.
 of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
 filtered variables is written as format 2, one with other validity functions than
 Gaussians as format 3, one with local models that have feedback of their own as format
-4, so that older programs say what they lack; any other is still written as format 1.
+4, one that is held to its trained ranges as format 5, so that older programs say what
+they lack; any other is still written as format 1. Files of formats 1 to 4 hold none.
 """
 
 import dataclasses
@@ -34,7 +35,7 @@ from jaxnarx.regressors import (
     require_sampled,
 )
 
-FORMAT = 4
+FORMAT = 5
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
@@ -64,6 +65,8 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if network.hold is not None:
+        return 5
     if network.parallel:
         return 4
     if not all(isinstance(m.validity, Gaussians) for m in network.models):
@@ -315,6 +318,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             get(f".{f}")
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
+        hold=get(".hold") if ".hold" in tensors else None,
     )
     _check(network)
     return network
@@ -336,6 +340,9 @@ def _check(network: Network) -> None:
         _require(shape == outputs, f"{name} has not one entry per output")
     _require(network.sample_time.shape == (), "the sample time is not one number")
     _require(network.sample_time > 0, "the sample time is not positive")
+    hold = network.hold
+    _require(hold is None or hold.shape == (), "the margin of limits is not one number")
+    _require(hold is None or hold >= 0, "the margin of limits is negative")
     _require(np.all(np.asarray(network.gain) > 0), "a gain is not positive")
     _require(network.modelled, "no output is modelled")
     _require(

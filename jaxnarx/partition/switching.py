@@ -20,7 +20,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, depth
+from jaxnarx.models import Network, depth, reported
 from jaxnarx.simulation import (
     RunInputs,
     Trajectories,
@@ -55,7 +55,8 @@ def switch(
     channels; outputs in a region are measured ones.
 
     The run starts where all have their history; an output is held within the widest of
-    the feedback bounds. `stats["acting"]` holds, per record, the place in `networks` of
+    the feedback bounds, and reported within the trained range of the network that acts
+    if that has limits. `stats["acting"]` holds, per record, the place in `networks` of
     the one that acts (-1 before the start), `stats["share"]` how often each does.
     Status `diverged` as in `simulate`.
     """
@@ -174,7 +175,7 @@ def _run(
 
 def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
     network: Network = networks[0]
-    columns: list[list] = [[] for _ in range(6)]
+    columns: list[list] = [[] for _ in range(8)]
     for n, record in enumerate(data):
         length, first = len(record), min(int(start[n]), len(record))
         y, hold = run[0][n, :length].copy(), run[1][n, :length].copy()
@@ -183,18 +184,32 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
         who = acting[n, :length].copy()
         who[:first] = -1
         bad = np.asarray(has_diverged(hold[first:].T))
+        edge, held = _reported(networks, y, who)
         nothing = np.zeros(length, bool)
-        parts = (y, scored[n, :length], hold, nothing, bad, who)
+        parts = (edge, y, scored[n, :length], hold, held, nothing, bad, who)
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
-    outputs, known, limited, outside, lost = map(tuple, columns[:5])
+    outputs, computed, known, limited, held, outside, lost = map(tuple, columns[:7])
     names = tuple(data.names), tuple(network.output_names)
-    value = Trajectories(outputs, known, limited, outside, lost, *names)
-    every = np.concatenate(columns[5])
+    parts = outputs, computed, known, limited, held, outside, lost
+    value = Trajectories(*parts, *names)
+    every = np.concatenate(columns[7])
     share = np.bincount(every[every >= 0], minlength=len(networks))
-    stats = {"acting": columns[5], "share": share / max(share.sum(), 1)}
+    stats = {"acting": columns[7], "share": share / max(share.sum(), 1)}
     if any(d.any() for d in value.diverged):
         n = int(np.argmax([d.any() for d in value.diverged]))
         detail = f"record {data.records[n].name!r} leaves the feedback bounds"
         return Solution(value, RESULTS.diverged, stats, detail)
     return Solution(value, RESULTS.ok, stats)
+
+
+def _reported(
+    networks: Sequence[Network],
+    y: Float[np.ndarray, "time outputs"],
+    who: Int[np.ndarray, " time"],
+) -> tuple[Float[np.ndarray, "time outputs"], Bool[np.ndarray, "time outputs"]]:
+    """What is reported of each network's samples, and where it is held."""
+    edge, held = y.copy(), np.zeros(y.shape, bool)
+    for n, network in enumerate(networks):
+        edge[who == n], held[who == n] = reported(network, y[who == n])
+    return edge, held

@@ -12,7 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network
+from jaxnarx.models import Network, reported
 from jaxnarx.refinement.information import variances
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.uncertainty import Uncertainty
@@ -71,9 +71,9 @@ def bands(
 
     Statuses and the run are those of `simulate`. Where the feedback bound holds a
     sample, parameters move it no more and the band of the run has no width; it never
-    leaves the bound. Where sensitivities overflow, it is the whole range between the
-    bounds. Before the first prediction the run repeats the measurement, and both bands
-    are those of its noise. Always finite.
+    leaves the bound, nor what a model with limits reports. Where sensitivities
+    overflow, it is the whole range between the bounds. Before the first prediction the
+    run repeats the measurement, and both bands are those of its noise. Always finite.
 
     Args:
         network: The model.
@@ -156,7 +156,7 @@ def _bands(network, uncertainty: Uncertainty, run, scaled, start, level) -> Band
     reach = scipy.special.stdtrit(uncertainty.freedom, 0.5 + level / 2)
     before = np.sqrt(np.diagonal(uncertainty.start).reshape(len(gain), -1)[:, 0]) * gain
     columns: tuple[list, ...] = ([], [], [], [], [])
-    for n, y in enumerate(run.outputs):
+    for n, (y, free) in enumerate(zip(run.outputs, run.computed, strict=True)):
         deviation = np.sqrt(np.asarray(scaled[n, : len(y)], float)) * gain
         first = min(int(start[n]), len(y))
         deviation[:first] = before
@@ -165,8 +165,10 @@ def _bands(network, uncertainty: Uncertainty, run, scaled, start, level) -> Band
         half = np.where(known, deviation * reach, np.inf)
         noisy = np.sqrt(deviation**2 + uncertainty.noise**2) * reach
         noisy[:first] = uncertainty.noise * reach
-        inner = np.maximum(y - half, np.minimum(low, y))
-        outer = np.minimum(y + half, np.maximum(high, y))
+        inner = np.maximum(free - half, np.minimum(low, free))
+        outer = np.minimum(free + half, np.maximum(high, free))
+        for end in (inner, outer):
+            end[first:] = reported(network, end[first:])[0]
         parts = (inner, outer, y - noisy, y + noisy, deviation)
         for column, part in zip(columns, parts, strict=True):
             column.append(part)

@@ -1,27 +1,48 @@
-"""How long to search, by cross-validation over records.
+"""How long to search, by cross-validation over what is left out together.
 
-Records are dealt into groups; for each group the network is refined on the others and
-judged on it after every accepted step. The position in the schedule at which the mean
-of these scores is least is where the search on all records stops. Every record has then
-been judged while it took no part, and none is lost to the training.
+For each group of the training data (`jaxnarx.data.groups`) the network is refined on
+the others and judged on it after every accepted step. The position in the schedule at
+which the mean of these scores is least is where the search on all data stops. Every
+sample has then been judged while it took no part, and none is lost to the training.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Bool
 
-from jaxnarx.errors import SpecError
+from jaxnarx.data import Groups
+from jaxnarx.errors import DataError
+from jaxnarx.refinement.task import Task
 
 
-def deal(records: np.ndarray, folds: int) -> list[np.ndarray]:
-    """The records left out in each fold: every `folds`-th one."""
-    if len(records) < folds:
-        raise SpecError(
-            f"{folds} folds need at least as many records with samples that count, "
-            f"the data have {len(records)}",
-            field="folds",
+def divided(task: Task, groups: Groups, history: int) -> list[tuple[Task, Task]]:
+    """For every group a task without it, and one that it alone is judged by.
+
+    Shapes stay. A group without samples that count is passed over, and so is one
+    without which none are left; fewer than two others are a DataError.
+    """
+    rows = task.masks.anchors.shape[1]
+    found = []
+    for g in range(len(groups)):
+        own = _stacked([label == g for label in groups.labels], rows)
+        out = _stacked(groups.left_out(g), rows)
+        pair = task.without(out, history), task.only(own)
+        if all(np.any(np.asarray(part.weight) > 0) for part in pair):
+            found.append(pair)
+    if len(found) < 2:
+        raise DataError(
+            f"of {len(groups)} groups of the training data {len(found)} can be left "
+            "out: the others have no samples that count, or leave none. Give weight to "
+            "more records, or none to folds."
         )
-    return [records[n::folds] for n in range(folds)]
+    return found
+
+
+def _stacked(
+    masks: Sequence[Bool[np.ndarray, " _"]], rows: int
+) -> Bool[np.ndarray, "records rows"]:
+    return np.stack([np.pad(mask, (0, rows - len(mask))) for mask in masks])
 
 
 def curve(start: tuple[bool, float], history: Sequence[dict], total: int) -> np.ndarray:
@@ -38,11 +59,11 @@ def curve(start: tuple[bool, float], history: Sequence[dict], total: int) -> np.
 
 
 def best_position(
-    records: np.ndarray, folds: int, judge: Callable[[np.ndarray], np.ndarray]
+    folds: Sequence[tuple[Task, Task]], judge: Callable[[Task, Task], np.ndarray]
 ) -> tuple[int, list[float]]:
     """The position of the least mean score, and the mean at every position.
 
-    `judge` refines without the records it is given and returns their `curve`.
+    `judge` refines on the first of two tasks and returns the `curve` of the second.
     """
-    mean = np.mean([judge(left_out) for left_out in deal(records, folds)], axis=0)
+    mean = np.mean([judge(rest, left_out) for rest, left_out in folds], axis=0)
     return int(np.argmin(mean)), mean.tolist()

@@ -7,12 +7,12 @@ import jax
 import numpy as np
 
 from jaxnarx.arrays.minimise import Progress
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
-from jaxnarx.refinement.folds import best_position, curve
+from jaxnarx.refinement.folds import best_position, curve, divided
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
@@ -67,7 +67,7 @@ def refine(
         data: Records with its channels, to be trained on.
         method: `SimulationError` (the default) or `PredictionError`.
         validation: Records that judge each step (default `data`; with `method.folds`
-            its records take turns).
+            its groups take turns, see `jaxnarx.data.groups`).
         trainable: A tree of booleans with the network's structure, see `freeze`.
         weights: One number per record of `data`.
         deviations: A tree like the network's: the standard deviation of a Gaussian
@@ -115,7 +115,12 @@ def refine(
         initial = initial_conditions(network, task)
     band = method.width_band
     layout = make_layout(network, trainable, band, initial, centred=plain)
-    return refine_task(layout, task, guard, method, progress, deviations=deviations)
+    found = None
+    if method.folds:
+        found = groups(data, folds=method.folds, gap=network.history)
+    return refine_task(
+        layout, task, guard, method, progress, left_out=found, deviations=deviations
+    )
 
 
 def refine_task(
@@ -125,9 +130,13 @@ def refine_task(
     method: SimulationError,
     progress: Progress | None = None,
     *,
+    left_out: Groups | None = None,
     deviations: Network | None = None,
 ) -> Solution[Network]:
-    """`refine` on prepared data, for those who refine many networks on the same."""
+    """`refine` on prepared data, for those who refine many networks on the same.
+
+    With groups to be left out the length of the search is chosen by them.
+    """
     schedules = _schedules(layout, task, method)
     prior = _prior(layout, deviations)
 
@@ -147,20 +156,18 @@ def refine_task(
         found = search(task, guard).solution(RESULTS.too_short)
         detail = f"no record is longer than the windows of {method.horizons} samples"
         return dataclasses.replace(found, detail=detail)
-    if not method.folds:
+    if left_out is None:
         return _solve(search(task, guard))
-    # Records that train nothing cannot judge either.
-    useful = np.flatnonzero(np.asarray(task.weight).sum(axis=(1, 2)) > 0)
 
-    def judge(left_out: np.ndarray) -> np.ndarray:
-        rest = np.setdiff1d(useful, left_out)
-        one = search(task.only(rest), task.only(left_out))
+    def judge(rest: Task, judged: Task) -> np.ndarray:
+        one = search(rest, judged)
         _solve(one)
         start = one.start_diverged, one.start_score
         own = [row for row in one.history if row.get("start", "") == one.winner]
         return curve(start, own, one.total)
 
-    limit, scores = best_position(useful, method.folds, judge)
+    folds = divided(task, left_out, layout.base.history)
+    limit, scores = best_position(folds, judge)
     if not np.isfinite(scores[limit]):
         limit = None
     solution = _solve(search(task, task, limit))

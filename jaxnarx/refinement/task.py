@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
@@ -40,15 +40,39 @@ class Task:
             return jax.device_put(first_anchor(self.masks))
         return jax.device_put(window_anchors(self.masks, horizon))
 
-    def only(self, records: Int[np.ndarray, " _"]) -> "Task":
-        """The same task with weight on these records alone; shapes stay."""
-        there = np.isin(np.arange(len(self.masks.start)), records)[:, None, None]
-        weight = np.where(there, np.asarray(self.weight), 0.0)
-        total = np.asarray(self.weight).sum(axis=(0, 1))
-        kept = weight.sum(axis=(0, 1))
+    def only(self, rows: Bool[np.ndarray, "records time"]) -> "Task":
+        """The same task with weight on these samples alone; shapes stay."""
+        return self._scoring(self.masks.scored & rows[:, :, None])
+
+    def without(self, rows: Bool[np.ndarray, "records time"], history: int) -> "Task":
+        """The same task as if the outputs had not been measured at `rows`.
+
+        They have no weight, and no run begins within `history` samples after them.
+        Records that train nothing then begin as they did.
+        """
+        before = np.cumsum(np.pad(rows, ((0, 0), (history + 1, 0))), axis=1)
+        clear = before[:, history:-1] == before[:, : -history - 1]
+        anchors = self.masks.anchors & clear
+        some = np.any(anchors, axis=1)
+        start = np.where(some, np.argmax(anchors, axis=1), self.masks.start)
+        later = np.arange(rows.shape[1])[None] >= start[:, None]
+        scored = self.masks.scored & (~rows & later & some[:, None])[:, :, None]
+        used = np.any(scored, axis=(1, 2))
+        masks = dataclasses.replace(
+            self.masks,
+            anchors=np.where(used[:, None], anchors, self.masks.anchors),
+            start=np.where(used, start, self.masks.start),
+        )
+        return dataclasses.replace(self, masks=masks)._scoring(scored)
+
+    def _scoring(self, scored: Bool[np.ndarray, "records time outputs"]) -> "Task":
+        """Weight where samples are `scored`, as much in all for every output."""
+        own = np.asarray(self.weight)
+        weight = np.where(scored, own, 0.0)
+        total, kept = own.sum(axis=(0, 1)), weight.sum(axis=(0, 1))
         share = np.where(kept > 0, total / np.where(kept > 0, kept, 1.0), 0.0)
         weight = jax.device_put((weight * share).astype(self.weight.dtype))
-        masks = dataclasses.replace(self.masks, scored=self.masks.scored & there)
+        masks = dataclasses.replace(self.masks, scored=scored)
         return dataclasses.replace(self, weight=weight, masks=masks)
 
     def one_step(self) -> "Task":

@@ -68,6 +68,8 @@ def regression_rows(
     inputs = len(data.channels.inputs)
     targets = np.array([inputs + o for o in outputs])
     good = usable(batch.valid, variables.rows, history)
+    if batch.scored is not None:
+        good &= batch.scored
     counted = good[:, :, None] & batch.valid[:, :, targets]
     if weights is not None:
         positive = flat_weights(weights, data, good.shape[1]) > 0

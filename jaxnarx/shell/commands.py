@@ -124,6 +124,8 @@ class Simulate:
     only."""
     prepare: Flag = False
     """Prepare raw files first as the model's training records were prepared."""
+    no_limits: Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     force: Flag = False
     """Overwrite files of an earlier run."""
 
@@ -203,6 +205,8 @@ class Report:
     """Folder for report.html and report.json; default: only print."""
     beside: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
     """Other models to compare with on the same records, in free run."""
+    no_limits: Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     force: Flag = False
     """Overwrite an earlier report."""
     require_fit: Percent = None

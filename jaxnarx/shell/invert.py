@@ -175,7 +175,8 @@ def _reached(forward: Network, data: Dataset) -> Dataset:
     """The records with the outputs that the model computes under their commands.
 
     With the measured ones the inverse would learn to make good the model's error, which
-    the engine does not have. A record on which the model diverges stays as it is.
+    the engine does not have. A record on which the model diverges stays as it is, and
+    no limits hold what is reached: it is what the model's own feedback goes on.
     """
     found = simulate(forward, data).value
     at = [data.channels.output_names.index(n) for n in found.output_names]
@@ -183,7 +184,7 @@ def _reached(forward: Network, data: Dataset) -> Dataset:
     for n, record in enumerate(data):
         y = np.array(record.y)
         if not found.diverged[n].any():
-            y[:, at] = found.outputs[n]
+            y[:, at] = found.computed[n]
         records.append(dataclasses.replace(record, y=y))
     return dataclasses.replace(data, records=tuple(records))
 

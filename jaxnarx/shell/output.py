@@ -154,7 +154,8 @@ def file_names(names: Sequence[str]) -> list[str]:
 
 
 def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> str:
-    """Record `n` as CSV: time, computed and measured outputs, limited, extrapolated.
+    """Record `n` as CSV: time, computed and measured outputs, limited, held,
+    extrapolated.
 
     `kind` heads the computed outputs, `"simulated"`; missing measurements are empty.
     """
@@ -163,11 +164,11 @@ def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> s
     header = ["time [s]"]
     columns = [(np.arange(len(record)) * data.sample_time).tolist()]
     for o, name in enumerate(names):
-        header += [f"{name} {kind}", f"{name} measured", f"{name} limited"]
+        header += [f"{name} {what}" for what in (kind, "measured", "limited", "held")]
         at = known.index(name)
         measured = np.where(record.valid[:, inputs + at], record.y[:, at], np.nan)
-        limited = value.limited[n][:, o].astype(int)
-        columns += [c.tolist() for c in (value.outputs[n][:, o], measured, limited)]
+        masks = (mask[n][:, o].astype(int) for mask in (value.limited, value.held))
+        columns += [c.tolist() for c in (value.outputs[n][:, o], measured, *masks)]
     header.append("extrapolated")
     columns.append(value.extrapolated[n].astype(int).tolist())
     return _csv(header, columns)
@@ -175,7 +176,7 @@ def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> s
 
 def tracking_csv(value: "Tracking", sample_time: float, n: int) -> str:
     """Record `n` of a cascade: commands and where a limit held them, references,
-    outputs, and where the model's bound held those."""
+    outputs, and where the model's bound, or its limits, held those."""
     length = len(value.commands[n])
     header = ["time [s]"]
     columns = [(np.arange(length) * sample_time).tolist()]
@@ -188,9 +189,10 @@ def tracking_csv(value: "Tracking", sample_time: float, n: int) -> str:
             header.append(f"{name} reference")
             reference = value.references[n][:, value.targets.index(o)]
             columns.append(reference.tolist())
-        header += [f"{name} simulated", f"{name} limited"]
+        header += [f"{name} simulated", f"{name} limited", f"{name} held"]
         columns.append(value.outputs[n][:, o].tolist())
         columns.append(value.limited[n][:, o].astype(int).tolist())
+        columns.append(value.held[n][:, o].astype(int).tolist())
     return _csv(header, columns)
 
 

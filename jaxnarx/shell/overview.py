@@ -58,6 +58,7 @@ def _trust(report: Report, row: Row) -> dict[str, Any]:
         "records": len(single),
         "diverged": sum(r.diverged for r in single),
         "limited": row.limited / samples,
+        "held": row.held / samples,
         "extrapolated": row.extrapolated / samples,
     }
 

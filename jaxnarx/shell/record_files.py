@@ -79,8 +79,23 @@ def describe(
             lines.append(f"{_quoted(c.name)} = {{column = {column}, unit = {unit}}}")
     lines += ["", "[records]"]
     for part, names in files.items():
-        lines.append(f"{part} = [{', '.join(map(_quoted, names))}]")
-    return "\n".join(lines) + "\n"
+        lines.append(f"{part} = {_list(names)}")
+    return "\n".join([*lines, *_groups(data, files)]) + "\n"
+
+
+def _groups(data: Dataset, files: Mapping[str, Sequence[str]]) -> list[str]:
+    """What is left out together, as the records say."""
+    of: dict[str, list[str]] = {}
+    if any(record.group for record in data):
+        names = [name for part in files.values() for name in part]
+        for record, name in zip(data, names, strict=True):
+            of.setdefault(record.group, []).append(name)
+    told = [f"{_quoted(g)} = {_list(names)}" for g, names in of.items() if g]
+    return [f"groups = {{{', '.join(told)}}}"] if told else []
+
+
+def _list(names: Sequence[str]) -> str:
+    return f"[{', '.join(map(_quoted, names))}]"
 
 
 def _quoted(text: str) -> str:

@@ -6,14 +6,15 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, match_channels, read_files
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.inverse import cascade
-from jaxnarx.models import Network, load
+from jaxnarx.inverse import Tracking, cascade
+from jaxnarx.models import Network
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.messages import about, count, next_command, say, size, warn
+from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
-from jaxnarx.simulation import predict, simulate
+from jaxnarx.simulation import Trajectories, predict, simulate
 
 
 def simulate_files(command: Simulate) -> int:
@@ -23,7 +24,7 @@ def simulate_files(command: Simulate) -> int:
         raise SpecError("give data files or one TOML description")
     if steps is not None and steps < 1:
         raise SpecError(f"--steps must be at least 1, got {steps}")
-    network = load(command.model)
+    network = loaded(command.model, no_limits=command.no_limits)
     data = _new_data(command, network)
     if steps is not None and steps + network.history > max(map(len, data)):
         raise SpecError(
@@ -44,6 +45,7 @@ def simulate_files(command: Simulate) -> int:
                 output.write_text(place / file, text)
     for file in files:
         say(f"wrote {folder / file}")
+    _tell_held(solution.value)
     if solution.detail:
         warn(f"{solution.status_name}: {solution.detail}")
     next_command(
@@ -57,7 +59,8 @@ def follow(command: Simulate, through: str) -> int:
     for option, given in (("--steps", command.steps), ("--prepare", command.prepare)):
         if given:
             raise SpecError(f"{option} and --through do not go together")
-    inverse, forward = load(command.model), load(through)
+    models = command.model, through
+    inverse, forward = (loaded(path, no_limits=command.no_limits) for path in models)
     data = _records(command, forward.channels, float(forward.sample_time), inverse)
     files = output.file_names(data.names)
     with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
@@ -69,6 +72,7 @@ def follow(command: Simulate, through: str) -> int:
                 output.write_text(place / file, text)
     for file in files:
         say(f"wrote {folder / file}")
+    _tell_held(solution.value)
     for name, error in zip(
         solution.value.target_names, solution.value.nrmse(), strict=True
     ):
@@ -77,6 +81,17 @@ def follow(command: Simulate, through: str) -> int:
     if solution.detail:
         warn(f"{solution.status_name}: {solution.detail}")
     return 0
+
+
+def _tell_held(value: Trajectories | Tracking) -> None:
+    """How many samples of every output are not what was computed."""
+    held = np.concatenate(value.held)
+    for name, many in zip(value.output_names, held.sum(axis=0).tolist(), strict=True):
+        if many:
+            say(
+                f"{name}: {count(many, 'sample')} of {len(held)} held at the edge of "
+                "the trained range; --no-limits gives what was computed"
+            )
 
 
 def _new_data(command: Simulate, network: Network) -> Dataset:

@@ -286,12 +286,13 @@ def _report(command: commands.Report, typed: str) -> int:
     from contextlib import ExitStack
 
     from jaxnarx.evaluation import report
-    from jaxnarx.models import load
     from jaxnarx.shell.identify import require_rows
+    from jaxnarx.shell.model_file import loaded
     from jaxnarx.shell.output import RUN, run_folder, write_report, written_together
 
     require_finite("require_fit", command.require_fit)
-    network = load(command.model)
+    bare = command.no_limits
+    network = loaded(command.model, no_limits=bare)
     split = read_description(command.description, command.root)
     named = {"train": split.train, "validate": split.validate, "test": split.test}
     parts = {k: v for k, v in named.items() if v is not None} or {"data": split.all}
@@ -306,7 +307,7 @@ def _report(command: commands.Report, typed: str) -> int:
             told = {"command": typed}
             if split.preparation is not None:
                 told["preparation"] = split.preparation.describe()
-            others = {path: load(path) for path in command.beside}
+            others = {path: loaded(path, no_limits=bare) for path in command.beside}
             result = report(network, parts, beside=others, provenance=told)
         say(str(result))
         if folder is not None:
@@ -318,5 +319,6 @@ def _report(command: commands.Report, typed: str) -> int:
     else:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]
+        words += ["--no-limits"] if bare else []
         next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
     return judged(result, command.require_fit)

@@ -184,6 +184,11 @@ def _member(data, channels: Channels, step: float, wanted) -> _Member:
         if not records:
             return _Member(parts, "too_short", f"no record for {name}")
     for record in (r for records in parts.values() for r in records):
+        if record.scored is not None:
+            raise SpecError(
+                f"only a part of {record.name} is scored; a fleet takes whole records",
+                field="data",
+            )
         for kind, rows in (("inputs", record.u), ("outputs", record.y)):
             if not np.all(np.isfinite(rows)):
                 row = int(np.argmin(np.all(np.isfinite(rows), axis=1)))

@@ -490,3 +490,80 @@ def test_what_a_file_holds_does_not_act_on_the_terminal(tmp_path):
         DataFileError, write(tmp_path, text), "no column", "\\x1b", "\\u202e"
     )
     assert str(error).replace("\n", "").isprintable()
+
+
+# groups ---------------------------------------------------------------------------
+
+
+def grouped(folder, groups, train='["s*.csv"]', data=""):
+    for k, name in enumerate(["s1", "s2", "s3", "t1"]):
+        (folder / f"{name}.csv").write_text(HEADER + rows(20 + k))
+    records = f'train = {train}\ntest = ["t*.csv"]\ngroups = {groups}'
+    return write(folder, None, data=data, records=records)
+
+
+@pytest.mark.parametrize(
+    ("groups", "found"),
+    [
+        ('{cold = ["s1*", "s3.csv"], warm = ["s2*"]}', ["cold", "warm", "cold"]),
+        ('[["s1*"], ["s3*", "s2*"]]', ["s1*", "s3*, s2*", "s3*, s2*"]),
+        ('{cold = ["s*", "!s2*"]}', ["cold", "", "cold"]),
+        ('{all = ["*.csv", "s1*"]}', ["all"] * 3),
+        ("{}", [""] * 3),
+    ],
+)
+def test_groups_of_the_description_are_with_the_records(tmp_path, groups, found):
+    split = read_split(grouped(tmp_path, groups))
+    assert split.train is not None and split.test is not None
+    assert [r.group for r in split.train] == found
+    assert [r.group for r in split.test] == [""]
+    assert [r.group for r in split.all] == [*found, ""]
+
+
+def test_pieces_of_a_split_file_stay_in_its_group(tmp_path):
+    path = grouped(tmp_path, '{cold = ["s1*"]}', data='missing = "split"')
+    text = (HEADER + rows()).replace(",2.5,x", ",,x")
+    (tmp_path / "s1.csv").write_text(text)
+    data = read(path)
+    assert [r.group for r in data if r.name.startswith("s1#")] == ["cold"] * 4
+    assert {r.group for r in data if not r.name.startswith("s1#")} == {""}
+
+
+def test_without_parts_all_records_may_be_grouped(tmp_path):
+    write(tmp_path, HEADER + rows(), name="b.csv")
+    path = write(
+        tmp_path, HEADER + rows(), records='files = ["*.csv"]\ngroups = [["b*"]]'
+    )
+    assert [r.group for r in read(path)] == ["", "b*"]
+
+
+@pytest.mark.parametrize(
+    ("error", "groups", "field", "said"),
+    [
+        (
+            SpecError,
+            '{cold = ["s1*"], warm = ["s2*", "*1.csv"]}',
+            "records.groups",
+            "s1.csv is in the group 'cold' by 's1*' and in 'warm' by '*1.csv'",
+        ),
+        (SpecError, '["s1*"]', "records.groups", "or a list of such lists"),
+        (SpecError, '"s1*"', "records.groups", "must be lists of patterns by name"),
+        (SpecError, '{cold = "s1*"}', "records.groups.cold", "a list of text"),
+        (SpecError, '[["s1*"], [2]]', "records.groups[1]", "a list of text"),
+        (SpecError, "{cold = []}", "records.groups", "'cold' has no pattern"),
+        (SpecError, '{"" = ["s1*"]}', "records.groups", "or no name"),
+        (SpecError, '{"a\\u001b" = ["s1*"]}', "records.groups", "are seen"),
+        (SpecError, '{a = ["../s*"]}', "records.groups.a", "leaves the data folder"),
+        (SpecError, '{a = ["s*", "!s*"]}', "records.groups.a", "no file left"),
+        (DataFileError, '{a = ["x*"]}', None, "no file matches 'x*'"),
+        (
+            DataFileError,
+            '{a = ["t*"]}',
+            None,
+            "'t*' (records.groups.a) matches no training record, but t1.csv",
+        ),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(tmp_path, error, groups, field, said):
+    caught = refuse(error, grouped(tmp_path, groups), "d.toml: ", said)
+    assert field is None or caught.field == field

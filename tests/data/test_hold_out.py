@@ -1,31 +1,17 @@
 """Validation records held out of training."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from test_groups import records
 
 from jaxnarx.data import Dataset, hold_out
 from jaxnarx.errors import DataError, SpecError
 
 
-def records(*levels: float, rows: int | list[int] = 100, seed: int = 0) -> Dataset:
-    """One record per level of the input; outputs count rows, so that cuts show."""
-    rng = np.random.default_rng(seed)
-    rows = [rows] * len(levels) if isinstance(rows, int) else rows
-    pairs = list(zip(levels, rows, strict=True))
-    return Dataset.from_arrays(
-        [level + 0.1 * rng.standard_normal((n, 1)) for level, n in pairs],
-        [np.arange(n, dtype=float)[:, None] for _, n in pairs],
-        inputs=["u"],
-        outputs=["y"],
-        sample_time=0.1,
-        names=[f"r{i}" for i in range(len(levels))],
-    )
-
-
 def test_every_record_goes_to_one_side_in_its_order():
-    data = records(0, 0, 1, 1, 2, 2, 3, 3, 4, 4)
+    data = records(*[100] * 10)
     train, validate = hold_out(data)
     assert sorted(train.names + validate.names) == sorted(data.names)
     for part in (train, validate):
@@ -33,46 +19,63 @@ def test_every_record_goes_to_one_side_in_its_order():
         assert part.channels == data.channels and part.sample_time == data.sample_time
 
 
-def test_a_held_out_record_has_a_like_one_that_stays():
-    """Pairs of records at five levels: never both of a pair."""
-    for seed in range(10):
-        train, validate = hold_out(records(0, 0, 1, 1, 2, 2, 3, 3, 4, 4, seed=seed))
-        levels = {int(n[1:]) // 2 for n in validate.names}
-        assert len(levels) == len(validate) == 2
-        assert levels <= {int(n[1:]) // 2 for n in train.names}
+def test_records_that_repeat_each_other_stay_on_one_side():
+    for seed in range(5):
+        again = {n + 5: n for n in range(5)}
+        train, validate = hold_out(records(*[200] * 10, again=again, seed=seed))
+        own = {int(name[1:]) % 5 for name in validate.names}
+        assert len(validate) == 2 and len(own) == 1
+        assert not own & {int(name[1:]) % 5 for name in train.names}
 
 
-def test_the_only_record_of_a_regime_stays():
-    for seed in range(10):
-        train, _ = hold_out(records(0, 0, 0, 0, 0, 50, seed=seed))
-        assert "r5" in train.names
-
-
-@settings(max_examples=50, deadline=None, database=None, derandomize=True)
-@given(
-    st.lists(st.integers(20, 300), min_size=4, max_size=12),
-    st.floats(0.1, 0.5),
-    st.integers(0, 100),
+@pytest.mark.parametrize(
+    ("rows", "share", "held"),
+    [
+        ((100,) * 10, 0.2, 200),
+        ((100,) * 10, 0.5, 500),
+        ((100, 100, 100, 100), 0.05, 100),
+        ((400, 300, 250, 50), 0.25, 250),
+        ((400, 350, 250), 0.9, 600),
+    ],
 )
-def test_about_the_wanted_share_and_never_everything(lengths, share, seed):
-    levels = np.random.default_rng(seed).uniform(0, 3, len(lengths))
-    data = records(*levels, rows=lengths, seed=seed)
+def test_the_group_nearest_to_the_share_is_held_out(rows, share, held):
+    data = records(*rows)
     train, validate = hold_out(data, share=share)
-    assert train.samples + validate.samples == data.samples
-    assert 0 < validate.samples <= 1.25 * share * data.samples + len(data)
-    assert train.samples > 0
+    assert validate.samples == held and train.samples == data.samples - held
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_named_group_is_held_out():
+    data = records(*[100] * 6)
+    stated = [
+        dataclasses.replace(r, group=g) for r, g in zip(data, "aabbbb", strict=True)
+    ]
+    data = dataclasses.replace(data, records=tuple(stated))
+    assert hold_out(data, share=0.3)[1].names == ["r0", "r1"]
+    assert hold_out(data, share=0.6)[1].names == ["r2", "r3", "r4", "r5"]
+
+
+@pytest.mark.parametrize("count", [1, 2])
 def test_of_few_records_the_ends_are_cut_off(count):
-    train, validate = hold_out(records(*range(count)), share=0.25)
+    train, validate = hold_out(records(*[100] * count), share=0.25)
     assert len(train) == len(validate) == count
     assert validate.names == [f"r{i} (end)" for i in range(count)]
     for first, last in zip(train, validate, strict=True):
         rows = np.concatenate([first.y, last.y])[:, 0]
-        np.testing.assert_array_equal(rows, np.arange(100))
+        np.testing.assert_array_equal(rows, np.arange(100) + 0.5)
         assert len(last) == 25
         assert last.start_row == first.start_row + 75
+
+
+def test_the_end_is_one_of_the_cycle_that_two_records_repeat():
+    data = records(400, 400, again={1: 0})
+    late = data.records[1]
+    late = dataclasses.replace(
+        late, u=late.u[30:], y=late.y[30:], valid=late.valid[30:]
+    )
+    data = dataclasses.replace(data, records=(data.records[0], late))
+    train, validate = hold_out(data, share=0.25)
+    assert [len(r) for r in train] == [300, 270]
+    assert [len(r) for r in validate] == [100, 100]
 
 
 def test_missing_samples_stay_marked_across_a_cut():
@@ -91,11 +94,11 @@ def test_missing_samples_stay_marked_across_a_cut():
     assert np.flatnonzero(~validate.records[0].valid[:, 1]).tolist() == [5]
 
 
-def test_four_records_of_very_unequal_length_are_cut():
-    """No whole record is near the share: the ends are taken instead."""
-    data = records(0, 0, 0, 0, rows=[400, 400, 400, 400])
-    _, validate = hold_out(data, share=0.05)
-    assert validate.names == [f"r{i} (end)" for i in range(4)]
+def test_beside_a_long_record_short_ones_do_not_validate_alone():
+    """A share of 3 % whole would tell nothing: the ends are taken instead."""
+    train, validate = hold_out(records(1000, 30, 1), share=0.2)
+    assert validate.names == ["r0 (end)", "r1 (end)"]
+    assert train.names == ["r0", "r1", "r2"]
 
 
 def test_constant_and_absent_inputs_do_not_matter():
@@ -118,19 +121,14 @@ def test_constant_and_absent_inputs_do_not_matter():
         assert len(train) == 4 and len(validate) == 1
 
 
-def test_the_choice_is_the_same_every_time():
-    data = records(*np.random.default_rng(3).uniform(size=12))
-    assert hold_out(data)[1].names == hold_out(data)[1].names
-
-
 @pytest.mark.parametrize("share", [0, 1, -0.2, 1.5, float("nan")])
 def test_a_share_outside_zero_to_one_is_refused(share):
     with pytest.raises(SpecError, match="between 0 and 1") as caught:
-        hold_out(records(0, 1), share=share)
+        hold_out(records(100, 100), share=share)
     assert caught.value.field == "share"
 
 
 @pytest.mark.parametrize("rows, share", [(1, 0.2), (2, 0.1), (100, 0.999)])
 def test_a_record_too_short_to_cut_is_named(rows, share):
     with pytest.raises(DataError, match=f"r0 has {rows} row"):
-        hold_out(records(0, rows=rows), share=share)
+        hold_out(records(rows), share=share)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from common import Part, network
@@ -9,8 +10,10 @@ from common import Part, network
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.baseline import NAME
-from jaxnarx.evaluation.outside import outside, range_notes
+from jaxnarx.evaluation.outside import held_notes, outside, range_notes
 from jaxnarx.evaluation.rows import Row
+from jaxnarx.models import hold_to_range
+from jaxnarx.simulation import simulate
 
 
 def record(seed, slope=0.5, extent=1.0, samples=150):
@@ -95,3 +98,38 @@ def test_data_outside_the_trained_range_are_told_once_a_part_and_how_far():
     assert note.startswith("20 % of the test samples lie outside the range")
     assert "a -29" in note and "trained on -20 to 20" in note
     assert range_notes([dataclasses.replace(row("test", 0), samples=0)], found) == []
+    (note,) = range_notes(rows, found, held=True)
+    assert "at whose edge the model's limits hold its inputs" in note
+
+
+def test_records_held_at_their_range_are_told_most_of_it_first():
+    rows = [row("test", 0, held=10), row("test", 0, record="r0", held=4)]
+    rows += [row("test", 0, record=f"r{n}", held=n, samples=20) for n in range(1, 7)]
+    rows += [row("test", 0, record="r9", held=1, samples=101)]
+    rows += [row("train", 0), row("train", 0, record="r7", held=1, mode="one step")]
+    (note,) = held_notes(rows)
+    assert note == (
+        "y, test, free run: 30 % of the samples of record r6, 25 % of the samples of "
+        "record r5, 20 % of the samples of record r4, 15 % of the samples of record r3 "
+        "and 3 more records were held at the edge of the trained range (5 % of all)."
+    )
+    assert held_notes([row("test", 0)]) == []
+
+
+def test_a_report_tells_what_the_limits_of_a_model_hold():
+    low, high = jnp.array([-20.0, -20, 5, -150]), jnp.array([20.0, 20, 15, 150])
+    narrow = dataclasses.replace(POOR, low=low, high=high)
+    data = dataset(record(3))
+    found, free = (
+        report(hold_to_range(net, margin), data, stability=False, diagnostics=False)
+        for net, margin in ((narrow, 0.1), (narrow, None))
+    )
+    run = simulate(hold_to_range(narrow, 0.1), data)
+    own = found.pooled("y")
+    assert own.held == run.stats["held"].sum() > 0 == free.pooled("y").held
+    assert found.limits == pytest.approx(0.1) and free.limits is None
+    share = f"{100 * own.held / own.samples:.3g} %"
+    notes = [n for n in found.notes if "held at the edge" in n]
+    assert len(notes) == 1 and f"{share} of the samples of record" in notes[0]
+    assert not any("held at the edge" in n for n in free.notes)
+    assert found.to_dict()["rows"][0]["held"] >= 0

@@ -10,7 +10,7 @@ from common import A, B, Part, Y, network
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.local_models import local_behaviour
-from jaxnarx.models import Network
+from jaxnarx.models import Network, hold_to_range
 from jaxnarx.regressors import Laguerre, LowPass, Variables
 
 GAIN = {"a": 2.0, "b": 0.5, "y": 10.0, "w": 3.0}
@@ -67,6 +67,25 @@ def test_gains_and_poles_of_a_linear_local_model(data):
     np.testing.assert_allclose(second.modulus, 1.2, rtol=1e-12)
     assert np.all(np.isinf(second.time_constant))
     assert set(second.gain) == {"a", "b"} and np.all(np.isnan(second.gain["a"]))
+
+
+def test_a_network_with_limits_is_looked_at_where_it_sees_its_inputs(data):
+    """Beyond the range the slopes are those at its edge."""
+    net = two_models()
+    low, high = jnp.array([-0.4, -0.3, -9, -9]), jnp.array([0.5, 0.6, 9, 9])
+    held = hold_to_range(dataclasses.replace(net, low=low, high=high))
+    pairs = [(r.u.copy(), r.y) for r in data]
+    for u, _ in pairs:
+        u[:] = np.clip(u, [-0.4, -0.3], [0.5, 0.6])
+    names = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
+    by_hand = Dataset.from_arrays(*zip(*pairs, strict=True), sample_time=0.1, **names)
+    for a, b in zip(
+        local_behaviour(held, data), local_behaviour(net, by_hand), strict=True
+    ):
+        np.testing.assert_array_equal(a.place, b.place)
+        np.testing.assert_array_equal(a.modulus, b.modulus)
+        for name in a.gain:
+            np.testing.assert_array_equal(a.gain[name], b.gain[name])
 
 
 def test_slopes_are_those_of_the_products(data):

@@ -23,6 +23,7 @@ class Trajectories:
     outputs: tuple
     scored: tuple
     limited: tuple
+    held: tuple
     extrapolated: tuple
     diverged: tuple
     names: list
@@ -60,6 +61,7 @@ class Network:
             tuple(r.y + w for r, w in zip(data, wave, strict=True)),
             tuple(scored),
             tuple(map(np.broadcast_to, diverged, shape)),
+            tuple(np.zeros(s, bool) for s in shape),
             tuple(np.zeros(len(r), bool) for r in data),
             tuple(diverged),
             data.names,

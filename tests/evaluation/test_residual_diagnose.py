@@ -12,6 +12,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.residual_tests import diagnose, one_step
 from jaxnarx.methods import Global, Lolimot
+from jaxnarx.models import hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.simulation import predict
@@ -88,6 +89,17 @@ def test_residuals_are_measurement_less_prediction_gaps_left_out(found, linear, 
         np.testing.assert_allclose(error[scored[:, 0]], want, atol=1e-12)
     # Ten missing samples and the one that looks back on the last of them.
     assert found.samples == 299 + 299 - 11 + 199
+
+
+def test_limits_on_what_is_reported_change_no_residual(found, linear, data):
+    """Inputs are in their range here, outputs are cut at the middle of theirs."""
+    low, high = linear.low.at[2].multiply(0.3), linear.high.at[2].multiply(0.3)
+    held = hold_to_range(dataclasses.replace(linear, low=low, high=high))
+    assert predict(held, data).stats["held"].sum() > 50
+    again = diagnose(held, data).value["y"]
+    assert again.estimated == found.estimated == "global"
+    for a, b in zip(again.errors, found.errors, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-12)
 
 
 def test_coefficients_and_errors_are_those_of_dense_least_squares(found, dense):

@@ -1,5 +1,6 @@
 """The cascade: equal to a plain loop, to its two networks alone, and within limits."""
 
+import dataclasses
 import re
 
 import equinox as eqx
@@ -20,11 +21,12 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse import cascade, inverse_data
 from jaxnarx.methods import Global, Lolimot
 from jaxnarx.methods.inverse import ActuatorLimits
-from jaxnarx.models import Network
+from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.simulation import predict, simulate
 
+FREE = ((-np.inf, np.inf), (-np.inf, np.inf))
 LIMITS = ActuatorLimits(range={"u": (-0.5, 0.6)}, rate={"u": 3.0})
 """0.3 per sample of 0.1 s."""
 
@@ -47,10 +49,12 @@ def terms(network: Network) -> list[tuple[list[tuple[str, int]], float]]:
     return out
 
 
-def plain(inverse: Network, record, limits: ActuatorLimits | None):
-    """The cascade on the true plant, sample by sample."""
+def plain(inverse: Network, record, limits: ActuatorLimits | None, ends=FREE):
+    """The cascade on the true plant, sample by sample; `ends` are those of the range
+    to which u and d are held in the plant."""
     table = terms(inverse)
     u, d, r = record.u[:, 0].copy(), record.u[:, 1], record.y[:, 0]
+    seen = np.clip(d, *ends[1])
     y, last = r.copy(), len(r) - 1
     for t in range(2, len(r)):
         raw = 0.0
@@ -69,8 +73,8 @@ def plain(inverse: Network, record, limits: ActuatorLimits | None):
             raw = min(max(raw, low), high)
             raw = min(max(raw, u[t - 1] - move), u[t - 1] + move)
         u[t] = raw
-        a = u[t - 2]
-        y[t] = 0.6 * y[t - 1] + 0.4 * (a + 0.3 * a**2 - 0.1 * a**3) + 0.1 * d[t - 2]
+        a = np.clip(u[t - 2], *ends[0])
+        y[t] = 0.6 * y[t - 1] + 0.4 * (a + 0.3 * a**2 - 0.1 * a**3) + 0.1 * seen[t - 2]
     return u, y
 
 
@@ -83,6 +87,46 @@ def test_equals_a_plain_loop(clean, forward, inverse, limits):
         # The fitted coefficients of the plant are exact to rounding.
         np.testing.assert_allclose(solution.value.commands[n][:, 0], u, atol=1e-9)
         np.testing.assert_allclose(solution.value.outputs[n][:, 0], y, atol=1e-9)
+
+
+def test_a_forward_network_with_limits_sees_what_it_was_trained_on(
+    clean, forward, inverse
+):
+    """Commands stay within its range, which bounds them as actuator limits do; recorded
+    ones before the start, and the other input, are held where they go beyond."""
+    ends = jnp.array([-0.5, -0.4, -0.5]), jnp.array([0.6, 0.3, 0.6])
+    narrow = dataclasses.replace(forward, low=ends[0], high=ends[1])
+    solution = cascade(inverse, hold_to_range(narrow, 0.1), clean)
+    value, first = solution.value, forward.history
+    assert max(abs(record.u[:first, 0]).max() for record in clean) > 0.6
+    for n, record in enumerate(clean):
+        wide = dataclasses.replace(LIMITS, rate={"u": 1e9})
+        u, y = plain(inverse, record, wide, ((-0.5, 0.6), (-0.4, 0.3)))
+        np.testing.assert_allclose(value.commands[n][:, 0], u, atol=1e-9)
+        edge = np.clip(y, -0.61, 0.71)
+        np.testing.assert_allclose(value.outputs[n][3:, 0], edge[3:], atol=1e-9)
+        np.testing.assert_array_equal(value.held[n][3:, 0], edge[3:] != y[3:])
+        assert value.at_range[n].any()
+    np.testing.assert_array_equal(
+        solution.stats["held"], [m.sum(axis=0) for m in value.held]
+    )
+    assert solution.stats["held"].sum() > 0
+
+
+def test_an_inverse_with_limits_sees_what_it_was_trained_on(clean, forward, inverse):
+    """The reference seen ahead, and d; its own past commands are outputs."""
+    ends = jnp.array([-0.5, -0.4, -9.0]), jnp.array([0.6, 0.3, 9.0])
+    narrow = dataclasses.replace(inverse, low=ends[0], high=ends[1])
+    found = cascade(hold_to_range(narrow), forward, clean).value
+    u, y = [r.u.copy() for r in clean], [r.y.copy() for r in clean]
+    for v, r in zip(u, y, strict=True):
+        v[:, 1] = np.clip(v[:, 1], -0.4, 0.3)
+        r[4:] = np.clip(r[4:], -0.5, 0.6)
+    names = {"inputs": clean.channels.inputs, "outputs": clean.channels.outputs}
+    by_hand = Dataset.from_arrays(u, y, sample_time=0.1, **names)
+    expected = cascade(inverse, forward, by_hand).value
+    for a, b in zip(found.commands, expected.commands, strict=True):
+        np.testing.assert_allclose(a[5:], b[5:], atol=1e-9)
 
 
 def test_limits_hold_and_are_marked(clean, forward, inverse):

@@ -1,7 +1,9 @@
 """What stands against an inverse: found, named with its region, and not invented."""
 
+import dataclasses
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from inverse_problems import delayed_zero, exact, plant, recorded, reversing, widened
@@ -11,9 +13,10 @@ from jaxnarx.errors import SpecError
 from jaxnarx.inverse import invertible, reachable
 from jaxnarx.inverse.linearise import local_slopes, static_gain, zeros
 from jaxnarx.inverse.region import find_region
+from jaxnarx.inverse.statics import statics
 from jaxnarx.methods import Global
 from jaxnarx.methods.inverse import ActuatorLimits
-from jaxnarx.models import Network
+from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import LowPass, polynomial_pool
 
@@ -168,6 +171,24 @@ def test_filters_count_in_gains_and_zeros():
     (filtered,) = [c for text, c in slope.items() if text.startswith("lp(")]
     np.testing.assert_allclose(gain, filtered, rtol=1e-9)
     assert all(len(z) == 0 for z in zeros(local, [0], [0]))
+
+
+def test_a_model_with_limits_is_linearised_where_it_sees_its_inputs(curved):
+    """Slopes stand still beyond the range, and a command beyond it changes nothing."""
+    forward, data = curved
+    ends = jnp.array([-0.5, -0.4, -2.0]), jnp.array([0.6, 0.3, 2.0])
+    narrow = dataclasses.replace(forward, low=ends[0], high=ends[1])
+    held = hold_to_range(narrow)
+    records = tuple(
+        dataclasses.replace(r, u=np.clip(r.u, [-0.5, -0.4], [0.6, 0.3])) for r in data
+    )
+    by_hand = dataclasses.replace(data, records=records)
+    found, expected = local_slopes(held, data), local_slopes(forward, by_hand)
+    np.testing.assert_array_equal(found.slope, expected.slope)
+    np.testing.assert_array_equal(found.place, expected.place)
+    far, edge = jnp.array([0.9, -1.0, 0.1]), jnp.array([0.6, -0.4, 0.1])
+    y = jnp.array([0.2])
+    np.testing.assert_array_equal(statics(held)(y, far), statics(forward)(y, edge))
 
 
 def test_names_are_checked(curved):

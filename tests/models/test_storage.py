@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from safetensors.numpy import load_file, save_file
 
 from jaxnarx.errors import ModelFileError, SpecError
-from jaxnarx.models import AbstractValidity, load, save, validity
+from jaxnarx.models import AbstractValidity, hold_to_range, load, save, validity
 from jaxnarx.models.storage import FORMAT, load_about
 from jaxnarx.simulation import simulate
 
@@ -85,6 +85,43 @@ def test_a_network_comes_back_bit_by_bit(tmp_path, kind, spare):
     for a, b in pairs:
         assert a.dtype == b.dtype and a.shape == b.shape
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_limits_come_back_and_need_the_newest_format(tmp_path):
+    network = hold_to_range(build("coupled, by own output"), 0.07)
+    save(network, tmp_path / "m")
+    again = load(tmp_path / "m")
+    assert jax.tree.structure(again) == jax.tree.structure(network)
+    assert again.hold is not None and again.hold.shape == ()
+    assert float(again.hold) == 0.07
+    assert contents(tmp_path / "m")[1]["format"] == 5
+    save(again, tmp_path / "n")
+    assert (tmp_path / "m").read_bytes() == (tmp_path / "n").read_bytes()
+
+
+def test_files_without_limits_are_those_of_before(tmp_path):
+    """An older file has no margin: it is that of the network that is not held."""
+    plain = build("by inputs")
+    save(plain, tmp_path / "plain")
+    save(hold_to_range(plain), tmp_path / "held")
+    tensors, header = contents(tmp_path / "held")
+    del tensors[".hold"]
+    write(tmp_path / "old", tensors, header | {"format": 1})
+    old = load(tmp_path / "old")
+    assert old.hold is None and contents(tmp_path / "plain")[1]["format"] == 1
+    save(old, tmp_path / "again")
+    save(hold_to_range(load(tmp_path / "held"), None), tmp_path / "released")
+    for name in ("again", "released"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "plain").read_bytes()
+
+
+@pytest.mark.parametrize("bad", [np.array(-0.1), np.array([0.1, 0.1]), np.array(3)])
+def test_a_margin_that_is_none_is_refused(tmp_path, bad):
+    path = tmp_path / "m"
+    save(hold_to_range(build("by inputs")), path)
+    tensors, header = contents(path)
+    write(path, tensors | {".hold": bad}, header)
+    refused(path, "hold" if bad.dtype.kind == "i" else "margin of limits")
 
 
 def test_numbers_at_the_ends_of_their_range_survive(tmp_path):

@@ -1,8 +1,10 @@
 """Several models at run time against a plain loop over samples."""
 
+import dataclasses
 from functools import cache
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -81,6 +83,29 @@ def test_one_model_alone_is_its_free_run():
     run = jnx.simulate(network, data).value
     np.testing.assert_allclose(alone[0], run[0], rtol=1e-12)
     np.testing.assert_array_equal(alone.scored[0], run.scored[0])
+
+
+def test_the_limits_of_the_model_that_acts_hold():
+    """The low side's inputs and outputs in 0.4 to 0.7 and 1 to 1.5, the other free."""
+    data = both()
+    low = dataclasses.replace(
+        model("low"), low=jnp.array([0.4, 1.0]), high=jnp.array([0.7, 1.5])
+    )
+    limited = jnx.models.hold_to_range(low, 0.1)
+    regions = [{"u": (-1.0, 1.0)}, None]
+    pair = [limited, model("high")]
+    found = jnx.partition.switch(pair, data, regions=regions).value
+    u, y = data.records[0].u[:, 0], np.zeros(120)
+    side = u > 1.0
+    for t in range(1, 120):
+        a, b = SLOPES["high" if side[t] else "low"]
+        y[t] = a * y[t - 1] + b * (u[t - 1] if side[t] else np.clip(u[t - 1], 0.4, 0.7))
+    np.testing.assert_allclose(found.computed[0][:, 0], y, atol=1e-5)
+    edge = np.where(side, y, np.clip(y, 0.95, 1.55))
+    edge[0] = 0.0
+    np.testing.assert_allclose(found[0][:, 0], edge, atol=1e-5)
+    assert found.held[0].any() and not found.held[0][side].any()
+    np.testing.assert_array_equal(found.held[0], found[0] != found.computed[0])
 
 
 def test_wrong_use_says_what_to_do():

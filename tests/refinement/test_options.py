@@ -24,10 +24,11 @@ from test_refine import (
     used,
 )
 
-from jaxnarx.errors import SpecError
+from jaxnarx.data import groups
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import freeze, refine
-from jaxnarx.refinement.folds import curve, deal
+from jaxnarx.refinement.folds import curve, divided
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import loss, normal_equations
@@ -322,11 +323,92 @@ def test_the_best_of_several_starts_goes_on():
 # cross-validation -----------------------------------------------------------------
 
 
-def test_records_are_dealt_to_every_fold_once():
-    folds = deal(np.arange(7), 3)
-    assert sorted(np.concatenate(folds).tolist()) == list(range(7))
-    with pytest.raises(SpecError, match="3 folds need at least as many records"):
-        deal(np.arange(2), 3)
+def brute_anchors(anchors, out, history):
+    """Sample by sample: nothing of the history before one may be left out."""
+    found = anchors.copy()
+    for n, t in zip(*np.nonzero(anchors), strict=True):
+        found[n, t] = not out[n, max(t - history, 0) : t].any()
+    return found
+
+
+@pytest.mark.parametrize("lengths", [(60, 52), common.LENGTHS], ids=["blocks", "whole"])
+def test_a_task_without_a_group_neither_starts_from_it_nor_scores_it(lengths):
+    net, data = common.named("coupled", **SPARE), common.dataset(lengths)
+    task, _ = make_task(net, data)
+    found = groups(data, folds=3, gap=4)
+    assert found.whole == (len(lengths) > 2)
+    total = np.asarray(task.weight).sum(axis=(0, 1))
+    time = task.masks.anchors.shape[1]
+
+    def stacked(masks):
+        return np.stack([np.pad(m, (0, time - len(m))) for m in masks])
+
+    for g, (rest, own) in enumerate(divided(task, found, net.history)):
+        out = stacked(found.left_out(g))
+        label = stacked([label == g for label in found.labels])
+        for part in (rest, own):
+            weight = np.asarray(part.weight)
+            np.testing.assert_allclose(weight.sum(axis=(0, 1)), total, rtol=1e-12)
+            np.testing.assert_array_equal(weight > 0, part.masks.scored)
+        counted = task.masks.scored[..., 0]
+        np.testing.assert_array_equal(own.masks.scored[..., 0], counted & label)
+        anchors = brute_anchors(task.masks.anchors, out, net.history)
+        some = anchors.any(axis=1) & ~out.all(axis=1)
+        for n in range(len(data)):
+            free = np.flatnonzero(np.asarray(rest.anchors(None))[n])[0]
+            if not (counted[n] & ~out[n]).any():
+                assert not rest.masks.scored[n].any()
+                assert free == task.masks.start[n]
+                continue
+            first = np.flatnonzero(anchors[n])[0]
+            assert some[n] and free == rest.masks.start[n] == first
+            np.testing.assert_array_equal(rest.masks.anchors[n], anchors[n])
+            scored = counted[n] & ~out[n] & (np.arange(time) >= first)
+            np.testing.assert_array_equal(rest.masks.scored[n, :, 0], scored)
+
+
+def test_a_loss_without_a_group_knows_nothing_of_it():
+    net, data = common.named("coupled", **SPARE), common.dataset((60, 52))
+    found = groups(data, folds=3, gap=4)
+    layout = make_layout(net, None, BAND)
+    u = jnp.asarray(layout.gather(net))
+    rows = [common.rows_of(data, n) for n in range(2)]
+    for n, r in enumerate(rows):
+        r[found.left_out(1)[n], Y:] += 7.0
+    losses = []
+    for one in (data, common.from_rows(rows)):
+        task, _ = make_task(net, one)
+        # The spread of the outputs stays: it is not what is asked here.
+        task = dataclasses.replace(make_task(net, data)[0], drive=task.drive)
+        rest, own = divided(task, found, net.history)[1]
+        for horizon in (None, 5):
+            for part in (rest, own):
+                at = part.drive, part.anchors(horizon), part.weight, part.criterion
+                losses.append(float(loss(layout, u, *at)))
+    before, after = np.reshape(losses, (2, 2, 2))
+    np.testing.assert_array_equal(after[:, 0], before[:, 0])
+    assert np.all(after[:, 1] > before[:, 1])
+
+
+def test_groups_that_cannot_be_left_out_are_passed_over():
+    net, data = common.named("one model", **SPARE), common.dataset()
+    found = groups(data, folds=4)
+    assert len(found) == 4
+    task, _ = make_task(net, data, weights=[1.0, 1.0, 1.0, 0.0])
+    assert len(divided(task, found, net.history)) == 3
+    task, _ = make_task(net, data, weights=[1.0, 0.0, 0.0, 0.0])
+    with pytest.raises(DataError, match="of 4 groups .* 0 can be left out"):
+        divided(task, found, net.history)
+
+
+def test_one_record_is_cross_validated_in_blocks():
+    truth = common.named("one model", **SPARE)
+    noisy = made_by(truth, noise=1.0)[:1]
+    solution = refine(truth, noisy, SimulationError(**QUICK, folds=3, ridge=0.0))
+    scores = solution.stats["cross_validation"]
+    assert solution.stats["limit"] == int(np.argmin(scores)) < len(scores) - 1
+    with pytest.raises(DataError, match="has 60 rows, too few for 9 blocks"):
+        refine(truth, noisy, SimulationError(**QUICK, folds=9))
 
 
 def test_a_curve_goes_on_over_stages_that_ended_early():

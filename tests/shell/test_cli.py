@@ -5,6 +5,7 @@ need a process of their own.
 """
 
 import csv
+import dataclasses
 import json
 import os
 import shlex
@@ -22,6 +23,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import SpecError
+from jaxnarx.models import hold_to_range, load, save
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.output import cell, file_names, slug
@@ -686,6 +688,50 @@ def test_steps_ahead(capsys, both):
     assert begin == found["temp measured"][:6]
     assert found["temp predicted"][6] == free["temp simulated"][6]
     assert found["temp predicted"][100] != free["temp simulated"][100]
+
+
+@pytest.fixture
+def held(both) -> str:
+    """The model of both outputs with limits: temperatures of half their range."""
+    network = load(both)
+    low, high = np.array(network.low), np.array(network.high)
+    middle, half = (low + high)[2] / 2, (high - low)[2] / 4
+    low[2], high[2] = middle - half, middle + half
+    ends = jax.device_put((low, high))
+    network = dataclasses.replace(network, low=ends[0], high=ends[1])
+    save(hold_to_range(network, 0.1), "held.safetensors")
+    return "held.safetensors"
+
+
+def test_limits_hold_what_is_simulated_unless_they_are_not_wanted(capsys, both, held):
+    write("new.csv", columns())
+    text = passes(capsys, ["simulate", held, "new.csv", "--out", "held"])
+    passes(capsys, ["simulate", both, "new.csv", "--out", "free"])
+    more = ["simulate", held, "new.csv", "--out", "off", "--no-limits"]
+    assert "held at the edge" not in passes(capsys, more)
+    found, free, off = (table(f"{n}/new.csv") for n in ("held", "free", "off"))
+    assert off == free and set(free["temp held"]) == {"0"}
+    network = load(held)
+    low, high = (float(np.asarray(a)[2]) for a in (network.low, network.high))
+    reach = 0.1 * (high - low)
+    y = np.array(found["temp simulated"], float)[2:]
+    mask = np.array(found["temp held"])[2:] == "1"
+    assert y.min() >= low - reach - 1e-6 and y.max() <= high + reach + 1e-6
+    at_edge = np.isclose(y, low - reach) | np.isclose(y, high + reach)
+    np.testing.assert_array_equal(mask, at_edge)
+    assert f"temp: {mask.sum()} samples of {ROWS} held at the edge" in text
+
+
+def test_a_report_tells_what_limits_hold_unless_they_are_not_wanted(capsys, both, held):
+    told = passes(capsys, ["report", held, "engine.toml", "--out", "told"])
+    assert "were held at the edge of the trained range" in " ".join(told.split())
+    page = Path("told", "report.html").read_text()
+    assert "outputs within theirs widened by 10 %" in page
+    text = passes(capsys, ["report", held, "engine.toml", "--no-limits"])
+    assert "held at the edge" not in " ".join(text.split())
+    assert "engine.toml --no-limits --out FOLDER" in text
+    plain = passes(capsys, ["report", both, "engine.toml"])
+    assert text.replace("--no-limits ", "").replace(held, str(both)) == plain
 
 
 def new_file(kind: str) -> list[str]:

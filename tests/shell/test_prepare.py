@@ -124,6 +124,14 @@ def same(a: Dataset, b: Dataset):
 # files ----------------------------------------------------------------------------
 
 
+def test_what_is_left_out_together_stays_so(capsys):
+    text = DESCRIPTION + 'groups = {"a \\"cold\\" one" = ["r1*"]}\n'
+    Path("engine.toml").write_text(text)
+    passes(capsys, "prepare engine.toml --decimate 2 --out grouped")
+    done = read_split("grouped/prepared.toml")
+    assert [r.group for r in done.all] == ["", 'a "cold" one', "", ""]
+
+
 def test_what_is_written_reads_back_as_it_was():
     """Fitted to the training records only, applied to every part."""
     raw, done = read_split("engine.toml"), read_split("done/prepared.toml")

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.checks import require
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
@@ -142,12 +143,21 @@ def rebuilt(
     """The record with other samples; masked ones are held as `missing="mask"` does.
 
     The number type stays. `start_row` is the source's row where rows still are rows of
-    the source. A channel left without a valid sample is a DataError.
+    the source. A channel left without a valid sample is a DataError, a record of which
+    only a part is scored a SpecError.
     """
     _require_any(valid, record.name, channels, " left")
+    require(
+        record.scored is None,
+        "data",
+        f"only a part of {record.name} is scored: prepare records before they are "
+        "divided into groups, not after",
+    )
     held = hold(x, valid).astype(record.y.dtype)
     n = record.u.shape[1]
-    return Record(held[:, :n], held[:, n:], valid, record.name, start_row)
+    return dataclasses.replace(
+        record, u=held[:, :n], y=held[:, n:], valid=valid, start_row=start_row
+    )
 
 
 def mapped(

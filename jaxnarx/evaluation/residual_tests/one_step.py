@@ -19,7 +19,7 @@ from jaxnarx.evaluation.residual_tests.fits import (
     no_fit,
 )
 from jaxnarx.evaluation.residual_tests.residual import Residual, make_residual
-from jaxnarx.models import Network, OutputModel, weights_at
+from jaxnarx.models import Network, OutputModel, held_inputs, weights_at
 from jaxnarx.regressors import evaluate, row_columns
 
 ROWS, FEWEST = 20_000, 4_000
@@ -62,13 +62,15 @@ def one_step(
     """Residuals of output number `place` in the one-step `run` on `batch`.
 
     Without `estimated` it is found out: least squares leave residuals to which the
-    regressors are orthogonal, those of other samples do so only by chance.
+    regressors are orthogonal, those of other samples do so only by chance. They are
+    those of what was computed, whatever limits the reported outputs are held to.
     """
+    batch = held_inputs(network, batch)
     model, signal = network.models[place], network.signals[place]
     known = np.zeros(batch.valid.shape[:2], bool)
     value = np.zeros(known.shape)
     signals = np.asarray(batch.signals)
-    for n, (predicted, scored) in enumerate(zip(run.outputs, run.scored, strict=True)):
+    for n, (predicted, scored) in enumerate(zip(run.computed, run.scored, strict=True)):
         length = len(predicted)
         known[n, :length] = scored[:, place]
         value[n, :length] = signals[n, :length, signal] - predicted[:, place]

@@ -137,8 +137,8 @@ def _own_outputs(
         return np.asarray(states(network, drive, jnp.asarray(first_anchor(masks))))
     y = np.array(drive.measured, np.float64)
     gain = np.asarray(network.gain, np.float64)[np.array(network.signals)]
-    for n, outputs in enumerate(run.outputs):
-        y[n, : len(outputs)] = outputs / gain
+    for n, computed in enumerate(run.computed):
+        y[n, : len(computed)] = computed / gain
     return y.astype(drive.measured.dtype)
 
 

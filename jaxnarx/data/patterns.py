@@ -1,0 +1,133 @@
+"""Which files a description means: patterns, parts, and groups left out together."""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path, PurePosixPath
+
+from jaxnarx.data.description import Description
+from jaxnarx.errors import DataFileError, SpecError
+
+
+def find_files(
+    description: Description, folder: Path, path: Path
+) -> list[tuple[Path, str]]:
+    """Every file with its part, in order; a file in two parts is refused."""
+    found: dict[Path, str] = {}
+    for part, patterns in description.patterns.items():
+        for file in _chosen(folder, patterns, part, path):
+            if found.setdefault(file, part) != part:
+                raise SpecError(
+                    f"{path}: {file.name} is in {found[file]} and in {part}. A record "
+                    "may serve one part only.",
+                    field=f"records.{part}",
+                )
+    return list(found.items())
+
+
+def find_groups(
+    description: Description, folder: Path, path: Path, found: list[tuple[Path, str]]
+) -> dict[Path, str]:
+    """The group of every training file that a pattern of the groups matches.
+
+    All of the files `found` are training ones where none is stated to be. A pattern
+    without any is a DataFileError, a file in two groups a SpecError.
+    """
+    training = {file for file, part in found if part == "train"} or dict(found)
+    groups: dict[Path, tuple[str, str]] = {}
+    for name, patterns in description.groups.items():
+        own = _chosen(folder, patterns, f"groups.{name}", path, among=training)
+        for file, pattern in own.items():
+            other, first = groups.setdefault(file, (name, pattern))
+            if other != name:
+                raise SpecError(
+                    f"{path}: {file.name} is in the group {other!r} by {first!r} and "
+                    f"in {name!r} by {pattern!r}. A record is left out with one group "
+                    "only.",
+                    field="records.groups",
+                )
+    return {file: name for file, (name, _) in groups.items()}
+
+
+def _chosen(
+    folder: Path,
+    patterns: Sequence[str],
+    part: str,
+    path: Path,
+    among: Collection[Path] | None = None,
+) -> dict[Path, str]:
+    """The files of a part: each pattern adds some, or with "!" takes some away.
+
+    With each comes the pattern that has chosen it. Others than `among` do not count.
+    """
+    chosen: dict[Path, str] = {}
+    for pattern in patterns:
+        files = _glob(folder, pattern.removeprefix("!"), part, path)
+        if among is not None:
+            files = _training(files, pattern, among, part, path)
+        if not pattern.startswith("!"):
+            for file in files:
+                chosen.setdefault(file, pattern)
+            continue
+        if chosen.keys().isdisjoint(files):
+            raise SpecError(
+                f"{path}: {pattern!r} takes away files that no pattern before it has "
+                "chosen. Write it after the patterns that it makes an exception of.",
+                field=f"records.{part}",
+            )
+        chosen = {file: by for file, by in chosen.items() if file not in files}
+    if not chosen:
+        raise SpecError(
+            f"{path}: {part} has no file left, all are taken away by patterns with !.",
+            field=f"records.{part}",
+        )
+    return chosen
+
+
+def _training(
+    files: list[Path], pattern: str, among: Collection[Path], part: str, path: Path
+) -> list[Path]:
+    own = [file for file in files if file in among]
+    if not own:
+        raise DataFileError(
+            f"{path}: {pattern!r} (records.{part}) matches no training record, but "
+            f"{files[0].name}. Groups are made of the records under train.",
+            path=files[0],
+        )
+    return own
+
+
+def _glob(folder: Path, pattern: str, part: str, path: Path) -> list[Path]:
+    pure = PurePosixPath(pattern)
+    if not pattern or pure.is_absolute() or ".." in pure.parts or "\\" in pattern:
+        raise SpecError(
+            f"{path}: the pattern {pattern!r} leaves the data folder {folder}. Write "
+            "it relative to that folder, with /, and set root to a folder above all "
+            "files.",
+            field=f"records.{part}",
+        )
+    try:
+        files = sorted(f for f in folder.glob(pattern) if f.is_file())
+    except (ValueError, NotImplementedError) as error:
+        raise SpecError(
+            f"{path}: {pattern!r} is no pattern of files ({error})",
+            field=f"records.{part}",
+        ) from error
+    if not files:
+        raise DataFileError(
+            f"{path}: no file matches {pattern!r} in {folder} (records.{part}). Check "
+            "the pattern, and that the folder is the right one (root=..., or the "
+            "environment variable JAXNARX_DATA).",
+            path=folder / pattern,
+        )
+    for file in files:
+        require_inside(file, folder, path, f"records.{part}")
+    return files
+
+
+def require_inside(file: Path, folder: Path, path: Path, field: str):
+    """Nothing outside is read, whether by .., by an absolute name or by a link."""
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise SpecError(
+            f"{path}: {field} names {file}, which is, or is a link to, a place outside "
+            f"the data folder {folder}. Give as root a folder above all files.",
+            field=field,
+        )

@@ -1,0 +1,84 @@
+"""Limits that cost nothing: a network held to the ranges it was trained on.
+
+Outside of them polynomials say anything. A network that is held sees every input no
+farther than at the edge of its trained range, and what is reported of an output stays
+within that output's range, widened by the margin m on either side:
+
+    low - m (high - low)  <=  reported  <=  high + m (high - low) .
+
+Inputs are held before anything is computed from them, in runs, training and linearised
+networks alike (`Network.within`). Outputs are held when all is computed. What is fed
+back is as it was, so that neither derivatives nor the judgement of divergence, which
+rest on the feedback bound, depend on the margin.
+
+Held to their range, inputs that take two values stay what they are. An input or output
+that was constant in training is held at that constant.
+"""
+
+import dataclasses
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.checks import not_negative
+from jaxnarx.data.batch import Batch
+from jaxnarx.guard import guarded
+from jaxnarx.models.network import Network
+
+WIDER = 0.02
+"""Reported outputs may leave the training range by this share of it on either side."""
+
+
+@guarded
+def hold_to_range(network: Network, margin: float | int | None = WIDER) -> Network:
+    """The network with its inputs and reported outputs held to their trained ranges.
+
+    `margin` is the share of its range by which a reported output may leave it; with
+    None the network is held no more. Held samples are marked in `held` of a run,
+    samples with an input outside its range in `extrapolated`, as ever. `SpecError` for
+    a negative margin, or one that is not finite.
+
+    Example:
+        held = jnx.models.hold_to_range(network)
+        free = jnx.models.hold_to_range(held, None)
+    """
+    if margin is None:
+        return dataclasses.replace(network, hold=None)
+    share = np.asarray(not_negative(margin, "margin"), network.gain.dtype)
+    return dataclasses.replace(network, hold=jax.device_put(share))
+
+
+def reported_range(
+    network: Network,
+) -> tuple[Float[np.ndarray, " outputs"], Float[np.ndarray, " outputs"]]:
+    """Least and largest value reported of every modelled output, physical units.
+
+    Infinite where the network is not held; host only.
+    """
+    own = np.array(network.signals)
+    low, high = (np.asarray(a)[own] for a in (network.low, network.high))
+    if network.hold is None:
+        return np.full_like(low, -np.inf), np.full_like(high, np.inf)
+    wider = np.asarray(network.hold) * (high - low)
+    return low - wider, high + wider
+
+
+def reported(
+    network: Network, outputs: Float[np.ndarray, "*rows outputs"]
+) -> tuple[Float[np.ndarray, "*rows outputs"], Bool[np.ndarray, "*rows outputs"]]:
+    """What is reported of computed outputs (physical units), and where it was held."""
+    if network.hold is None:
+        return outputs, np.zeros(outputs.shape, bool)
+    low, high = reported_range(network)
+    return np.clip(outputs, low, high), (outputs < low) | (outputs > high)
+
+
+def held_inputs(network: Network, batch: Batch) -> Batch:
+    """The records as the network sees them: `Network.within` on the host."""
+    if network.hold is None:
+        return batch
+    signals, inputs = np.array(batch.signals), len(network.channels.inputs)
+    low, high = (np.asarray(a)[:inputs] for a in (network.low, network.high))
+    signals[..., :inputs] = np.clip(signals[..., :inputs], low, high)
+    return Batch(jax.device_put(signals), batch.valid)
