@@ -4,9 +4,10 @@ from jaxnarx.identification.account import described, figure, sentences, title, 
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search
-from jaxnarx.identification.verb import Events, identify, needed, with_group
+from jaxnarx.identification.verb import VALIDATION, Events, identify, needed, with_group
 
 __all__ = [
+    "VALIDATION",
     "Events",
     "Leaderboard",
     "Row",

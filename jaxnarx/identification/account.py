@@ -181,7 +181,7 @@ def _groups(board: Leaderboard, row: Row) -> list[str]:
         return []
     name, error = worst
     if error < UNEVEN * row.free_run:
-        return [f"All groups are served alike ({min(known):.3g} to {error:.3g})."]
+        return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [
         f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "
         "times the error of all. More records like these would help most."

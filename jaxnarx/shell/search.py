@@ -75,7 +75,8 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     if stopped:
         words, then = next_search(command, asked, None, model=model)
     next_command(*words, then=then)
-    return judged(result, command.require_fit) or stopped * 130
+    status = judged(result, command.require_fit)
+    return 130 if stopped else status
 
 
 def folder_name(command: Identify, asked: Automatic) -> str:
@@ -108,10 +109,13 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
         if force:
             _clear(folder)
         try:
-            yield folder
-        except BaseException:
+            with interrupt.last_words(lambda: _kept(folder)):
+                yield folder
+        except BaseException as error:
             if not _tried(folder):
                 _clear(folder)
+            elif isinstance(error, KeyboardInterrupt):
+                _kept(folder)
             raise
 
 
@@ -140,27 +144,23 @@ def _run(
     def heard() -> None:
         warn("ending with the best so far; Ctrl-C again ends at once")
 
-    def kept() -> None:
-        if there := _tried(folder):
-            say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
-
-    with interrupt.patiently(heard) as patience, interrupt.last_words(kept):
-        try:
-            with search_progress() as progress:
-                fit = identify(
-                    train,
-                    preset=asked.preset,
-                    budget=asked.budget,
-                    candidates=asked.candidates,
-                    outputs=asked.outputs,
-                    validation=validation,
-                    folder=folder,
-                    progress=progress,
-                )
-        except KeyboardInterrupt:
-            kept()
-            raise
+    with interrupt.patiently(heard) as patience, search_progress() as progress:
+        fit = identify(
+            train,
+            preset=asked.preset,
+            budget=asked.budget,
+            candidates=asked.candidates,
+            outputs=asked.outputs,
+            validation=validation,
+            folder=folder,
+            progress=progress,
+        )
     return fit, patience.used
+
+
+def _kept(folder: Path) -> None:
+    if there := _tried(folder):
+        say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
 
 
 def _tell(board: Leaderboard, network: Network) -> None:

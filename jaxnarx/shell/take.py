@@ -80,16 +80,16 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Row]:
         raise SpecError(
             "give the number of a candidate; `jaxnarx leaderboard` has them"
         )
-    rows, seen = [], {}
+    rows: dict[str, Row] = {}
     for number in numbers:
         row = found.row(number)
-        if (other := seen.setdefault(row.output, row)) is not row:
+        if row.output in rows:
             raise SpecError(
-                f"candidates {other.number} and {number} are both of {row.output}; "
-                "take one for each output"
+                f"candidates {rows[row.output].number} and {number} are both of "
+                f"{row.output}; take one for each output"
             )
-        rows.append(row)
-    return rows
+        rows[row.output] = row
+    return list(rows.values())
 
 
 def _network(found: SearchFolder, rows: Sequence[Row]) -> Network:
