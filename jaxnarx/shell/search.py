@@ -114,7 +114,7 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
         except BaseException as error:
             if not _tried(folder):
                 _clear(folder)
-            elif isinstance(error, KeyboardInterrupt):
+            elif isinstance(error, KeyboardInterrupt) or interrupt.asked():
                 _kept(folder)
             raise
 
