@@ -6,6 +6,9 @@ from jaxnarx.evaluation.cost import cost as cost
 from jaxnarx.evaluation.cost import pareto as pareto
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.reactivation import reactivation as reactivation
+from jaxnarx.evaluation.region_errors import RegionError as RegionError
+from jaxnarx.evaluation.region_errors import region_errors as region_errors
+from jaxnarx.evaluation.region_errors import region_sentence as region_sentence
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.report import Report as Report
 from jaxnarx.evaluation.report import report as report

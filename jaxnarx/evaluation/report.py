@@ -23,6 +23,7 @@ from jaxnarx.evaluation.notes import (
 )
 from jaxnarx.evaluation.outside import Outside, held_notes, outside, range_notes
 from jaxnarx.evaluation.reactivation import reactivation_notes
+from jaxnarx.evaluation.region_errors import RegionError, region_errors
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.evaluation.rows import (
@@ -49,14 +50,17 @@ class Report:
     last part. `traces`, `residuals`, `maps` and `beside` belong to it. `verdict` sums
     up what the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
 
-    `outside` tells which inputs leave their trained range, and how far; `beside` holds
-    the pooled free-run rows of other models by their name, among them a linear model of
-    the same lags where training data are at hand. `limits` is the margin by which
+    `outside` tells which inputs leave their trained range, and how far; `regions` which
+    local model carries the free-run error of the main part; `beside` holds the pooled
+    free-run rows of other models by their name, among them a linear model of the same
+    lags where training data are at hand. `limits` is the margin by which
     reported outputs may leave their trained range, None where nothing holds them.
 
     Optional, shown when present; attach them with the arguments of `report` or with
     `dataclasses.replace(report, history=...)`:
 
+    - `leaderboard`: by output name, the candidates of the search that this model comes
+      from, in the form that `jaxnarx.identification.described` gives;
     - `selection`: by output name (or flat, for one), a dict of `names`, `err` and
       `cumulative` lists in order of choice, and `criteria`: name -> values by size;
     - `history`: one dict per refinement iteration with `iteration`, `stage`, `horizon`
@@ -90,6 +94,8 @@ class Report:
     limits: float | None = None
     beside: Mapping[str, tuple[Row, ...]] = dataclasses.field(default_factory=dict)
     maps: tuple[ErrorMap, ...] = ()
+    regions: tuple[RegionError, ...] = ()
+    leaderboard: Mapping[str, Any] | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -190,6 +196,7 @@ def report(
     stability: Any = True,
     diagnostics: Diagnostics | bool = True,
     beside: Mapping[str, Any] | None = None,
+    leaderboard: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -215,6 +222,7 @@ def report(
         diagnostics: Likewise the tests of the one-step residuals of the main part.
         beside: Other networks by name, whose free run on the main part is scored as
             well.
+        leaderboard: Stored in the form that `Report` tells; the verdict knows it.
         provenance: Stored beside the versions and data hashes.
 
     Returns:
@@ -270,6 +278,8 @@ def report(
         outside=strayed,
         limits=limits,
         maps=error_maps(network, parts[main], runs[main][FREE_RUN]),
+        regions=region_errors(network, parts[main], runs[main][FREE_RUN]),
+        leaderboard=leaderboard,
         beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
     )
 

@@ -5,7 +5,9 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - leaves its bounds in any record (diverges), or
 - is no better than the mean of the measurement on records that were not trained on
   (NRMSE of `WORTHLESS` or more), or
-- has nothing to be judged by: no valid sample on the main part.
+- has nothing to be judged by: no valid sample on the main part, or
+- comes from a search in which it diverged, or was no better than the mean, on the
+  records left out.
 
 **Usable with limits** is one that does not, but
 
@@ -18,7 +20,9 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - forgets its past nowhere surely: no contraction at `UNSURE` of the samples, or a local
   model that is unstable by itself at most samples where it leads;
 - was judged on data it was made with or on a constant output, or met inputs `REACH` of
-  their trained width outside and left its range at `STRAYED` of the samples.
+  their trained width outside and left its range at `STRAYED` of the samples;
+- comes from a search, and is `PROMISED` times worse on test data than on the records
+  that were left out there, or no better than the mean in one group of them.
 
 Else it is **good**. Tests of residuals take no part: with many samples they find fault
 with any model, see `Diagnostics`.
@@ -45,6 +49,8 @@ OVERFITTED, SMALL = 2.0, 0.1
 FAR = 3.0
 UNSURE = 0.1
 REACH, STRAYED = 0.1, 0.05
+PROMISED = 1.5
+"""Factor over the NRMSE of records left out."""
 
 REMEDIES = {
     "bounded": "choose terms by simulation error, lower the degree, or let inputs "
@@ -57,6 +63,14 @@ REMEDIES = {
     "records": "look at these records: channels, sensors, operating range",
 }
 """What helps, by the name that findings carry."""
+SEARCHED = REMEDIES | {
+    "bounded": "training records that reach as far, or linear models",
+    "richer": "a larger preset, other inputs, or more training records, above all like "
+    "those served worst",
+    "simpler": "more training records",
+    "linear": "a larger preset, or more training records",
+}
+"""The same where a search has tried what a user could set."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +90,8 @@ class Verdict:
     level: str
     findings: tuple[Reason, ...]
     praise: str = ""
+    searched: bool = False
+    """Whether the model comes from a search."""
 
     @property
     def usable(self) -> bool:
@@ -96,7 +112,8 @@ class Verdict:
         told = [f.text for f in self.findings[:2]]
         rest = len(self.findings) - len(told)
         more = f"; and {rest} more" if rest else ""
-        return f"{head}: {'; '.join(told)}{more}. What helps: {REMEDIES[self.remedy]}."
+        helps = (SEARCHED if self.searched else REMEDIES)[self.remedy]
+        return f"{head}: {'; '.join(told)}{more}. What helps: {helps}."
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -122,6 +139,8 @@ class Scored(Protocol):
     def outside(self) -> tuple[Outside, ...]: ...
     @property
     def beside(self) -> Mapping[str, tuple[Row, ...]]: ...
+    @property
+    def leaderboard(self) -> Mapping[str, Any] | None: ...
     def pooled(self, output: str) -> Row: ...
 
 
@@ -130,9 +149,11 @@ def judge(report: Scored) -> Verdict:
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
     findings += [*_beside(report), *_memory(report), *_data(report, rows)]
+    findings += _left_out(report, rows)
     findings.sort(key=lambda f: f.level != UNUSABLE)
     level = findings[0].level if findings else GOOD
-    return Verdict(level, tuple(findings), _praise(report))
+    searched = bool(report.leaderboard)
+    return Verdict(level, tuple(findings), _praise(report), searched)
 
 
 def _praise(report: Scored) -> str:
@@ -267,10 +288,53 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         yield Reason(LIMITED, text, "test")
     elif report.main in ("train", "validate"):
         text = f"there are no test data: {report.main} took part in making it"
-        yield Reason(LIMITED, text, "test")
+        yield Reason(LIMITED, text + _promised(report), "test")
     main = [r for r in _pooled(rows) if r.part == report.main]
     share = max((r.extrapolated / max(r.samples, 1) for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
     if share >= STRAYED and far:
         text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
         yield Reason(LIMITED, f"{text} ({far[0]})", "cover")
+
+
+def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The row of the leaderboard that the model of each output is."""
+    for output, entry in (report.leaderboard or {}).items():
+        for row in entry["rows"]:
+            if row["used"]:
+                yield output, row
+
+
+def _promised(report: Scored) -> str:
+    """What the records left out say where there are no test data."""
+    told = [
+        f"{output} {row['free_run']:.3g}"
+        for output, row in _in_use(report)
+        if row["free_run"] is not None
+    ]
+    return f"; NRMSE on records left out: {', '.join(told)}" if told else ""
+
+
+def _left_out(report: Scored, rows: list[Row]) -> Iterator[Reason]:
+    """The free run over records that the search left out."""
+    tested = {r.output: r.nrmse for r in _pooled(rows) if r.part == "test"}
+    for output, row in _in_use(report):
+        error, worst = row["free_run"], row["worst_group_error"]
+        where = f"the free run of {output} on records left out of training"
+        if error is None:
+            text = f"{where} diverges in {max(row['diverged'], 1)} of them"
+            yield Reason(UNUSABLE, text, "bounded")
+            continue
+        test = tested.get(output)
+        if error >= WORTHLESS:
+            text = f"{where} is no better than the mean ({_nrmse(error)})"
+            yield Reason(UNUSABLE, text, "richer")
+        elif worst is not None and worst >= WORTHLESS:
+            text = f"{where} is no better than the mean in {row['worst_group']}"
+            yield Reason(LIMITED, f"{text} ({_nrmse(worst)})", "records")
+        elif error > ACCURATE and test is None:
+            text = f"{where} leaves {error**2:.0%} of the variance ({_nrmse(error)})"
+            yield Reason(LIMITED, text, "richer")
+        if test is not None and error and test > max(SMALL, PROMISED * error):
+            text = f"the error of {output} on test is {test / error:.2g} times that on "
+            yield Reason(LIMITED, text + "records left out of training", "cover")

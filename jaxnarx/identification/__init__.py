@@ -1,6 +1,26 @@
-"""A whole identification by one settings tree."""
+"""A whole identification: by a search, or by one settings tree."""
 
+from jaxnarx.identification.account import described, figure, sentences, title, used
+from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
-from jaxnarx.identification.verb import Events, identify, needed
+from jaxnarx.identification.search_folder import SearchFolder, read_search
+from jaxnarx.identification.verb import Events, identify, needed, with_group
 
-__all__ = ["Events", "identify", "joint_pool", "make_pool", "needed", "terms_of"]
+__all__ = [
+    "Events",
+    "Leaderboard",
+    "Row",
+    "SearchFolder",
+    "described",
+    "figure",
+    "identify",
+    "joint_pool",
+    "make_pool",
+    "needed",
+    "read_search",
+    "sentences",
+    "terms_of",
+    "title",
+    "used",
+    "with_group",
+]

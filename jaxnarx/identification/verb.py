@@ -1,12 +1,18 @@
-"""The verb `identify`: candidate terms, selection, partition, refinement."""
+"""The verb `identify`: the best model that a search finds, or one method's."""
 
-from collections.abc import Callable
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-from jaxnarx.data import Channels, Dataset, match_channels
+from jaxnarx.data import Channels, Dataset, Groups, match_channels
+from jaxnarx.errors import SpecError, suggest
 from jaxnarx.guard import guarded
+from jaxnarx.identification.automatic import search
 from jaxnarx.identification.pools import make_pool
-from jaxnarx.methods import Global, Identification
+from jaxnarx.methods import PRESETS, Global, Identification
 from jaxnarx.models import Network
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
@@ -22,33 +28,154 @@ def identify(
     data: Dataset,
     method: Identification | None = None,
     *,
+    preset: str = "good",
+    budget: float | None = None,
+    candidates: int | None = None,
+    outputs: Sequence[str] = (),
+    groups: Groups | None = None,
     validation: Dataset | None = None,
+    folder: str | os.PathLike[str] | None = None,
     progress: Events | None = None,
 ) -> Solution[Network]:
-    """Choose terms, divide the operating space, refine: the verbs in a row.
+    """The best model of the data, found by a search or made as `method` says.
 
-    Outputs that are neither modelled nor scheduled on are left out of the network's
-    channels. What `select`, `grow` and `refine` raise passes as it is.
+    The search looks at the data, then tries candidates from cheap to rich: a constant,
+    linear ARX and output-error models, filters, polynomials, regions with shared
+    feedback, LOLIMOT and trees. Each is judged by the free run over groups of records
+    that it has not seen; where one diverges the candidate is out. Of the others the
+    cheapest to compute within one standard error of the best is trained on all records
+    (`preset="best"`: the best itself). The same data and settings give the same model.
+
+    With a method the verbs `select`, `grow` and `refine` follow one another, and what
+    they raise passes as it is. Outputs that are neither modelled nor scheduled on are
+    left out of the network's channels.
 
     Args:
         data: Records to be trained on.
-        method: The settings of all steps (default `Identification()`).
-        validation: Records that judge growth and refinement.
-        progress: Called on the host with dictionaries: `verb` is `"select"`, `"grow"`
-            or `"refine"`; with `candidates`, their number, before the first, with
-            `solution` after each, else with a row of that verb's own progress.
+        method: The settings of all steps. Without it the search decides; the arguments
+            that follow, up to `groups` and also `folder`, are the search's own.
+        preset: `"quick"` (a minute or two), `"good"`, `"best"` (an hour, or the budget;
+            sums of networks where they gain), `"ecu"` (the fewest operations within 5 %
+            of the best, stable for certain) or `"linear"`.
+        budget: Time for the search [s]; default the preset's.
+        candidates: Most candidates of every output; default the preset's.
+        outputs: Names of the outputs to be modelled; default all.
+        groups: What is left out together (`jaxnarx.data.groups`); default as the records
+            say, else records that repeat one another's inputs belong together.
+        validation: Records that judge growth and refinement of a method. A search
+            counts them among the data, as a group of their own.
+        folder: Where the search writes what it has tried, after every candidate. The
+            same call goes on there where an earlier one stopped; SpecError where the
+            folder holds the search of other data or settings.
+        progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,
+            and `trying` and `output` before a candidate; after it its `row`, the row
+            `chosen` so far, how many are `done` `of` how many, `seconds` passed and
+            `left`. Of a method: `verb` is `"select"`, `"grow"` or `"refine"`; with
+            `candidates`, their number, before the first, with `solution` after each,
+            else with a row of that verb's own progress.
 
     Returns:
-        `value` is the network. `status` and `detail` are those of the last verb, or of
-        the first that failed. `stats` holds the solutions of the verbs, `selection`,
-        `grown`, and `refined` (None without refinement).
+        `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates
+        and `stats["look"]` what was seen in the data; `status` is `ok`, `budget_spent`
+        where it was interrupted (`value` is the best so far), or `diverged` where every
+        candidate diverges (`value` is the safest). Of a method: `status` and `detail`
+        are those of the last verb, or of the first that failed, and `stats` holds their
+        solutions, `selection`, `grown` and `refined` (None without refinement).
 
     Example:
         fit = jnx.identify(data, jnx.Identification(select=jnx.ForwardOLS(max_terms=2)))
         print(fit.status_name)
     """
-    method = Identification() if method is None else method
+    asked = _Search(preset, budget, candidates, tuple(outputs), groups, folder)
+    if method is None:
+        return _searched(data, asked, validation, progress)
+    if changed := [f.name for f in dataclasses.fields(asked) if asked.states(f.name)]:
+        raise SpecError(
+            f"{changed[0]} belongs to a search; with a method there is none",
+            field=changed[0],
+        )
+    return _by_method(data, method, validation, progress)
 
+
+@dataclasses.dataclass(frozen=True)
+class _Search:
+    """What a search is told."""
+
+    preset: str = "good"
+    budget: float | None = None
+    candidates: int | None = None
+    outputs: tuple[str, ...] = ()
+    groups: Groups | None = None
+    folder: str | os.PathLike[str] | None = None
+
+    def states(self, name: str) -> bool:
+        """Whether something else than the default is asked for."""
+        value, usual = getattr(self, name), getattr(_Search(), name)
+        return value is not usual and not (isinstance(value, str) and value == usual)
+
+    def check(self, channels: Channels) -> None:
+        """SpecError where a setting makes no sense."""
+        if self.preset not in PRESETS:
+            raise SpecError(
+                f"preset: there is no {self.preset!r}. {suggest(self.preset, PRESETS)}",
+                field="preset",
+            )
+        if self.budget is not None and not 0 < self.budget < math.inf:
+            raise SpecError(
+                f"budget must be a positive number of seconds, got {self.budget}",
+                field="budget",
+            )
+        if self.candidates is not None and self.candidates < 1:
+            raise SpecError(
+                f"candidates must be at least 1, got {self.candidates}",
+                field="candidates",
+            )
+        for name in self.outputs:
+            if name not in channels.output_names:
+                known = suggest(name, channels.output_names)
+                raise SpecError(
+                    f"outputs: there is no output {name!r}. {known}", field="outputs"
+                )
+
+
+def _searched(
+    data: Dataset,
+    asked: _Search,
+    validation: Dataset | None,
+    progress: Events | None,
+) -> Solution[Network]:
+    asked.check(data.channels)
+    known = data.channels
+    names = asked.outputs or known.output_names
+    kept = tuple(c for c in known.outputs if c.name in names)
+    data = match_channels(data, Channels(known.inputs, kept))[0]
+    if validation is not None:
+        data = with_group(data, validation, "validation")
+    return search(
+        data,
+        preset=asked.preset,
+        budget=asked.budget,
+        candidates=asked.candidates,
+        groups=asked.groups,
+        outputs=[c.name for c in kept],
+        folder=None if asked.folder is None else Path(asked.folder),
+        progress=progress,
+    )
+
+
+def with_group(data: Dataset, more: Dataset, name: str) -> Dataset:
+    """The records of both; the second ones are a group of that name."""
+    more = match_channels(more, data.channels)[0]
+    named = (dataclasses.replace(record, group=name) for record in more)
+    return dataclasses.replace(data, records=(*data.records, *named))
+
+
+def _by_method(
+    data: Dataset,
+    method: Identification,
+    validation: Dataset | None,
+    progress: Events | None,
+) -> Solution[Network]:
     def tell(verb: str, row: dict[str, Any]) -> None:
         if progress is not None:
             progress({"verb": verb} | row)

@@ -7,7 +7,7 @@ The work is done by `jaxnarx.shell.work`, imported when a command runs.
 import dataclasses
 import inspect
 import re
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from tyro.conf import Positional, arg
 
@@ -18,21 +18,18 @@ from jaxnarx.methods import (
     SimulationError,
 )
 from jaxnarx.methods.description import DESCRIPTION
-
-
-def _optional(metavar: str) -> Any:
-    """An option whose help tells in words what happens without it."""
-    return arg(metavar=metavar, help_behavior_hint="")
-
-
-_Description = Annotated[str, arg(metavar="DESCRIPTION")]
-_Model = Annotated[str, arg(metavar="MODEL")]
-_Folder = Annotated[str | None, _optional("FOLDER")]
-_Names = Annotated[tuple[str, ...], _optional("NAME [NAME ...]")]
-_Needed = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")]
-_Flag = Annotated[bool, arg(help_behavior_hint="")]
-_Whole = Annotated[int | None, _optional("INT")]
-_Percent = Annotated[float | None, _optional("PERCENT")]
+from jaxnarx.shell.annotations import (
+    Description,
+    Flag,
+    Folder,
+    Model,
+    Names,
+    Needed,
+    Percent,
+    Whole,
+    optional,
+)
+from jaxnarx.shell.search_commands import Automatic, Leaderboard, Take
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +44,7 @@ class Demo:
         jaxnarx demo --out runs/first
     """
 
-    out: _Folder = None
+    out: Folder = None
     """Folder for model and report; default: a new one under runs/."""
     models: int = 4
     """Largest number of local models."""
@@ -55,7 +52,7 @@ class Demo:
     """Length of each of the three records, in events of 180 degrees."""
     seed: int = 1
     """Seed of the excitation signals and the measurement noise."""
-    force: _Flag = False
+    force: Flag = False
     """Write into a folder that already holds a model."""
 
 
@@ -64,29 +61,38 @@ class Identify:
     """Identify a model from measured records and write model and report.
 
     The description (TOML) names files, channels, units and which records train,
-    validate and test; `jaxnarx check --help` shows one. Without validation records some
-    are held out of training. Terms are chosen by forward OLS-ERR, regions by LOLIMOT or
-    a tree of sigmoids, and all parameters are refined together on the free-run error.
-    The last lines are a verdict (good, usable with limits, or not usable, and why) and
-    the command that would help.
+    validate and test; `jaxnarx check --help` shows one. Candidates from linear models
+    to many regions are tried and judged by their free run over groups of records left
+    out; the cheapest within one standard error of the best is trained on all records,
+    those for validation among them. Ctrl-C ends the search with the best so far, and
+    the same command goes on where it stopped; `jaxnarx leaderboard` shows all
+    candidates, `jaxnarx take` trains another one. Settings of a method (all options
+    from --input-lags to --hold-out) make this one method, without a search. The last
+    lines are a verdict (good, usable with limits, or not usable, and why) and the
+    command that would help.
 
     Example:
+        jaxnarx identify engine.toml
+
+    One method:
         jaxnarx identify engine.toml --output NOx --models 6 --schedule "speed[t]"
     """
 
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the records."""
-    method: Identification = Identification()
-    """How it is identified; its options are made from the settings tree."""
-    hold_out: float = 0.2
-    """Share of the training samples that validates, where no record is named for it."""
-    root: _Folder = None
+    method: Automatic | Identification = Automatic()
+    """How it is identified: a search, or one method; the options of both."""
+    hold_out: Annotated[float | None, optional("SHARE")] = None
+    """One method: share of the training samples that validates, where no record is
+    named for it; default 0.2."""
+    root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    out: _Folder = None
-    """Folder for model and report; default: a new one under runs/."""
-    force: _Flag = False
-    """Write into a folder that already holds a model."""
-    require_fit: _Percent = None
+    out: Folder = None
+    """Folder for model and report; default: one under runs/, a new one for one method,
+    always the same for a search."""
+    force: Flag = False
+    """Write into a folder that already holds a model; a search begins anew."""
+    require_fit: Percent = None
     """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
 
 
@@ -102,25 +108,25 @@ class Simulate:
         jaxnarx simulate runs/demo/model.safetensors new_run.csv --out simulated
     """
 
-    model: Positional[_Model]
+    model: Positional[Model]
     """Model file."""
     files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
     """Data files, or one TOML description."""
-    steps: Annotated[int | None, _optional("INT")] = None
+    steps: Annotated[int | None, optional("INT")] = None
     """Predict this many steps ahead instead of running freely."""
-    root: _Folder = None
+    root: Folder = None
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
     """Folder for the CSV files."""
-    through: Annotated[str | None, _optional("MODEL")] = None
+    through: Annotated[str | None, optional("MODEL")] = None
     """MODEL is an inverse: run this model of the engine under its commands. The columns
     of its outputs are then what they shall be; commands are needed in the first rows
     only."""
-    prepare: _Flag = False
+    prepare: Flag = False
     """Prepare raw files first as the model's training records were prepared."""
-    no_limits: _Flag = False
+    no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
-    force: _Flag = False
+    force: Flag = False
     """Overwrite files of an earlier run."""
 
 
@@ -142,17 +148,17 @@ class Invert:
         --through runs/car/model.safetensors
     """
 
-    model: Positional[_Model]
+    model: Positional[Model]
     """Model file of the engine."""
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the records."""
-    command: _Needed
+    command: Needed
     """Inputs of the model that the inverse computes."""
-    target: _Names = ()
+    target: Names = ()
     """Outputs of the model that shall be followed; default: all."""
-    state: _Names = ()
+    state: Names = ()
     """Further measured outputs that the inverse may use, at lags of 1 or more."""
-    lead: _Whole = None
+    lead: Whole = None
     """Samples by which targets are seen ahead; default: the model's dead times."""
     method: Identification = Identification(
         pool=Polynomial(input_lags=(0, 1, 2, 4), output_lags=(1,)),
@@ -165,17 +171,17 @@ class Invert:
     """Training steps through the model; 0 keeps the direct inverse."""
     effort: float = 1e-3
     """Price of moving the commands beside the tracking error."""
-    range: Annotated[tuple[str, ...], _optional("NAME=LOW:HIGH [...]")] = ()
+    range: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH [...]")] = ()
     """Limits of commands; default: their ranges in training, a little widened."""
-    rate: Annotated[tuple[str, ...], _optional("NAME=RATE [...]")] = ()
+    rate: Annotated[tuple[str, ...], optional("NAME=RATE [...]")] = ()
     """Largest change of commands, in their unit per second."""
     hold_out: float = 0.2
     """Share of the training samples that validates, where no record is named for it."""
-    root: _Folder = None
+    root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    out: _Folder = None
+    out: Folder = None
     """Folder for the files; default: a new one under runs/."""
-    force: _Flag = False
+    force: Flag = False
     """Write into a folder that already holds an inverse."""
 
 
@@ -189,21 +195,21 @@ class Report:
         jaxnarx report runs/demo/model.safetensors engine.toml --out runs/check
     """
 
-    model: Positional[_Model]
+    model: Positional[Model]
     """Model file."""
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the records."""
-    root: _Folder = None
+    root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    out: _Folder = None
+    out: Folder = None
     """Folder for report.html and report.json; default: only print."""
-    beside: Annotated[tuple[str, ...], _optional("MODEL [MODEL ...]")] = ()
+    beside: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
     """Other models to compare with on the same records, in free run."""
-    no_limits: _Flag = False
+    no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
-    force: _Flag = False
+    force: Flag = False
     """Overwrite an earlier report."""
-    require_fit: _Percent = None
+    require_fit: Percent = None
     """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
 
 
@@ -229,11 +235,11 @@ class Check:
         test = ["day2_*.csv"]
     """
 
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the records."""
-    root: _Folder = None
+    root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    json: _Flag = False
+    json: Flag = False
     """Print the findings as JSON."""
 
 
@@ -252,30 +258,30 @@ class Prepare:
         jaxnarx prepare engine.toml --out prepared --hampel 7 --low-pass 2 --decimate 2
     """
 
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the records."""
     out: Annotated[str, arg(metavar="FOLDER")] = "prepared"
     """Folder for the prepared files."""
-    hampel: _Whole = None
+    hampel: Whole = None
     """Mask outliers: half width, in samples, of the window they are sought in."""
-    detrend: _Flag = False
+    detrend: Flag = False
     """Remove each record's linear drift; its level stays."""
-    low_pass: Annotated[float | None, _optional("HZ")] = None
+    low_pass: Annotated[float | None, optional("HZ")] = None
     """Filter without phase; cut-off, where the amplitude is halved [Hz]."""
-    decimate: _Whole = None
+    decimate: Whole = None
     """Keep one of this many samples, after an anti-aliasing filter."""
-    resample: Annotated[float | None, _optional("SECONDS")] = None
+    resample: Annotated[float | None, optional("SECONDS")] = None
     """New sample time [s], anti-aliased where it is longer."""
-    offset: Annotated[Literal["mean", "first"] | None, _optional("{mean,first}")] = None
+    offset: Annotated[Literal["mean", "first"] | None, optional("{mean,first}")] = None
     """Subtract from every channel its mean, or its first sample."""
     scale: Annotated[
         Literal["min-max", "mean", "standard"] | None,
-        _optional("{min-max,mean,standard}"),
+        optional("{min-max,mean,standard}"),
     ] = None
     """Scale every channel: to [0, 1], by its mean, or to unit variance."""
-    root: _Folder = None
+    root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
-    force: _Flag = False
+    force: Flag = False
     """Overwrite files of an earlier run."""
 
 
@@ -301,7 +307,7 @@ class SimulateEngine:
     )
     """aprbs moves all inputs as is usual for the bed; the others move one of them, the
     rest stays at a usual operating point."""
-    input: Annotated[str | None, _optional("NAME")] = None
+    input: Annotated[str | None, optional("NAME")] = None
     """The input that is moved; default: the first."""
     duration: float = 300.0
     """Length of every record [s]; nominal where events are sampled."""
@@ -310,7 +316,7 @@ class SimulateEngine:
     hold: int = 20
     """Samples for which prbs and random-walk hold a level; the highest frequency of
     multisine and chirp is that of twice as many."""
-    sample_time: Annotated[float | None, _optional("SECONDS")] = None
+    sample_time: Annotated[float | None, optional("SECONDS")] = None
     """Resample records of crank-angle events to this time."""
     noise: float = 1.0
     """Measurement noise as a multiple of the bed's own; 0 for none."""
@@ -320,7 +326,7 @@ class SimulateEngine:
     """Seed of signals, noise and relative."""
     out: Annotated[str, arg(metavar="FOLDER")] = "runs/engine"
     """Folder for the files."""
-    force: _Flag = False
+    force: Flag = False
     """Overwrite files of an earlier run."""
 
 
@@ -355,15 +361,15 @@ class Sweep:
     sections of [identification] are those of `jaxnarx identify --settings`.
     """
 
-    description: Positional[_Description]
+    description: Positional[Description]
     """TOML description of the sweep."""
-    folder: _Folder = None
+    folder: Folder = None
     """Run folder; default: runs/ and the description's name."""
     workers: int = 1
     """Processes, each on a core of its own."""
     chunk: int = 32
     """Fits of a chunk; what is in flight when the sweep stops is lost."""
-    new_run: _Flag = False
+    new_run: Flag = False
     """Begin anew; an earlier sweep in the folder is set aside, not removed."""
 
 
@@ -375,6 +381,8 @@ def _kebab(name: str) -> str:
 Command = (
     Demo
     | Identify
+    | Leaderboard
+    | Take
     | Simulate
     | Invert
     | Report

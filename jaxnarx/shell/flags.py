@@ -25,6 +25,13 @@ from jaxnarx.methods.settings import (
     value_at,
 )
 from jaxnarx.shell.commands import Identify, Invert
+from jaxnarx.shell.search_commands import Automatic
+from jaxnarx.shell.search_flags import (
+    automatic,
+    refuse_search,
+    search_options,
+    words_of_search,
+)
 from jaxnarx.texts import field_texts
 
 FLAGS = {
@@ -54,6 +61,8 @@ FLAGS = {
     "starts": "refine.starts",
 }
 """Options with a name of their own, and the settings they are."""
+OUTPUT = FLAGS["output"]
+"""The one setting of a method that a search has as well."""
 OPTIONS: dict[type, dict[str, str]] = {
     Identify: FLAGS,
     Invert: {
@@ -105,9 +114,11 @@ def with_options(command: type) -> type:
                 else (field.name, hint, dataclasses.field(default=usual))
             )
             continue
-        base: Any = field.default
+        base = _base(command)
         for name, path in OPTIONS[command].items():
             made.append((name, _option(command, name, path, base), None))
+            if name == "output":
+                made += search_options()
         made.append(("set", _explained(tuple[str, ...], SET, _SET), ()))
         made.append(("settings", _explained(str | None, SETTINGS, _FILE), None))
     return dataclasses.make_dataclass(command.__name__, made, frozen=True)
@@ -126,7 +137,7 @@ def settled(command: type, parsed: Any) -> Any:
     if command not in OPTIONS:
         return parsed
     own = {f.name: f for f in dataclasses.fields(command)}
-    method: Any = own["method"].default
+    method = _base(command)
     if parsed.settings is not None:
         method = _of_file(Path(parsed.settings))
     changes = {
@@ -136,7 +147,19 @@ def settled(command: type, parsed: Any) -> Any:
     }
     changes |= dict(_assigned(text) for text in parsed.set)
     kept = {name: getattr(parsed, name) for name in own if name != "method"}
+    if command is Identify:
+        told = ["settings"] if parsed.settings is not None else []
+        told += [_typed(command, path) for path in changes if path != OUTPUT]
+        if not told:
+            return command(**kept, method=automatic(parsed))
+        refuse_search(parsed, told[0])
     return command(**kept, method=_changed(command, method, changes))
+
+
+def _base(command: type) -> Identification:
+    """The settings that options change."""
+    usual = next(f.default for f in dataclasses.fields(command) if f.name == "method")
+    return usual if isinstance(usual, Identification) else Identification()
 
 
 def _changed(
@@ -207,7 +230,23 @@ def _typed(command: type, path: str) -> str:
 def words_of(command: Identify) -> list[str]:
     """The command as it is typed: its description, and what differs from defaults."""
     words = ["jaxnarx", "identify", command.description]
-    method, usual = command.method, Identification()
+    if isinstance(command.method, Automatic):
+        words += words_of_search(command.method)
+    else:
+        words += _words_of_method(command.method)
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        if field.name in ("description", "method") or value == field.default:
+            continue
+        words.append("--" + field.name.replace("_", "-"))
+        if not isinstance(value, bool):
+            words.append(_text(value))
+    return words
+
+
+def _words_of_method(method: Identification) -> list[str]:
+    """The options of a method that differ from defaults."""
+    words, usual = [], Identification()
     kinds = {s: spread(getattr(method, s)).get(KIND) for s in ("select", "grow")}
     if kinds["grow"] != "global":
         kinds["grow.scheduling"] = value_at(method, "grow.scheduling")
@@ -236,15 +275,7 @@ def words_of(command: Identify) -> list[str]:
         elif "--" + named[path].replace("_", "-") not in words:
             listed = listed if isinstance(listed, tuple) else (listed,)
             words += ["--" + named[path].replace("_", "-"), *map(_text, listed)]
-    words += ["--set", *others] if others else []
-    for field in dataclasses.fields(command):
-        value = getattr(command, field.name)
-        if field.name in ("description", "method") or value == field.default:
-            continue
-        words.append("--" + field.name.replace("_", "-"))
-        if not isinstance(value, bool):
-            words.append(_text(value))
-    return words
+    return words + (["--set", *others] if others else [])
 
 
 def _text(value: Any) -> str:

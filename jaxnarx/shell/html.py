@@ -17,15 +17,19 @@ import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from jaxnarx.evaluation import Report, Row
+from jaxnarx.evaluation import Report, Row, region_sentence
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
 from jaxnarx.files import write_whole
 from jaxnarx.shell import figures, residual_figure
+from jaxnarx.shell.leaderboard_figure import error_over_operations
 from jaxnarx.shell.overview import overview
 from jaxnarx.shell.style import inline_svg
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
+
+TOP = 10
+"""Candidates of a search that are shown at once; the others are folded away."""
 
 MAX_PANELS = 48
 """Records of an output that are drawn; the worst, the median and the best are among
@@ -56,6 +60,7 @@ def render(report: Report) -> str:
         verdict=overview(report),
         scores=_scores(report),
         models=_models(report),
+        boards=_boards(report),
         pictures=_pictures(report),
         provenance=_flat(report.provenance),
         max_records=MAX_RECORDS,
@@ -100,6 +105,32 @@ def _scores(report: Report) -> dict[str, Any]:
     single = [g for g in lines if g[0].record != "pooled"]
     by_part = {p: [g for g in single if g[0].part == p] for p in report.parts}
     return {"pooled": pooled, "records": by_part}
+
+
+def _boards(report: Report) -> list[dict[str, Any]]:
+    """By output: what the leaderboard says, its first rows and all of them."""
+    boards = []
+    for output, entry in (report.leaderboard or {}).items():
+        region = region_sentence(report.regions, output, report.main)
+        boards.append(
+            {
+                "output": output,
+                "text": [*entry["text"], *([region] if region else [])],
+                "top": [
+                    row
+                    for row in entry["rows"]
+                    if row["rank"] <= TOP or row["used"] or row in _linear(entry)
+                ],
+                "rows": entry["rows"],
+                "groups": list(entry["rows"][0]["groups"]) if entry["rows"] else [],
+            }
+        )
+    return boards
+
+
+def _linear(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The best linear candidates."""
+    return [row for row in entry["rows"] if row["linear"]][:2]
 
 
 def _models(report: Report) -> list[dict[str, Any]]:
@@ -148,6 +179,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     lines = 4 * max(len(ranked), 1)
     points = min(max(POINT_BUDGET // lines, 200), figures.POINTS)
     drawn: dict[str, list[tuple[str, Figure]]] = {
+        "leaderboard": [
+            (output, error_over_operations(entry))
+            for output, entry in (report.leaderboard or {}).items()
+        ],
         "traces": [("", _trace(t, points)) for t in ranked],
         "records": [
             (f"{c.name}, every record", figures.every_record(own[:MAX_PANELS]))

@@ -5,11 +5,14 @@ KeyboardInterrupt, on whose way out files are cleared away. Where it is swallowe
 import that takes it for a missing package, or by the garbage collector), whatever error
 follows counts as the interrupt, see `asked`. A program of jax may compute for minutes
 between two such steps: after `PATIENCE` seconds the process ends all the same. What it
-leaves then is cleared by later runs, as after a kill.
+leaves then is cleared by later runs, as after a kill. Work that has a result to show at
+any time is given the time to do so, see `patiently`.
 """
 
 import contextlib
+import dataclasses
 import os
+import select
 import signal
 import sys
 import threading
@@ -28,6 +31,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 _asked: list[int] = []
 _swallowed = threading.Event()
 _last_words: list[Callable[[], object]] = []
+_patient: list[Callable[[], object]] = []
 
 
 def listen() -> None:
@@ -57,6 +61,33 @@ def last_words(tell: Callable[[], object]) -> Iterator[None]:
         _last_words.remove(tell)
 
 
+@dataclasses.dataclass
+class Patience:
+    """Whether Ctrl-C has asked the work to end with what it has."""
+
+    used: bool = False
+
+
+@contextlib.contextmanager
+def patiently(tell: Callable[[], object]) -> Iterator[Patience]:
+    """Give the work inside all the time that it needs after a first Ctrl-C.
+
+    It gets a KeyboardInterrupt as always, and `tell` is called at once, in another
+    thread, to say that it was heard. A second Ctrl-C, or SIGTERM, ends the process as
+    without this. If the work returns all the same, the interrupt is done with: `used`
+    says that there was one.
+    """
+    patience = Patience()
+    _patient.append(tell)
+    try:
+        yield patience
+        if set(_asked) == {signal.SIGINT}:
+            patience.used = True
+            _asked.clear()
+    finally:
+        _patient.remove(tell)
+
+
 def _raise(number: int, frame: Any) -> None:
     _asked.append(number)
     raise KeyboardInterrupt
@@ -75,8 +106,11 @@ def _hook(before: Callable[[Any], object]) -> Callable[[Any], object]:
 
 
 def _watch(signals: int) -> None:
-    while (number := os.read(signals, 1)[0]) not in ENDING:
-        pass
+    number = _ending(signals)
+    if number == signal.SIGINT and _patient:
+        with contextlib.suppress(Exception):
+            _patient[-1]()
+        number = _second(signals)
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
         time.sleep(GLANCE)
@@ -89,3 +123,27 @@ def _watch(signals: int) -> None:
     with contextlib.suppress(OSError):
         os.write(2, b"jaxnarx: interrupted\n")
     os._exit(128 + number)
+
+
+def _ending(signals: int) -> int:
+    """The next signal that asks the process to end."""
+    while (number := os.read(signals, 1)[0]) not in ENDING:
+        pass
+    return number
+
+
+def _second(signals: int) -> int:
+    """The signal after a first Ctrl-C, which is raised again where it is swallowed."""
+    ours = 0
+    while True:
+        if _swallowed.is_set():
+            _swallowed.clear()
+            ours += 1  # it comes back to us
+            signal.raise_signal(signal.SIGINT)
+        if not select.select([signals], [], [], GLANCE)[0]:
+            continue
+        number = _ending(signals)
+        if ours and number == signal.SIGINT:
+            ours -= 1
+            continue
+        return number

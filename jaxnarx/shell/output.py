@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from jaxnarx.simulation import Trajectories
 
 
+RUN = ("model.safetensors", "report.json", "report.html")
+"""Files of a run; one that is there already is not overwritten without --force."""
+
+
 def slug(name: str) -> str:
     """A name as a file name: letters, digits, dot, dash and underscore only."""
     return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:100] or "unnamed"

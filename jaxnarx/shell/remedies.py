@@ -9,6 +9,7 @@ from jaxnarx.methods import Global, Lolimot, SigmoidTree, SimulationOLS
 from jaxnarx.methods.settings import KIND, changed
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.flags import words_of
+from jaxnarx.shell.search_commands import Automatic
 
 SLOW = (4, 16, 64)
 """Time constants of filters that are proposed, in samples."""
@@ -18,6 +19,39 @@ ADVICE = {
     "records": "  (with the record corrected or left out)",
 }
 """What has to change in the description before the same command helps."""
+
+
+LARGER = {"quick": "good", "linear": "good", "ecu": "good", "good": "best"}
+"""The preset that tries more."""
+
+
+def next_search(
+    command: Identify, asked: Automatic, verdict: Verdict | None, *, model: str
+) -> tuple[list[str], str]:
+    """The words to type next after a search, and a remark behind them.
+
+    A good model is simulated; an interrupted search (no verdict) is gone on with. Else
+    the search is proposed again, with other records or a larger preset.
+    """
+    if verdict is not None and not verdict.findings:
+        return ["jaxnarx", "simulate", model, "new_run.csv"], ""
+    again = dataclasses.replace(command, force=False)
+    if verdict is None:
+        return words_of(again), "  (goes on)"
+    if verdict.remedy == "test":
+        return words_of(again), ADVICE["test"]
+    # With other records it is another search.
+    anew = dataclasses.replace(again, force=True)
+    if verdict.remedy in ADVICE:
+        return words_of(anew), ADVICE[verdict.remedy]
+    again = dataclasses.replace(again, out=None)
+    if verdict.remedy == "bounded" and asked.preset != "linear":
+        change = dataclasses.replace(asked, preset="linear")
+    elif asked.preset in LARGER and verdict.remedy != "bounded":
+        change = dataclasses.replace(asked, preset=LARGER[asked.preset], budget=None)
+    else:
+        return words_of(anew), "  (with more training records)"
+    return words_of(dataclasses.replace(again, method=change)), ""
 
 
 def next_words(
@@ -41,6 +75,7 @@ def next_words(
     if verdict.remedy in ADVICE:
         return words_of(again), ADVICE[verdict.remedy]
     method = command.method
+    assert not isinstance(method, Automatic), "a search has no settings to change"
     pool, terms = method.pool, getattr(method.select, "max_terms", 2)
     filters = tuple(float(f"{n * sample_time:.3g}") for n in SLOW)
     linear = {"pool.degree": 1} if pool.degree > 1 else {}

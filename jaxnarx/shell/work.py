@@ -1,6 +1,5 @@
 """What the commands do."""
 
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
+from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.messages import about, next_command, say, size, warn
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset, LagSuggestion, Split
-    from jaxnarx.evaluation import Report as Scores
-
-RUN = ("model.safetensors", "report.json", "report.html")
-"""Files of a run; one that is there already is not overwritten without --force."""
+    from jaxnarx.methods import Identification
 
 
 def run(command: commands.Command, *, typed: str) -> int:
@@ -31,6 +28,10 @@ def run(command: commands.Command, *, typed: str) -> int:
         return _simulate_engine(command, typed)
     if isinstance(command, commands.Identify):
         return _identify(command, typed)
+    if isinstance(command, commands.Leaderboard):
+        return _leaderboard(command)
+    if isinstance(command, commands.Take):
+        return _take(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
     if isinstance(command, commands.Sweep):
@@ -88,12 +89,9 @@ def _check(command: commands.Check) -> int:
             "jaxnarx", "check", command.description, *root, then=", errors corrected"
         )
         return status
-    words = ["jaxnarx", "identify", command.description, *root]
-    words += ["--output", data.channels.output_names[0]]
-    words += ["--input-lags", *map(str, lags.input_lags)]
-    if lags.filters:
-        words += ["--filters", *(f"{t:g}" for t in lags.filters)]
-    next_command(*words, "--output-lags", *map(str, lags.output_lags))
+    names = data.channels.output_names
+    one = ("--output", names[0]) if len(names) > 1 else ()
+    next_command("jaxnarx", "identify", command.description, *root, *one)
     return status
 
 
@@ -147,7 +145,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
     from jaxnarx.engines import pfi_siso_records
     from jaxnarx.methods import ForwardOLS, Identification, Lolimot, Polynomial
     from jaxnarx.shell.identify import Plan, identify
-    from jaxnarx.shell.output import run_folder
+    from jaxnarx.shell.output import RUN, run_folder
 
     if command.events < 200:
         raise SpecError("--events must be at least 200", field="events")
@@ -173,23 +171,44 @@ def _demo(command: commands.Demo, typed: str) -> int:
     next_command(
         "jaxnarx", "check", "engine.toml", then="  (a description of your records)"
     )
-    return _judged(result)
+    return judged(result)
+
+
+def _leaderboard(command: commands.Leaderboard) -> int:
+    from jaxnarx.shell.take import show
+
+    return show(command)
+
+
+def _take(command: commands.Take, typed: str) -> int:
+    from jaxnarx.shell.take import take
+
+    return take(command, typed)
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
+    if isinstance(command.method, commands.Automatic):
+        from jaxnarx.shell.search import search
+
+        return search(command, command.method, typed)
+    return _by_method(command, command.method, typed)
+
+
+def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
     from jaxnarx.shell.identify import Plan, checked, identify, prepared_by
-    from jaxnarx.shell.output import run_folder
+    from jaxnarx.shell.output import RUN, run_folder
     from jaxnarx.shell.remedies import next_words
 
-    _require_finite("require_fit", command.require_fit)
-    _require_share(command.hold_out)
+    require_finite("require_fit", command.require_fit)
+    share = 0.2 if command.hold_out is None else command.hold_out
+    _require_share(share)
     split = read_description(command.description, command.root)
-    method = checked(command.method, split.all.channels)
+    method = checked(asked, split.all.channels)
     plan = prepared_by(split.preparation, Plan(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
-        parts = _parts(split, command.hold_out)
+        parts = _parts(split, share)
         result = identify(plan, parts, folder)
     say(f"\nOpen {folder / 'report.html'}")
     channels = parts["train"].channels
@@ -202,7 +221,7 @@ def _identify(command: commands.Identify, typed: str) -> int:
         sample_time=parts["train"].sample_time,
     )
     next_command(*words, then=then)
-    return _judged(result, command.require_fit)
+    return judged(result, command.require_fit)
 
 
 def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
@@ -221,31 +240,6 @@ def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
 def _require_share(hold_out: float) -> None:
     if not 0 < hold_out < 1:
         raise SpecError(f"--hold-out must lie between 0 and 1, got {hold_out}")
-
-
-def _require_finite(option: str, value: float | None) -> None:
-    if value is not None and not math.isfinite(value):
-        raise SpecError(f"--{option.replace('_', '-')} must be a number, got {value}")
-
-
-def _judged(report: "Scores", required: float | None = None) -> int:
-    """The exit code: 1 for a model that is not usable, or below the required fit."""
-    status = 0
-    if not report.verdict.usable:
-        warn(f"not usable: {report.verdict.findings[0].text}")
-        status = 1
-    if required is None:
-        return status
-    for channel in report.outputs:
-        fit = report.pooled(channel.name).fit
-        if fit is None or not fit >= required:
-            got = "no figure (it diverges)" if fit is None else f"{fit:.1f} %"
-            warn(
-                f"the free-run fit of {channel.name} on {report.main} is {got}, below "
-                f"the required {required:g} %"
-            )
-            status = 1
-    return status
 
 
 def _simulate(command: commands.Simulate) -> int:
@@ -294,9 +288,9 @@ def _report(command: commands.Report, typed: str) -> int:
     from jaxnarx.evaluation import report
     from jaxnarx.shell.identify import require_rows
     from jaxnarx.shell.model_file import loaded
-    from jaxnarx.shell.output import run_folder, write_report, written_together
+    from jaxnarx.shell.output import RUN, run_folder, write_report, written_together
 
-    _require_finite("require_fit", command.require_fit)
+    require_finite("require_fit", command.require_fit)
     bare = command.no_limits
     network = loaded(command.model, no_limits=bare)
     split = read_description(command.description, command.root)
@@ -327,4 +321,4 @@ def _report(command: commands.Report, typed: str) -> int:
         words += [] if command.root is None else ["--root", command.root]
         words += ["--no-limits"] if bare else []
         next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
-    return _judged(result, command.require_fit)
+    return judged(result, command.require_fit)

@@ -1,0 +1,188 @@
+"""What a leaderboard says: the choice in words, and its rows as plain tables."""
+
+import math
+from typing import Any
+
+from jaxnarx.identification.leaderboard import Leaderboard, Row
+
+LINEAR = ("constant", "arx", "oe")
+"""Families without products and regions, in small letters."""
+UNEVEN = 1.25
+"""Times the pooled error from which a group is said to be served worse."""
+RULES = {
+    "near": "the cheapest to compute within one standard error of the best",
+    "best": "the smallest error, whatever it costs",
+}
+"""The choice by its rule."""
+
+
+def is_linear(row: Row) -> bool:
+    """Whether a candidate is of a linear family."""
+    return row.family.lower() in LINEAR
+
+
+def title(row: Row) -> str:
+    """`12 (OE, orders 2, 2)`."""
+    return f"{row.number} ({row.family}, {row.name})"
+
+
+def figure(row: Row) -> str:
+    """`0.131 ± 0.004`, or what became of the candidate."""
+    if row.free_run is None:
+        return row.status
+    if not row.standard_error:
+        return f"{row.free_run:.3g}"
+    digits = min(max(1 - math.floor(math.log10(row.standard_error)), 0), 9)
+    return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
+
+
+def used(board: Leaderboard, output: str, taken: int | None = None) -> Row:
+    """The row of the model in use: taken by hand, else chosen, else the safest."""
+    if taken is not None:
+        return next(r for r in board.of(output) if r.number == taken)
+    return board.chosen(output) or safest(board, output)
+
+
+def safest(board: Leaderboard, output: str) -> Row:
+    """Where every candidate is vetoed: the one that diverges least."""
+    rows = board.of(output)
+    return min(rows, key=lambda r: (r.status != "diverged", r.diverged))
+
+
+def pareto(board: Leaderboard, output: str) -> list[Row]:
+    """Candidates that no other beats in error at the same cost; cheapest first."""
+    rows = [r for r in board.of(output) if r.eligible and r.operations is not None]
+    front: list[Row] = []
+    for row in sorted(rows, key=lambda r: (r.operations, r.free_run)):
+        if not front or _less(row, front[-1]):
+            front.append(row)
+    return front
+
+
+def _less(row: Row, other: Row) -> bool:
+    return (row.free_run or 0.0) < (other.free_run or 0.0)
+
+
+def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list[str]:
+    """Why this one, what others would cost, and which records it serves worst."""
+    row = used(board, output, taken)
+    told = [_choice(board, output, row)]
+    told += [*_best(board, row), *_others(board, row), *_linear(board, row)]
+    told += [*_vetoed(board, output), *_groups(board, row)]
+    return told
+
+
+def described(
+    board: Leaderboard, output: str, taken: int | None = None
+) -> dict[str, Any]:
+    """The rows of an output, best first, and the words, as plain values for files."""
+    row, front = used(board, output, taken), pareto(board, output)
+    return {
+        "rows": [_plain(board, n, r, r == row) for n, r in enumerate(board.of(output))],
+        "rule": board.rule,
+        "chosen": getattr(board.chosen(output), "number", None),
+        "used": row.number,
+        "pareto": [r.number for r in front],
+        "text": sentences(board, output, taken),
+    }
+
+
+def _plain(board: Leaderboard, place: int, row: Row, is_used: bool) -> dict[str, Any]:
+    name, error = board.worst_group(row) or ("", None)
+    return {"rank": place + 1, "used": is_used, "linear": is_linear(row)} | (
+        row.to_dict()
+        | {
+            "groups": dict(zip(board.group_names, row.groups, strict=False)),
+            "worst_group": name,
+            "worst_group_error": error,
+        }
+    )
+
+
+def _choice(board: Leaderboard, output: str, row: Row) -> str:
+    chosen, named = board.chosen(output), f"{output}: {title(row)}"
+    if chosen is None:
+        return (
+            f"{named}. Every candidate is vetoed: none stays bounded in free run on "
+            "all records left out. This is the safest of them."
+        )
+    told = f"{named}, free run {figure(row)} on records left out"
+    if row != chosen:
+        return f"{told}: taken by hand in place of {title(chosen)}, {figure(chosen)}."
+    if row == board.best(output) and board.rule == "near":
+        return f"{told}: the best, and none within its standard error is cheaper."
+    return f"{told}: {RULES.get(board.rule, f'chosen by the rule {board.rule!r}')}."
+
+
+def _best(board: Leaderboard, row: Row) -> list[str]:
+    best = board.best(row.output)
+    if best is None or best == row or row.free_run is None:
+        return []
+    return [f"The best itself, {title(best)}, {_price(best, row)}."]
+
+
+def _others(board: Leaderboard, row: Row) -> list[str]:
+    """What the best of another family costs, if it is not the best of all."""
+    for other in board.of(row.output):
+        if other.eligible and other.family != row.family and not is_linear(other):
+            if other == board.best(row.output):
+                continue
+            return [
+                f"The best of another family, {title(other)}, {_price(other, row)}."
+            ]
+    return []
+
+
+def _price(other: Row, row: Row) -> str:
+    """What another candidate would cost and bring: `takes 3 times the ... for ...`."""
+    if other.operations is None:
+        cost = "takes an unknown number of operations"
+    elif row.operations:
+        cost = f"takes {other.operations / row.operations:.2g} times the operations"
+    else:
+        cost = f"takes {other.operations} operations"
+    if other.free_run is None or not row.free_run:
+        return cost
+    change = other.free_run / row.free_run - 1
+    if change >= 1:
+        return f"{cost} and has {change + 1:.2g} times the error"
+    return f"{cost} and has {abs(change):.1%} {'more' if change >= 0 else 'less'} error"
+
+
+def _linear(board: Leaderboard, row: Row) -> list[str]:
+    """What nonlinearity buys."""
+    best = board.best(row.output)
+    rows = [
+        r for r in board.of(row.output) if r.eligible and is_linear(r) != is_linear(row)
+    ]
+    if not rows or not row.free_run or (is_linear(row) and rows[0] == best):
+        return []
+    kind = "linear" if is_linear(rows[0]) else "nonlinear"
+    factor = (rows[0].free_run or 0.0) / row.free_run
+    return [
+        f"The best {kind} model, {title(rows[0])}, has {factor:.2f} times the error "
+        f"({figure(rows[0])})."
+    ]
+
+
+def _vetoed(board: Leaderboard, output: str) -> list[str]:
+    rows = board.of(output)
+    lost = sum(r.status == "diverged" for r in rows)
+    if not lost:
+        return []
+    is_are = "diverges" if lost == 1 else "diverge"
+    return [f"{lost} of {len(rows)} candidates {is_are} on records left out: vetoed."]
+
+
+def _groups(board: Leaderboard, row: Row) -> list[str]:
+    worst = board.worst_group(row)
+    known = [e for e in row.groups if e is not None]
+    if worst is None or len(known) < 2 or not row.free_run:
+        return []
+    name, error = worst
+    if error < UNEVEN * row.free_run:
+        return [f"All groups are served alike ({min(known):.3g} to {error:.3g})."]
+    return [
+        f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "
+        "times the error of all. More records like these would help most."
+    ]

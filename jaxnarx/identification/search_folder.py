@@ -1,0 +1,157 @@
+"""The folder of a search: what was tried, on the disk after every candidate.
+
+    search.json                    key of data and settings, rows, names of groups, rule
+    candidates/<number>.safetensors    that candidate, trained on all records
+
+The key is a table of plain values, such as digests. A folder with another key belongs
+to another search, whose candidates would not compare with these.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading, suggest
+from jaxnarx.files import unwritable, write_whole
+from jaxnarx.identification.leaderboard import Leaderboard, Row
+from jaxnarx.models import Network, load, save
+
+NAME = "search.json"
+CANDIDATES = "candidates"
+FORMAT = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchFolder:
+    """A search as it stands on the disk."""
+
+    path: Path
+    key: Mapping[str, Any]
+    leaderboard: Leaderboard
+
+    def model_path(self, number: int) -> Path:
+        """Where the model of a candidate is, or would be."""
+        return self.path / CANDIDATES / f"{number}.safetensors"
+
+    def row(self, number: int) -> Row:
+        """The candidate of that number; SpecError where there is none."""
+        for row in self.leaderboard:
+            if row.number == number:
+                return row
+        known = [str(row.number) for row in self.leaderboard]
+        raise SpecError(
+            f"{self.path} has no candidate {number}. {suggest(str(number), known)}"
+            if known
+            else f"{self.path} has no candidates yet",
+            field="number",
+        )
+
+    def network(self, number: int) -> Network:
+        """The model of a candidate; SpecError where it has none."""
+        row, path = self.row(number), self.model_path(number)
+        if not path.is_file():
+            why = f"{row.status}{': ' if row.detail else ''}{row.detail}"
+            raise SpecError(
+                f"candidate {number} ({row.family}: {row.name}) has no model: {why}",
+                field="number",
+            )
+        return load(path)
+
+    def added(self, row: Row, network: Network | None) -> "SearchFolder":
+        """With one more candidate, written to the disk: its model before its row."""
+        if network is not None:
+            self.save(row.number, network)
+        board = self.leaderboard
+        rows = (*(r for r in board.rows if r.number != row.number), row)
+        after = dataclasses.replace(
+            self, leaderboard=dataclasses.replace(board, rows=rows)
+        )
+        after.write()
+        return after
+
+    def save(self, number: int, network: Network) -> None:
+        """Write the model of a candidate."""
+        path = self.model_path(number)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise unwritable(path, error) from error
+        save(network, path)
+
+    def write(self) -> None:
+        """Write `search.json`, whole or not at all."""
+        board = self.leaderboard
+        told = {
+            "format": FORMAT,
+            "key": dict(self.key),
+            "group_names": list(board.group_names),
+            "rule": board.rule,
+            "rows": [row.to_dict() for row in board],
+        }
+        path = self.path / NAME
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_whole(path, json.dumps(told, allow_nan=False, indent=1).encode())
+        except OSError as error:
+            raise unwritable(path, error, "What was tried is kept. ") from error
+
+
+def open_search(
+    path: Path, key: Mapping[str, Any], leaderboard: Leaderboard
+) -> SearchFolder:
+    """The folder of this search: gone on with where it is there, else begun.
+
+    `leaderboard` has the names of the groups and the rule of the choice; rows that are
+    on the disk already come with the result. SpecError where the folder holds a search
+    with another key.
+    """
+    new = SearchFolder(path, _plain(key), leaderboard)
+    if not (path / NAME).is_file():
+        new.write()
+        return new
+    old = read_search(path)
+    names = dict.fromkeys([*new.key, *old.key])
+    if other := [name for name in names if old.key.get(name) != new.key.get(name)]:
+        raise SpecError(
+            f"{path} holds a search that differs in {', '.join(other)}; choose another "
+            "--out, or begin anew with --force",
+            field="folder",
+        )
+    rows = tuple(r for r in old.leaderboard if not lost(old, r))
+    return dataclasses.replace(
+        new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
+    )
+
+
+def lost(folder: SearchFolder, row: Row) -> bool:
+    """Whether the model of a candidate that had one is no longer there."""
+    return row.free_run is not None and not folder.model_path(row.number).is_file()
+
+
+def read_search(path: Path) -> SearchFolder:
+    """The search of a folder, finished or not; DataFileError where there is none."""
+    file = path / NAME
+    if not file.is_file():
+        where = "there is no such folder" if not path.is_dir() else f"it has no {NAME}"
+        raise DataFileError(
+            f"{path} is no folder of a search ({where}). `jaxnarx identify` without a "
+            "method's settings makes one.",
+            path=file,
+        )
+    with reading(file, "the record of a search", advice="Begin anew with --force."):
+        told = json.loads(file.read_text(encoding="utf-8"))
+        if told["format"] > FORMAT:
+            raise ModelFileError(f"{file}: written by a newer jaxnarx", path=file)
+        board = Leaderboard(
+            tuple(Row.from_dict(row) for row in told["rows"]),
+            tuple(told["group_names"]),
+            told["rule"],
+        )
+        return SearchFolder(path, dict(told["key"]), board)
+
+
+def _plain(key: Mapping[str, Any]) -> dict[str, Any]:
+    """As it comes back from the file: tuples are lists."""
+    return json.loads(json.dumps(dict(key), allow_nan=False))

@@ -1,0 +1,189 @@
+"""`jaxnarx identify` without a method: the search, from description to report."""
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.data import Channels, Dataset
+from jaxnarx.errors import JaxnarxError, SpecError, suggest
+from jaxnarx.identification import Leaderboard, identify, read_search, sentences
+from jaxnarx.identification.search_folder import CANDIDATES, NAME
+from jaxnarx.models import Network
+from jaxnarx.shell import interrupt
+from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.description import read_description
+from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.leaderboard_text import TOP, table
+from jaxnarx.shell.messages import count, next_command, say, warn
+from jaxnarx.shell.output import RUN, run_folder, slug
+from jaxnarx.shell.remedies import next_search
+from jaxnarx.shell.search_commands import Automatic
+from jaxnarx.shell.search_progress import duration, search_progress
+from jaxnarx.shell.search_run import (
+    CSV,
+    ORIGIN,
+    Origin,
+    provenance,
+    scored,
+    scored_parts,
+    summary,
+    training,
+    write_run,
+)
+from jaxnarx.solution import Solution
+
+SHOWN = 3
+"""Outputs that the name of a folder names."""
+GOES_ON = "the same command goes on where it stopped"
+
+
+def search(command: Identify, asked: Automatic, typed: str) -> int:
+    """Search, or go on searching, and report on the model; returns the exit code."""
+    begin = time.perf_counter()
+    require_finite("require_fit", command.require_fit)
+    split = read_description(command.description, command.root)
+    require_outputs(asked, split.all.channels)
+    about, told = provenance(typed, split.preparation)
+    if split.preparation is not None:
+        say(f"The records are prepared:\n{told['preparation']}")
+    out = command.out or str(Path("runs") / folder_name(command, asked))
+    with _search_folder(out, command.force) as folder:
+        train, validation = training(split)
+        Origin.of(command.description, command.root).write(folder)
+        fit, stopped = _run(asked, train, validation, folder)
+        network, board = fit.value, fit.stats["leaderboard"]
+        parts = scored_parts(train, validation, split.test, network)
+        if look := fit.stats.get("look"):
+            told["seen in the data"] = look
+        result = scored(network, parts, board, {}, told)
+        files = write_run(folder, network, result, about, board)
+    _tell(board, network)
+    say("\n" + summary(result))
+    say(
+        f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
+    )
+    say(f"All candidates: jaxnarx leaderboard {folder}")
+    say(f"\n{result.verdict.sentence}")
+    _tell_end(fit, stopped)
+    _left(asked, train.channels, network)
+    say(f"\nOpen {folder / 'report.html'}")
+    model = str(folder / RUN[0])
+    words, then = next_search(command, asked, result.verdict, model=model)
+    if stopped:
+        words, then = next_search(command, asked, None, model=model)
+    next_command(*words, then=then)
+    return judged(result, command.require_fit) or stopped * 130
+
+
+def folder_name(command: Identify, asked: Automatic) -> str:
+    """Always the same for the same description, outputs and preset."""
+    words = [Path(command.description).stem, *asked.outputs[:SHOWN]]
+    if len(asked.outputs) > SHOWN:
+        words.append(f"{len(asked.outputs) - SHOWN}_more")
+    return slug("-".join([*words, asked.preset]))
+
+
+def require_outputs(asked: Automatic, channels: Channels) -> None:
+    """SpecError where there is no output of a name that is asked for."""
+    known = channels.output_names
+    for name in asked.outputs:
+        if name not in known:
+            raise SpecError(
+                f"outputs: there is no output {name!r}. {suggest(name, known)}",
+                field="outputs",
+            )
+
+
+@contextmanager
+def _search_folder(out: str, force: bool) -> Iterator[Path]:
+    """The folder, which is gone on with where it holds a search; with `force` it is
+    begun anew. Without any candidate nothing of ours stays in it.
+    """
+    goes_on = (Path(out) / NAME).is_file()
+    marks = (*RUN, CSV)
+    with run_folder(out, "", force=force or goes_on, marks=marks) as folder:
+        if force:
+            _clear(folder)
+        try:
+            yield folder
+        except BaseException:
+            if not _tried(folder):
+                _clear(folder)
+            raise
+
+
+def _clear(folder: Path) -> None:
+    for name in (NAME, ORIGIN):
+        with suppress(FileNotFoundError):
+            (folder / name).unlink()
+    shutil.rmtree(folder / CANDIDATES, ignore_errors=True)
+
+
+def _tried(folder: Path) -> int:
+    """How many candidates the folder holds."""
+    try:
+        return len(read_search(folder).leaderboard)
+    except JaxnarxError:
+        return 0
+
+
+def _run(
+    asked: Automatic, train: Dataset, validation: Dataset | None, folder: Path
+) -> tuple[Solution[Network], bool]:
+    """The search, and whether Ctrl-C has ended it."""
+    if there := _tried(folder):
+        say(f"Going on with {count(there, 'candidate')} in {folder}")
+
+    def heard() -> None:
+        warn("ending with the best so far; Ctrl-C again ends at once")
+
+    def kept() -> None:
+        if there := _tried(folder):
+            say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
+
+    with interrupt.patiently(heard) as patience, interrupt.last_words(kept):
+        try:
+            with search_progress() as progress:
+                fit = identify(
+                    train,
+                    preset=asked.preset,
+                    budget=asked.budget,
+                    candidates=asked.candidates,
+                    outputs=asked.outputs,
+                    validation=validation,
+                    folder=folder,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            kept()
+            raise
+    return fit, patience.used
+
+
+def _tell(board: Leaderboard, network: Network) -> None:
+    """The table of every output, the choice and why."""
+    for output in network.output_names:
+        say(f"\n{output}: free run on records left out, NRMSE")
+        say(table(board, output, top=TOP))
+        for sentence in sentences(board, output):
+            say(sentence)
+
+
+def _tell_end(fit: Solution[Network], stopped: bool) -> None:
+    if stopped:
+        warn(f"interrupted: this is the best so far, and {GOES_ON}")
+    elif fit.detail:
+        (say if fit.is_okay else warn)(f"{fit.status_name}: {fit.detail}")
+
+
+def _left(asked: Automatic, channels: Channels, network: Network) -> None:
+    wanted: Any = asked.outputs or channels.output_names
+    if missing := [name for name in wanted if name not in network.output_names]:
+        warn(f"not reached: {', '.join(missing)}; {GOES_ON}")
+
+
+def _listed(names: list[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,158 @@
+"""What a search's folder holds beside its candidates: origin, model and report."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
+from jaxnarx.errors import DataFileError, reading
+from jaxnarx.evaluation import Report, report
+from jaxnarx.evaluation.table import number
+from jaxnarx.identification import Leaderboard, described, with_group
+from jaxnarx.models import Network, save
+from jaxnarx.shell.messages import say, size
+from jaxnarx.shell.output import write_report, write_text, written_together
+
+ORIGIN = "made_from.json"
+CSV = "leaderboard.csv"
+VALIDATION = "validation"
+"""The group of the records that the description has for validation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """The records of a search, for commands that come later; paths are absolute."""
+
+    description: str
+    root: str | None
+
+    @classmethod
+    def of(cls, description: str, root: str | None) -> "Origin":
+        """From what was typed, or set as the folder of data."""
+        root = root or os.environ.get("JAXNARX_DATA") or None
+        return cls(os.path.abspath(description), root and os.path.abspath(root))
+
+    def write(self, folder: Path) -> None:
+        """Into the folder of the search."""
+        write_text(folder / ORIGIN, json.dumps(dataclasses.asdict(self), indent=1))
+
+
+def read_origin(folder: Path) -> Origin:
+    """What `Origin.write` wrote; DataFileError where it is not there or damaged."""
+    path = folder / ORIGIN
+    if not path.is_file():
+        raise DataFileError(
+            f"{folder} does not say which records it was made from (it has no "
+            f"{ORIGIN}); name them with --description",
+            path=path,
+        )
+    with reading(path, "the origin of a search", advice="Use --description."):
+        told = json.loads(path.read_text(encoding="utf-8"))
+        return Origin(str(told["description"]), told.get("root"))
+
+
+def training(split: Split) -> tuple[Dataset, Dataset | None]:
+    """Records of the search, and those for validation, which join them."""
+    train = split.train if split.train is not None else split.all
+    say(f"{size(train)} for training")
+    if split.validate is not None:
+        say(
+            f"The records for validation ({', '.join(split.validate.names[:6])}) join "
+            "them as a group of their own"
+        )
+    return train, split.validate
+
+
+def scored_parts(
+    train: Dataset, validation: Dataset | None, test: Dataset | None, network: Network
+) -> dict[str, Dataset]:
+    """What the report is about: all that was trained on, and the test records.
+
+    A part without a record that is longer than the model's memory is left out.
+    """
+    joined = train
+    if validation is not None:
+        joined = with_group(train, validation, VALIDATION)
+    parts = {"train": joined} | ({} if test is None else {"test": test})
+    known = network.channels
+    longest = {name: max(map(len, data)) for name, data in parts.items()}
+    for name in [n for n, rows in longest.items() if rows <= network.history + 1]:
+        if len(parts) > 1:
+            say(f"No record of {name} is longer than the model's memory; left out")
+            del parts[name]
+    own = Channels(known.inputs, known.outputs)
+    return {name: match_channels(data, own)[0] for name, data in parts.items()}
+
+
+def scored(
+    network: Network,
+    parts: Mapping[str, Dataset],
+    board: Leaderboard,
+    taken: Mapping[str, int],
+    told: Mapping[str, Any],
+) -> Report:
+    """The report of a model of the search; `taken` are candidates chosen by hand."""
+    shortest = min(max(map(len, data)) for data in parts.values())
+    return report(
+        network,
+        parts,
+        horizons=(1, 10) if shortest > network.history + 10 else (1,),
+        leaderboard={
+            name: described(board, name, taken.get(name))
+            for name in network.output_names
+        },
+        provenance=told,
+    )
+
+
+def write_run(
+    folder: Path,
+    network: Network,
+    result: Report,
+    about: Mapping[str, Any],
+    board: Leaderboard | None = None,
+) -> list[str]:
+    """Model and report, and the table where it is new: together or not at all.
+
+    Returns the names of the files.
+    """
+    with written_together(folder) as place:
+        save(network, place / "model.safetensors", about=dict(about))
+        write_report(result, place)
+        if board is not None:
+            write_text(place / CSV, board.to_csv())
+        return sorted(path.name for path in place.iterdir())
+
+
+def provenance(
+    typed: str, preparation: Preparation | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the model file keeps, and what the report tells, of how it was made."""
+    about: dict[str, Any] = {"command": typed}
+    told: dict[str, Any] = {"command": typed}
+    if preparation is not None:
+        about["preparation"] = preparation.to_dict()
+        told["preparation"] = preparation.describe()
+    return about, told
+
+
+def summary(result: Report) -> str:
+    """Pooled figures of the main part: one step and free run of every output."""
+    wide = max(len(channel.name) for channel in result.outputs)
+    head = f"{'one step':>12s} {'free run':>12s} {'fit %':>8s}"
+    lines = [f"On {result.main}: RMSE pooled over the records", f"{'':{wide}s} {head}"]
+    for channel in result.outputs:
+        one = result.pooled(channel.name, mode="one step")
+        free = result.pooled(channel.name)
+        cells = (
+            row.status if row.rmse is None else number(row.rmse) for row in (one, free)
+        )
+        fit = "-" if free.fit is None else f"{free.fit:.1f}"
+        one_text, free_text = cells
+        lines.append(
+            f"{channel.name:{wide}s} {one_text:>12s} {free_text:>12s} {fit:>8s}"
+        )
+    return "\n".join(lines)
