@@ -22,6 +22,7 @@ from jaxnarx.models.limits import held_inputs as held_inputs
 from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import reported as reported
 from jaxnarx.models.limits import reported_range as reported_range
+from jaxnarx.models.merge import merged as merged
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel

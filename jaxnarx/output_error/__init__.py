@@ -6,3 +6,8 @@ With A given the free run is linear in theta, so the simulation error has normal
 equations. They add over records, and leaving a group of records out costs one small
 solve and no pass over the data.
 """
+
+from jaxnarx.output_error.look import Look as Look
+from jaxnarx.output_error.look import look as look
+from jaxnarx.output_error.search import Found as Found
+from jaxnarx.output_error.search import Search as Search

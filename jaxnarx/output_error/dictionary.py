@@ -150,12 +150,29 @@ class Dictionary:
         cross = [c @ b.T for c, b in zip(block.columns, self.rows(), strict=True)]
         return np.stack(cross), np.stack(own)
 
+    def runs(
+        self, theta: Float[np.ndarray, " columns"]
+    ) -> list[Float[np.ndarray, " time"]]:
+        """Free runs of all stretches, in standard deviations of the output."""
+        out = []
+        for one in self.signals.stretches:
+            raw, edge = np.zeros(len(one.y)), 0
+            for block in self.blocks:
+                own = theta[edge : edge + len(block.terms)]
+                edge += len(own)
+                used = np.flatnonzero(own)
+                p = evaluate(self.signals.factor[block.terms[used]], one.z)
+                raw += weight(block.region, one.x) * (own[used] @ np.asarray(p))
+            run = one.filtered(raw[None], self.a)[0]
+            out.append(run + one.left_by_start(self.a))
+        return out
+
     def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:
         """Sum of squared errors of every group by a model made without it."""
         out = []
         for g, rows in enumerate(self.rows()):
             theta = self.equations.without(g).solve(ridge)
-            out.append(self.loss(g, theta @ rows))
+            out.append(self.loss(g, theta @ rows + self.begun(g)))
         return np.array(out)
 
     def curve(
@@ -167,16 +184,19 @@ class Dictionary:
             path = self.equations.without(g).forward(ridge, max(sizes), first)
             for n, size in enumerate(sizes):
                 at, theta = path.at(size)
-                out[g, n] = self.loss(g, theta @ rows[at])
+                out[g, n] = self.loss(g, theta @ rows[at] + self.begun(g))
         return out
+
+    def begun(self, group: int) -> Float[np.ndarray, " _"]:
+        """What the measured start leaves in a group's free run."""
+        return self.measured[group] - self.target[group]
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
         """Sum of squared errors of a group, held within the range of all others."""
         rest = [y for g, y in enumerate(self.measured) if g != group]
         low, high = min(y.min() for y in rest), max(y.max() for y in rest)
         margin = MARGIN * (high - low)
-        start = self.measured[group] - self.target[group]
-        held = np.clip(run + start, low - margin, high + margin)
+        held = np.clip(run, low - margin, high + margin)
         return float(np.sum((self.measured[group] - held) ** 2))
 
     def rows(self) -> list[np.ndarray]:

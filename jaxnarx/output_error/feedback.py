@@ -1,38 +1,20 @@
 """The common feedback: chosen from a grid on linear terms, tuned by Gauss-Newton."""
 
-import dataclasses
-
 import numpy as np
 import scipy.signal
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from jaxnarx.output_error.denominator import is_stable, of_times
-from jaxnarx.output_error.dictionary import Dictionary, weight
-from jaxnarx.regressors import evaluate
+from jaxnarx.output_error.denominator import is_stable
+from jaxnarx.output_error.dictionary import Dictionary
 
 STEPS, HALVINGS = 8, 6
 ENOUGH = 2e-3
 """Share of the loss that a step must bring to be followed by another."""
 
 
-def freely(
-    dictionary: Dictionary, theta: Float[np.ndarray, " columns"]
-) -> list[np.ndarray]:
-    """Free runs of all stretches, scaled as their targets."""
-    runs = []
-    for one in dictionary.signals.stretches:
-        raw, edge = np.zeros(len(one.y)), 0
-        for block in dictionary.blocks:
-            own = theta[edge : edge + len(block.terms)]
-            edge += len(own)
-            p = np.asarray(evaluate(dictionary.signals.factor[block.terms], one.z))
-            raw += weight(block.region, one.x) * (own @ p)
-        run = one.filtered(raw[None], dictionary.a)[0]
-        runs.append(run + one.left_by_start(dictionary.a))
-    return runs
-
-
-def tuned(dictionary: Dictionary, ridge: float) -> tuple[Dictionary, float]:
+def tuned(
+    dictionary: Dictionary, ridge: float, *, steps: int = STEPS
+) -> tuple[Dictionary, float]:
     """The same columns with the best A(q) near the present one; mean squared error.
 
     Gauss-Newton on the coefficients of A and of the columns together: the derivative of
@@ -40,7 +22,7 @@ def tuned(dictionary: Dictionary, ridge: float) -> tuple[Dictionary, float]:
     loss.
     """
     loss = _loss(dictionary, ridge)
-    for _ in range(STEPS):
+    for _ in range(steps):
         better = _better(dictionary, loss, ridge)
         if better is None:
             break
@@ -73,7 +55,7 @@ def _loss(dictionary: Dictionary, ridge: float) -> float:
 def _step(dictionary: Dictionary, ridge: float) -> Float[np.ndarray, " order"]:
     """Change of A's coefficients by one Gauss-Newton step on everything."""
     theta = dictionary.equations.without(None).solve(ridge)
-    moves = _moves(dictionary, freely(dictionary, theta))
+    moves = _moves(dictionary, dictionary.runs(theta))
     n, size = len(dictionary.a) - 1, len(theta) + len(dictionary.a) - 1
     gram, right = np.zeros((size, size)), np.zeros(size)
     for columns, by, target in zip(

@@ -1,0 +1,76 @@
+"""Candidates whose terms hold past outputs, each trained on the free run."""
+
+from collections.abc import Iterator
+
+from jaxnarx.data import Dataset
+from jaxnarx.methods import (
+    ForwardOLS,
+    Global,
+    Identification,
+    Lolimot,
+    SimulationError,
+)
+from jaxnarx.output_error import Look
+from jaxnarx.regressors import Pool, polynomial_pool
+
+HORIZONS = (10, 100)
+LARGEST = 600
+"""Candidate terms of a pool."""
+
+
+def fed_back(data: Dataset, look: Look) -> Iterator[tuple[str, str, Identification]]:
+    """(family, name, method), those that pay most often first."""
+    for lags, degree, terms in (
+        (2, 2, 10), (2, 3, 12), (2, 1, 0), (3, 3, 20), (2, 3, 6), (3, 2, 20),
+        (2, 3, 30), (3, 1, 0), (4, 3, 30), (4, 2, 30), (4, 3, 50),
+    ):
+        if degree == 1:
+            yield from _local(data, look, lags)
+            continue
+        pool = pool_of(data, look, lags, degree)
+        if pool is not None and len(pool) > terms:
+            name = f"degree {degree}, {terms} terms, lags up to {lags}"
+            yield "polynomial NARX", name, _method(pool, terms, Global())
+
+
+def _local(
+    data: Dataset, look: Look, lags: int
+) -> Iterator[tuple[str, str, Identification]]:
+    """Affine local models over inputs and the last output."""
+    pool = pool_of(data, look, lags, 1)
+    assert pool is not None
+    over = [
+        f"{n}[t-{d}]" if d else f"{n}[t]"
+        for n, d in zip(data.channels.input_names, look.dead_time, strict=True)
+    ]
+    for models in (3, 6):
+        method = Lolimot(scheduling=[*over, f"{look.output}[t-1]"], max_models=models)
+        name = f"{models} models, lags up to {lags}"
+        yield "LOLIMOT", name, _method(pool, len(pool), method)
+
+
+def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
+    """Inputs from their dead time on and outputs, all products; None if too many."""
+    names = data.channels.input_names
+    variables = len(names) * (lags + 1) + lags
+    if degree > 1 and variables**degree > 6 * LARGEST:
+        return None
+    return polynomial_pool(
+        data.channels,
+        outputs=[look.output],
+        input_lags={
+            n: range(d, d + lags + 1)
+            for n, d in zip(names, look.dead_time, strict=True)
+        },
+        output_lags=range(1, lags + 1),
+        degree=degree,
+    )
+
+
+def _method(pool: Pool, terms: int, grow) -> Identification:
+    refine = SimulationError(
+        horizons=HORIZONS, window_steps=8, max_steps=20, train="coefficients"
+    )
+    return Identification(
+        pool=pool, select=ForwardOLS(max_terms=terms), grow=grow, refine=refine
+    )

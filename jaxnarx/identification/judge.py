@@ -1,0 +1,85 @@
+"""Free-run errors on groups left out, of methods that are trained step by step."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.identification.verb import identify
+from jaxnarx.methods import Identification
+from jaxnarx.models import Network, hold_to_range
+from jaxnarx.simulation import predict, simulate
+
+HOPELESS = 1.5
+"""Error on the groups so far, as a multiple of the best candidate's there, beyond which
+the other groups are not tried."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judged:
+    """Errors of one candidate on groups left out, in standard deviations."""
+
+    losses: Float[np.ndarray, " groups"]
+    """Mean squared error of every group; NaN where it was not tried."""
+    counts: Float[np.ndarray, " groups"]
+    """Samples that count."""
+    one_step: float
+    diverged: int
+    """Records."""
+    network: Network | None
+    """Trained on all records; None where the candidate was given up."""
+    detail: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every group has been tried."""
+        return bool(np.all(np.isfinite(self.losses)))
+
+
+def judge(
+    method: Identification,
+    data: Dataset,
+    groups: Groups,
+    spread: float,
+    best: Float[np.ndarray, " groups"] | None = None,
+) -> Judged:
+    """Train without every group in turn, run freely over it; then train on everything.
+
+    Given up where a run diverges, or where errors are far beyond those of the `best`
+    candidate. `spread` is the output's standard deviation.
+    """
+    losses, counts = np.full(len(groups), np.nan), np.zeros(len(groups))
+    ahead, diverged = 0.0, 0
+    for g, fold in enumerate(groups.folds(data)):
+        network = trained(method, fold.train)
+        loss, counts[g], bad = score(network, fold.left, spread)
+        losses[g], diverged = loss, diverged + bad
+        ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
+        if diverged:
+            return Judged(losses, counts, np.nan, diverged, None, "diverges")
+        done = slice(g + 1)
+        if best is not None and losses[done].sum() > HOPELESS**2 * best[done].sum():
+            told = f"given up after {g + 1} of {len(groups)} groups"
+            return Judged(losses, counts, np.nan, diverged, None, told)
+    network = trained(method, data)
+    one_step = float(np.sqrt(ahead / max(counts.sum(), 1.0)))
+    return Judged(losses, counts, one_step, diverged, network)
+
+
+def trained(method: Identification, data: Dataset) -> Network:
+    """The network of a method, held to the range of its records."""
+    return hold_to_range(identify(data, method).value)
+
+
+def score(
+    network: Network, data: Dataset, spread: float, k: int | None = None
+) -> tuple[float, int, int]:
+    """Mean squared error, samples that count, and records that diverge; of a free run,
+    or so many steps ahead. Of one output."""
+    run = (simulate(network, data) if k is None else predict(network, data, k)).value
+    (o,) = network.modelled
+    parts = zip(data, run.outputs, run.scored, strict=True)
+    errors = [(r.y[:, o] - y[:, 0])[s[:, 0]] for r, y, s in parts]
+    every = np.concatenate(errors) / spread
+    return float(np.mean(every**2)), len(every), int(sum(d[0] for d in run.diverged))

@@ -1,0 +1,288 @@
+"""From linear models to regions with products: candidates in closed form, in order.
+
+Every candidate is judged by the free run of groups of records left out, which the
+normal equations of the simulation error give without another pass over the data.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.models import Network
+from jaxnarx.output_error.denominator import is_stable, of_times
+from jaxnarx.output_error.dictionary import Block, Dictionary
+from jaxnarx.output_error.feedback import tuned
+from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, constants, grown, sized
+from jaxnarx.output_error.look import Look
+from jaxnarx.output_error.network import network_of
+from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
+from jaxnarx.regressors import Variables, evaluate
+
+ORDERS = 4
+"""Largest order of A(q)."""
+SETTLED = 1e-4
+"""Ridge while the feedback of linear models is sought."""
+GAIN = 0.98
+"""Share of the error that a further order must leave at most to be believed."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Found:
+    """A candidate: its structure, its errors, and the network of all records."""
+
+    family: str
+    name: str
+    stage: Stage
+    data: Dataset
+    given: Float[np.ndarray, " columns"] | None = None
+    """Coefficients that are not those of least squares of the free run."""
+
+    @property
+    def free_run(self) -> float:
+        """NRMSE over the groups left out."""
+        return self.stage.score
+
+    def groups(self) -> Float[np.ndarray, " groups"]:
+        """The same of every group."""
+        count = np.maximum(self.stage.dictionary.equations.samples, 1.0)
+        return np.sqrt(self.stage.losses / count)
+
+    def coefficients(self) -> Float[np.ndarray, " columns"]:
+        """Of all columns, from all groups; zero where a column is not chosen."""
+        if self.given is not None:
+            return self.given
+        at, theta = self.stage.chosen()
+        full = np.zeros(self.stage.dictionary.equations.columns)
+        full[at] = theta
+        return full
+
+    def network(self) -> Network:
+        """Trained on all records."""
+        leaves = tuple(leaf.region for leaf in self.stage.leaves)
+        return network_of(self.stage.dictionary, leaves, self.coefficients(), self.data)
+
+
+class Search:
+    """Candidates for one output; what several of them need is formed once."""
+
+    def __init__(self, data: Dataset, look: Look, groups: Groups):
+        self.data, self.look, self.groups = data, look, groups
+        self.known: dict[tuple[Memory, int], Signals] = {}
+
+    def signals(self, memory: Memory, degree: int) -> Signals:
+        """Variables and terms of a memory."""
+        key = memory, degree
+        if key not in self.known:
+            pool = linear_pool(self.data, self.look, memory)
+            if degree > 1:
+                pool = product_pool(pool, self.look, memory, degree)
+            table = scheduling(self.data, self.look, memory)
+            labels = list(self.groups.labels)
+            self.known = {key: signals_of(
+                self.data, pool, table, labels, history=ORDERS, every=self.look.every
+            )}
+        return self.known[key]
+
+    def found(self, family: str, name: str, stage: Stage) -> Found:
+        """A candidate."""
+        return Found(family, name, stage, self.data)
+
+    def root(
+        self, signals: Signals, a: Float[np.ndarray, " _"], ridges: Sequence[float] = RIDGES
+    ) -> Stage:
+        """One region with this feedback."""
+        dictionary = Dictionary.of(signals, a)
+        dictionary = dictionary.extended(dictionary.block(()))
+        dims = len(signals.scheduling)
+        return sized(dictionary, (Leaf((), np.zeros(dims), np.ones(dims)),), ridges)
+
+    def retuned(self, stage: Stage) -> Stage:
+        """The same regions with the feedback that suits them best."""
+        if len(stage.dictionary.a) == 1:
+            return stage
+        at, _ = stage.chosen()
+        a = tuned(stage.dictionary.only(at), stage.ridge)[0].a
+        moved = stage.dictionary.moved(a)
+        new = sized(moved, stage.leaves, near(stage.ridge))
+        return new if new.score < stage.score else stage
+
+    def constant(self) -> Found:
+        """The mean."""
+        signals = self.signals(Memory(1, (0,), ()), 1)
+        dictionary = Dictionary.of(signals, np.ones(1))
+        place = np.flatnonzero(np.all(signals.factor == 0, axis=1))
+        dictionary = dictionary.extended(dictionary.block((), place))
+        dims = len(signals.scheduling)
+        leaf = Leaf((), np.zeros(dims), np.ones(dims))
+        losses = dictionary.left_out(0.0)
+        return self.found(
+            "constant", "mean", Stage(dictionary, (leaf,), losses, 1, 0.0)
+        )
+
+    def linear(self) -> Iterator[Found]:
+        """Output-error models of rising order without filters (OE)."""
+        last = np.ones(1)
+        for order in range(1, ORDERS + 1):
+            signals = self.signals(Memory(1, tuple(range(order + 2)), ()), 1)
+            a = self.feedback(signals, order, last)
+            stage = self.root(signals, a)
+            last = a
+            yield self.found("OE", f"order {order}", stage)
+
+    def feedback(
+        self, signals: Signals, order: int, last: Float[np.ndarray, " _"]
+    ) -> Float[np.ndarray, " _"]:
+        """A(q) of linear terms: the best of several starts, tuned."""
+        starts = [a for a in self._starts(signals, order, last) if is_stable(a)]
+        every = []
+        for a in starts:
+            dictionary = Dictionary.of(signals, a)
+            dictionary = dictionary.extended(dictionary.block(()))
+            every.append(tuned(dictionary, SETTLED, steps=1))
+        every.sort(key=lambda one: one[1])
+        return min(
+            (tuned(one, SETTLED) for one, _ in every[:2]), key=lambda one: one[1]
+        )[0].a
+
+    def _starts(self, signals: Signals, order: int, last) -> Iterator[np.ndarray]:
+        if len(last) == order + 1:
+            yield last
+        elif len(last) == order:
+            yield np.convolve(last, [1.0, -0.3])
+            yield np.convolve(last, [1.0, -0.9])
+        yield equation_error(signals, order)[0]
+        if order <= 2:
+            unit = self.data.sample_time
+            rise, slow = max(self.look.rise, 1.0), max(self.look.memory / 3, 2.0)
+            for time in {rise, float(np.sqrt(rise * slow)), slow}:
+                yield of_times([time * unit, time * unit / 3][:order], unit)
+
+    def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[Found]:
+        """Linear terms at lags and through filters, without feedback and with it."""
+        memory = Memory(max(1, round(self.look.rise / 4)))
+        signals = self.signals(memory, 1)
+        for order in (0, 1):
+            a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
+            stage = self.root(signals, a)
+            yield self.found(FAMILIES[order], told(memory, a), stage)
+
+    def polynomials(self, orders: dict[int, np.ndarray], degree: int) -> list[Found]:
+        """Products in several scales of lags and filters, with several feedbacks; best
+        first."""
+        step, out = 1, []
+        most = max(self.look.rise, self.look.memory / 64, 1.0)
+        while step <= most:
+            memory = Memory(step)
+            signals = self.signals(memory, degree)
+            for a in (np.ones(1), orders[1], orders[2]):
+                stage = self.root(signals, a, (1e-4, 1e-2))
+                name = f"degree {degree}, {told(memory, a)}"
+                out.append(self.found("polynomial", name, stage))
+            step *= 2
+        return sorted(out, key=lambda one: one.free_run)
+
+    def candidates(self, max_models: int, degree: int = 2) -> Iterator[Found]:
+        """From the mean to regions, cheap ones first."""
+        yield self.constant()
+        for order in (1, 2, 3):
+            yield self.equation_error(order)
+        orders = {}
+        for one in self.linear():
+            orders[len(one.stage.dictionary.a) - 1] = one.stage.dictionary.a
+            yield one
+        yield from self.filtered(orders)
+        roots = []
+        for one in _distinct(self.polynomials(orders, degree)):
+            roots.append(dataclasses.replace(one, stage=self.retuned(one.stage)))
+            yield roots[-1]
+        roots.sort(key=lambda one: one.free_run)
+        for root in roots[:GROWN]:
+            levels = self.levels(root.stage.dictionary.signals.scheduling)
+            stages = grown(root.stage, max_models=max_models, levels=levels)
+            best = self.retuned(min(stages, key=lambda one: one.score))
+            name = f"{len(best.leaves)} regions, {root.name}"
+            yield self.found("shared feedback", name, best)
+
+    def levels(self, table: Variables) -> list[tuple[float, ...] | None]:
+        """Of scheduling variables with few values these, from 0 to 1."""
+        out = []
+        for signal, _, filter_ in table.entries:
+            own = self.look.levels[signal] if filter_ is None else None
+            if own is not None:
+                span = max(own[-1] - own[0], 1e-300)
+                own = tuple((v - own[0]) / span for v in own)
+            out.append(own)
+        return out
+
+    def equation_error(self, order: int) -> Found:
+        """Least squares one step ahead (ARX), run freely."""
+        signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
+        dims, losses = len(signals.scheduling), []
+        for g in range(len(self.groups)):
+            a, theta = equation_error(signals, order, without=g)
+            bare = _bare(signals, a)
+            losses.append(bare.loss(g, _of_group(signals, bare.runs(theta), g)))
+        a, theta = equation_error(signals, order)
+        leaf = Leaf((), np.zeros(dims), np.ones(dims))
+        stage = Stage(_bare(signals, a), (leaf,), np.array(losses), len(theta), 0.0)
+        return Found("ARX", f"order {order}", stage, self.data, theta)
+
+
+FAMILIES = "filtered inputs", "OE with filtered inputs"
+GROWN = 2
+"""How many of the polynomials are grown."""
+
+
+def near(ridge: float) -> list[float]:
+    """Ridges beside one."""
+    return [r for r in RIDGES if ridge / 11 < r < ridge * 11] or [ridge]
+
+
+def _distinct(ranked: list[Found]) -> list[Found]:
+    """The best for every order of the feedback."""
+    seen: dict[int, Found] = {}
+    for one in ranked:
+        seen.setdefault(len(one.stage.dictionary.a), one)
+    return list(seen.values())
+
+
+def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
+    """Memory and order in words."""
+    return f"order {len(a) - 1}, {memory}"
+
+
+def _bare(signals: Signals, a: Float[np.ndarray, " _"]) -> Dictionary:
+    """One region without products of its columns."""
+    bare = Dictionary.of(signals, a)
+    terms = np.arange(len(signals.factor))
+    return dataclasses.replace(bare, blocks=(Block((), terms, ()),))
+
+
+def _of_group(signals: Signals, runs: list[np.ndarray], group: int) -> np.ndarray:
+    """Where a group's samples count."""
+    parts = zip(signals.stretches, runs, strict=True)
+    return np.concatenate([run[one.counted[group]] for one, run in parts])
+
+
+def equation_error(
+    signals: Signals, order: int, *, without: int | None = None
+) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, " columns"]]:
+    """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
+    size = order + len(signals.factor)
+    gram, right = np.zeros((size, size)), np.zeros(size)
+    for one in signals.stretches:
+        past = np.concatenate([one.before[:order][::-1], one.y])
+        lags = [past[order - i : order - i + len(one.y)] for i in range(1, order + 1)]
+        at = np.concatenate([c for g, c in enumerate(one.counted) if g != without])
+        terms = np.asarray(evaluate(signals.factor, one.z[:, at]))
+        rows = np.concatenate([-np.stack(lags)[:, at], terms])
+        gram += rows @ rows.T
+        right += rows @ one.y[at]
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    system = gram / np.outer(scale, scale) + 1e-9 * np.eye(size)
+    found = np.linalg.solve(system, right / scale) / scale
+    return np.concatenate([[1.0], found[:order]]), found[order:]

@@ -1,0 +1,106 @@
+"""Pools without feedback for the closed form: lags and filters in one scale."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxnarx.data import Dataset
+from jaxnarx.output_error.look import Look
+from jaxnarx.regressors import (
+    LowPass,
+    Pool,
+    Variables,
+    polynomial_pool,
+)
+
+SPREAD = (0, 1, 2, 3, 4, 6, 8)
+"""Lags behind the dead time, in steps."""
+SLOW = (2.5, 10.0, 40.0, 150.0)
+"""Time constants of first-order lags of the inputs, in steps."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Memory:
+    """How inputs are remembered: lags in multiples of `step` samples, and filters."""
+
+    step: int
+    lags: tuple[int, ...] = SPREAD
+    times: tuple[float, ...] = SLOW
+    """Time constants in steps; none without filters."""
+
+    def lags_of(self, dead_time: int) -> list[int]:
+        """Lags of an input; one step before the dead time too, which may be wrong."""
+        begin = max(dead_time - self.step, 0)
+        return [begin + self.step * lag for lag in self.lags]
+
+    def filters(self, data: Dataset) -> list[LowPass]:
+        """Those that records are long enough for."""
+        longest = max(len(r) for r in data) * data.sample_time / 4
+        times = [t * self.step * data.sample_time for t in self.times]
+        return [LowPass(float(f"{t:.3g}")) for t in times if t <= longest]
+
+    def __str__(self) -> str:
+        filters = f", {len(self.times)} filters" if self.times else ""
+        return f"lags by {self.step}{filters}"
+
+
+def linear_pool(data: Dataset, look: Look, memory: Memory) -> Pool:
+    """A constant, and every input at the lags and through the filters."""
+    names = data.channels.input_names
+    return polynomial_pool(
+        data.channels,
+        outputs=[look.output],
+        input_lags={
+            n: memory.lags_of(d) for n, d in zip(names, look.dead_time, strict=True)
+        },
+        output_lags=(),
+        degree=1,
+        filters=memory.filters(data),
+    )
+
+
+def product_pool(linear: Pool, look: Look, memory: Memory, degree: int) -> Pool:
+    """With products of inputs that have many levels, at two lags behind the dead time.
+
+    Products stay within one lag: inputs of engines move slowly, and products of
+    neighbours are neighbours of products.
+    """
+    rows = {tuple(sorted(r)) for r in np.pad(linear.factor, ((0, 0), (0, degree - 1))).tolist()}
+    for place in (1, 2):
+        free = _at(linear, look, memory, place)
+        for size in range(2, degree + 1):
+            rows |= {(0,) * (degree - size) + r for r in _products(free, size)}
+    factor = np.array(sorted(rows, key=lambda r: (np.count_nonzero(r), r)), np.int32)
+    return Pool(linear.variables, factor, linear.channels, linear.outputs)
+
+
+def _products(free: list[int], size: int) -> set[tuple[int, ...]]:
+    if size == 0:
+        return {()}
+    return {
+        (*r, v) for r in _products(free, size - 1) for v in free if not r or v >= r[-1]
+    }
+
+
+def _at(linear: Pool, look: Look, memory: Memory, place: int) -> list[int]:
+    """Variables of inputs with many levels at their lag number `place`."""
+    out = []
+    for n, (signal, lag, filter_) in enumerate(linear.variables.entries, 1):
+        lags = memory.lags_of(look.dead_time[signal])
+        own = filter_ is None and lag == lags[min(place, len(lags) - 1)]
+        if own and look.levels[signal] is None:
+            out.append(n)
+    return out
+
+
+def scheduling(data: Dataset, look: Look, memory: Memory) -> Variables:
+    """Every input two steps behind the dead time; few inputs through a filter too."""
+    rows = []
+    for signal, dead in enumerate(look.dead_time):
+        lags = memory.lags_of(dead)
+        rows.append((signal, lags[min(2, len(lags) - 1)], None))
+    many = [s for s, own in enumerate(look.levels) if own is None]
+    if len(many) <= 2:
+        slow = memory.filters(data)[1:3]
+        rows += [(s, 0, f) for s in many for f in slow]
+    return Variables.of(rows)
