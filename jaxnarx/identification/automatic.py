@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, hold_out, match_channels
+from jaxnarx.data import Dataset, hold_out
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost
 from jaxnarx.evaluation.notes import data_hash
@@ -129,13 +129,11 @@ def _group_names(data: Dataset) -> list[str]:
 
 def _tried(data, output, family, name, settings, number) -> tuple[Row, Network]:
     begin = time.perf_counter()
-    channel = data.channels.outputs[data.channels.output_names.index(output)]
-    data = match_channels(data, Channels(data.channels.inputs, (channel,)))[0]
     if len(data) > 2:
         train, judge = data[: len(data) - 2], data[-2:]
     else:
         train, judge = hold_out(data, share=0.3)
-    network = _made(train, settings)
+    network = _made(train, output, settings)
     free, lost_ = _rows(judge, network, simulate(network, judge).value)
     one, _ = _rows(judge, network, predict(network, judge).value)
     groups = tuple(r.nrmse for r in free[1:])
@@ -156,7 +154,7 @@ def _tried(data, output, family, name, settings, number) -> tuple[Row, Network]:
         seconds=round(time.perf_counter() - begin, 3),
         status="diverged" if lost_ else "ok",
     )
-    return row, _made(data, settings)
+    return row, _made(data, output, settings)
 
 
 def _rows(data, network, run):
@@ -165,9 +163,12 @@ def _rows(data, network, run):
     return rows, sum(r.diverged for r in rows[1:])
 
 
-def _made(data: Dataset, settings: dict[str, Any]) -> Network:
+def _made(data: Dataset, output: str, settings: dict[str, Any]) -> Network:
     pool = Polynomial(
-        input_lags=(1,), output_lags=(1,), degree=settings.get("degree", 1)
+        outputs=(output,),
+        input_lags=(1,),
+        output_lags={output: (1,)},
+        degree=settings.get("degree", 1),
     )
     chosen = select(
         make_pool(pool, data.channels),

@@ -11,7 +11,7 @@ from jaxnarx.data import Channels, Dataset
 from jaxnarx.errors import JaxnarxError, SpecError, suggest
 from jaxnarx.identification import Leaderboard, identify, read_search, sentences
 from jaxnarx.identification.search_folder import CANDIDATES, NAME
-from jaxnarx.models import Network
+from jaxnarx.models import Network, narrowed
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.description import read_description
@@ -54,7 +54,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         train, validation = training(split)
         Origin.of(command.description, command.root).write(folder)
         fit, stopped = _run(asked, train, validation, folder)
-        network, board = fit.value, fit.stats["leaderboard"]
+        network, board = narrowed(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look

@@ -10,7 +10,7 @@ from jaxnarx.identification import (
     read_search,
     sentences,
 )
-from jaxnarx.models import Network
+from jaxnarx.models import Network, merged, narrowed
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.leaderboard_text import table
@@ -94,11 +94,8 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Row]:
 
 def _network(found: SearchFolder, rows: Sequence[Row]) -> Network:
     networks = [found.network(row.number) for row in rows]
-    if len(networks) == 1:
-        return networks[0]
-    from jaxnarx.models import merged
-
-    return merged(networks)
+    whole = networks[0] if len(networks) == 1 else merged(networks)
+    return narrowed(whole)
 
 
 def _origin(command: Take, found: SearchFolder) -> Origin:
