@@ -11,6 +11,7 @@ UNEVEN = 1.25
 """Times the pooled error from which a group is said to be served worse."""
 RULES = {
     "near": "the cheapest to compute within one standard error of the best",
+    "share": "the cheapest to compute within 5 % of the best",
     "best": "the smallest error, whatever it costs",
 }
 """The choice by its rule."""

@@ -30,6 +30,8 @@ ORDERS = 4
 SETTLED = 1e-4
 """Ridge while the feedback of linear models is sought."""
 FAMILIES = "filtered inputs", "OE with filtered inputs"
+WILD = 1e30
+"""Stands for numbers beyond all numbers [standard deviations]."""
 GROWN = 2
 """How many of the polynomials are grown."""
 
@@ -86,7 +88,9 @@ class Found:
 
     def _runs(self) -> list[np.ndarray]:
         """Free runs by the model of all groups."""
-        return self.stage.dictionary.runs(self.coefficients())
+        with np.errstate(all="ignore"):
+            runs = self.stage.dictionary.runs(self.coefficients())
+        return [np.nan_to_num(run, posinf=WILD, neginf=-WILD, nan=WILD) for run in runs]
 
     def groups(self) -> Float[np.ndarray, " groups"]:
         """The same of every group."""
@@ -275,13 +279,17 @@ class Search:
         """Least squares one step ahead (ARX), run freely."""
         signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
         dims, losses = len(signals.scheduling), []
-        for g in range(len(self.groups)):
-            a, theta = equation_error(signals, order, without=g)
+        # What is fitted one step ahead may run away: inf then, and held to the range.
+        with np.errstate(all="ignore"):
+            for g in range(len(self.groups)):
+                a, theta = equation_error(signals, order, without=g)
+                bare = _bare(signals, a)
+                run = _of_group(signals, bare.runs(theta), g)
+                losses.append(bare.loss(g, np.nan_to_num(run)))
+            a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
-            losses.append(bare.loss(g, _of_group(signals, bare.runs(theta), g)))
-        a, theta = equation_error(signals, order)
         leaf = Leaf((), np.zeros(dims), np.ones(dims))
-        stage = Stage(_bare(signals, a), (leaf,), np.array(losses), len(theta), 0.0)
+        stage = Stage(bare, (leaf,), np.array(losses), len(theta), 0.0)
         return Found("ARX", f"order {order}", stage, self.data, theta)
 
 
