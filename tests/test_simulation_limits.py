@@ -129,5 +129,7 @@ def test_the_margin_has_no_part_in_what_is_fed_back_limited_or_judged():
 def test_without_limits_nothing_is_held_and_what_is_computed_is_reported():
     solution = simulate(plain("by inputs"), data())
     assert not solution.stats["held"].any()
-    for y, computed in zip(solution.value, solution.value.computed, strict=True):
+    for y, computed in zip(
+        solution.value.outputs, solution.value.computed, strict=True
+    ):
         np.testing.assert_array_equal(y, computed)

@@ -1,10 +1,11 @@
 """A whole identification: by a search, or by one settings tree."""
 
 from jaxnarx.identification.account import described, figure, sentences, title, used
+from jaxnarx.identification.by_method import Events, needed
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search
-from jaxnarx.identification.verb import VALIDATION, Events, identify, needed, with_group
+from jaxnarx.identification.verb import VALIDATION, identify, with_group
 
 __all__ = [
     "VALIDATION",

@@ -1,34 +1,66 @@
-"""Stand-in for the search: fixed methods, judged on the last records."""
+"""The search for the best model: outputs side by side, candidates one after another.
+
+Outputs are searched in processes of their own where there are several and cores for
+them. What was tried is on the disk after every candidate.
+"""
 
 import dataclasses
+import multiprocessing
+import os
+import queue
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Dataset, hold_out
-from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import cost
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.evaluation.rows import collect, score
+from jaxnarx.identification.candidates import Candidates, Tried
 from jaxnarx.identification.leaderboard import Leaderboard, Row
-from jaxnarx.identification.pools import make_pool
-from jaxnarx.identification.search_folder import open_search
-from jaxnarx.methods import ForwardOLS, Identification, Lolimot, Polynomial
-from jaxnarx.models import Network
-from jaxnarx.partition import grow
-from jaxnarx.selection import select
-from jaxnarx.simulation import predict, simulate
+from jaxnarx.identification.search_folder import SearchFolder, open_search
+from jaxnarx.methods import PRESETS
+from jaxnarx.models import Network, load, merged, save
+from jaxnarx.output_error import Look, look
 from jaxnarx.solution import RESULTS, Solution
 
-CANDIDATES: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("constant", "mean", {"max_terms": 1}),
-    ("ARX", "orders 1, 1", {"max_terms": 4}),
-    ("polynomial", "quadratic, 6 terms", {"max_terms": 6, "degree": 2}),
-    ("LOLIMOT", "2 regions of 4 terms", {"max_terms": 4, "models": 2}),
-)
+Tell = Callable[[dict[str, Any]], None]
+SHARE = 100
+"""Numbers that the candidates of one output have."""
+POLL = 0.2
+"""Seconds between looks at what the processes have found."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What one output's search is told."""
+
+    data: Dataset
+    look: Look
+    groups: Groups
+    preset: str
+    candidates: int | None
+    until: float
+    """Time of the wall clock after which no candidate is begun."""
+    known: frozenset[str]
+
+    def run(self) -> Iterator[Tried]:
+        """Its candidates."""
+        found = Candidates(
+            self.data,
+            self.look,
+            self.groups,
+            PRESETS[self.preset],
+            known=self.known,
+            late=lambda: time.time() > self.until,
+        )
+        for n, one in enumerate(found, 1):
+            yield one
+            if self.candidates is not None and n >= self.candidates:
+                return
 
 
 def search(
@@ -37,148 +69,189 @@ def search(
     preset: str,
     budget: float | None,
     candidates: int | None,
-    groups: Any,
+    groups: Groups | None,
     outputs: Sequence[str],
     folder: Path | None,
-    progress: Callable[[dict[str, Any]], None] | None,
+    progress: Tell | None,
 ) -> Solution[Network]:
+    """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
-    names = _group_names(data)
-    rule = "best" if preset == "best" else "near"
-    board = Leaderboard((), tuple(names), rule)
-    store: Any = _Memory(board)
-    if folder is not None:
-        key = {"data": data_hash(data), "preset": preset, "outputs": list(outputs)}
-        store = open_search(folder, key, board)
-    tried = [c for c in CANDIDATES if preset != "linear" or c[0] in ("constant", "ARX")]
-    tried = tried[:candidates]
-    begin, done, stopped = time.perf_counter(), 0, False
-    of = len(tried) * len(outputs)
-    if budget is not None and budget < 0.01:
-        raise SpecError("budget: too small for one candidate", field="budget")
-    try:
-        for output in outputs:
-            for family, name, settings in tried:
-                if any(
-                    (r.output, r.family, r.name) == (output, family, name)
-                    for r in store.leaderboard
-                ):
-                    done += 1
-                    continue
-                tell(
-                    {"verb": "search", "trying": f"{family}: {name}", "output": output}
-                )
-                number = 1 + max((r.number for r in store.leaderboard), default=0)
-                row, network = _tried(data, output, family, name, settings, number)
-                store = store.added(row, network)
-                done += 1
-                passed = time.perf_counter() - begin
-                tell(
-                    {
-                        "verb": "search",
-                        "row": row,
-                        "chosen": store.leaderboard.chosen(output),
-                        "done": done,
-                        "of": of,
-                        "seconds": passed,
-                        "left": passed / done * (of - done),
-                    }
-                )
-    except KeyboardInterrupt:
-        if not len(store.leaderboard):
-            raise
-        stopped = True
-    board = store.leaderboard
-    chosen = [board.chosen(o) or board.of(o)[0] for o in board.outputs]
-    network = _joined([store.network(r.number) for r in chosen])
-    vetoed = any(board.chosen(o) is None for o in board.outputs)
-    status = RESULTS.budget_spent if stopped else RESULTS.ok
-    detail = "interrupted" if stopped else ""
-    if vetoed:
-        status, detail = RESULTS.diverged, "every candidate diverges"
-    look = {o: {"dead time of speed": 2, "memory": 12} for o in board.outputs}
-    return Solution(network, status, {"leaderboard": board, "look": look}, detail)
+    begin = time.time()
+    looks = {name: look(data, name) for name in outputs}
+    if groups is None:
+        groups = make_groups(data, gap=max(one.memory for one in looks.values()))
+    rule = PRESETS[preset].rule
+    board = Leaderboard((), groups.names, rule)
+    key = {
+        "data": data_hash(data),
+        "preset": preset,
+        "candidates": candidates,
+        "outputs": list(outputs),
+        "groups": list(groups.names),
+    }
+    until = begin + (PRESETS[preset].budget if budget is None else budget)
+    with tempfile.TemporaryDirectory() as place:
+        store = open_search(Path(place) if folder is None else folder, key, board)
+        tasks = {
+            name: Task(
+                data, one, groups, preset, candidates, until, _known(store, name)
+            )
+            for name, one in looks.items()
+        }
+        race = Race(store, list(outputs), tell, begin)
+        stopped = False
+        try:
+            race.run(tasks)
+        except KeyboardInterrupt:
+            if not len(race.store.leaderboard):
+                raise
+            stopped = True
+        facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
+        return _solution(race.store, list(outputs), stopped, facts)
 
 
-def _joined(networks: list[Network]) -> Network:
-    if len(networks) == 1:
-        return networks[0]
-    from jaxnarx.models import merged  # pyright: ignore
-
-    return merged(networks)
+def _known(store: SearchFolder, output: str) -> frozenset[str]:
+    rows = store.leaderboard.rows
+    return frozenset(f"{r.family}: {r.name}" for r in rows if r.output == output)
 
 
-@dataclasses.dataclass
-class _Memory:
-    leaderboard: Leaderboard
-    networks: dict[int, Network] = dataclasses.field(default_factory=dict)
+class Race:
+    """Candidates of all outputs as they come."""
 
-    def added(self, row: Row, network: Network) -> "_Memory":
-        self.networks[row.number] = network
-        rows = (*self.leaderboard.rows, row)
-        self.leaderboard = dataclasses.replace(self.leaderboard, rows=rows)
-        return self
+    def __init__(self, store: SearchFolder, outputs: list[str], tell: Tell, begin):
+        self.store, self.outputs, self.tell, self.begin = store, outputs, tell, begin
 
-    def network(self, number: int) -> Network:
-        return self.networks[number]
+    def run(self, tasks: dict[str, Task]) -> None:
+        """Search every output."""
+        workers = min(len(os.sched_getaffinity(0)), len(tasks))
+        if workers < 2:
+            for name, task in tasks.items():
+                for tried in task.run():
+                    self.add(name, *tried)
+        else:
+            self._side_by_side(tasks, workers)
 
-
-def _group_names(data: Dataset) -> list[str]:
-    return data.names[-2:] if len(data) > 2 else ["end"]
-
-
-def _tried(data, output, family, name, settings, number) -> tuple[Row, Network]:
-    begin = time.perf_counter()
-    if len(data) > 2:
-        train, judge = data[: len(data) - 2], data[-2:]
-    else:
-        train, judge = hold_out(data, share=0.3)
-    network = _made(train, output, settings)
-    free, lost_ = _rows(judge, network, simulate(network, judge).value)
-    one, _ = _rows(judge, network, predict(network, judge).value)
-    groups = tuple(r.nrmse for r in free[1:])
-    row = Row(
-        output=output,
-        number=number,
-        family=family,
-        name=name,
-        free_run=free[0].nrmse,
-        standard_error=float(np.std(groups) / 2)
-        if len(groups) > 1 and None not in groups
-        else 0.01,
-        groups=groups,
-        one_step=one[0].nrmse,
-        diverged=lost_,
-        operations=cost(network).multiplications,
-        parameters=cost(network).parameters,
-        seconds=round(time.perf_counter() - begin, 3),
-        status="diverged" if lost_ else "ok",
-    )
-    return row, _made(data, output, settings)
-
-
-def _rows(data, network, run):
-    channels = tuple(network.output_channels)
-    rows = score("", "", channels[0], collect(data, channels, run)[0])
-    return rows, sum(r.diverged for r in rows[1:])
-
-
-def _made(data: Dataset, output: str, settings: dict[str, Any]) -> Network:
-    pool = Polynomial(
-        outputs=(output,),
-        input_lags=(1,),
-        output_lags={output: (1,)},
-        degree=settings.get("degree", 1),
-    )
-    chosen = select(
-        make_pool(pool, data.channels),
-        data,
-        ForwardOLS(max_terms=settings["max_terms"]),
-    )
-    method = Identification().grow
-    if "models" in settings:
-        method = Lolimot(
-            scheduling=[f"{data.channels.input_names[0]}[t]"],
-            max_models=settings["models"],
+    def add(self, output: str, row: Row, network: Network | None) -> None:
+        """Keep one candidate and tell of it."""
+        rows = self.store.leaderboard.rows
+        same = [r for r in rows if (r.output, r.family, r.name) == (output, row.family, row.name)]
+        if same:
+            return
+        own = sum(r.output == output for r in rows)
+        number = SHARE * self.outputs.index(output) + own + 1
+        row = dataclasses.replace(row, number=number)
+        self.store = self.store.added(row, network)
+        board = self.store.leaderboard
+        self.tell(
+            {
+                "verb": "search",
+                "row": row,
+                "chosen": board.chosen(output),
+                "done": len(board),
+                "of": None,
+                "seconds": time.time() - self.begin,
+                "left": None,
+            }
         )
-    return grow(chosen.value, data, method).value
+
+    def _side_by_side(self, tasks: dict[str, Task], workers: int) -> None:
+        """A process for every output, as many at a time as there are cores."""
+        context = multiprocessing.get_context("spawn")
+        found = context.Queue()
+        waiting, running = list(tasks.items()), {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    name, task = waiting.pop(0)
+                    running[name] = _started(context, name, task, found, self.store)
+                self._take(found, running)
+        finally:
+            for process in running.values():
+                process.terminate()
+                process.join()
+
+    def _take(self, found, running: dict) -> None:
+        """What has come from the processes; those that have ended leave."""
+        try:
+            kind, name, payload = found.get(timeout=POLL)
+        except queue.Empty:
+            for name, process in list(running.items()):
+                if not process.is_alive():
+                    process.join()
+                    del running[name]
+                    if process.exitcode:
+                        raise RuntimeError(
+                            f"the search for {name} ended with {process.exitcode}"
+                        ) from None
+            return
+        if kind == "row":
+            row, path = payload
+            network = None if path is None else load(path)
+            if path is not None:
+                Path(path).unlink()
+            self.add(name, row, network)
+        elif kind == "error":
+            raise payload
+        else:
+            running.pop(name).join()
+
+
+def _started(context, name: str, task: Task, found, store: SearchFolder):
+    """A process at work on one output, with one thread for linear algebra."""
+    place = store.path / f".{os.getpid()}-{name}"
+    kept = {k: os.environ.get(k) for k in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        process = context.Process(
+            target=work, args=(name, task, found, str(place)), daemon=True
+        )
+        process.start()
+    finally:
+        for k, value in kept.items():
+            os.environ.pop(k, None) if value is None else os.environ.update({k: value})
+    return process
+
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def work(name: str, task: Task, found, place: str) -> None:
+    """Search one output and send every candidate; models go by files."""
+    import signal
+
+    import jax
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    jax.config.update("jax_enable_x64", task.data.records[0].u.dtype == np.float64)
+    try:
+        for n, (row, network) in enumerate(task.run()):
+            path = None
+            if network is not None:
+                path = f"{place}-{n}.safetensors"
+                save(network, path)
+            found.put(("row", name, (row, path)))
+        found.put(("end", name, None))
+    except Exception as error:
+        found.put(("error", name, error))
+
+
+def _solution(
+    store: SearchFolder, outputs: list[str], stopped: bool, facts: dict
+) -> Solution[Network]:
+    """The chosen networks as one; the safest where all candidates are vetoed."""
+    board, networks, vetoed = store.leaderboard, [], []
+    for output in outputs:
+        row = board.chosen(output)
+        if row is None:
+            vetoed.append(output)
+            row = next((r for r in board.of(output) if r.family == "constant"), None)
+        if row is not None:
+            networks.append(store.network(row.number))
+    status, detail = RESULTS.ok, ""
+    if stopped:
+        status, detail = RESULTS.budget_spent, "interrupted; the best so far"
+    if vetoed:
+        status = RESULTS.diverged
+        detail = f"every candidate of {', '.join(vetoed)} diverges"
+    stats = {"leaderboard": board, "look": facts}
+    return Solution(merged(networks), status, stats, detail)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.identification.verb import identify
+from jaxnarx.identification.by_method import by_method
 from jaxnarx.methods import Identification
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.simulation import predict, simulate
@@ -69,7 +69,7 @@ def judge(
 
 def trained(method: Identification, data: Dataset) -> Network:
     """The network of a method, held to the range of its records."""
-    return hold_to_range(identify(data, method).value)
+    return hold_to_range(by_method(data, method, None, None).value)
 
 
 def score(

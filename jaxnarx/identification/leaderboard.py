@@ -4,11 +4,14 @@ import csv
 import dataclasses
 import io
 import math
+import statistics
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
+SHARE = 0.05
+"""Share of the error that a model for a control unit may give away."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +71,8 @@ class Leaderboard:
     rows: tuple[Row, ...]
     group_names: tuple[str, ...] = ()
     rule: str = "near"
-    """`near`: the cheapest to compute within one standard error of the best; `best`."""
+    """`near`: the cheapest to compute within one standard error of the best; `share`:
+    within 5 % of it; `best`."""
 
     def __iter__(self) -> Iterator[Row]:
         return iter(self.rows)
@@ -94,8 +98,8 @@ class Leaderboard:
         best = self.best(output)
         if best is None or self.rule == "best":
             return best
-        bound = _bound(best)
-        near = [r for r in self.of(output) if r.eligible and _error(r) <= bound]
+        close = _within if self.rule == "share" else _near
+        near = [r for r in self.of(output) if r.eligible and close(r, best)]
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
     def worst_group(self, row: Row) -> tuple[str, float] | None:
@@ -143,9 +147,26 @@ def _place(row: Row) -> tuple[bool, float, float]:
     return (not row.eligible, _error(row), _cost(row))
 
 
-def _bound(best: Row) -> float:
-    """Error up to which a candidate counts as near the best."""
-    return _error(best) + LIMIT * (best.standard_error or 0.0)
+def _within(row: Row, best: Row) -> bool:
+    """Whether the error is at most `SHARE` above that of the best."""
+    return _error(row) <= (1 + SHARE) * _error(best)
+
+
+def _near(row: Row, best: Row) -> bool:
+    """Whether the error exceeds that of the best by a standard error at most.
+
+    Of the difference, group by group: groups differ in how hard they are, which says
+    nothing about the candidates.
+    """
+    pairs = [
+        (mine**2 - theirs**2)
+        for mine, theirs in zip(row.groups, best.groups, strict=False)
+        if mine is not None and theirs is not None
+    ]
+    if len(pairs) < 2:
+        return _error(row) <= _error(best) + LIMIT * (best.standard_error or 0.0)
+    error = statistics.stdev(pairs) / math.sqrt(len(pairs))
+    return statistics.fmean(pairs) <= LIMIT * error
 
 
 def first(rows: Sequence[Row]) -> int:

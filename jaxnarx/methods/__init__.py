@@ -24,6 +24,7 @@ from jaxnarx.methods.partition import (
 )
 from jaxnarx.methods.pool import Polynomial
 from jaxnarx.methods.presets import PRESETS as PRESETS
+from jaxnarx.methods.presets import Preset as Preset
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS

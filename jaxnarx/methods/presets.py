@@ -1,10 +1,54 @@
 """How much an automatic identification tries, and how it chooses."""
 
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Limits of a search."""
+
+    text: str
+    """What is special about it."""
+    max_models: int = 14
+    """Most regions in closed form."""
+    degree: int = 2
+    """Of products of inputs there."""
+    grown: int = 2
+    """How many kinds of feedback are grown."""
+    fed_back: int = 10
+    """How many candidates with products of past outputs are tried."""
+    longest: int = 60_000
+    """Samples of all records beyond which those are not tried: they are trained on the
+    free run step by step."""
+    budget: float = 3600.0
+    """Seconds beyond which no further candidate is begun."""
+    rule: str = "near"
+    """`near`: the cheapest to compute within one standard error of the best; `share`:
+    within 5 %; `best`: the smallest error."""
+    linear: bool = False
+    """Linear models alone."""
+
+
 PRESETS = {
-    "quick": "a minute or two",
-    "good": "minutes for every output",
-    "best": "an hour, or what the budget says; sums of models where they gain",
-    "ecu": "the fewest operations within 5 %, no sums, stable for certain",
-    "linear": "linear models only",
+    "quick": Preset(
+        "a minute or two", max_models=6, grown=1, fed_back=3, longest=20_000, budget=120
+    ),
+    "good": Preset("minutes for every output"),
+    "best": Preset(
+        "an hour, or what the budget says; the smallest error whatever it costs",
+        max_models=24,
+        grown=3,
+        fed_back=16,
+        longest=400_000,
+        rule="best",
+    ),
+    "ecu": Preset(
+        "the fewest operations within 5 % of the best, feedback of inputs' regions alone",
+        max_models=8,
+        grown=1,
+        fed_back=0,
+        rule="share",
+    ),
+    "linear": Preset("linear models only", linear=True, fed_back=0),
 }
-"""Names of presets, and what is special about them."""
+"""By name."""

@@ -8,10 +8,12 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import scipy.signal
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.models import Network
+from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
 from jaxnarx.output_error.feedback import tuned
@@ -21,13 +23,17 @@ from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.regressors import Variables, evaluate
+from jaxnarx.simulation import has_diverged
 
 ORDERS = 4
 """Largest order of A(q)."""
 SETTLED = 1e-4
 """Ridge while the feedback of linear models is sought."""
-GAIN = 0.98
-"""Share of the error that a further order must leave at most to be believed."""
+FAMILIES = "filtered inputs", "OE with filtered inputs"
+WILD = 1e30
+"""Stands for numbers beyond all numbers [standard deviations]."""
+GROWN = 2
+"""How many of the polynomials are grown."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,10 +52,49 @@ class Found:
         """NRMSE over the groups left out."""
         return self.stage.score
 
+    def losses(self) -> Float[np.ndarray, " groups"]:
+        """Mean squared error of every group."""
+        count = np.maximum(self.stage.dictionary.equations.samples, 1.0)
+        return self.stage.losses / count
+
+    def diverged(self) -> int:
+        """Records that would leave the bounds of the feedback, run by the model of all
+        groups: far beyond the trained range more than now and then."""
+        wild = 0
+        for one, run in zip(self._signals.stretches, self._runs(), strict=True):
+            low, high = self._bounds
+            wild += bool(has_diverged((run < low) | (run > high)))
+        return wild
+
+    def one_step(self) -> float:
+        """One-step NRMSE of the model of all groups: A(q) times the free run's error."""
+        square = count = 0.0
+        a = self.stage.dictionary.a
+        for one, run in zip(self._signals.stretches, self._runs(), strict=True):
+            error = scipy.signal.lfilter(a, [1.0], one.y - run)
+            at = np.concatenate(one.counted)
+            square, count = square + float(np.sum(error[at] ** 2)), count + len(at)
+        return float(np.sqrt(square / max(count, 1.0)))
+
+    @property
+    def _signals(self) -> Signals:
+        return self.stage.dictionary.signals
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        y = np.concatenate(self.stage.dictionary.measured)
+        margin = MARGIN * (y.max() - y.min())
+        return float(y.min() - margin), float(y.max() + margin)
+
+    def _runs(self) -> list[np.ndarray]:
+        """Free runs by the model of all groups."""
+        with np.errstate(all="ignore"):
+            runs = self.stage.dictionary.runs(self.coefficients())
+        return [np.nan_to_num(run, posinf=WILD, neginf=-WILD, nan=WILD) for run in runs]
+
     def groups(self) -> Float[np.ndarray, " groups"]:
         """The same of every group."""
-        count = np.maximum(self.stage.dictionary.equations.samples, 1.0)
-        return np.sqrt(self.stage.losses / count)
+        return np.sqrt(self.losses())
 
     def coefficients(self) -> Float[np.ndarray, " columns"]:
         """Of all columns, from all groups; zero where a column is not chosen."""
@@ -185,7 +230,16 @@ class Search:
             step *= 2
         return sorted(out, key=lambda one: one.free_run)
 
-    def candidates(self, max_models: int, degree: int = 2) -> Iterator[Found]:
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the output, in its unit."""
+        (one,) = self.known.values()
+        o = len(self.data.channels.inputs) + one.pool.outputs[0]
+        return float(one.spread * one.gain[o])
+
+    def candidates(
+        self, max_models: int, degree: int = 2, grown_roots: int = GROWN
+    ) -> Iterator[Found]:
         """From the mean to regions, cheap ones first."""
         yield self.constant()
         for order in (1, 2, 3):
@@ -195,17 +249,20 @@ class Search:
             orders[len(one.stage.dictionary.a) - 1] = one.stage.dictionary.a
             yield one
         yield from self.filtered(orders)
+        if degree < 2:
+            return
         roots = []
         for one in _distinct(self.polynomials(orders, degree)):
             roots.append(dataclasses.replace(one, stage=self.retuned(one.stage)))
             yield roots[-1]
         roots.sort(key=lambda one: one.free_run)
-        for root in roots[:GROWN]:
+        for root in roots[:grown_roots]:
             levels = self.levels(root.stage.dictionary.signals.scheduling)
             stages = grown(root.stage, max_models=max_models, levels=levels)
-            best = self.retuned(min(stages, key=lambda one: one.score))
-            name = f"{len(best.leaves)} regions, {root.name}"
-            yield self.found("shared feedback", name, best)
+            best = int(np.argmin([one.score for one in stages]))
+            for stage in (*stages[1:best:2], self.retuned(stages[best])):
+                name = f"{len(stage.leaves)} regions, {root.name}"
+                yield self.found("shared feedback", name, stage)
 
     def levels(self, table: Variables) -> list[tuple[float, ...] | None]:
         """Of scheduling variables with few values these, from 0 to 1."""
@@ -222,19 +279,18 @@ class Search:
         """Least squares one step ahead (ARX), run freely."""
         signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
         dims, losses = len(signals.scheduling), []
-        for g in range(len(self.groups)):
-            a, theta = equation_error(signals, order, without=g)
+        # What is fitted one step ahead may run away: inf then, and held to the range.
+        with np.errstate(all="ignore"):
+            for g in range(len(self.groups)):
+                a, theta = equation_error(signals, order, without=g)
+                bare = _bare(signals, a)
+                run = _of_group(signals, bare.runs(theta), g)
+                losses.append(bare.loss(g, np.nan_to_num(run)))
+            a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
-            losses.append(bare.loss(g, _of_group(signals, bare.runs(theta), g)))
-        a, theta = equation_error(signals, order)
         leaf = Leaf((), np.zeros(dims), np.ones(dims))
-        stage = Stage(_bare(signals, a), (leaf,), np.array(losses), len(theta), 0.0)
+        stage = Stage(bare, (leaf,), np.array(losses), len(theta), 0.0)
         return Found("ARX", f"order {order}", stage, self.data, theta)
-
-
-FAMILIES = "filtered inputs", "OE with filtered inputs"
-GROWN = 2
-"""How many of the polynomials are grown."""
 
 
 def near(ridge: float) -> list[float]:

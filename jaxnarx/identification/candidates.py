@@ -1,0 +1,154 @@
+"""All candidates of one output, from cheap to rich, each judged and with its model."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.errors import JaxnarxError
+from jaxnarx.evaluation import cost
+from jaxnarx.identification.fed_back import fed_back
+from jaxnarx.identification.judge import Judged, judge
+from jaxnarx.identification.leaderboard import Row
+from jaxnarx.methods import Preset
+from jaxnarx.models import Network, hold_to_range
+from jaxnarx.output_error import Found, Look, Search
+
+Tried = tuple[Row, Network | None]
+"""A candidate, and its network trained on all records if there is one."""
+
+
+class Candidates:
+    """The search for one output."""
+
+    def __init__(
+        self,
+        data: Dataset,
+        look: Look,
+        groups: Groups,
+        preset: Preset,
+        *,
+        known: frozenset[str] = frozenset(),
+        late: Callable[[], bool] = lambda: False,
+    ):
+        """`known` are names of candidates that need not be tried again; `late` tells
+        that the time is up."""
+        self.data, self.look, self.groups, self.preset = data, look, groups, preset
+        self.known, self.late = known, late
+        self.best: np.ndarray | None = None
+        self.spread = 1.0
+
+    def __iter__(self) -> Iterator[Tried]:
+        """One after the other; at least one, whatever the time."""
+        search = Search(self.data, self.look, self.groups)
+        begin = time.perf_counter()
+        limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
+        if self.preset.linear:
+            limits = dict(max_models=1, degree=1)
+        for found in search.candidates(**limits, grown_roots=self.preset.grown):
+            self._remember(found.losses())
+            yield self._closed(found, time.perf_counter() - begin)
+            if self.late():
+                return
+            begin = time.perf_counter()
+        self.spread = search.spread
+        del search
+        yield from self._fed_back()
+
+    def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
+        """The losses of the best so far."""
+        if self.best is None or losses.sum() < self.best.sum():
+            self.best = losses
+
+    def _closed(self, found: Found, seconds: float) -> Tried:
+        network = hold_to_range(found.network())
+        row = self._row(found.family, found.name, seconds, network)
+        lost = found.diverged()
+        row = dataclasses.replace(
+            row,
+            free_run=None if lost else found.free_run,
+            groups=tuple(float(e) for e in found.groups()),
+            one_step=found.one_step(),
+            diverged=lost,
+            status="diverged" if lost else "ok",
+        )
+        return _with_error(row, found.losses()), network
+
+    def _fed_back(self) -> Iterator[Tried]:
+        """Those that are trained step by step, as many as the preset says."""
+        if not self.preset.fed_back:
+            return
+        if self.data.samples > self.preset.longest:
+            told = (
+                f"{self.data.samples} samples are more than the "
+                f"{self.preset.longest} of this preset"
+            )
+            yield self._row("polynomial NARX", "not tried", 0.0, None, told), None
+            return
+        for n, (family, name, method) in enumerate(fed_back(self.data, self.look)):
+            if n >= self.preset.fed_back or self.late():
+                return
+            if f"{family}: {name}" in self.known:
+                continue
+            begin = time.perf_counter()
+            try:
+                found = judge(method, self.data, self.groups, self.spread, self.best)
+            except (JaxnarxError, np.linalg.LinAlgError) as error:
+                row = self._row(family, name, time.perf_counter() - begin, None)
+                yield dataclasses.replace(row, status="failed", detail=str(error)), None
+                continue
+            yield self._judged(family, name, found, time.perf_counter() - begin)
+
+    def _judged(self, family: str, name: str, found: Judged, seconds: float) -> Tried:
+        row = self._row(family, name, seconds, found.network, found.detail)
+        groups = tuple(float(e) if np.isfinite(e) else None for e in found.losses**0.5)
+        row = dataclasses.replace(row, groups=groups, diverged=found.diverged)
+        if found.diverged:
+            return dataclasses.replace(row, status="diverged"), None
+        if not found.complete:
+            return row, None
+        self._remember(found.losses)
+        total = float(np.average(found.losses, weights=found.counts))
+        row = dataclasses.replace(
+            row, free_run=total**0.5, one_step=found.one_step, status="ok"
+        )
+        return _with_error(row, found.losses), found.network
+
+    def _row(
+        self,
+        family: str,
+        name: str,
+        seconds: float,
+        network: Network | None,
+        detail: str = "",
+    ) -> Row:
+        price = None if network is None else cost(network)
+        return Row(
+            self.look.output,
+            0,
+            family,
+            name,
+            operations=None if price is None else _operations(price),
+            parameters=None if price is None else price.parameters,
+            seconds=round(seconds, 2),
+            status="skipped" if network is None else "ok",
+            detail=detail,
+        )
+
+
+def _operations(price) -> int:
+    """Multiplications, divisions and exponentials at a sample."""
+    parts = price.terms, price.weights, price.blend, price.filters
+    return sum(p.multiplications + p.divisions + p.exponentials for p in parts)
+
+
+def _with_error(row: Row, losses: Float[np.ndarray, " groups"]) -> Row:
+    """With the standard error of the free run, from the spread between groups."""
+    if row.free_run is None or len(losses) < 2:
+        return row
+    of_square = float(np.std(losses, ddof=1) / np.sqrt(len(losses)))
+    error = of_square / (2 * max(row.free_run, 1e-300))
+    return dataclasses.replace(row, standard_error=error)
