@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxnarx.data import Channels, Dataset, Groups, match_channels
 from jaxnarx.errors import SpecError, suggest

@@ -9,7 +9,6 @@ needs one coefficient, and what is known of a region stays when it is divided.
 """
 
 import dataclasses
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -202,7 +201,9 @@ class Dictionary:
     def rows(self) -> list[np.ndarray]:
         """Columns at the samples that count, group by group."""
         return [
-            np.concatenate([np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)])
+            np.concatenate(
+                [np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)]
+            )
             for g, e in enumerate(self.target)
         ]
 

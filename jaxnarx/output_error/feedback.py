@@ -76,6 +76,6 @@ def _moves(dictionary: Dictionary, runs: list[np.ndarray]) -> list[np.ndarray]:
         n = len(a) - 1
         past = np.concatenate([one.before[:n][::-1], run])
         shifted = np.stack([past[n - i : n - i + len(run)] for i in range(1, n + 1)])
-        moved = -scipy.signal.lfilter([1.0], a, shifted)
+        moved = -np.asarray(scipy.signal.lfilter([1.0], a, shifted))
         parts.append([moved[:, at] for at in one.counted])
     return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]

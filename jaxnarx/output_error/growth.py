@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxnarx.output_error.dictionary import HARD, WIDTH, Block, Dictionary, Gate, Region
 

@@ -17,7 +17,7 @@ from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
 from jaxnarx.output_error.feedback import tuned
-from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, constants, grown, sized
+from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
@@ -127,9 +127,16 @@ class Search:
                 pool = product_pool(pool, self.look, memory, degree)
             table = scheduling(self.data, self.look, memory)
             labels = list(self.groups.labels)
-            self.known = {key: signals_of(
-                self.data, pool, table, labels, history=ORDERS, every=self.look.every
-            )}
+            self.known = {
+                key: signals_of(
+                    self.data,
+                    pool,
+                    table,
+                    labels,
+                    history=ORDERS,
+                    every=self.look.every,
+                )
+            }
         return self.known[key]
 
     def found(self, family: str, name: str, stage: Stage) -> Found:
@@ -137,7 +144,10 @@ class Search:
         return Found(family, name, stage, self.data)
 
     def root(
-        self, signals: Signals, a: Float[np.ndarray, " _"], ridges: Sequence[float] = RIDGES
+        self,
+        signals: Signals,
+        a: Float[np.ndarray, " _"],
+        ridges: Sequence[float] = RIDGES,
     ) -> Stage:
         """One region with this feedback."""
         dictionary = Dictionary.of(signals, a)
