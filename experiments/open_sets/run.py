@@ -13,7 +13,14 @@ the commit of the code.
     python experiments/open_sets/run.py --columns jaxnarx --sets cascaded_tanks
 
 Columns are written as they come; a second run goes on where the first stopped, and
-`--again` does columns anew. The files come from `$JAXNARX_DATA`.
+`--again` does columns anew. One run at a time: each writes the whole table. The files
+come from `$JAXNARX_DATA`.
+
+The peers alone: SysIdentPy as it comes is worse than the mean of the output in 18 of 32
+rows (first part of the test) and diverges in six; with BIC, least squares and a lag
+chosen it never diverges, is worse than the mean in one, and ahead of the trees in 19.
+The limits set for time held them back: half of the rows end with the most trees (17)
+or the most terms (16) allowed.
 """
 
 import json

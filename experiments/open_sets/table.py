@@ -123,4 +123,6 @@ def _cell(column: Row | None, part: str) -> str:
 
 
 def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
+    if value is None:
+        return "-"
+    return f"{value:.4f}" if value < 1000 else f"{value:.1e}"
