@@ -57,7 +57,7 @@ def test_the_commandsparse():
     (console,) = blocks("console")
     commands = [shlex.split(line.removeprefix("$ ")) for line in console.splitlines()]
     assert [words[1] for words in commands] == [
-        *("check", "identify", "simulate", "report")
+        *("check", "identify", "leaderboard", "take", "simulate", "report")
     ]
     for words in commands:
         parse(words[1:])
@@ -84,6 +84,8 @@ def test_the_python_block_works_on_a_folder_of_25_records(folder, capsys):
 def test_the_console_commands_work_on_it_too(folder, capsys):
     (console,) = blocks("console")
     check, identify, *_ = [shlex.split(line)[2:] for line in console.splitlines()]
-    assert run(check) == 0 and run([*identify, "--steps", "5"]) == 0
-    assert (folder / "runs/engine-NOx/report.html").is_file()
+    assert run(check) == 0 and run([*identify, "--preset", "quick"]) == 0
+    assert (folder / "runs/engine-quick/report.html").is_file()
     assert "free run on test" in capsys.readouterr().out
+    assert run(["leaderboard", "runs/engine-quick"]) == 0
+    assert "one step" in capsys.readouterr().out

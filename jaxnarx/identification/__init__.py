@@ -5,9 +5,10 @@ from jaxnarx.identification.by_method import Events, needed
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search
-from jaxnarx.identification.verb import identify, with_group
+from jaxnarx.identification.verb import VALIDATION, identify, with_group
 
 __all__ = [
+    "VALIDATION",
     "Events",
     "Leaderboard",
     "Row",

@@ -15,6 +15,7 @@ RULES = {
     "best": "the smallest error, whatever it costs",
 }
 """The choice by its rule."""
+NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %"}
 
 
 def is_linear(row: Row) -> bool:
@@ -110,8 +111,8 @@ def _choice(board: Leaderboard, output: str, row: Row) -> str:
     told = f"{named}, free run {figure(row)} on records left out"
     if row != chosen:
         return f"{told}: taken by hand in place of {title(chosen)}, {figure(chosen)}."
-    if row == board.best(output) and board.rule == "near":
-        return f"{told}: the best, and none within its standard error is cheaper."
+    if row == board.best(output) and board.rule in NONE_NEAR:
+        return f"{told}: the best, and {NONE_NEAR[board.rule]} is cheaper."
     return f"{told}: {RULES.get(board.rule, f'chosen by the rule {board.rule!r}')}."
 
 
@@ -138,16 +139,20 @@ def _price(other: Row, row: Row) -> str:
     """What another candidate would cost and bring: `takes 3 times the ... for ...`."""
     if other.operations is None:
         cost = "takes an unknown number of operations"
-    elif row.operations:
-        cost = f"takes {other.operations / row.operations:.2g} times the operations"
-    else:
+    elif not row.operations:
         cost = f"takes {other.operations} operations"
+    elif other.operations == row.operations:
+        cost = "takes as many operations"
+    else:
+        cost = f"takes {other.operations / row.operations:.2g} times the operations"
     if other.free_run is None or not row.free_run:
         return cost
     change = other.free_run / row.free_run - 1
     if change >= 1:
         return f"{cost} and has {change + 1:.2g} times the error"
-    return f"{cost} and has {abs(change):.1%} {'more' if change >= 0 else 'less'} error"
+    if abs(change) < 5e-4:
+        return f"{cost} and has the same error"
+    return f"{cost} and has {abs(change):.1%} {'more' if change > 0 else 'less'} error"
 
 
 def _linear(board: Leaderboard, row: Row) -> list[str]:
@@ -182,7 +187,7 @@ def _groups(board: Leaderboard, row: Row) -> list[str]:
         return []
     name, error = worst
     if error < UNEVEN * row.free_run:
-        return [f"All groups are served alike ({min(known):.3g} to {error:.3g})."]
+        return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [
         f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "
         "times the error of all. More records like these would help most."

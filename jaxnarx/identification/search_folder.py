@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading, suggest
+from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
 from jaxnarx.files import unwritable, write_whole
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.models import Network, load, save
@@ -40,13 +40,9 @@ class SearchFolder:
         for row in self.leaderboard:
             if row.number == number:
                 return row
-        known = [str(row.number) for row in self.leaderboard]
-        raise SpecError(
-            f"{self.path} has no candidate {number}. {suggest(str(number), known)}"
-            if known
-            else f"{self.path} has no candidates yet",
-            field="number",
-        )
+        known = [row.number for row in self.leaderboard]
+        there = f"numbers go from {min(known)} to {max(known)}" if known else "none yet"
+        raise SpecError(f"{self.path} has no candidate {number}: {there}")
 
     def network(self, number: int) -> Network:
         """The model of a candidate; SpecError where it has none."""
@@ -54,8 +50,7 @@ class SearchFolder:
         if not path.is_file():
             why = f"{row.status}{': ' if row.detail else ''}{row.detail}"
             raise SpecError(
-                f"candidate {number} ({row.family}: {row.name}) has no model: {why}",
-                field="number",
+                f"candidate {number} ({row.family}: {row.name}) has no model: {why}"
             )
         return load(path)
 

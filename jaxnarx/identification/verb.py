@@ -15,6 +15,9 @@ from jaxnarx.methods import PRESETS, Identification
 from jaxnarx.models import Network
 from jaxnarx.solution import Solution
 
+VALIDATION = "validation"
+"""The group of the records that are for validation."""
+
 
 @guarded
 def identify(
@@ -53,8 +56,9 @@ def identify(
         budget: Time for the search [s]; default the preset's.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
-        groups: What is left out together (`jaxnarx.data.groups`); default as the records
-            say, else records that repeat one another's inputs belong together.
+        groups: What is left out together (`jaxnarx.data.groups`); default as the
+            records say, else records that repeat one another's inputs belong together.
+            Not beside `validation`.
         validation: Records that judge growth and refinement of a method. A search
             counts them among the data, as a group of their own.
         folder: Where the search writes what it has tried, after every candidate. The
@@ -142,8 +146,14 @@ def _searched(
     names = asked.outputs or known.output_names
     kept = tuple(c for c in known.outputs if c.name in names)
     data = match_channels(data, Channels(known.inputs, kept))[0]
+    if validation is not None and asked.groups is not None:
+        raise SpecError(
+            "groups and validation: name the group of all records, those for "
+            "validation among the data",
+            field="groups",
+        )
     if validation is not None:
-        data = with_group(data, validation, "validation")
+        data = with_group(data, validation, VALIDATION)
     return search(
         data,
         preset=asked.preset,

@@ -23,6 +23,7 @@ from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import reported as reported
 from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.merge import merged as merged
+from jaxnarx.models.narrow import narrowed as narrowed
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel

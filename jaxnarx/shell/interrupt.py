@@ -84,6 +84,8 @@ def patiently(tell: Callable[[], object]) -> Iterator[Patience]:
         if set(_asked) == {signal.SIGINT}:
             patience.used = True
             _asked.clear()
+        elif _asked:
+            raise KeyboardInterrupt
     finally:
         _patient.remove(tell)
 

@@ -29,7 +29,7 @@ def live_line(row: Row, best: bool) -> str:
 
 
 def _live(number, output, family, name, error, operations, seconds, star) -> str:
-    words = f"{_cut(output, 12):12} {_cut(family, 15):15} {_cut(name, 34):34}"
+    words = f"{_cut(output, 10):10} {_cut(family, 15):15} {_cut(name, 31):31}"
     figures = f"{error:>16} {operations:>10} {seconds:>7}{star}"
     return f"  {number:>4} {words} {figures}".rstrip()
 

@@ -11,7 +11,7 @@ from jaxnarx.data import Channels, Dataset
 from jaxnarx.errors import JaxnarxError, SpecError, suggest
 from jaxnarx.identification import Leaderboard, identify, read_search, sentences
 from jaxnarx.identification.search_folder import CANDIDATES, NAME
-from jaxnarx.models import Network
+from jaxnarx.models import Network, narrowed
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.description import read_description
@@ -54,7 +54,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         train, validation = training(split)
         Origin.of(command.description, command.root).write(folder)
         fit, stopped = _run(asked, train, validation, folder)
-        network, board = fit.value, fit.stats["leaderboard"]
+        network, board = narrowed(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
@@ -75,7 +75,8 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     if stopped:
         words, then = next_search(command, asked, None, model=model)
     next_command(*words, then=then)
-    return judged(result, command.require_fit) or stopped * 130
+    status = judged(result, command.require_fit)
+    return 130 if stopped else status
 
 
 def folder_name(command: Identify, asked: Automatic) -> str:
@@ -108,10 +109,13 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
         if force:
             _clear(folder)
         try:
-            yield folder
-        except BaseException:
+            with interrupt.last_words(lambda: _kept(folder)):
+                yield folder
+        except BaseException as error:
             if not _tried(folder):
                 _clear(folder)
+            elif isinstance(error, KeyboardInterrupt) or interrupt.asked():
+                _kept(folder)
             raise
 
 
@@ -140,27 +144,23 @@ def _run(
     def heard() -> None:
         warn("ending with the best so far; Ctrl-C again ends at once")
 
-    def kept() -> None:
-        if there := _tried(folder):
-            say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
-
-    with interrupt.patiently(heard) as patience, interrupt.last_words(kept):
-        try:
-            with search_progress() as progress:
-                fit = identify(
-                    train,
-                    preset=asked.preset,
-                    budget=asked.budget,
-                    candidates=asked.candidates,
-                    outputs=asked.outputs,
-                    validation=validation,
-                    folder=folder,
-                    progress=progress,
-                )
-        except KeyboardInterrupt:
-            kept()
-            raise
+    with interrupt.patiently(heard) as patience, search_progress() as progress:
+        fit = identify(
+            train,
+            preset=asked.preset,
+            budget=asked.budget,
+            candidates=asked.candidates,
+            outputs=asked.outputs,
+            validation=validation,
+            folder=folder,
+            progress=progress,
+        )
     return fit, patience.used
+
+
+def _kept(folder: Path) -> None:
+    if there := _tried(folder):
+        say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
 
 
 def _tell(board: Leaderboard, network: Network) -> None:

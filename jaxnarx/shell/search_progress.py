@@ -28,7 +28,8 @@ def search_progress() -> Iterator[Events]:
     )
     with Progress(*columns, transient=True) as bar:
         task = bar.add_task("looking at the data", total=None)
-        lines = _Lines(lambda text: bar.print(text, markup=False, highlight=False))
+        plain = {"markup": False, "highlight": False, "soft_wrap": True}
+        lines = _Lines(lambda text: bar.print(text, **plain))
 
         def tell(event: dict[str, Any]) -> None:
             lines(event)

@@ -11,15 +11,13 @@ from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
 from jaxnarx.errors import DataFileError, reading
 from jaxnarx.evaluation import Report, report
 from jaxnarx.evaluation.table import number
-from jaxnarx.identification import Leaderboard, described, with_group
+from jaxnarx.identification import VALIDATION, Leaderboard, described, with_group
 from jaxnarx.models import Network, save
 from jaxnarx.shell.messages import say, size
 from jaxnarx.shell.output import write_report, write_text, written_together
 
 ORIGIN = "made_from.json"
 CSV = "leaderboard.csv"
-VALIDATION = "validation"
-"""The group of the records that the description has for validation."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxnarx.identification import (
     read_search,
     sentences,
 )
-from jaxnarx.models import Network
+from jaxnarx.models import Network, merged, narrowed
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.leaderboard_text import table
@@ -80,25 +80,22 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Row]:
         raise SpecError(
             "give the number of a candidate; `jaxnarx leaderboard` has them"
         )
-    rows, seen = [], {}
+    rows: dict[str, Row] = {}
     for number in numbers:
         row = found.row(number)
-        if (other := seen.setdefault(row.output, row)) is not row:
+        if row.output in rows:
             raise SpecError(
-                f"candidates {other.number} and {number} are both of {row.output}; "
-                "take one for each output"
+                f"candidates {rows[row.output].number} and {number} are both of "
+                f"{row.output}; take one for each output"
             )
-        rows.append(row)
-    return rows
+        rows[row.output] = row
+    return list(rows.values())
 
 
 def _network(found: SearchFolder, rows: Sequence[Row]) -> Network:
     networks = [found.network(row.number) for row in rows]
-    if len(networks) == 1:
-        return networks[0]
-    from jaxnarx.models import merged
-
-    return merged(networks)
+    whole = networks[0] if len(networks) == 1 else merged(networks)
+    return narrowed(whole)
 
 
 def _origin(command: Take, found: SearchFolder) -> Origin:

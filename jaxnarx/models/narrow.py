@@ -1,0 +1,46 @@
+"""A network without the outputs that it neither computes nor looks at."""
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from jaxnarx.data import Channels
+from jaxnarx.models.network import Network
+from jaxnarx.regressors import Variables
+
+
+def narrowed(network: Network) -> Network:
+    """The same model for data that need not bring such outputs along."""
+    inputs = len(network.channels.inputs)
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    used = {*network.signals, *(s for table in tables for s, _ in table)}
+    outputs = network.channels.outputs
+    kept = [o for o in range(len(outputs)) if inputs + o in used]
+    if len(kept) == len(outputs):
+        return network
+    signals = [*range(inputs), *(inputs + o for o in kept)]
+    place = {signal: n for n, signal in enumerate(signals)}
+
+    def moved(table: Variables) -> Variables:
+        return Variables.of([(place[s], lag, f) for s, lag, f in table.entries])
+
+    def of_signals(name: str) -> jax.Array:
+        return jax.device_put(np.asarray(getattr(network, name))[signals])
+
+    models = tuple(
+        dataclasses.replace(m, scheduling=moved(m.scheduling)) for m in network.models
+    )
+    return Network(
+        channels=Channels(network.channels.inputs, tuple(outputs[o] for o in kept)),
+        modelled=tuple(kept.index(o) for o in network.modelled),
+        variables=moved(network.variables),
+        models=models,
+        gain=of_signals("gain"),
+        lower=network.lower,
+        upper=network.upper,
+        low=of_signals("low"),
+        high=of_signals("high"),
+        sample_time=network.sample_time,
+        hold=network.hold,
+    )
