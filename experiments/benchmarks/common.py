@@ -54,7 +54,7 @@ def record(
         "note": note,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shown_command(),
-        "code": _code(),
+        "code": code(),
         "machine": _machine(),
         "versions": _versions() | dict(versions or {}),
         "figures": figures,
@@ -88,7 +88,7 @@ def shown_command() -> str:
     return " ".join(["python", Path(name).as_posix(), *arguments])
 
 
-def _code() -> dict[str, Any]:
+def code() -> dict[str, Any]:
     """Commit, and whether package, scripts or settings differ from it."""
     watched = ["jaxnarx", "pyproject.toml", "experiments/*.py", "experiments/*.toml"]
     commit = _git("rev-parse", "HEAD")

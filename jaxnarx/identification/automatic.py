@@ -134,7 +134,11 @@ class Race:
     def add(self, output: str, row: Row, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
         rows = self.store.leaderboard.rows
-        same = [r for r in rows if (r.output, r.family, r.name) == (output, row.family, row.name)]
+        same = [
+            r
+            for r in rows
+            if (r.output, r.family, r.name) == (output, row.family, row.name)
+        ]
         if same:
             return
         own = sum(r.output == output for r in rows)

@@ -21,8 +21,17 @@ LARGEST = 600
 def fed_back(data: Dataset, look: Look) -> Iterator[tuple[str, str, Identification]]:
     """(family, name, method), those that pay most often first."""
     for lags, degree, terms in (
-        (2, 2, 10), (2, 3, 12), (2, 1, 0), (3, 3, 20), (2, 3, 6), (3, 2, 20),
-        (2, 3, 30), (3, 1, 0), (4, 3, 30), (4, 2, 30), (4, 3, 50),
+        (2, 2, 10),
+        (2, 3, 12),
+        (2, 1, 0),
+        (3, 3, 20),
+        (2, 3, 6),
+        (3, 2, 20),
+        (2, 3, 30),
+        (3, 1, 0),
+        (4, 3, 30),
+        (4, 2, 30),
+        (4, 3, 50),
     ):
         if degree == 1:
             yield from _local(data, look, lags)

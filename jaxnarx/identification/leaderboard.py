@@ -61,7 +61,9 @@ class Row:
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> "Row":
         """From a file."""
-        return cls(**table | {"groups": tuple(table.get("groups", ()))})
+        own: dict[str, Any] = dict(table)
+        own["groups"] = tuple(table.get("groups", ()))
+        return cls(**own)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,11 +35,22 @@ def merged(networks: Sequence[Network]) -> Network:
         for network in networks
         for model in network.models
     )
-    held = [np.concatenate([np.asarray(getattr(n, k)) for n in networks])
-            for k in ("lower", "upper")]
-    own = first.gain, *jax.device_put(held), first.low, first.high, first.sample_time
+    lower, upper = (
+        jax.device_put(np.concatenate([np.asarray(getattr(n, k)) for n in networks]))
+        for k in ("lower", "upper")
+    )
     return Network(
-        first.channels, modelled, Variables.of(entries), models, *own, first.hold
+        first.channels,
+        modelled,
+        Variables.of(entries),
+        models,
+        first.gain,
+        lower,
+        upper,
+        first.low,
+        first.high,
+        first.sample_time,
+        first.hold,
     )
 
 

@@ -9,8 +9,8 @@ needs one coefficient, and what is known of a region stays when it is divided.
 """
 
 import dataclasses
-
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -49,6 +49,16 @@ class Gate:
 
 Region = tuple[Gate, ...]
 """Gates on the way from the root."""
+
+
+def with_gates(region: Region, gates: Mapping[tuple[Region, Gate], Gate]) -> Region:
+    """The region behind other gates, upper sides by the way to them and themselves."""
+    out = []
+    for n, gate in enumerate(region):
+        upper = gate if gate.side > 0 else gate.other
+        new = gates.get((region[:n], upper), upper)
+        out.append(new if gate.side > 0 else new.other)
+    return tuple(out)
 
 
 def weight(region: Region, x: Float[np.ndarray, "dims time"]) -> np.ndarray:
@@ -123,11 +133,16 @@ class Dictionary:
         equations = self.equations.taken(np.sort(at))
         return dataclasses.replace(self, blocks=tuple(blocks), equations=equations)
 
-    def moved(self, a: Float[np.ndarray, " _"]) -> "Dictionary":
-        """The same columns with other feedback."""
+    def moved(
+        self,
+        a: Float[np.ndarray, " _"],
+        gates: Mapping[tuple[Region, Gate], Gate] = MappingProxyType({}),
+    ) -> "Dictionary":
+        """The same columns with other feedback and gates."""
         out = Dictionary.of(self.signals, a)
         for block in self.blocks:
-            out = out.extended(out.block(block.region, block.terms))
+            region = with_gates(block.region, gates)
+            out = out.extended(out.block(region, block.terms))
         return out
 
     def extended(self, block: Block) -> "Dictionary":
@@ -202,7 +217,9 @@ class Dictionary:
     def rows(self) -> list[np.ndarray]:
         """Columns at the samples that count, group by group."""
         return [
-            np.concatenate([np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)])
+            np.concatenate(
+                [np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)]
+            )
             for g, e in enumerate(self.target)
         ]
 

@@ -53,7 +53,6 @@ class NormalEquations:
         return max(float(error + theta @ self.gram[group] @ theta), 0.0)
 
 
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class System:
     """Mean products of columns of unit mean square; `size` scales them back."""
@@ -66,7 +65,9 @@ class System:
         """Ridge regression; coefficients of the columns as they were."""
         system = self.gram + ridge * np.eye(len(self.right))
         factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
-        return scipy.linalg.cho_solve(factor, self.right, check_finite=False) / self.size
+        return (
+            scipy.linalg.cho_solve(factor, self.right, check_finite=False) / self.size
+        )
 
     def forward(self, ridge: float, most: int, first: Sequence[int]) -> "Path":
         """Columns by error reduction, those of `first` before all others.

@@ -1,12 +1,20 @@
 """Regions by halving, judged by the free run of groups left out."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from jaxnarx.output_error.dictionary import HARD, WIDTH, Block, Dictionary, Gate, Region
+from jaxnarx.output_error.dictionary import (
+    HARD,
+    WIDTH,
+    Block,
+    Dictionary,
+    Gate,
+    Region,
+    with_gates,
+)
 
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 SIZES = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320)
@@ -20,6 +28,17 @@ class Leaf:
     region: Region
     low: Float[np.ndarray, " dims"]
     high: Float[np.ndarray, " dims"]
+
+    def moved(self, gates: Mapping[tuple[Region, Gate], Gate]) -> "Leaf":
+        """The same leaf behind other gates; the box follows the borders."""
+        region = with_gates(self.region, gates)
+        low, high = np.zeros_like(self.low), np.ones_like(self.high)
+        for gate in region:
+            if gate.side > 0:
+                low[gate.dim] = max(low[gate.dim], gate.border)
+            else:
+                high[gate.dim] = min(high[gate.dim], gate.border)
+        return Leaf(region, low, high)
 
     def halved(self, gate: Gate) -> tuple["Leaf", "Leaf"]:
         """Upper and lower half."""

@@ -16,8 +16,8 @@ from jaxnarx.models import Network
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
-from jaxnarx.output_error.feedback import tuned
-from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, constants, grown, sized
+from jaxnarx.output_error.tuning import places_of, tuned
+from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
@@ -30,6 +30,8 @@ ORDERS = 4
 SETTLED = 1e-4
 """Ridge while the feedback of linear models is sought."""
 FAMILIES = "filtered inputs", "OE with filtered inputs"
+SERVES = 0.995
+"""Share of the error that must be left at most for another round."""
 WILD = 1e30
 """Stands for numbers beyond all numbers [standard deviations]."""
 GROWN = 2
@@ -61,13 +63,13 @@ class Found:
         """Records that would leave the bounds of the feedback, run by the model of all
         groups: far beyond the trained range more than now and then."""
         wild = 0
-        for one, run in zip(self._signals.stretches, self._runs(), strict=True):
+        for run in self._runs():
             low, high = self._bounds
             wild += bool(has_diverged((run < low) | (run > high)))
         return wild
 
     def one_step(self) -> float:
-        """One-step NRMSE of the model of all groups: A(q) times the free run's error."""
+        """One-step NRMSE of the model of all groups: of A(q) times the run's error."""
         square = count = 0.0
         a = self.stage.dictionary.a
         for one, run in zip(self._signals.stretches, self._runs(), strict=True):
@@ -127,9 +129,16 @@ class Search:
                 pool = product_pool(pool, self.look, memory, degree)
             table = scheduling(self.data, self.look, memory)
             labels = list(self.groups.labels)
-            self.known = {key: signals_of(
-                self.data, pool, table, labels, history=ORDERS, every=self.look.every
-            )}
+            self.known = {
+                key: signals_of(
+                    self.data,
+                    pool,
+                    table,
+                    labels,
+                    history=ORDERS,
+                    every=self.look.every,
+                )
+            }
         return self.known[key]
 
     def found(self, family: str, name: str, stage: Stage) -> Found:
@@ -137,7 +146,10 @@ class Search:
         return Found(family, name, stage, self.data)
 
     def root(
-        self, signals: Signals, a: Float[np.ndarray, " _"], ridges: Sequence[float] = RIDGES
+        self,
+        signals: Signals,
+        a: Float[np.ndarray, " _"],
+        ridges: Sequence[float] = RIDGES,
     ) -> Stage:
         """One region with this feedback."""
         dictionary = Dictionary.of(signals, a)
@@ -145,15 +157,29 @@ class Search:
         dims = len(signals.scheduling)
         return sized(dictionary, (Leaf((), np.zeros(dims), np.ones(dims)),), ridges)
 
-    def retuned(self, stage: Stage) -> Stage:
-        """The same regions with the feedback that suits them best."""
-        if len(stage.dictionary.a) == 1:
-            return stage
+    def retuned(self, stage: Stage, *, gates: bool = False, most: int = 1) -> Stage:
+        """The same regions with the feedback (and gates) that suit them best.
+
+        As often as the groups left out gain: every time columns are chosen anew.
+        """
+        for _ in range(most):
+            new = self._retuned(stage, gates)
+            if new is None or new.score > SERVES * stage.score:
+                return stage if new is None or new.score > stage.score else new
+            stage = new
+        return stage
+
+    def _retuned(self, stage: Stage, gates: bool) -> Stage | None:
         at, _ = stage.chosen()
-        a = tuned(stage.dictionary.only(at), stage.ridge)[0].a
-        moved = stage.dictionary.moved(a)
-        new = sized(moved, stage.leaves, near(stage.ridge))
-        return new if new.score < stage.score else stage
+        start = stage.dictionary.only(at)
+        end = tuned(start, stage.ridge, gates=gates)[0]
+        if end is start:
+            return None
+        pairs = zip(places_of(start), places_of(end), strict=True)
+        gate_of = {old: new[1] for old, new in pairs}
+        moved = stage.dictionary.moved(end.a, gate_of)
+        leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
+        return sized(moved, leaves, near(stage.ridge))
 
     def constant(self) -> Found:
         """The mean."""
@@ -260,7 +286,8 @@ class Search:
             levels = self.levels(root.stage.dictionary.signals.scheduling)
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
-            for stage in (*stages[1:best:2], self.retuned(stages[best])):
+            end = self.retuned(stages[best], gates=True, most=3)
+            for stage in (*stages[1 : best + 1 : 2], end):
                 name = f"{len(stage.leaves)} regions, {root.name}"
                 yield self.found("shared feedback", name, stage)
 

@@ -6,8 +6,6 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Float, Int
 
-import equinox as eqx
-
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import gains
@@ -37,7 +35,9 @@ class Stretch:
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, "columns time"]:
         """Columns through 1/A from rest."""
-        return columns if len(a) == 1 else scipy.signal.lfilter([1.0], a, columns)
+        if len(a) == 1:
+            return columns
+        return np.asarray(scipy.signal.lfilter([1.0], a, columns))
 
     def left_by_start(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
         """Free run on nothing but the measured start."""
@@ -84,7 +84,12 @@ def signals_of(
     `pool` has one output and terms of inputs alone. Runs start behind `history`
     samples at least; every so many samples one counts.
     """
-    table = Variables.of([*pool.variables.entries, (len(data.channels.inputs) + pool.outputs[0], history, None)])
+    table = Variables.of(
+        [
+            *pool.variables.entries,
+            (len(data.channels.inputs) + pool.outputs[0], history, None),
+        ]
+    )
     low, high = ranges(data)
     gain = gains(data)
     groups = 1 + max(int(one.max(initial=-1)) for one in labels)

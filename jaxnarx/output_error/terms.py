@@ -65,7 +65,10 @@ def product_pool(linear: Pool, look: Look, memory: Memory, degree: int) -> Pool:
     Products stay within one lag: inputs of engines move slowly, and products of
     neighbours are neighbours of products.
     """
-    rows = {tuple(sorted(r)) for r in np.pad(linear.factor, ((0, 0), (0, degree - 1))).tolist()}
+    rows = {
+        tuple(sorted(r))
+        for r in np.pad(linear.factor, ((0, 0), (0, degree - 1))).tolist()
+    }
     for place in (1, 2):
         free = _at(linear, look, memory, place)
         for size in range(2, degree + 1):

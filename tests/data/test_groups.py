@@ -261,15 +261,3 @@ def test_groups_serve_the_same_records_with_other_channels_alone():
     assert found.fold(one, 1).left.names == ["r1"]
     with pytest.raises(SpecError, match="make groups of these data"):
         found.fold(data[:2], 0)
-
-
-def test_twenty_long_records_are_grouped_in_about_a_second():
-    import time
-
-    us = {n + 10: n for n in range(10)}
-    data = records(*[12_000] * 20, again=us)
-    begin = time.process_time()
-    found = groups(data)
-    # Some 0.4 s; the limit is for a machine with other work.
-    assert time.process_time() - begin < 10
-    assert [len(part) for part in members(found)] == [4] * 5

@@ -1,0 +1,266 @@
+"""The table of open sets: splits, what is scored and from where a run begins."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from smoke import ROOT, experiment
+
+import jaxnarx as jnx
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "open_sets"))
+from own import best_linear, chosen  # noqa: E402 # pyright: ignore
+from packed import pack, unpack  # noqa: E402 # pyright: ignore
+from peers import history, lags_to  # noqa: E402 # pyright: ignore
+from score import errors, far, part_scores  # noqa: E402 # pyright: ignore
+from sets import READERS, OpenSet, Part  # noqa: E402 # pyright: ignore
+from table import compared, summary  # noqa: E402 # pyright: ignore
+
+LONG = 30
+"""Longest lag of the network of these tests, of an input."""
+
+
+@pytest.fixture(scope="module")
+def data() -> jnx.Dataset:
+    """Two records of a slow first-order system, with an output that is not modelled."""
+    rng = np.random.default_rng(3)
+    us = [rng.normal(size=(n, 1)) for n in (120, 100)]
+    ys = [rng.normal(size=(len(u), 2)) for u in us]
+    return jnx.Dataset.from_arrays(
+        us, ys, inputs=["u"], outputs=["other", "y"], sample_time=0.1
+    )
+
+
+@pytest.fixture(scope="module")
+def network(data) -> jnx.Network:
+    """Of `y` alone, from y[t-1], y[t-2], u[t-1] and u[t-30]."""
+    pool = jnx.polynomial_pool(
+        *(data.channels,),
+        outputs=["y"],
+        input_lags=(1, LONG),
+        output_lags=(1, 2),
+        degree=1,
+    )
+    selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4)).value
+    return jnx.grow(selection, data, jnx.Global()).value
+
+
+def oracle(network: jnx.Network, record, first: int) -> np.ndarray:
+    """The same recursion, sample by sample, from measurements before `first`."""
+    (model,) = network.models
+    names = list(network.variable_names)
+    coefficient = np.asarray(model.local.dense())[0]
+    gain = dict(zip(network.channels.names, np.asarray(network.gain), strict=True))
+    y, u = record.y[:, 1].copy(), record.u[:, 0]
+    for t in range(first, len(y)):
+        value = {"1": 1.0, "u[t-1]": u[t - 1], f"u[t-{LONG}]": u[t - LONG]}
+        value |= {"y[t-1]": y[t - 1], "y[t-2]": y[t - 2]}
+        total = 0.0
+        for term, theta in zip(
+            np.asarray(model.local.factor), coefficient, strict=True
+        ):
+            for i in term[term > 0]:
+                name = names[i - 1]
+                theta = theta * value[name] / gain[name.partition("[")[0]]
+            total += theta
+        y[t] = gain["y"] * total
+    return y
+
+
+def test_errors_are_those_of_the_counted_samples():
+    rng = np.random.default_rng(0)
+    y, run = [rng.normal(size=n) for n in (30, 20)], [np.zeros(30), np.ones(20)]
+    counted = [np.arange(n) >= 10 for n in (30, 20)]
+    row = errors(y, run, counted, scale=1000.0)
+    e = np.concatenate([y[0][10:], y[1][10:] - 1])
+    root = np.sqrt(np.mean(e**2))
+    spread = np.concatenate([y[0][10:], y[1][10:]]).std()
+    # The table keeps five digits.
+    assert row["samples"] == 30
+    np.testing.assert_allclose(row["rmse"], 1000 * root, rtol=1e-4)
+    np.testing.assert_allclose(row["nrmse"], root / spread, rtol=1e-4)
+    run[0][5] = np.nan
+    assert errors(y, run, counted, scale=1000.0) == row
+    run[0][15] = np.inf
+    assert errors(y, run, counted)["nrmse"] is None
+
+
+def test_a_run_far_from_the_training_has_diverged():
+    train, run = [np.linspace(0, 1, 5)], np.zeros(8)
+    for value, diverged in ((10.9, False), (11.1, True), (np.nan, True)):
+        run[6] = value
+        assert far(run, train, 3) == diverged
+    # What begins the run is not its own.
+    assert not far(run, train, 7)
+
+
+def test_a_run_begins_with_the_last_measurements_before_the_first_score(data, network):
+    first = 50
+    runs = [oracle(network, record, first) for record in data]
+    counted = [np.arange(len(y)) >= first for y in runs]
+    expected = errors([r.y[:, 1] for r in data], runs, counted)
+    found = part_scores(network, Part(data, first))
+    assert set(found) == {"y"}
+    row = found["y"]
+    assert row["late"] == row["diverged"] == 0
+    assert row["samples"] == sum(len(r) - first for r in data)
+    # Rounded to five digits on both sides.
+    np.testing.assert_allclose(row["nrmse"], expected["nrmse"], rtol=2e-5)
+    # The system forgets slowly enough for the beginning to be seen in the figure.
+    early = [oracle(network, record, LONG) for record in data]
+    other = errors([r.y[:, 1] for r in data], early, counted)["nrmse"]
+    assert abs(other - expected["nrmse"]) > 1e-4
+
+
+def test_the_truth_is_scored_instead_of_the_measurement(data, network):
+    runs = [oracle(network, record, 50) for record in data]
+    truth = tuple(np.stack([np.zeros_like(y), y], axis=1) for y in runs)
+    assert part_scores(network, Part(data, 50, truth))["y"]["nrmse"] < 1e-9
+
+
+def test_a_model_that_needs_more_history_has_no_figure(data, network):
+    row = part_scores(network, Part(data, LONG - 10))["y"]
+    assert row["late"] == 2 * 10 and row["nrmse"] is None and row["rmse"] is None
+
+
+def test_peers_get_what_we_get(data, tmp_path):
+    truth = tuple(record.y + 1 for record in data)
+    parts = {"test": Part(data[1], 7), "noise-free": Part(data, 9, truth)}
+    whole = OpenSet("one", data, parts, {"other": "-", "y": "V"}, "", "", 1000.0)
+    about = pack(whole, tmp_path / "one.npz")
+    assert about["train"] == [120, 100] and about["outputs"] == ["other", "y"]
+    task = unpack(str(tmp_path / "one.npz"), "y")
+    assert task.scale == 1000.0 and [p.first for p in task.parts.values()] == [7, 9]
+    np.testing.assert_array_equal(task.train.y[1], data.records[1].y[:, 1])
+    np.testing.assert_array_equal(task.parts["test"].u[0], data.records[1].u)
+    np.testing.assert_array_equal(task.parts["test"].truth[0], task.train.y[1])
+    found = task.parts["noise-free"].truth[0]
+    np.testing.assert_array_equal(found, data.records[0].y[:, 1] + 1)
+
+
+def test_history_of_the_trees():
+    u, memory = np.random.default_rng(1).normal(size=(40, 2)), 12
+    assert lags_to(memory) == [0, 1, 2, 3, 4, 6, 8, 12]
+    found = history(u, memory)
+    for t in (0, 5, 39):
+        # Before the record its first row is held.
+        past = np.stack([u[max(t - lag, 0)] for lag in range(memory + 1)])
+        lags = past[lags_to(memory)].ravel()
+        means = [past[a : b + 1].mean(axis=0) for a, b in ((4, 6), (6, 8), (8, 12))]
+        expected = np.concatenate([lags, *means])
+        np.testing.assert_allclose(found[t], expected, atol=1e-12)
+
+
+SCORED = {
+    "cascaded_tanks": {"test": [974]},
+    "ced_coupled_drives": {"test": [90, 90], "low amplitude": [90]},
+    "bouc_wen_sysidentpy": {"test": [1598]},
+    "daisy_cstr": {"test": [3750]},
+    "silverbox": {"multisine": [21_638], "arrow": [40_425]},
+    "wiener_hammerstein": {"test": [78_750]},
+}
+"""Scored samples of the records, counted from the official splits."""
+
+
+@pytest.mark.parametrize("name", list(READERS))
+def test_splits(name, measured):
+    if not (measured / name).is_dir():
+        pytest.skip(f"{name} is not there")
+    found = READERS[name](measured)
+    for part, lengths in SCORED[name].items():
+        one = found.parts[part]
+        assert [len(record) - one.first for record in one.data] == lengths
+    for part in found.parts.values():
+        assert part.first == 50
+        for record in part.data:
+            scored = record.y[part.first :, 0]
+            for train in found.train:
+                # Nothing that is scored has been seen: no stretch of it is in training.
+                assert not _holds(train.y[:, 0], scored[:20])
+
+
+def _holds(long: np.ndarray, short: np.ndarray) -> bool:
+    windows = np.lib.stride_tricks.sliding_window_view(long, len(short))
+    return bool((windows == short[None]).all(axis=1).any())
+
+
+def test_scored_rows_of_the_files(measured):
+    path = measured / "silverbox" / "SNLS80mV.csv"
+    if not path.is_file():
+        pytest.skip("silverbox is not there")
+    lines = path.read_text().splitlines()[1:]
+    found = READERS["silverbox"](measured)
+    record = found.parts["arrow"].data.records[0]
+    for row in (0, 50, 40_474):
+        values = [float(text) for text in lines[100 + row].split(",")[:2]]
+        assert [record.u[row, 0], record.y[row, 0]] == values
+    last = found.train.records[0].y[-1, 0]
+    first = found.parts["multisine"].data.records[0].y[0, 0]
+    border = 40_650 + 65_062
+    assert [last, first] == [
+        float(lines[n].split(",")[1]) for n in (border - 1, border)
+    ]
+
+
+def row_of(own: dict, linear: dict, cross_validated: float) -> dict:
+    """A row of the table with these errors by part."""
+
+    def tests(errors: dict) -> dict:
+        return {p: {"nrmse": e, "diverged": 0} for p, e in errors.items()}
+
+    row = {"set": "s", "output": "y", "best linear": {"test": tests(linear)}}
+    row["jaxnarx"] = {"test": tests(own), "free_run": cross_validated}
+    return row | {"compared": compared(row)}
+
+
+def test_what_the_table_aims_at():
+    better = row_of({"a": 0.1, "b": 0.51}, {"a": 0.2, "b": 0.5}, 0.08)
+    assert better["compared"]["to linear"] == {"a": 0.5, "b": 1.02}
+    assert better["compared"]["test over cross-validated"] == 1.25
+    worse = row_of({"a": 0.1, "b": 0.52}, {"a": 0.2, "b": 0.5}, 0.2)
+    lost = row_of({"a": None, "b": 0.1}, {"a": 0.2, "b": 0.5}, 0.2)
+    for row, target, count in ((better, 0, 0), (worse, 1, 0), (lost, 1, 1)):
+        found = summary([row], {})
+        assert len(found["worse than linear"]) == target
+        assert len(found["diverged"]) == count
+    assert summary([better], {})["flattered by"] == {"s y": 1.25}
+    assert summary([worse], {})["flattered by"] == {}
+
+
+def test_rows_of_a_leaderboard(network):
+    rows = [
+        {"rank": 2, "family": "OE", "free_run": {"y": 0.4}, "network": network},
+        {"rank": 3, "family": "OE", "free_run": 0.3, "network": lambda: network},
+        {"rank": 1, "family": "tree", "free_run": np.float64(0.2), "operations": 12},
+        {"rank": 4, "family": "OE", "free_run": np.inf, "network": network},
+    ]
+    found = best_linear(rows, "y")
+    assert found is not None and found[0] is rows[1] and found[1] is network
+    assert best_linear(rows[2:], "y") is None
+    expected = {"rank": 1, "family": "tree", "free_run": 0.2, "operations": 12}
+    assert chosen(rows, "y") == expected
+    rows[0]["chosen"] = True
+    assert chosen(rows, "y")["free_run"] == 0.4
+
+
+@pytest.mark.slow
+def test_the_table_and_going_on(tmp_path):
+    command = ("open_sets/run.py", "--sets", "engine-pfi-cc", "--peers")
+    experiment(*command, "--results", str(tmp_path))
+    path = tmp_path / "open_sets.json"
+    text = path.read_text()
+    assert str(ROOT) not in text and str(tmp_path) not in text
+    figures = json.loads(text)["figures"]
+    assert [row["output"] for row in figures["rows"]] == ["speed", "P"]
+    for row in figures["rows"]:
+        tests = row["jaxnarx"]["test"]
+        assert set(tests) == {"test", "noise-free"}
+        assert all(one["samples"] == 2 * 350 for one in tests.values())
+        assert [one["column"] for one in row["scored"]].count("jaxnarx") == 1
+        assert set(row["scored"][0]) == {"column", "date", "commit", "dirty"}
+    assert figures["summary"]["rows"] == 2
+    # A second run finds nothing to do, and scores nothing again.
+    experiment(*command, "--results", str(tmp_path))
+    assert json.loads(path.read_text())["figures"] == figures
