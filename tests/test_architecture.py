@@ -285,7 +285,7 @@ def classes() -> dict[str, list[str]]:
 # Model files and flags know these by their class: a validity function and the settings
 # that grow it; a command and what it prints;
 # a filter inside a model and a step of preparation, both stored by their names.
-NAMESAKES = {"SigmoidTree", "Report", "LowPass"}
+NAMESAKES = {"SigmoidTree", "Report", "Leaderboard", "LowPass"}
 
 
 def test_a_class_name_means_one_thing():

@@ -83,7 +83,7 @@ def identify(
         fit = jnx.identify(data, jnx.Identification(select=jnx.ForwardOLS(max_terms=2)))
         print(fit.status_name)
     """
-    asked = _Search(preset, budget, candidates, tuple(outputs), groups, folder)
+    asked = _Wanted(preset, budget, candidates, tuple(outputs), groups, folder)
     if method is None:
         return _searched(data, asked, validation, progress)
     if changed := [f.name for f in dataclasses.fields(asked) if asked.states(f.name)]:
@@ -95,7 +95,7 @@ def identify(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Search:
+class _Wanted:
     """What a search is told."""
 
     preset: str = "good"
@@ -107,7 +107,7 @@ class _Search:
 
     def states(self, name: str) -> bool:
         """Whether something else than the default is asked for."""
-        value, usual = getattr(self, name), getattr(_Search(), name)
+        value, usual = getattr(self, name), getattr(_Wanted(), name)
         return value is not usual and not (isinstance(value, str) and value == usual)
 
     def check(self, channels: Channels) -> None:
@@ -137,7 +137,7 @@ class _Search:
 
 def _searched(
     data: Dataset,
-    asked: _Search,
+    asked: _Wanted,
     validation: Dataset | None,
     progress: Events | None,
 ) -> Solution[Network]:

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
+from jaxnarx.identification import Leaderboard, described
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection, criteria_of
 from jaxnarx.shell import figures, partition_figure, residual_figure
+from jaxnarx.shell.leaderboard_figure import error_over_operations
 from jaxnarx.shell.linear_figures import bode, poles, step_responses
 from jaxnarx.shell.local_models_figure import local_models
 from jaxnarx.shell.style import save
@@ -22,6 +24,7 @@ from jaxnarx.shell.style import save
 __all__ = [
     "bode",
     "free_run",
+    "leaderboard",
     "local_models",
     "partition",
     "poles",
@@ -103,6 +106,11 @@ def selection_path(selection: Selection, *, output: str | None = None) -> Figure
         selection.err[o, :count],
         criteria={label: table[key] for label, key in shown},
     )
+
+
+def leaderboard(board: Leaderboard, *, output: str | None = None) -> Figure:
+    """The candidates of a search: error of the free run over operations of a sample."""
+    return error_over_operations(described(board, _named(output, board.outputs)))
 
 
 def residuals(

@@ -1,7 +1,7 @@
 """The search of `jaxnarx identify` and the commands about it. No jax here."""
 
 import dataclasses
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -14,7 +14,7 @@ _NUMBERS = arg(metavar="NUMBER [NUMBER ...]", help_behavior_hint="(required)")
 class Automatic:
     """A search among candidates from cheap to rich, and its options."""
 
-    preset: Literal["quick", "good", "best", "ecu", "linear"] = "good"
+    preset: str = "good"
     """How much the search tries, and what it takes: quick needs a minute or two, best
     an hour (or the budget) and may add models up, ecu takes the fewest operations
     within 5 % of the best, linear tries linear models only."""

@@ -1,5 +1,6 @@
 """What a search tells while it runs: a line for every candidate, and a bar below."""
 
+import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ Events = Callable[[dict[str, Any]], None]
 def search_progress() -> Iterator[Events]:
     """A callback for `identify`: lines, on a terminal above a bar."""
     if not sys.stdout.isatty():
-        yield _Lines(say)
+        yield _CandidateLines(say)
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -28,8 +29,7 @@ def search_progress() -> Iterator[Events]:
     )
     with Progress(*columns, transient=True) as bar:
         task = bar.add_task("looking at the data", total=None)
-        plain = {"markup": False, "highlight": False, "soft_wrap": True}
-        lines = _Lines(lambda text: bar.print(text, **plain))
+        lines = _CandidateLines(functools.partial(_above, bar))
 
         def tell(event: dict[str, Any]) -> None:
             lines(event)
@@ -40,7 +40,12 @@ def search_progress() -> Iterator[Events]:
         yield tell
 
 
-class _Lines:
+def _above(bar: Any, text: str) -> None:
+    """A line above the bar, as it is."""
+    bar.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+class _CandidateLines:
     """The lines, and in `now` what goes on."""
 
     def __init__(self, write: Callable[[str], object]):

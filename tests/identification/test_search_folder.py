@@ -68,8 +68,8 @@ def test_a_candidate_whose_model_is_gone_is_tried_again(tmp_path, network):
 @pytest.mark.parametrize("damage", ["cut", "empty", "list", "key", "newer"])
 def test_a_damaged_record_is_one_sentence(tmp_path, damage):
     for one in board("y"):
-        folder = open_search(tmp_path, KEY, EMPTY).added(one, None)
-    path = folder.path / "search.json"
+        open_search(tmp_path, KEY, EMPTY).added(one, None)
+    path = tmp_path / "search.json"
     text = path.read_text()
     told = json.loads(text) | {"format": 99}
     texts = {"cut": text[:-9], "empty": "", "list": "[]", "key": '{"format": 1}'}

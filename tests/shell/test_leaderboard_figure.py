@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from search_fakes import board, row
 
@@ -13,7 +14,9 @@ from jaxnarx.shell.leaderboard_text import live_head, live_line, table
 def drawn(found: Leaderboard):
     figure = error_over_operations(described(found, "y"))
     (axes,) = figure.axes
-    return axes, [text.get_text() for text in axes.get_legend().get_texts()]
+    legend = axes.get_legend()
+    assert legend is not None
+    return axes, [text.get_text() for text in legend.get_texts()]
 
 
 def test_families_the_front_and_the_one_in_use_are_shown():
@@ -23,7 +26,12 @@ def test_families_the_front_and_the_one_in_use_are_shown():
     assert axes.get_xscale() == "log" and axes.get_yscale() == "log"
     by_label = {line.get_label(): line for line in axes.lines}
     front = by_label["no cheaper one is better"]
-    assert front.get_xdata().tolist() == [1, 3, 9, 20]  # no operation stands at one
+    assert list(np.asarray(front.get_xdata())) == [
+        1,
+        3,
+        9,
+        20,
+    ]  # no operation stands at one
     assert by_label["in use: 3"].get_xdata() == [9.0]
 
 
@@ -54,3 +62,12 @@ def test_the_short_table_keeps_the_used_and_the_linear():
     lines = table(board("y"), "y", top=1).split("\n")
     assert [s.removeprefix("*").split()[1] for s in lines[1:-1]] == ["4", "3", "2", "1"]
     assert lines[-1].strip() == "and 1 more"
+
+
+def test_plot_draws_the_output_that_is_asked_for():
+    from jaxnarx.shell.plot import leaderboard
+
+    figure = leaderboard(board("y", "w"), output="w")
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert "in use: 8" in [text.get_text() for text in legend.get_texts()]

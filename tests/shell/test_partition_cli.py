@@ -86,7 +86,7 @@ def test_options_settings_and_files_are_one_tree(place):
         assert isinstance(command, Identify)
         return command.method
 
-    assert method() == Identification()
+    assert method("--terms", "25") == Identification()
     assert method("--train", "joint").refine.train == "joint"
     regions = ["--schedule", "speed[t]", "--models", "3", "--log", "temp"]
     found = method(*regions, "--set", "grow.patience=4", "refine.tolerance=1e-5")
