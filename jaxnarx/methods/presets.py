@@ -43,7 +43,7 @@ PRESETS = {
         rule="best",
     ),
     "ecu": Preset(
-        "the fewest operations within 5 % of the best, feedback of inputs' regions alone",
+        "the fewest operations within 5 % of the best, stable for certain",
         max_models=8,
         grown=1,
         fed_back=0,

@@ -208,8 +208,8 @@ class Dictionary:
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
         """Sum of squared errors of a group, held within the range of all others."""
-        rest = [y for g, y in enumerate(self.measured) if g != group]
-        low, high = min(y.min() for y in rest), max(y.max() for y in rest)
+        rest = np.concatenate([y for g, y in enumerate(self.measured) if g != group])
+        low, high = rest.min(initial=np.inf), rest.max(initial=-np.inf)
         margin = MARGIN * (high - low)
         held = np.clip(run, low - margin, high + margin)
         return float(np.sum((self.measured[group] - held) ** 2))

@@ -13,6 +13,8 @@ RARE = 0.02
 """Share of the samples that may lie between these values: edges that were resampled."""
 COUNTED = 12_500
 """Samples that judge; of longer data every k-th one counts."""
+SHORTEST = 15
+"""The shortest record's length, in reaches of the lags."""
 REACH = 100
 """Longest dead time looked for [samples]."""
 
@@ -30,6 +32,8 @@ class Look:
     """Samples in which the quickest clear answer has covered 63 % of its way."""
     memory: int
     """Samples until the slowest clear answer is over."""
+    reach: int
+    """Samples that lags may reach back, so that records and blocks keep most of theirs."""
     every: int
     """Every so many samples one counts."""
 
@@ -61,6 +65,7 @@ def look(data: Dataset, output: str) -> Look:
         tuple(dead),
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
+        min(len(r) for r in data) // SHORTEST,
         max(1, data.samples // COUNTED),
     )
 

@@ -16,12 +16,12 @@ from jaxnarx.models import Network
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
-from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
+from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.regressors import Variables, evaluate
 from jaxnarx.simulation import has_diverged
 
@@ -141,6 +141,10 @@ class Search:
             }
         return self.known[key]
 
+    def memory(self, step: int) -> Memory:
+        """Lags and filters in this scale."""
+        return Memory.of(step, self.look.reach)
+
     def found(self, family: str, name: str, stage: Stage) -> Found:
         """A candidate."""
         return Found(family, name, stage, self.data)
@@ -234,7 +238,7 @@ class Search:
 
     def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[Found]:
         """Linear terms at lags and through filters, without feedback and with it."""
-        memory = Memory(max(1, round(self.look.rise / 4)))
+        memory = self.memory(max(1, round(self.look.rise / 4)))
         signals = self.signals(memory, 1)
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
@@ -245,9 +249,9 @@ class Search:
         """Products in several scales of lags and filters, with several feedbacks; best
         first."""
         step, out = 1, []
-        most = max(self.look.rise, self.look.memory / 64, 1.0)
+        most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
         while step <= most:
-            memory = Memory(step)
+            memory = self.memory(step)
             signals = self.signals(memory, degree)
             for a in (np.ones(1), orders[1], orders[2]):
                 stage = self.root(signals, a, (1e-4, 1e-2))
