@@ -2,6 +2,7 @@
 
     search.json                    key of data and settings, rows, names of groups, rule
     candidates/<number>.safetensors    that candidate, trained on all records
+    candidates/<output>.finished       all candidates of that output have been tried
 
 The key is a table of plain values, such as digests. A folder with another key belongs
 to another search, whose candidates would not compare with these.
@@ -74,6 +75,18 @@ class SearchFolder:
         except OSError as error:
             raise unwritable(path, error) from error
         save(network, path)
+
+    def finished(self, output: int) -> bool:
+        """Whether all candidates of an output, by its place, have been tried."""
+        return self._mark(output).exists()
+
+    def finish(self, output: int) -> None:
+        """Say that they have."""
+        self._mark(output).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self._mark(output), b"")
+
+    def _mark(self, output: int) -> Path:
+        return self.path / CANDIDATES / f"{output}.finished"
 
     def write(self) -> None:
         """Write `search.json`, whole or not at all."""

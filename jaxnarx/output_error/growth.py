@@ -54,7 +54,8 @@ class Leaf:
             if len(inside) < 2:
                 return None
             middle = len(inside) // 2
-            return Gate(dim, (inside[middle - 1] + inside[middle]) / 2, HARD)
+            below, above = inside[middle - 1 : middle + 1]
+            return Gate(dim, (below + above) / 2, HARD / (above - below), hard=True)
         extent = self.high[dim] - self.low[dim]
         return Gate(dim, self.low[dim] + extent / 2, 2 / (WIDTH**2 * extent))
 

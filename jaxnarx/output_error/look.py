@@ -33,7 +33,7 @@ class Look:
     memory: int
     """Samples until the slowest clear answer is over."""
     reach: int
-    """Samples that lags may reach back, so that records and blocks keep most of theirs."""
+    """Samples that lags may reach back: records and blocks keep most of theirs."""
     every: int
     """Every so many samples one counts."""
 

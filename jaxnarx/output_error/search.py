@@ -22,7 +22,7 @@ from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned
-from jaxnarx.regressors import Variables, evaluate
+from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import has_diverged
 
 ORDERS = 4
@@ -55,9 +55,9 @@ class Found:
         return self.stage.score
 
     def losses(self) -> Float[np.ndarray, " groups"]:
-        """Mean squared error of every group."""
-        count = np.maximum(self.stage.dictionary.equations.samples, 1.0)
-        return self.stage.losses / count
+        """Mean squared error of every group; NaN where no sample of it counts."""
+        count = self.stage.dictionary.equations.samples
+        return self.stage.losses / np.where(count > 0, count, np.nan)
 
     def diverged(self) -> int:
         """Records that would leave the bounds of the feedback, run by the model of all
@@ -230,11 +230,11 @@ class Search:
             yield np.convolve(last, [1.0, -0.3])
             yield np.convolve(last, [1.0, -0.9])
         yield equation_error(signals, order)[0]
-        if order <= 2:
-            unit = self.data.sample_time
-            rise, slow = max(self.look.rise, 1.0), max(self.look.memory / 3, 2.0)
-            for time in {rise, float(np.sqrt(rise * slow)), slow}:
-                yield of_times([time * unit, time * unit / 3][:order], unit)
+        unit = self.data.sample_time
+        rise, slow = max(self.look.rise, 1.0), max(self.look.memory / 3, 2.0)
+        times = [rise, float(np.sqrt(rise * slow)), slow] if order <= 2 else [slow]
+        for time in dict.fromkeys(times):
+            yield of_times([time * unit / 3**k for k in range(order)], unit)
 
     def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[Found]:
         """Linear terms at lags and through filters, without feedback and with it."""
@@ -287,23 +287,23 @@ class Search:
             yield roots[-1]
         roots.sort(key=lambda one: one.free_run)
         for root in roots[:grown_roots]:
-            levels = self.levels(root.stage.dictionary.signals.scheduling)
+            levels = self.levels(root.stage.dictionary.signals)
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
-            end = self.retuned(stages[best], gates=True, most=3)
-            for stage in (*stages[1 : best + 1 : 2], end):
-                name = f"{len(stage.leaves)} regions, {root.name}"
-                yield self.found("shared feedback", name, stage)
+            if best:
+                end = self.retuned(stages[best], gates=True, most=3)
+                for stage in (*stages[1 : best + 1 : 2], end):
+                    name = f"{len(stage.leaves)} regions, {root.name}"
+                    yield self.found("shared feedback", name, stage)
 
-    def levels(self, table: Variables) -> list[tuple[float, ...] | None]:
-        """Of scheduling variables with few values these, from 0 to 1."""
+    def levels(self, signals: Signals) -> list[tuple[float, ...] | None]:
+        """Of scheduling variables with few values these, scaled as they are."""
         out = []
-        for signal, _, filter_ in table.entries:
+        scales = zip(signals.offset, signals.span, strict=True)
+        entries = zip(signals.scheduling.entries, scales, strict=True)
+        for (signal, _, filter_), (offset, span) in entries:
             own = self.look.levels[signal] if filter_ is None else None
-            if own is not None:
-                span = max(own[-1] - own[0], 1e-300)
-                own = tuple((v - own[0]) / span for v in own)
-            out.append(own)
+            out.append(own and tuple(float((v - offset) / span) for v in own))
         return out
 
     def equation_error(self, order: int) -> Found:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.output_error.denominator import is_stable
-from jaxnarx.output_error.dictionary import HARD, Dictionary, Gate, Region, weight
+from jaxnarx.output_error.dictionary import Dictionary, Gate, Region, weight
 from jaxnarx.output_error.signals import Stretch
 from jaxnarx.regressors import evaluate
 
@@ -73,7 +73,7 @@ def places_of(dictionary: Dictionary) -> list[Place]:
     found: dict[Place, None] = {}
     for block in dictionary.blocks:
         for n, gate in enumerate(block.region):
-            if gate.steepness != HARD:
+            if not gate.hard:
                 upper = gate if gate.side > 0 else gate.other
                 found.setdefault((block.region[:n], upper))
     return list(found)
