@@ -5,7 +5,7 @@ from typing import Any
 
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 
-LINEAR = ("constant", "arx", "oe")
+LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""
 UNEVEN = 1.25
 """Times the pooled error from which a group is said to be served worse."""
@@ -24,8 +24,8 @@ def is_linear(row: Row) -> bool:
 
 
 def title(row: Row) -> str:
-    """`12 (OE, orders 2, 2)`."""
-    return f"{row.number} ({row.family}, {row.name})"
+    """`12 (OE: order 2)`."""
+    return f"{row.number} ({row.family}: {row.name})"
 
 
 def figure(row: Row) -> str:
@@ -46,9 +46,12 @@ def used(board: Leaderboard, output: str, taken: int | None = None) -> Row:
 
 
 def safest(board: Leaderboard, output: str) -> Row:
-    """Where every candidate is vetoed: the one that diverges least."""
+    """Where every candidate is vetoed: the mean, else the one that diverges least."""
     rows = board.of(output)
-    return min(rows, key=lambda r: (r.status != "diverged", r.diverged))
+    told = {"constant": 0, "diverged": 1}
+    return min(
+        rows, key=lambda r: (told.get(r.family, told.get(r.status, 2)), r.diverged)
+    )
 
 
 def pareto(board: Leaderboard, output: str) -> list[Row]:
@@ -124,14 +127,14 @@ def _best(board: Leaderboard, row: Row) -> list[str]:
 
 
 def _others(board: Leaderboard, row: Row) -> list[str]:
-    """What the best of another family costs, if it is not the best of all."""
+    """What the best of a family costs that is neither this nor that of the best."""
+    best = board.best(row.output) or row
     for other in board.of(row.output):
-        if other.eligible and other.family != row.family and not is_linear(other):
-            if other == board.best(row.output):
-                continue
-            return [
-                f"The best of another family, {title(other)}, {_price(other, row)}."
-            ]
+        if other.eligible and not is_linear(other):
+            if other.family not in (row.family, best.family):
+                return [
+                    f"The best of another family, {title(other)}, {_price(other, row)}."
+                ]
     return []
 
 

@@ -142,7 +142,7 @@ def _error(row: Row) -> float:
 
 
 def _cost(row: Row) -> float:
-    return math.inf if row.operations is None else row.operations
+    return math.inf if row.operations is None else float(row.operations)
 
 
 def _place(row: Row) -> tuple[bool, float, float]:

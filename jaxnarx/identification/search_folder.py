@@ -10,6 +10,7 @@ to another search, whose candidates would not compare with these.
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ class SearchFolder:
         """With one more candidate, written to the disk: its model before its row."""
         if network is not None:
             self.save(row.number, network)
+        row = _finite(row)
         board = self.leaderboard
         rows = (*(r for r in board.rows if r.number != row.number), row)
         after = dataclasses.replace(
@@ -158,6 +160,16 @@ def read_search(path: Path) -> SearchFolder:
             told["rule"],
         )
         return SearchFolder(path, dict(told["key"]), board)
+
+
+def _finite(row: Row) -> Row:
+    """Without figures beyond all numbers, which no file holds."""
+
+    def kept(value: Any) -> Any:
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
+    return Row(**plain, groups=tuple(kept(e) for e in row.groups))
 
 
 def _plain(key: Mapping[str, Any]) -> dict[str, Any]:

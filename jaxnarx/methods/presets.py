@@ -31,7 +31,7 @@ class Preset:
 
 PRESETS = {
     "quick": Preset(
-        "a minute or two", max_models=6, grown=1, fed_back=3, longest=20_000, budget=120
+        "a minute or two", max_models=6, grown=1, fed_back=3, longest=20_000, budget=120.0
     ),
     "good": Preset("minutes for every output"),
     "best": Preset(

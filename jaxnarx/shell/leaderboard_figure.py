@@ -18,8 +18,8 @@ TALL = 4.0
 def error_over_operations(entry: Mapping[str, Any]) -> Figure:
     """Every candidate of one output, its family in colour; the one in use is ringed.
 
-    The line joins those that no other beats at the same cost. Shaded is what lies
-    within one standard error of the best, which the bars show for each. Candidates that
+    The line joins those that no other beats at the same cost. Shaded is one
+    standard error above the best; bars show that of each. Candidates that
     diverge stand as crosses at the top. `entry` is what
     `jaxnarx.identification.described` gives.
     """
@@ -83,7 +83,7 @@ def _band(axes: Axes, rows: Sequence[Mapping[str, Any]]):
     best = min(rows, key=lambda r: r["free_run"])
     top = best["free_run"] + (best["standard_error"] or 0.0)
     style = {"color": BLUE, "alpha": 0.12, "lw": 0}
-    axes.axhspan(best["free_run"], top, label="within one standard error", **style)
+    axes.axhspan(best["free_run"], top, label="one standard error above", **style)
 
 
 def _ring(axes: Axes, rows: Sequence[Mapping[str, Any]]):

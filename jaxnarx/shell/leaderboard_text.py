@@ -1,5 +1,6 @@
 """Candidates of a search as lines of text: one as it finishes, and the table."""
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -9,29 +10,35 @@ TOP = 10
 """Candidates that the end of a search shows of every output."""
 LINEAR = 2
 """Linear ones that it shows in any case."""
-HEAD = "rank number family name free_run worst_group one_step operations parameters s"
+HEAD = (
+    "rank number family free_run worst_group one_step operations parameters s name"
+).split()
 LEFT = {"family", "name", "worst_group"}
-WIDEST = 44
-"""Characters of a cell."""
+WIDEST = 76
+"""Characters of the last cell."""
 
 
 def live_head() -> str:
     """The line above those of `live_line`."""
-    return _live("", "output", "family", "name", "free run", "operations", "s", "")
+    return _live("", "output", "family", "free run", "operations", "s", "", "")
 
 
 def live_line(row: Row, best: bool) -> str:
     """One candidate as it finishes; the best of its output so far has a star."""
     operations = "" if row.operations is None else str(row.operations)
-    star = "  *" if best else ""
-    cells = (row.output, row.family, row.name, figure(row), operations)
-    return _live(str(row.number), *cells, f"{row.seconds:.1f}", star)
+    cells = (str(row.number), row.output, row.family, figure(row), operations)
+    return _live(*cells, f"{row.seconds:.1f}", "*" * best, _name(row))
 
 
-def _live(number, output, family, name, error, operations, seconds, star) -> str:
-    words = f"{_cut(output, 10):10} {_cut(family, 15):15} {_cut(name, 31):31}"
-    figures = f"{error:>16} {operations:>10} {seconds:>7}{star}"
-    return f"  {number:>4} {words} {figures}".rstrip()
+def _live(number, output, family, error, operations, seconds, star, name) -> str:
+    words = f"{number:>4} {_cut(output, 10):10} {_cut(family, 23):23}"
+    figures = f"{error:>17} {operations:>10} {seconds:>6}"
+    return f"  {words} {figures} {star:1} {_cut(name, WIDEST)}".rstrip()
+
+
+def _name(row: Row) -> str:
+    """The name, and why there is no figure."""
+    return f"{row.name} ({row.detail})" if row.detail else row.name
 
 
 def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
@@ -46,9 +53,7 @@ def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
         for r in rows
         if top is None or r["rank"] <= top or r["used"] or r["rank"] in linear
     ]
-    text = aligned(
-        [HEAD.split(), *map(_cells, shown)], [name in LEFT for name in HEAD.split()]
-    )
+    text = aligned([HEAD, *map(_cells, shown)], [name in LEFT for name in HEAD])
     text[0] = text[0].replace("_", " ")
     marks = [" ", *("*" if r["used"] else " " for r in shown)]
     left = len(rows) - len(shown)
@@ -58,26 +63,28 @@ def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
     )
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
-    error = figure(Row.from_dict({k: row[k] for k in _FIELDS}))
-    worst = row["worst_group"]
-    if worst and row["worst_group_error"] is not None:
-        worst = f"{_cut(worst, 20)} {row['worst_group_error']:.3g}"
-    one = row["one_step"]
+def _cells(table: dict[str, Any]) -> list[str]:
+    row = Row.from_dict(
+        {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
+    )
+    worst = table["worst_group"]
+    if worst and table["worst_group_error"] is not None:
+        worst = f"{_cut(worst, 20)} {table['worst_group_error']:.3g}"
+    numbers = (row.operations, row.parameters)
     return [
-        str(row["rank"]),
-        str(row["number"]),
-        _cut(row["family"], 20),
-        _cut(row["name"], WIDEST),
-        error,
+        str(table["rank"]),
+        str(row.number),
+        _cut(row.family, 23),
+        figure(row),
         worst,
-        "" if one is None else f"{one:.3g}",
-        *("" if row[k] is None else str(row[k]) for k in ("operations", "parameters")),
-        f"{row['seconds']:.1f}",
+        "" if row.one_step is None else f"{row.one_step:.3g}",
+        *("" if n is None else str(n) for n in numbers),
+        f"{row.seconds:.1f}",
+        _cut(_name(row), WIDEST),
     ]
 
 
-_FIELDS = ("output", "number", "family", "name", "free_run", "standard_error", "status")
+_FIELDS = {field.name for field in dataclasses.fields(Row)}
 
 
 def aligned(lines: Iterable[Sequence[str]], left: Sequence[bool]) -> list[str]:

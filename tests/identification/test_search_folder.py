@@ -1,0 +1,80 @@
+"""The folder of a search: whole after every candidate, and of one search only."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from identify_problems import engine
+from search_fakes import board, fitted, row
+
+from jaxnarx.errors import DataFileError, ModelFileError, SpecError
+from jaxnarx.identification import Leaderboard, read_search
+from jaxnarx.identification.search_folder import open_search
+
+KEY = {"data": "abc", "outputs": ("y", "w"), "seed": 1}
+EMPTY = Leaderboard((), ("day 1", "day 2"), "best")
+
+
+@pytest.fixture(scope="module")
+def network():
+    return fitted(engine(1), "y")
+
+
+def test_a_candidate_comes_back_as_it_was(tmp_path, network):
+    folder = open_search(tmp_path / "run", KEY, EMPTY)
+    folder = folder.added(row(2), network).added(row(4), None)
+    for found in (read_search(tmp_path / "run"), open_search(folder.path, KEY, EMPTY)):
+        assert found.leaderboard == Leaderboard(
+            (row(2), row(4)), EMPTY.group_names, "best"
+        )
+        again = found.network(3)
+        np.testing.assert_array_equal(
+            again.models[0].local.coefficient, network.models[0].local.coefficient
+        )
+    with pytest.raises(SpecError, match=r"5 \(LOLIMOT: 3 models\) has no model"):
+        read_search(folder.path).network(5)
+    with pytest.raises(SpecError, match="no candidate 9: numbers go from 3 to 5"):
+        read_search(folder.path).row(9)
+
+
+def test_a_number_tried_again_takes_the_place_of_the_first(tmp_path):
+    folder = open_search(tmp_path, KEY, EMPTY).added(row(4), None)
+    other = dataclasses.replace(row(4), name="other")
+    assert folder.added(other, None).leaderboard.rows == (other,)
+
+
+def test_another_key_is_refused_by_name(tmp_path):
+    open_search(tmp_path, KEY, EMPTY)
+    with pytest.raises(SpecError, match="differs in seed, more; .* --force"):
+        open_search(tmp_path, KEY | {"seed": 2, "more": 0}, EMPTY)
+
+
+def test_figures_beyond_all_numbers_are_none_in_the_file(tmp_path):
+    wild = dataclasses.replace(row(1), groups=(math.inf, 0.1), one_step=math.nan)
+    found = open_search(tmp_path, KEY, EMPTY).added(wild, None).leaderboard.rows[0]
+    assert found.groups == (None, 0.1) and found.one_step is None
+    assert read_search(tmp_path).leaderboard.rows == (found,)
+
+
+def test_a_candidate_whose_model_is_gone_is_tried_again(tmp_path, network):
+    folder = open_search(tmp_path, KEY, EMPTY).added(row(1), network)
+    folder.model_path(2).unlink()
+    assert not len(open_search(tmp_path, KEY, EMPTY).leaderboard)
+    assert len(read_search(tmp_path).leaderboard) == 1
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "list", "key", "newer"])
+def test_a_damaged_record_is_one_sentence(tmp_path, damage):
+    for one in board("y"):
+        folder = open_search(tmp_path, KEY, EMPTY).added(one, None)
+    path = folder.path / "search.json"
+    text = path.read_text()
+    told = json.loads(text) | {"format": 99}
+    texts = {"cut": text[:-9], "empty": "", "list": "[]", "key": '{"format": 1}'}
+    path.write_text(texts.get(damage, json.dumps(told)))
+    with pytest.raises((DataFileError, ModelFileError), match="search.json"):
+        read_search(tmp_path)
+    with pytest.raises((DataFileError, ModelFileError)):
+        open_search(tmp_path, KEY, EMPTY)
