@@ -162,6 +162,8 @@ def _solution(
     """The chosen networks as one; the safest where all candidates are vetoed."""
     board, networks, vetoed = store.leaderboard, [], []
     for output in outputs:
+        if not board.of(output):
+            continue  # interrupted before
         row = board.chosen(output)
         if row is None:
             vetoed.append(output)
@@ -171,6 +173,8 @@ def _solution(
     status, detail = RESULTS.ok, ""
     if stopped:
         status, detail = RESULTS.budget_spent, "interrupted; the best so far"
+        if missing := [name for name in outputs if name not in board.outputs]:
+            detail += f", and none of {', '.join(missing)}"
     if vetoed:
         status = RESULTS.diverged
         detail = f"every candidate of {', '.join(vetoed)} diverges"

@@ -130,6 +130,9 @@ def open_search(
             field="folder",
         )
     rows = tuple(r for r in old.leaderboard if not lost(old, r))
+    if len(rows) < len(old.leaderboard):
+        for mark in (path / CANDIDATES).glob("*.finished"):
+            mark.unlink()
     return dataclasses.replace(
         new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
     )

@@ -127,6 +127,7 @@ def grown(
         leaf = last.leaves[n]
         upper, lower = leaf.halved(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
+        kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
         near = [r for r in RIDGES if last.ridge / 11 < r < last.ridge * 11]
         stage = sized(last.dictionary.extended(block), leaves, near)
         stages.append(stage)

@@ -30,6 +30,8 @@ ORDERS = 4
 SETTLED = 1e-4
 """Ridge while the feedback of linear models is sought."""
 FAMILIES = "filtered inputs", "OE with filtered inputs"
+SCALES = 5
+"""Scales of lags and filters that are tried, each twice the last one."""
 SERVES = 0.995
 """Share of the error that must be left at most for another round."""
 WILD = 1e30
@@ -248,8 +250,8 @@ class Search:
     def polynomials(self, orders: dict[int, np.ndarray], degree: int) -> list[Found]:
         """Products in several scales of lags and filters, with several feedbacks; best
         first."""
-        step, out = 1, []
         most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
+        step, out = max(1, 2 ** int(np.log2(most) - SCALES + 1)), []
         while step <= most:
             memory = self.memory(step)
             signals = self.signals(memory, degree)
@@ -291,10 +293,13 @@ class Search:
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
             if best:
+                for stage in stages[1 : best + 1]:
+                    if len(stage.leaves) % 2 == 0 or stage is stages[best]:
+                        name = f"{len(stage.leaves)} regions, {root.name}"
+                        yield self.found("shared feedback", name, stage)
                 end = self.retuned(stages[best], gates=True, most=3)
-                for stage in (*stages[1 : best + 1 : 2], end):
-                    name = f"{len(stage.leaves)} regions, {root.name}"
-                    yield self.found("shared feedback", name, stage)
+                if end is not stages[best]:
+                    yield self.found("shared feedback", f"{name}, gates moved", end)
 
     def levels(self, signals: Signals) -> list[tuple[float, ...] | None]:
         """Of scheduling variables with few values these, scaled as they are."""

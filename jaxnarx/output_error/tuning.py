@@ -44,6 +44,8 @@ def tuned(
     loss = _loss(dictionary, ridge)
     for _ in range(steps):
         better = _better(dictionary, loss, ridge, gates)
+        if better is None and gates:
+            better = _better(dictionary, loss, ridge, False)
         if better is None:
             break
         dictionary, gain, loss = better[0], 1 - better[1] / loss, better[1]
@@ -56,6 +58,8 @@ def _better(dictionary: Dictionary, loss: float, ridge: float, gates: bool):
     places = places_of(dictionary) if gates else []
     step = _step(dictionary, ridge, places)
     order = len(dictionary.a) - 1
+    if not step.size:
+        return None
     for halving in range(HALVINGS):
         own = 0.5**halving * step
         a = dictionary.a.copy()
