@@ -57,24 +57,18 @@ def board(*outputs: str, rule: str = "near") -> Leaderboard:
     return Leaderboard(tuple(rows), NAMES, rule)
 
 
-def fitted(data: Dataset, output: str, *, lags: tuple[int, ...] = (1,)) -> Network:
-    """Linear in lagged inputs and the last output, by least squares one step ahead."""
+def fitted(data: Dataset, output: str, *, linear: bool = True) -> Network:
+    """Least squares one step ahead on the last sample of everything, or the mean."""
     pool = polynomial_pool(
         data.channels,
         outputs=[output],
-        input_lags=lags,
-        output_lags={output: lags},
+        input_lags=(1,),
+        output_lags={output: (1,)},
         degree=1,
     )
     o = len(data.channels.inputs) + pool.outputs[0]
-    x = np.concatenate(
-        [
-            np.stack([r.signals[1 - d : len(r) - d, s] for s, d in pool.variables], 1)
-            for r in data
-        ]
-        if lags
-        else [np.zeros((len(r) - 1, 0)) for r in data]
-    )
+    at = [signal for signal, _ in pool.variables]
+    x = np.concatenate([r.signals[:-1, at] for r in data]) * linear
     y = np.concatenate([r.signals[1:, o] for r in data])
     x = np.concatenate([np.ones((len(x), 1)), x], axis=1)
     theta = np.linalg.lstsq(x, y, rcond=None)[0]
@@ -126,7 +120,7 @@ class FakeSearch:
                 if self.vetoed:
                     lost = {"free_run": None, "status": "diverged", "diverged": 1}
                     one = dataclasses.replace(one, **lost)
-                store = store.added(one, fitted(data, output, lags=(1,) if k else ()))
+                store = store.added(one, fitted(data, output, linear=k > 0))
                 progress(
                     {
                         "verb": "search",

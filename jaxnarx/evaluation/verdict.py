@@ -15,7 +15,7 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
   above `ACCURATE`), or is more than `OVERFITTED` times worse than on its training data;
 - is far off in single records: RMSE of `FAR` times the median record's, and above
   `ACCURATE` of the output's spread;
-- has a worse free run than a linear model of the same lags;
+- has a worse free run than a linear model of the same lags, by more than 2 %;
 - was held by its feedback bound at `NOTICEABLE` of the samples;
 - forgets its past nowhere surely: no contraction at `UNSURE` of the samples, or a local
   model that is unstable by itself at most samples where it leads;
@@ -47,6 +47,8 @@ WORTHLESS, ACCURATE = 1.0, 0.1**0.5
 OVERFITTED, SMALL = 2.0, 0.1
 """Factor over the training NRMSE, and the NRMSE up to which it does not matter."""
 FAR = 3.0
+BETTER = 0.98
+"""Share of the error below which another model counts as better."""
 UNSURE = 0.1
 REACH, STRAYED = 0.1, 0.05
 PROMISED = 1.5
@@ -260,7 +262,7 @@ def _beside(report: Scored) -> Iterator[Reason]:
     """A linear model that does better."""
     for row in report.beside.get(NAME, ()):
         own = report.pooled(row.output).nrmse
-        if own is not None and row.nrmse is not None and row.nrmse < own:
+        if own is not None and row.nrmse is not None and row.nrmse < BETTER * own:
             text = f"a linear model of the same lags does better on {row.output}"
             text += f" ({_nrmse(row.nrmse)}, this one {own:.3g})"
             yield Reason(LIMITED, text, "linear")

@@ -131,3 +131,53 @@ def test_table_and_json_begin_with_it():
     assert report.table.startswith("Good: ")
     found = report.to_dict()
     assert next(iter(found)) == "verdict" and found["verdict"]["level"] == "good"
+
+
+# models of a search ---------------------------------------------------------------
+
+
+def searched(error, worst=0.2, diverged=0):
+    """The leaderboard of a model with this error on records left out."""
+    used = {"used": True, "free_run": error, "diverged": diverged}
+    used |= {"worst_group": "day 2", "worst_group_error": worst}
+    other = used | {"used": False, "free_run": 5.0}
+    return {"T": {"rows": [other, used]}}
+
+
+def test_a_model_that_diverges_on_records_left_out_is_unusable():
+    verdict = made(*FINE, leaderboard=searched(None, diverged=2)).verdict
+    assert verdict.level == "not usable" and verdict.remedy == "bounded"
+    assert "records left out of training diverges in 2 of them" in verdict.sentence
+    assert "linear models" in verdict.sentence  # not what a user would set by hand
+
+
+def test_no_better_than_the_mean_on_records_left_out():
+    verdict = made(*FINE, leaderboard=searched(1.2)).verdict
+    assert verdict.level == "not usable" and "larger preset" in verdict.sentence
+    verdict = made(*FINE, leaderboard=searched(0.2, worst=1.4)).verdict
+    assert verdict.level == "usable with limits" and verdict.remedy == "records"
+    assert "no better than the mean in day 2 (NRMSE 1.4)" in verdict.sentence
+
+
+def test_test_data_that_are_worse_than_promised_are_told():
+    rows = (row("train", nrmse=0.25), row("test", nrmse=0.3))
+    assert made(*rows, leaderboard=searched(0.29)).verdict.level == "good"
+    verdict = made(*rows, leaderboard=searched(0.1)).verdict
+    assert "T on test is 3 times that on records left out" in verdict.sentence
+    assert verdict.remedy == "cover"
+
+
+def test_without_test_data_the_records_left_out_judge():
+    train = row("train", nrmse=0.2)
+    verdict = made(train, main="train", leaderboard=searched(0.25)).verdict
+    assert [f.remedy for f in verdict.findings] == ["test"]
+    assert "NRMSE on records left out: T 0.25" in verdict.sentence
+    verdict = made(train, main="train", leaderboard=searched(0.5)).verdict
+    assert any("leaves 25% of the variance" in f.text for f in verdict.findings)
+
+
+def test_a_linear_model_must_be_clearly_better():
+    def beside(nrmse):
+        return made(*FINE, beside={NAME: (row("test", nrmse=nrmse),)}).verdict.level
+
+    assert beside(0.099) == "good" and beside(0.097) == "usable with limits"

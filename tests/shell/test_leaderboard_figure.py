@@ -1,0 +1,56 @@
+"""The figure of candidates, and their lines of text."""
+
+import dataclasses
+
+import pytest
+from search_fakes import board, row
+
+from jaxnarx.identification import Leaderboard, described
+from jaxnarx.shell.leaderboard_figure import error_over_operations
+from jaxnarx.shell.leaderboard_text import live_head, live_line, table
+
+
+def drawn(found: Leaderboard):
+    figure = error_over_operations(described(found, "y"))
+    (axes,) = figure.axes
+    return axes, [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_families_the_front_and_the_one_in_use_are_shown():
+    axes, told = drawn(board("y"))
+    assert {"constant", "ARX", "polynomial", "shared feedback", "LOLIMOT"} <= set(told)
+    assert "in use: 3" in told and "diverges: vetoed" in told
+    assert axes.get_xscale() == "log" and axes.get_yscale() == "log"
+    by_label = {line.get_label(): line for line in axes.lines}
+    front = by_label["no cheaper one is better"]
+    assert front.get_xdata().tolist() == [1, 3, 9, 20]  # no operation stands at one
+    assert by_label["in use: 3"].get_xdata() == [9.0]
+
+
+def test_few_errors_alike_need_no_logarithm():
+    axes, _ = drawn(Leaderboard((row(2), row(3)), ("day 1", "day 2")))
+    assert axes.get_yscale() == "linear"
+
+
+@pytest.mark.parametrize("status", ["diverged", "skipped"])
+def test_nothing_to_choose_from_is_drawn_all_the_same(status):
+    lost = dataclasses.replace(row(1), free_run=None, status=status)
+    axes, told = drawn(Leaderboard((lost,), ("day 1", "day 2")))
+    assert ("diverges: vetoed" in told) == (status == "diverged")
+
+
+def test_a_line_for_each_candidate_and_a_table():
+    head, line = live_head(), live_line(row(3), best=True)
+    assert line.endswith("* 2 regions") and "0.195 ± 0.020" in line
+    assert head.index("free run") + 8 == line.index("0.195 ± 0.020") + 13
+    why = dataclasses.replace(row(4), status="skipped", detail="out of time")
+    assert live_line(why, best=False).endswith("3 models (out of time)")
+    lines = table(board("y"), "y").split("\n")
+    assert len(lines) == 6 and lines[2].startswith("*    2       3  polynomial")
+    assert "worst group" in lines[0] and lines[-1].split()[3] == "diverged"
+
+
+def test_the_short_table_keeps_the_used_and_the_linear():
+    lines = table(board("y"), "y", top=1).split("\n")
+    assert [s.removeprefix("*").split()[1] for s in lines[1:-1]] == ["4", "3", "2", "1"]
+    assert lines[-1].strip() == "and 1 more"
