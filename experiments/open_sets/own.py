@@ -4,7 +4,7 @@ A method takes training records and returns a network and the rows of its leader
 Only the standard library is imported here; the rest inside the functions.
 """
 
-import inspect
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,12 +19,12 @@ Row = dict[str, Any]
 Method = Callable[[Any], tuple[Any, Sequence[Row]]]
 
 KEPT = (
-    *("rank", "family", "output", "free_run", "standard_error", "worst_group"),
+    *("rank", "family", "name", "output", "free_run", "standard_error", "worst_group"),
     *("one_step", "diverged", "operations", "parameters", "seconds"),
 )
 """What the table keeps of a row of the leaderboard."""
 
-LINEAR = ("OE", "linear OE", "output error", "linear output error")
+LINEAR = ("OE", "OE with filtered inputs")
 """Names that the family of linear output-error models may have."""
 
 NAMES = (*READERS, *(f"engine-{bed}" for bed in BEDS))
@@ -53,16 +53,22 @@ def prepare(name: str, data: str, small: bool, path: str) -> Row:
 def automatic(preset: str, budget: float | None) -> Method:
     """Everything chosen by `identify`."""
     import jaxnarx as jnx
-
-    if "preset" not in inspect.signature(jnx.identify).parameters:
-        raise SystemExit("identify has no presets here; try --method fixed")
-    options: dict[str, Any] = {"preset": preset}
-    if budget is not None:
-        options["budget"] = budget
+    from jaxnarx.identification import read_search
 
     def method(train: Any) -> tuple[Any, Sequence[Row]]:
-        fit = jnx.identify(train, **options)
-        return fit.value, fit.stats["leaderboard"]
+        with tempfile.TemporaryDirectory() as place:
+            fit = jnx.identify(train, preset=preset, budget=budget, folder=place)
+            board, store = fit.stats["leaderboard"], read_search(Path(place))
+            rows: list[Row] = []
+            for output in board.outputs:
+                taken = board.chosen(output)
+                for rank, one in enumerate(board.of(output), 1):
+                    name, _ = board.worst_group(one) or ("", None)
+                    more = {"rank": rank, "chosen": one == taken, "worst_group": name}
+                    if one.family in LINEAR and one.eligible:
+                        more["network"] = store.network(one.number)
+                    rows.append(one.to_dict() | more)
+        return fit.value, rows
 
     return method
 

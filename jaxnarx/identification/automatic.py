@@ -5,26 +5,21 @@ them. What was tried is on the disk after every candidate.
 """
 
 import dataclasses
-import multiprocessing
-import os
-import queue
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.identification.candidates import Candidates, Tried
 from jaxnarx.identification.leaderboard import Leaderboard, Row
 from jaxnarx.identification.search_folder import SearchFolder, open_search
+from jaxnarx.identification.side import Side, Task, cores
 from jaxnarx.methods import PRESETS
-from jaxnarx.models import Network, load, merged, save
-from jaxnarx.output_error import Look, look
+from jaxnarx.models import Network, merged
+from jaxnarx.output_error import look
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
@@ -32,35 +27,6 @@ SHARE = 100
 """Numbers that the candidates of one output have."""
 POLL = 0.2
 """Seconds between looks at what the processes have found."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """What one output's search is told."""
-
-    data: Dataset
-    look: Look
-    groups: Groups
-    preset: str
-    candidates: int | None
-    until: float
-    """Time of the wall clock after which no candidate is begun."""
-    known: frozenset[str]
-
-    def run(self) -> Iterator[Tried]:
-        """Its candidates."""
-        found = Candidates(
-            self.data,
-            self.look,
-            self.groups,
-            PRESETS[self.preset],
-            known=self.known,
-            late=lambda: time.time() > self.until,
-        )
-        for n, one in enumerate(found, 1):
-            yield one
-            if self.candidates is not None and n >= self.candidates:
-                return
 
 
 def search(
@@ -94,7 +60,13 @@ def search(
         store = open_search(Path(place) if folder is None else folder, key, board)
         tasks = {
             name: Task(
-                data, one, groups, preset, candidates, until, _known(store, name)
+                data,
+                one,
+                groups,
+                preset,
+                candidates,
+                until,
+                tuple(r for r in store.leaderboard.rows if r.output == name),
             )
             for name, one in looks.items()
         }
@@ -110,11 +82,6 @@ def search(
         return _solution(race.store, list(outputs), stopped, facts)
 
 
-def _known(store: SearchFolder, output: str) -> frozenset[str]:
-    rows = store.leaderboard.rows
-    return frozenset(f"{r.family}: {r.name}" for r in rows if r.output == output)
-
-
 class Race:
     """Candidates of all outputs as they come."""
 
@@ -123,11 +90,14 @@ class Race:
 
     def run(self, tasks: dict[str, Task]) -> None:
         """Search every output."""
-        workers = min(len(os.sched_getaffinity(0)), len(tasks))
+        places = {name: self.outputs.index(name) for name in tasks}
+        tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
+        workers = min(cores(), len(tasks))
         if workers < 2:
             for name, task in tasks.items():
                 for tried in task.run():
                     self.add(name, *tried)
+                self._finish(places[name], task)
         else:
             self._side_by_side(tasks, workers)
 
@@ -158,85 +128,32 @@ class Race:
             }
         )
 
+    def _finish(self, place: int, task: Task) -> None:
+        """Say that an output needs no further look, unless time was short."""
+        if time.time() < task.until:
+            self.store.finish(place)
+
     def _side_by_side(self, tasks: dict[str, Task], workers: int) -> None:
         """A process for every output, as many at a time as there are cores."""
-        context = multiprocessing.get_context("spawn")
-        found = context.Queue()
-        waiting, running = list(tasks.items()), {}
+        waiting = list(tasks.items())
+        running: dict[str, Side] = {}
         try:
             while waiting or running:
                 while waiting and len(running) < workers:
                     name, task = waiting.pop(0)
-                    running[name] = _started(context, name, task, found, self.store)
-                self._take(found, running)
+                    running[name] = Side(task)
+                for name, side in list(running.items()):
+                    ended = side.ended
+                    for row, network in side.found():
+                        self.add(name, row, network)
+                    if ended:
+                        side.close()
+                        del running[name]
+                        self._finish(self.outputs.index(name), tasks[name])
+                time.sleep(POLL)
         finally:
-            for process in running.values():
-                process.terminate()
-                process.join()
-
-    def _take(self, found, running: dict) -> None:
-        """What has come from the processes; those that have ended leave."""
-        try:
-            kind, name, payload = found.get(timeout=POLL)
-        except queue.Empty:
-            for name, process in list(running.items()):
-                if not process.is_alive():
-                    process.join()
-                    del running[name]
-                    if process.exitcode:
-                        raise RuntimeError(
-                            f"the search for {name} ended with {process.exitcode}"
-                        ) from None
-            return
-        if kind == "row":
-            row, path = payload
-            network = None if path is None else load(path)
-            if path is not None:
-                Path(path).unlink()
-            self.add(name, row, network)
-        elif kind == "error":
-            raise payload
-        else:
-            running.pop(name).join()
-
-
-def _started(context, name: str, task: Task, found, store: SearchFolder):
-    """A process at work on one output, with one thread for linear algebra."""
-    place = store.path / f".{os.getpid()}-{name}"
-    kept = {k: os.environ.get(k) for k in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        process = context.Process(
-            target=work, args=(name, task, found, str(place)), daemon=True
-        )
-        process.start()
-    finally:
-        for k, value in kept.items():
-            os.environ.pop(k, None) if value is None else os.environ.update({k: value})
-    return process
-
-
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def work(name: str, task: Task, found, place: str) -> None:
-    """Search one output and send every candidate; models go by files."""
-    import signal
-
-    import jax
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    jax.config.update("jax_enable_x64", task.data.records[0].u.dtype == np.float64)
-    try:
-        for n, (row, network) in enumerate(task.run()):
-            path = None
-            if network is not None:
-                path = f"{place}-{n}.safetensors"
-                save(network, path)
-            found.put(("row", name, (row, path)))
-        found.put(("end", name, None))
-    except Exception as error:
-        found.put(("error", name, error))
+            for side in running.values():
+                side.close()
 
 
 def _solution(
@@ -245,6 +162,8 @@ def _solution(
     """The chosen networks as one; the safest where all candidates are vetoed."""
     board, networks, vetoed = store.leaderboard, [], []
     for output in outputs:
+        if not board.of(output):
+            continue  # interrupted before
         row = board.chosen(output)
         if row is None:
             vetoed.append(output)
@@ -254,6 +173,8 @@ def _solution(
     status, detail = RESULTS.ok, ""
     if stopped:
         status, detail = RESULTS.budget_spent, "interrupted; the best so far"
+        if missing := [name for name in outputs if name not in board.outputs]:
+            detail += f", and none of {', '.join(missing)}"
     if vetoed:
         status = RESULTS.diverged
         detail = f"every candidate of {', '.join(vetoed)} diverges"

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -31,15 +31,15 @@ class Candidates:
         groups: Groups,
         preset: Preset,
         *,
-        known: frozenset[str] = frozenset(),
+        known: Sequence[Row] = (),
         late: Callable[[], bool] = lambda: False,
     ):
-        """`known` are names of candidates that need not be tried again; `late` tells
-        that the time is up."""
+        """`known` are candidates that need not be tried again; `late` tells that the
+        time is up."""
         self.data, self.look, self.groups, self.preset = data, look, groups, preset
-        self.known, self.late = known, late
+        self.known = {(row.family, row.name): row for row in known}
+        self.late, self.passed, self.spread = late, 0, 1.0
         self.best: np.ndarray | None = None
-        self.spread = 1.0
 
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time."""
@@ -50,6 +50,7 @@ class Candidates:
             limits = dict(max_models=1, degree=1)
         for found in search.candidates(**limits, grown_roots=self.preset.grown):
             self._remember(found.losses())
+            self.passed += 1
             yield self._closed(found, time.perf_counter() - begin)
             if self.late():
                 return
@@ -60,7 +61,7 @@ class Candidates:
 
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
         """The losses of the best so far."""
-        if self.best is None or losses.sum() < self.best.sum():
+        if self.best is None or np.nansum(losses) < np.nansum(self.best):
             self.best = losses
 
     def _closed(self, found: Found, seconds: float) -> Tried:
@@ -70,7 +71,7 @@ class Candidates:
         row = dataclasses.replace(
             row,
             free_run=None if lost else found.free_run,
-            groups=tuple(float(e) for e in found.groups()),
+            groups=_listed(found.groups()),
             one_step=found.one_step(),
             diverged=lost,
             status="diverged" if lost else "ok",
@@ -91,7 +92,10 @@ class Candidates:
         for n, (family, name, method) in enumerate(fed_back(self.data, self.look)):
             if n >= self.preset.fed_back or self.late():
                 return
-            if f"{family}: {name}" in self.known:
+            self.passed += 1
+            if (row := self.known.get((family, name))) is not None:
+                if row.eligible:
+                    self._remember(_losses(row))
                 continue
             begin = time.perf_counter()
             try:
@@ -104,7 +108,7 @@ class Candidates:
 
     def _judged(self, family: str, name: str, found: Judged, seconds: float) -> Tried:
         row = self._row(family, name, seconds, found.network, found.detail)
-        groups = tuple(float(e) if np.isfinite(e) else None for e in found.losses**0.5)
+        groups = _listed(np.sqrt(found.losses))
         row = dataclasses.replace(row, groups=groups, diverged=found.diverged)
         if found.diverged:
             return dataclasses.replace(row, status="diverged"), None
@@ -145,8 +149,18 @@ def _operations(price) -> int:
     return sum(p.multiplications + p.divisions + p.exponentials for p in parts)
 
 
+def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
+    return tuple(float(e) if np.isfinite(e) else None for e in errors)
+
+
+def _losses(row: Row) -> Float[np.ndarray, " groups"]:
+    """Mean squared errors of the groups of a row."""
+    return np.array([np.nan if e is None else e**2 for e in row.groups])
+
+
 def _with_error(row: Row, losses: Float[np.ndarray, " groups"]) -> Row:
     """With the standard error of the free run, from the spread between groups."""
+    losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:
         return row
     of_square = float(np.std(losses, ddof=1) / np.sqrt(len(losses)))

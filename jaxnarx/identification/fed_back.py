@@ -14,25 +14,18 @@ from jaxnarx.output_error import Look
 from jaxnarx.regressors import Pool, polynomial_pool
 
 HORIZONS = (10, 100)
+TRIED = (
+    *((2, 2, 10), (2, 3, 12), (2, 1, 0), (3, 3, 20), (2, 3, 30)),
+    *((3, 1, 0), (2, 3, 6), (3, 2, 20), (4, 3, 30), (4, 2, 30), (4, 3, 50)),
+)
+"""Longest lag, degree and number of terms; of degree one local models."""
 LARGEST = 600
 """Candidate terms of a pool."""
 
 
 def fed_back(data: Dataset, look: Look) -> Iterator[tuple[str, str, Identification]]:
     """(family, name, method), those that pay most often first."""
-    for lags, degree, terms in (
-        (2, 2, 10),
-        (2, 3, 12),
-        (2, 1, 0),
-        (3, 3, 20),
-        (2, 3, 6),
-        (3, 2, 20),
-        (2, 3, 30),
-        (3, 1, 0),
-        (4, 3, 30),
-        (4, 2, 30),
-        (4, 3, 50),
-    ):
+    for lags, degree, terms in TRIED:
         if degree == 1:
             yield from _local(data, look, lags)
             continue

@@ -11,9 +11,9 @@ from jaxnarx.methods import Identification
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.simulation import predict, simulate
 
-HOPELESS = 1.5
-"""Error on the groups so far, as a multiple of the best candidate's there, beyond which
-the other groups are not tried."""
+HOPELESS = 2.0, 1.5
+"""Error on the first group, and on the first two or more, as a multiple of the best
+candidate's there, beyond which the other groups are not tried."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,7 +59,8 @@ def judge(
         if diverged:
             return Judged(losses, counts, np.nan, diverged, None, "diverges")
         done = slice(g + 1)
-        if best is not None and losses[done].sum() > HOPELESS**2 * best[done].sum():
+        worst = HOPELESS[min(g, 1)] ** 2
+        if best is not None and losses[done].sum() > worst * np.nansum(best[done]):
             told = f"given up after {g + 1} of {len(groups)} groups"
             return Judged(losses, counts, np.nan, diverged, None, told)
     network = trained(method, data)

@@ -11,7 +11,7 @@ from typing import Any
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
 SHARE = 0.05
-"""Share of the error that a model for a control unit may give away."""
+"""Share of the error that a cheaper model may give away."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,8 +158,11 @@ def _near(row: Row, best: Row) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
     Of the difference, group by group: groups differ in how hard they are, which says
-    nothing about the candidates.
+    nothing about the candidates. With few groups that error is large; more than `SHARE`
+    is not given away.
     """
+    if not _within(row, best):
+        return False
     pairs = [
         (mine**2 - theirs**2)
         for mine, theirs in zip(row.groups, best.groups, strict=False)

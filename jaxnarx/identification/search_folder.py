@@ -2,6 +2,7 @@
 
     search.json                    key of data and settings, rows, names of groups, rule
     candidates/<number>.safetensors    that candidate, trained on all records
+    candidates/<output>.finished       all candidates of that output have been tried
 
 The key is a table of plain values, such as digests. A folder with another key belongs
 to another search, whose candidates would not compare with these.
@@ -77,6 +78,18 @@ class SearchFolder:
             raise unwritable(path, error) from error
         save(network, path)
 
+    def finished(self, output: int) -> bool:
+        """Whether all candidates of an output, by its place, have been tried."""
+        return self._mark(output).exists()
+
+    def finish(self, output: int) -> None:
+        """Say that they have."""
+        self._mark(output).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self._mark(output), b"")
+
+    def _mark(self, output: int) -> Path:
+        return self.path / CANDIDATES / f"{output}.finished"
+
     def write(self) -> None:
         """Write `search.json`, whole or not at all."""
         board = self.leaderboard
@@ -117,6 +130,9 @@ def open_search(
             field="folder",
         )
     rows = tuple(r for r in old.leaderboard if not lost(old, r))
+    if len(rows) < len(old.leaderboard):
+        for mark in (path / CANDIDATES).glob("*.finished"):
+            mark.unlink()
     return dataclasses.replace(
         new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
     )

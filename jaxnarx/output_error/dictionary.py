@@ -25,7 +25,7 @@ region's extension; O. Nelles, "Nonlinear System Identification", 2001, 13.2.2."
 MARGIN = 0.02
 """Share of the trained range by which predictions may leave it."""
 HARD = 60.0
-"""Steepness of a gate between the levels of a variable that has few."""
+"""Steepness of a gate between levels, over their distance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Gate:
     border: float
     steepness: float
     side: int = 1
+    hard: bool = False
+    """Between the levels of a variable that has few: it is not moved."""
 
     def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
         a = np.clip(self.side * self.steepness * (x[self.dim] - self.border), -700, 700)
@@ -208,8 +210,8 @@ class Dictionary:
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
         """Sum of squared errors of a group, held within the range of all others."""
-        rest = [y for g, y in enumerate(self.measured) if g != group]
-        low, high = min(y.min() for y in rest), max(y.max() for y in rest)
+        rest = np.concatenate([y for g, y in enumerate(self.measured) if g != group])
+        low, high = rest.min(initial=np.inf), rest.max(initial=-np.inf)
         margin = MARGIN * (high - low)
         held = np.clip(run, low - margin, high + margin)
         return float(np.sum((self.measured[group] - held) ** 2))

@@ -54,7 +54,8 @@ class Leaf:
             if len(inside) < 2:
                 return None
             middle = len(inside) // 2
-            return Gate(dim, (inside[middle - 1] + inside[middle]) / 2, HARD)
+            below, above = inside[middle - 1 : middle + 1]
+            return Gate(dim, (below + above) / 2, HARD / (above - below), hard=True)
         extent = self.high[dim] - self.low[dim]
         return Gate(dim, self.low[dim] + extent / 2, 2 / (WIDTH**2 * extent))
 
@@ -126,6 +127,7 @@ def grown(
         leaf = last.leaves[n]
         upper, lower = leaf.halved(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
+        kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
         near = [r for r in RIDGES if last.ridge / 11 < r < last.ridge * 11]
         stage = sized(last.dictionary.extended(block), leaves, near)
         stages.append(stage)

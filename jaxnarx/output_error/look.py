@@ -11,8 +11,10 @@ FEW = 3
 """Distinct values up to which an input counts as binary or event-like."""
 RARE = 0.02
 """Share of the samples that may lie between these values: edges that were resampled."""
-COUNTED = 12_500
+COUNTED = 20_000
 """Samples that judge; of longer data every k-th one counts."""
+SHORTEST = 15
+"""Length of the records, in reaches of the lags."""
 REACH = 100
 """Longest dead time looked for [samples]."""
 
@@ -30,6 +32,8 @@ class Look:
     """Samples in which the quickest clear answer has covered 63 % of its way."""
     memory: int
     """Samples until the slowest clear answer is over."""
+    reach: int
+    """Samples that lags may reach back: records and blocks keep most of theirs."""
     every: int
     """Every so many samples one counts."""
 
@@ -61,8 +65,15 @@ def look(data: Dataset, output: str) -> Look:
         tuple(dead),
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
+        _usual_length(data) // SHORTEST,
         max(1, data.samples // COUNTED),
     )
+
+
+def _usual_length(data: Dataset) -> int:
+    """Samples of the longest record without which others hold under nine tenths."""
+    lengths = np.sort([len(r) for r in data])[::-1]
+    return int(lengths[np.searchsorted(np.cumsum(lengths), 0.9 * lengths.sum())])
 
 
 def _levels(data: Dataset, place: int) -> tuple[float, ...] | None:

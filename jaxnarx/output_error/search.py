@@ -16,13 +16,13 @@ from jaxnarx.models import Network
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
-from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import Signals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
-from jaxnarx.regressors import Variables, evaluate
+from jaxnarx.output_error.tuning import places_of, tuned
+from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import has_diverged
 
 ORDERS = 4
@@ -30,6 +30,8 @@ ORDERS = 4
 SETTLED = 1e-4
 """Ridge while the feedback of linear models is sought."""
 FAMILIES = "filtered inputs", "OE with filtered inputs"
+SCALES = 5
+"""Scales of lags and filters that are tried, each twice the last one."""
 SERVES = 0.995
 """Share of the error that must be left at most for another round."""
 WILD = 1e30
@@ -55,9 +57,9 @@ class Found:
         return self.stage.score
 
     def losses(self) -> Float[np.ndarray, " groups"]:
-        """Mean squared error of every group."""
-        count = np.maximum(self.stage.dictionary.equations.samples, 1.0)
-        return self.stage.losses / count
+        """Mean squared error of every group; NaN where no sample of it counts."""
+        count = self.stage.dictionary.equations.samples
+        return self.stage.losses / np.where(count > 0, count, np.nan)
 
     def diverged(self) -> int:
         """Records that would leave the bounds of the feedback, run by the model of all
@@ -140,6 +142,10 @@ class Search:
                 )
             }
         return self.known[key]
+
+    def memory(self, step: int) -> Memory:
+        """Lags and filters in this scale."""
+        return Memory.of(step, self.look.reach)
 
     def found(self, family: str, name: str, stage: Stage) -> Found:
         """A candidate."""
@@ -226,15 +232,15 @@ class Search:
             yield np.convolve(last, [1.0, -0.3])
             yield np.convolve(last, [1.0, -0.9])
         yield equation_error(signals, order)[0]
-        if order <= 2:
-            unit = self.data.sample_time
-            rise, slow = max(self.look.rise, 1.0), max(self.look.memory / 3, 2.0)
-            for time in {rise, float(np.sqrt(rise * slow)), slow}:
-                yield of_times([time * unit, time * unit / 3][:order], unit)
+        unit = self.data.sample_time
+        rise, slow = max(self.look.rise, 1.0), max(self.look.memory / 3, 2.0)
+        times = [rise, float(np.sqrt(rise * slow)), slow] if order <= 2 else [slow]
+        for time in dict.fromkeys(times):
+            yield of_times([time * unit / 3**k for k in range(order)], unit)
 
     def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[Found]:
         """Linear terms at lags and through filters, without feedback and with it."""
-        memory = Memory(max(1, round(self.look.rise / 4)))
+        memory = self.memory(max(1, round(self.look.rise / 4)))
         signals = self.signals(memory, 1)
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
@@ -244,10 +250,10 @@ class Search:
     def polynomials(self, orders: dict[int, np.ndarray], degree: int) -> list[Found]:
         """Products in several scales of lags and filters, with several feedbacks; best
         first."""
-        step, out = 1, []
-        most = max(self.look.rise, self.look.memory / 64, 1.0)
+        most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
+        step, out = max(1, 2 ** int(np.log2(most) - SCALES + 1)), []
         while step <= most:
-            memory = Memory(step)
+            memory = self.memory(step)
             signals = self.signals(memory, degree)
             for a in (np.ones(1), orders[1], orders[2]):
                 stage = self.root(signals, a, (1e-4, 1e-2))
@@ -283,23 +289,26 @@ class Search:
             yield roots[-1]
         roots.sort(key=lambda one: one.free_run)
         for root in roots[:grown_roots]:
-            levels = self.levels(root.stage.dictionary.signals.scheduling)
+            levels = self.levels(root.stage.dictionary.signals)
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
-            end = self.retuned(stages[best], gates=True, most=3)
-            for stage in (*stages[1 : best + 1 : 2], end):
-                name = f"{len(stage.leaves)} regions, {root.name}"
-                yield self.found("shared feedback", name, stage)
+            if best:
+                for stage in stages[1 : best + 1]:
+                    if len(stage.leaves) % 2 == 0 or stage is stages[best]:
+                        name = f"{len(stage.leaves)} regions, {root.name}"
+                        yield self.found("shared feedback", name, stage)
+                end = self.retuned(stages[best], gates=True, most=3)
+                if end is not stages[best]:
+                    yield self.found("shared feedback", f"{name}, gates moved", end)
 
-    def levels(self, table: Variables) -> list[tuple[float, ...] | None]:
-        """Of scheduling variables with few values these, from 0 to 1."""
+    def levels(self, signals: Signals) -> list[tuple[float, ...] | None]:
+        """Of scheduling variables with few values these, scaled as they are."""
         out = []
-        for signal, _, filter_ in table.entries:
+        scales = zip(signals.offset, signals.span, strict=True)
+        entries = zip(signals.scheduling.entries, scales, strict=True)
+        for (signal, _, filter_), (offset, span) in entries:
             own = self.look.levels[signal] if filter_ is None else None
-            if own is not None:
-                span = max(own[-1] - own[0], 1e-300)
-                own = tuple((v - own[0]) / span for v in own)
-            out.append(own)
+            out.append(own and tuple(float((v - offset) / span) for v in own))
         return out
 
     def equation_error(self, order: int) -> Found:

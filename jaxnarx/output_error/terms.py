@@ -28,6 +28,11 @@ class Memory:
     times: tuple[float, ...] = SLOW
     """Time constants in steps; none without filters."""
 
+    @classmethod
+    def of(cls, step: int, reach: int) -> "Memory":
+        """The usual lags and filters, as far as the reach [samples]."""
+        return cls(step, tuple(lag for lag in SPREAD if lag * step <= max(reach, 2)))
+
     def lags_of(self, dead_time: int) -> list[int]:
         """Lags of an input; one step before the dead time too, which may be wrong."""
         begin = max(dead_time - self.step, 0)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.output_error.denominator import is_stable
-from jaxnarx.output_error.dictionary import HARD, Dictionary, Gate, Region, weight
+from jaxnarx.output_error.dictionary import Dictionary, Gate, Region, weight
 from jaxnarx.output_error.signals import Stretch
 from jaxnarx.regressors import evaluate
 
@@ -44,6 +44,8 @@ def tuned(
     loss = _loss(dictionary, ridge)
     for _ in range(steps):
         better = _better(dictionary, loss, ridge, gates)
+        if better is None and gates:
+            better = _better(dictionary, loss, ridge, False)
         if better is None:
             break
         dictionary, gain, loss = better[0], 1 - better[1] / loss, better[1]
@@ -56,6 +58,8 @@ def _better(dictionary: Dictionary, loss: float, ridge: float, gates: bool):
     places = places_of(dictionary) if gates else []
     step = _step(dictionary, ridge, places)
     order = len(dictionary.a) - 1
+    if not step.size:
+        return None
     for halving in range(HALVINGS):
         own = 0.5**halving * step
         a = dictionary.a.copy()
@@ -73,7 +77,7 @@ def places_of(dictionary: Dictionary) -> list[Place]:
     found: dict[Place, None] = {}
     for block in dictionary.blocks:
         for n, gate in enumerate(block.region):
-            if gate.steepness != HARD:
+            if not gate.hard:
                 upper = gate if gate.side > 0 else gate.other
                 found.setdefault((block.region[:n], upper))
     return list(found)

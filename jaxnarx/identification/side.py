@@ -1,0 +1,167 @@
+"""The search for one output, here or in a process of its own.
+
+A process is given its task by a file and answers by files in the same folder: a pickle
+for every candidate, its model beside it. Whole files only, and none that any other
+program reads or leaves behind. It ends with the process that has started it.
+"""
+
+import dataclasses
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.files import write_whole
+from jaxnarx.identification.candidates import Candidates, Tried
+from jaxnarx.identification.leaderboard import Row
+from jaxnarx.methods import PRESETS
+from jaxnarx.models import Network, load, save
+from jaxnarx.output_error import Look
+
+TASK, END, ERROR, SAID = "task", "end", "error", "said.txt"
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+WATCH = 1.0
+"""Seconds between looks whether the process that has started this one is there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What the search for one output is told."""
+
+    data: Dataset
+    look: Look
+    groups: Groups
+    preset: str
+    candidates: int | None
+    until: float
+    """Time of the clock after which no candidate is begun."""
+    known: tuple[Row, ...]
+
+    def run(self) -> Iterator[Tried]:
+        """Its candidates."""
+        found = Candidates(
+            self.data,
+            self.look,
+            self.groups,
+            PRESETS[self.preset],
+            known=self.known,
+            late=self._late,
+        )
+        for one in found:
+            yield one
+            if self.candidates is not None and found.passed >= self.candidates:
+                return
+
+    def _late(self) -> bool:
+        return time.time() > self.until
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Side:
+    """A process at work on a task, with one thread for linear algebra."""
+
+    def __init__(self, task: Task):
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
+        self.place, self.read = Path(self._folder.name), 0
+        _write(self.place / TASK, (task, _settings()))
+        paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
+        given = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": paths}
+        with open(self.place / SAID, "wb") as said:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(self.place)],
+                env=given,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+            )
+
+    @property
+    def ended(self) -> bool:
+        """Whether all candidates are there to be read."""
+        return (self.place / END).exists() or self.process.poll() is not None
+
+    def found(self) -> Iterator[Tried]:
+        """Candidates that are new; what has stopped the search is raised here."""
+        while (path := self.place / str(self.read)).exists():
+            row, has = _read(path)
+            yield row, self._network() if has else None
+            self.read += 1
+        if (self.place / ERROR).exists():
+            raise _read(self.place / ERROR)
+        if self.process.poll() and not (self.place / END).exists():
+            said = (self.place / SAID).read_text(errors="replace").strip()[-2000:]
+            raise RuntimeError(
+                f"the search in process {self.process.pid} ended with "
+                f"{self.process.returncode}: {said or 'it said nothing'}"
+            )
+
+    def _network(self) -> Network:
+        return load(self.place / f"{self.read}.safetensors")
+
+    def close(self) -> None:
+        """End it, and take its files away."""
+        self.process.kill()
+        self.process.wait()
+        self._folder.cleanup()
+
+
+def _settings() -> dict[str, Any]:
+    names = ("jax_enable_x64", "jax_compilation_cache_dir")
+    names += ("jax_persistent_cache_min_compile_time_secs",)
+    return {name: getattr(jax.config, name) for name in names}
+
+
+def _write(path: Path, value: Any) -> None:
+    write_whole(path, pickle.dumps(value))
+
+
+def _read(path: Path) -> Any:
+    return pickle.loads(path.read_bytes())
+
+
+def _leave_with(parent: int) -> None:
+    """End at once when the process that has started this one is gone."""
+    while os.getppid() == parent:
+        time.sleep(WATCH)
+    os._exit(1)
+
+
+def main(place: Path) -> None:
+    """Search, and write every candidate into the folder."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    watch = threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True)
+    watch.start()
+    task, settings = _read(place / TASK)
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    try:
+        for n, (row, network) in enumerate(task.run()):
+            if network is not None:
+                save(network, place / f"{n}.safetensors")
+            _write(place / str(n), (row, network is not None))
+        _write(place / END, None)
+    except Exception as error:
+        _write(place / ERROR, error)
+
+
+if __name__ == "__main__":
+    # The classes of the pickles are those of the module, not of __main__.
+    from jaxnarx.identification import side
+
+    side.main(Path(sys.argv[1]))
