@@ -138,3 +138,20 @@ def coefficients(found: Dictionary, size: float = 0.1, seed: int = 0) -> np.ndar
     columns = np.concatenate(found.rows(), axis=1)
     spread = np.maximum(columns.std(axis=1), 1e-9)
     return size * np.random.default_rng(seed).normal(size=len(columns)) / spread
+
+
+def plant(change=None, lengths=LENGTHS, seed: int = 0) -> Dataset:
+    """First order with a gain that bends, `b` binary; `change` makes (u, y) of it from
+    a generator, u and y."""
+    rng = np.random.default_rng(seed)
+    us, ys = [], []
+    for n in lengths:
+        u = np.stack([2 * levels(rng, n, 7) - 1, levels(rng, n, 11) > 0.5], axis=1)
+        y = np.zeros(n)
+        for t in range(1, n):
+            y[t] = 0.8 * y[t - 1] + np.tanh(2 * u[t - 1, 0]) + 0.3 * u[t - 1, 1]
+        y += 0.02 * rng.normal(size=n)
+        u, y = (u, y) if change is None else change(rng, u, y)
+        us.append(u)
+        ys.append(y[:, None])
+    return dataset(us, ys)

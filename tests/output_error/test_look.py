@@ -1,0 +1,73 @@
+"""What the data say: levels, dead times, memory."""
+
+import nested_problems as problems
+import numpy as np
+import pytest
+
+from jaxnarx.data import Dataset
+from jaxnarx.output_error import look
+
+DEAD = 3
+"""Samples before `a` shows; `b` does so after one."""
+
+
+def made(change=lambda u: u, rows: int = 300) -> Dataset:
+    """First order, 5 samples to 63 %."""
+    rng = np.random.default_rng(1)
+    us, ys, pole = [], [], np.exp(-1 / 5)
+    for _ in range(3):
+        a = problems.levels(rng, rows, 15)
+        u = np.stack([a, (problems.levels(rng, rows, 20) > 0.5) * 1.0], axis=1)
+        y = np.zeros(rows)
+        for t in range(DEAD, rows):
+            y[t] = pole * y[t - 1] + (1 - pole) * (u[t - DEAD, 0] + u[t - 1, 1])
+        us.append(change(u))
+        ys.append((y + 0.005 * rng.normal(size=rows))[:, None])
+    return problems.dataset(us, ys)
+
+
+def test_dead_times_rise_and_memory():
+    found = look(made(), "y")
+    assert found.output == "y" and found.dead_time == (DEAD, 1)
+    assert found.rise == pytest.approx(5, abs=1.5)
+    assert 10 <= found.memory <= 60 and found.every == 1
+    told = found.to_dict(["a", "b"])
+    assert told["dead_time"] == {"a": DEAD, "b": 1} and told["few_levels"] == ["b"]
+
+
+def test_levels_of_binary_inputs_though_edges_were_resampled():
+    def edges(u):
+        u = u * [1.0, 3.0] + [0.0, -1.0]
+        u[[50, 120], 1] = 0.4
+        return u
+
+    assert look(made(edges), "y").levels == (None, (-1.0, 2.0))
+
+
+def test_three_levels_are_few_and_four_are_not():
+    def rounded(count):
+        return lambda u: np.stack([np.floor(u[:, 0] * count), u[:, 1]], axis=1)
+
+    assert look(made(rounded(3)), "y").levels[0] == (0.0, 1.0, 2.0)
+    assert look(made(rounded(4)), "y").levels[0] is None
+
+
+def test_a_constant_input_has_one_level_and_no_dead_time():
+    found = look(made(lambda u: u * [1.0, 0.0] + [0.0, 7.0]), "y")
+    assert found.levels == (None, (7.0,)) and found.dead_time[1] == 0
+
+
+def test_where_no_answer_is_clear_memory_is_a_share_of_the_records():
+    rng = np.random.default_rng(3)
+    us = [rng.normal(size=(100, 2)) for _ in range(3)]
+    ys = [rng.normal(size=(100, 1)) for _ in range(3)]
+    found = look(problems.dataset(us, ys), "y")
+    assert found.dead_time == (0, 0) and found.rise == 1.0
+    assert 4 <= found.memory <= 25
+
+
+def test_of_long_data_every_so_many_samples_count():
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(size=(4000, 2)), 10, axis=0)
+    y = u @ [[1.0], [2.0]] + 0.1 * rng.normal(size=(40_000, 1))
+    assert look(problems.dataset([u], [y]), "y").every == 3
