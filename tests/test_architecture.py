@@ -49,7 +49,7 @@ HOUSE = [
     ["refinement"],
     ["selection"],
     ["partition"],
-    ["linear", "inverse", "design", "evaluation"],
+    ["linear", "inverse", "design", "evaluation", "output_error"],
     ["identification"],
     ["sweep"],
     # Floor 4.

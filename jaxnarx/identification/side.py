@@ -29,6 +29,8 @@ from jaxnarx.models import Network, load, save
 from jaxnarx.output_error import Look
 
 TASK, END, ERROR, SAID = "task", "end", "error", "said.txt"
+START = f"import sys; from {__name__} import main; main(sys.argv[1])"
+"""The module by its name, so that classes of pickles are its own."""
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 WATCH = 1.0
 """Seconds between looks whether the process that has started this one is there."""
@@ -84,7 +86,7 @@ class Side:
         given = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": paths}
         with open(self.place / SAID, "wb") as said:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(self.place)],
+                [sys.executable, "-c", START, str(self.place)],
                 env=given,
                 stdin=subprocess.DEVNULL,
                 stdout=said,
@@ -142,8 +144,9 @@ def _leave_with(parent: int) -> None:
     os._exit(1)
 
 
-def main(place: Path) -> None:
+def main(folder: str) -> None:
     """Search, and write every candidate into the folder."""
+    place = Path(folder)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     watch = threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True)
     watch.start()
@@ -158,10 +161,3 @@ def main(place: Path) -> None:
         _write(place / END, None)
     except Exception as error:
         _write(place / ERROR, error)
-
-
-if __name__ == "__main__":
-    # The classes of the pickles are those of the module, not of __main__.
-    from jaxnarx.identification import side
-
-    side.main(Path(sys.argv[1]))

@@ -171,6 +171,16 @@ class Dictionary:
         self, theta: Float[np.ndarray, " columns"]
     ) -> list[Float[np.ndarray, " time"]]:
         """Free runs of all stretches, in standard deviations of the output."""
+        pairs = zip(self.signals.stretches, self.driven(theta), strict=True)
+        return [
+            one.filtered(raw[None], self.a)[0] + one.left_by_start(self.a)
+            for one, raw in pairs
+        ]
+
+    def driven(
+        self, theta: Float[np.ndarray, " columns"]
+    ) -> list[Float[np.ndarray, " time"]]:
+        """What drives A(q) y in all stretches: the sum of all terms, unfiltered."""
         out = []
         for one in self.signals.stretches:
             raw, edge = np.zeros(len(one.y)), 0
@@ -180,8 +190,7 @@ class Dictionary:
                 used = np.flatnonzero(own)
                 p = evaluate(self.signals.factor[block.terms[used]], one.z)
                 raw += weight(block.region, one.x) * (own[used] @ np.asarray(p))
-            run = one.filtered(raw[None], self.a)[0]
-            out.append(run + one.left_by_start(self.a))
+            out.append(raw)
         return out
 
     def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:

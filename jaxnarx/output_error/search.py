@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
@@ -71,11 +70,13 @@ class Found:
         return wild
 
     def one_step(self) -> float:
-        """One-step NRMSE of the model of all groups: of A(q) times the run's error."""
+        """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
         square = count = 0.0
-        a = self.stage.dictionary.a
-        for one, run in zip(self._signals.stretches, self._runs(), strict=True):
-            error = scipy.signal.lfilter(a, [1.0], one.y - run)
+        a, order = self.stage.dictionary.a, len(self.stage.dictionary.a) - 1
+        driven = self.stage.dictionary.driven(self.coefficients())
+        for one, raw in zip(self._signals.stretches, driven, strict=True):
+            past = np.concatenate([one.before[:order][::-1], one.y])
+            error = np.convolve(past, a, mode="valid") - raw
             at = np.concatenate(one.counted)
             square, count = square + float(np.sum(error[at] ** 2)), count + len(at)
         return float(np.sqrt(square / max(count, 1.0)))
@@ -94,7 +95,7 @@ class Found:
         """Free runs by the model of all groups."""
         with np.errstate(all="ignore"):
             runs = self.stage.dictionary.runs(self.coefficients())
-        return [np.nan_to_num(run, posinf=WILD, neginf=-WILD, nan=WILD) for run in runs]
+        return [np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD) for run in runs]
 
     def groups(self) -> Float[np.ndarray, " groups"]:
         """The same of every group."""
