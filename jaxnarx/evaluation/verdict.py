@@ -6,8 +6,8 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - is no better than the mean of the measurement on records that were not trained on
   (NRMSE of `WORTHLESS` or more), or
 - has nothing to be judged by: no valid sample on the main part, or
-- comes from a search in which it diverged, or was no better than the mean, on the
-  records left out.
+- comes from a search in which it diverged on the records left out, or was no better
+  there than the mean by a standard error.
 
 **Usable with limits** is one that does not, but
 
@@ -328,8 +328,10 @@ def _left_out(report: Scored, rows: list[Row]) -> Iterator[Reason]:
             yield Reason(UNUSABLE, text, "bounded")
             continue
         test = tested.get(output)
-        if error >= WORTHLESS:
-            text = f"{where} is no better than the mean ({_nrmse(error)})"
+        spread = row["standard_error"] or 0.0
+        if error + spread >= WORTHLESS:
+            more = f" ± {spread:.2g}" if spread else ""
+            text = f"{where} is no better than the mean ({_nrmse(error)}{more})"
             yield Reason(UNUSABLE, text, "richer")
         elif worst is not None and worst >= WORTHLESS:
             text = f"{where} is no better than the mean in {row['worst_group']}"

@@ -9,6 +9,8 @@ LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""
 UNEVEN = 1.25
 """Times the pooled error from which a group is said to be served worse."""
+DIGITS = 7
+"""Behind the point; smaller figures are written with powers of ten."""
 RULES = {
     "near": "the cheapest to compute within one standard error of the best",
     "share": "the cheapest to compute within 5 % of the best",
@@ -34,7 +36,9 @@ def figure(row: Row) -> str:
         return row.status
     if not row.standard_error:
         return f"{row.free_run:.3g}"
-    digits = min(max(1 - math.floor(math.log10(row.standard_error)), 0), 9)
+    digits = max(1 - math.floor(math.log10(row.standard_error)), 0)
+    if digits > DIGITS:
+        return f"{row.free_run:.3g} ± {row.standard_error:.2g}"
     return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
 

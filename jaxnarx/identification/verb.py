@@ -6,8 +6,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from jaxnarx.data import Channels, Dataset, Groups, match_channels
-from jaxnarx.errors import SpecError, suggest
+from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.identification.automatic import search
 from jaxnarx.identification.by_method import Events, by_method
@@ -154,6 +156,7 @@ def _searched(
         )
     if validation is not None:
         data = with_group(data, validation, VALIDATION)
+    _require_moving(data)
     return search(
         data,
         preset=asked.preset,
@@ -164,6 +167,20 @@ def _searched(
         folder=None if asked.folder is None else Path(asked.folder),
         progress=progress,
     )
+
+
+def _require_moving(data: Dataset) -> None:
+    """DataError where an output that is to be modelled is constant."""
+    inputs = len(data.channels.inputs)
+    for o, name in enumerate(data.channels.output_names):
+        seen = [r.y[r.valid[:, inputs + o], o] for r in data]
+        values = np.concatenate(seen)
+        if not len(values) or np.ptp(values) == 0:
+            raise DataError(
+                f"output {name!r} is constant over all records; there is nothing to "
+                "identify. Model another output, or take other records.",
+                channel=name,
+            )
 
 
 def with_group(data: Dataset, more: Dataset, name: str) -> Dataset:

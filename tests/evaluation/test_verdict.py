@@ -136,10 +136,11 @@ def test_table_and_json_begin_with_it():
 # models of a search ---------------------------------------------------------------
 
 
-def searched(error, worst=0.2, diverged=0):
+def searched(error, worst=0.2, diverged=0, spread=None):
     """The leaderboard of a model with this error on records left out."""
     used = {"used": True, "free_run": error, "diverged": diverged}
     used |= {"worst_group": "day 2", "worst_group_error": worst}
+    used |= {"standard_error": spread}
     other = used | {"used": False, "free_run": 5.0}
     return {"T": {"rows": [other, used]}}
 
@@ -154,6 +155,9 @@ def test_a_model_that_diverges_on_records_left_out_is_unusable():
 def test_no_better_than_the_mean_on_records_left_out():
     verdict = made(*FINE, leaderboard=searched(1.2)).verdict
     assert verdict.level == "not usable" and "larger preset" in verdict.sentence
+    verdict = made(*FINE, leaderboard=searched(0.97, spread=0.05)).verdict
+    assert "the mean (NRMSE 0.97 ± 0.05)" in verdict.sentence and not verdict.usable
+    assert made(*FINE, leaderboard=searched(0.9, spread=0.05)).verdict.usable
     verdict = made(*FINE, leaderboard=searched(0.2, worst=1.4)).verdict
     assert verdict.level == "usable with limits" and verdict.remedy == "records"
     assert "no better than the mean in day 2 (NRMSE 1.4)" in verdict.sentence

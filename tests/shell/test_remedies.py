@@ -63,5 +63,6 @@ def test_what_cannot_diverge_is_proposed_in_the_end():
     for _ in range(3):
         command = parse(following(command, "bounded")[0][1:])
         assert isinstance(command, Identify)
+    assert isinstance(command.method, Identification)
     pool = command.method.pool
     assert pool.output_lags == () and pool.filters == (0.4, 1.6, 6.4)
