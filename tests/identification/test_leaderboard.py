@@ -1,0 +1,188 @@
+"""The choice among candidates: by paired differences of groups, by share, the best."""
+
+import csv
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+
+from jaxnarx.identification import Leaderboard, Row
+
+GROUPS = ("day 1", "day 2", "day 3", "day 4")
+
+
+def row(number: int, errors, operations: int | None = 10, **more) -> Row:
+    """A candidate with these errors of the groups, all of one size."""
+    squares = np.square(errors or (1.0,))
+    made = Row(
+        "y",
+        number,
+        "OE",
+        f"order {number}",
+        free_run=float(np.sqrt(squares.mean())),
+        standard_error=0.05,
+        groups=tuple(errors),
+        operations=operations,
+    )
+    return dataclasses.replace(made, **more)
+
+
+def board(*rows: Row, rule: str = "near") -> Leaderboard:
+    return Leaderboard(rows, GROUPS, rule)
+
+
+BEST = row(1, (0.10, 0.40, 0.20, 0.90), 100)
+
+
+def test_worse_by_chance_is_near():
+    """Better in two groups and worse in two: the cheaper one is taken."""
+    other = row(2, (0.12, 0.38, 0.25, 0.91), 10)
+    assert other.free_run is not None and BEST.free_run is not None
+    assert other.free_run > BEST.free_run
+    assert board(BEST, other).best("y") == BEST
+    assert board(BEST, other).chosen("y") == other
+
+
+def test_worse_everywhere_is_not_near_though_groups_differ_more():
+    """By a little in every group: less than groups differ, but it is no chance."""
+    other = row(2, (0.12, 0.41, 0.22, 0.91), 10, standard_error=0.5)
+    assert board(BEST, other).chosen("y") == BEST
+
+
+def paired(mine: Row, best: Row) -> bool:
+    """Mean difference of squares within its standard error, as in a paired test, and
+    not more than 5 % worse."""
+    a, b = np.square(mine.groups), np.square(best.groups)
+    by_chance = (a - b).mean() <= (a - b).std(ddof=1) / np.sqrt(len(a))
+    return bool(by_chance and a.mean() <= 1.05**2 * b.mean())
+
+
+def test_near_is_a_paired_difference_within_its_standard_error():
+    rng = np.random.default_rng(0)
+    told = []
+    for n in range(200):
+        errors = np.abs(np.array(BEST.groups) + rng.normal(0.01, 0.03, 4))
+        other = row(2, errors.tolist(), 10)
+        if other.free_run is None or other.free_run < (BEST.free_run or 0.0):
+            continue
+        told.append(paired(other, BEST))
+        expected = other if told[-1] else BEST
+        assert board(BEST, other).chosen("y") == expected, n
+    assert 5 < sum(told) < len(told) - 5
+
+
+def test_more_than_five_per_cent_are_no_chance():
+    """Two groups alone: the standard error is large."""
+    best = row(1, (0.1, 0.4), 100)
+    other = row(2, (0.05, 0.44), 10)
+    assert other.free_run and best.free_run and other.free_run > 1.05 * best.free_run
+    assert board(best, other).chosen("y") == best
+
+
+def test_of_those_near_the_cheapest_and_of_equal_ones_the_better():
+    near = [row(n, (0.12, 0.38, 0.25, 0.905), cost) for n, cost in ((2, 50), (3, 20))]
+    worse = row(4, (0.12, 0.38, 0.251, 0.905), 20)
+    assert board(BEST, *near, worse).chosen("y") == near[1]
+    # What has no number of operations is no bargain.
+    unknown = dataclasses.replace(near[1], operations=None)
+    assert board(BEST, unknown).chosen("y") == BEST
+
+
+def test_groups_that_one_of_them_lacks_are_left_out():
+    short = row(1, (0.10, 0.40), 100, groups=(0.10, None, 0.40, None))
+    other = row(2, (0.11, 0.41), 10, groups=(0.11, 0.0, 0.41, 0.0))
+    assert board(short, other).chosen("y") == short
+    # One pair has no spread: the standard error that the best tells of itself counts.
+    alone = row(1, (0.4,), 100, groups=(0.4, None), standard_error=0.01)
+    far = row(2, (0.411,), groups=(None, 0.1))
+    close = row(2, (0.409,), groups=(None, 0.1))
+    assert board(alone, far).chosen("y") == alone
+    assert board(alone, close).chosen("y") == close
+
+
+def test_share_is_within_five_per_cent():
+    exact = row(1, (0.2,) * 4, 100)
+    within, beyond = row(2, (0.2099,) * 4, 20), row(3, (0.2101,) * 4, 5)
+    assert board(exact, within, beyond, rule="share").chosen("y") == within
+    assert board(exact, beyond, rule="share").chosen("y") == exact
+    # By pairs neither would be near.
+    assert board(exact, within, beyond).chosen("y") == exact
+
+
+def test_best_is_the_smallest_error_whatever_it_costs():
+    other = row(2, (0.12, 0.38, 0.25, 0.91), 1)
+    assert board(other, BEST, rule="best").chosen("y") == BEST
+
+
+@pytest.mark.parametrize("rule", ["near", "share", "best"])
+def test_vetoed_ones_are_never_chosen_and_come_last(rule):
+    wild = row(2, (0.01,) * 4, 1, free_run=None, status="diverged", diverged=1)
+    failed = row(3, (), 1, free_run=None, status="failed")
+    skipped = row(4, (0.01,) * 4, 1, status="skipped")
+    found = board(wild, failed, skipped, BEST, rule=rule)
+    assert found.chosen("y") == found.best("y") == BEST
+    assert found.of("y")[0] == BEST and len(found.of("y")) == 4
+    nothing = board(wild, failed, skipped, rule=rule)
+    assert nothing.chosen("y") is None and nothing.best("y") is None
+    assert board(rule=rule).chosen("y") is None
+
+
+def test_order_of_rows_does_not_matter():
+    rows = [
+        row(n, [e + 0.01 * n * (-1) ** n for e in BEST.groups], 9 - n) for n in range(4)
+    ]
+    rows.append(BEST)
+    expected = board(*rows).of("y")
+    for turn in range(1, 5):
+        turned = board(*rows[turn:], *rows[:turn])
+        assert turned.of("y") == expected
+        assert turned.chosen("y") == board(*rows).chosen("y")
+
+
+def test_outputs_are_ranked_apart():
+    other = dataclasses.replace(row(101, (0.01,) * 4), output="w")
+    found = board(BEST, other)
+    assert (
+        found.outputs == ["y", "w"] and len(found) == 2 and list(found) == [BEST, other]
+    )
+    assert found.chosen("y") == BEST and found.chosen("w") == other
+    assert found.chosen("z") is None and found.of("z") == []
+
+
+def test_worst_group():
+    assert board().worst_group(BEST) == ("day 4", 0.9)
+    some = dataclasses.replace(BEST, groups=(None, 0.4, None, None))
+    assert board().worst_group(some) == ("day 2", 0.4)
+    assert board().worst_group(dataclasses.replace(BEST, groups=())) is None
+    assert board().worst_group(dataclasses.replace(BEST, groups=(None,) * 4)) is None
+
+
+def test_table_of_commas():
+    wild = row(2, (0.1, 0.2), 1, free_run=None, status="diverged", diverged=3)
+    wild = dataclasses.replace(wild, name='lags "1", 2', detail="runs away, twice")
+    found = board(wild, BEST)
+    head, *lines = csv.reader(io.StringIO(found.to_csv()))
+    table = [dict(zip(head, line, strict=True)) for line in lines]
+    assert [line["number"] for line in table] == ["1", "2"]
+    assert [line["rank"] for line in table] == ["1", "2"]
+    assert [line["chosen"] for line in table] == ["1", "0"]
+    assert float(table[0]["free_run"]) == BEST.free_run
+    assert (table[0]["worst_group"], table[0]["worst_group_error"]) == ("day 4", "0.9")
+    assert table[1]["free_run"] == "" and table[1]["diverged"] == "3"
+    assert (
+        table[1]["name"] == 'lags "1", 2' and table[1]["detail"] == "runs away, twice"
+    )
+    assert found.to_csv().endswith("\n") and "\r" not in found.to_csv()
+    (alone,) = csv.reader(io.StringIO(board().to_csv()))
+    assert alone == head
+
+
+def test_a_row_there_and_back():
+    wild = dataclasses.replace(BEST, groups=(0.1, None), free_run=None)
+    for one in (BEST, wild):
+        table = one.to_dict()
+        assert Row.from_dict(table) == one
+        assert Row.from_dict(table | {"groups": list(one.groups)}) == one
+    assert BEST.eligible and not wild.eligible
+    assert not dataclasses.replace(BEST, status="failed").eligible
