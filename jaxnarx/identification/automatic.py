@@ -14,9 +14,9 @@ from typing import Any
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.identification.leaderboard import Leaderboard, Row
+from jaxnarx.identification.leaderboard import Leaderboard, Standing
 from jaxnarx.identification.search_folder import SearchFolder, open_search
-from jaxnarx.identification.side import Side, Task, cores
+from jaxnarx.identification.side import OutputTask, Side, cores
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, merged
 from jaxnarx.output_error import look
@@ -59,7 +59,7 @@ def search(
     with tempfile.TemporaryDirectory() as place:
         store = open_search(Path(place) if folder is None else folder, key, board)
         tasks = {
-            name: Task(
+            name: OutputTask(
                 data,
                 one,
                 groups,
@@ -88,7 +88,7 @@ class Race:
     def __init__(self, store: SearchFolder, outputs: list[str], tell: Tell, begin):
         self.store, self.outputs, self.tell, self.begin = store, outputs, tell, begin
 
-    def run(self, tasks: dict[str, Task]) -> None:
+    def run(self, tasks: dict[str, OutputTask]) -> None:
         """Search every output."""
         places = {name: self.outputs.index(name) for name in tasks}
         tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
@@ -101,7 +101,7 @@ class Race:
         else:
             self._side_by_side(tasks, workers)
 
-    def add(self, output: str, row: Row, network: Network | None) -> None:
+    def add(self, output: str, row: Standing, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
         rows = self.store.leaderboard.rows
         same = [
@@ -128,12 +128,12 @@ class Race:
             }
         )
 
-    def _finish(self, place: int, task: Task) -> None:
+    def _finish(self, place: int, task: OutputTask) -> None:
         """Say that an output needs no further look, unless time was short."""
         if time.time() < task.until:
             self.store.finish(place)
 
-    def _side_by_side(self, tasks: dict[str, Task], workers: int) -> None:
+    def _side_by_side(self, tasks: dict[str, OutputTask], workers: int) -> None:
         """A process for every output, as many at a time as there are cores."""
         waiting = list(tasks.items())
         running: dict[str, Side] = {}

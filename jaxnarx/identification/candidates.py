@@ -11,13 +11,13 @@ from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.evaluation import cost
 from jaxnarx.identification.fed_back import fed_back
-from jaxnarx.identification.judge import Judged, judge
-from jaxnarx.identification.leaderboard import Row
+from jaxnarx.identification.judge import JudgedMethod, judge
+from jaxnarx.identification.leaderboard import Standing
 from jaxnarx.methods import Preset
 from jaxnarx.models import Network, hold_to_range
-from jaxnarx.output_error import Found, Look, Search
+from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
 
-Tried = tuple[Row, Network | None]
+Tried = tuple[Standing, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
 
@@ -31,7 +31,7 @@ class Candidates:
         groups: Groups,
         preset: Preset,
         *,
-        known: Sequence[Row] = (),
+        known: Sequence[Standing] = (),
         late: Callable[[], bool] = lambda: False,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
@@ -43,7 +43,7 @@ class Candidates:
 
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time."""
-        search = Search(self.data, self.look, self.groups)
+        search = ClosedSearch(self.data, self.look, self.groups)
         begin = time.perf_counter()
         limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
         if self.preset.linear:
@@ -64,7 +64,7 @@ class Candidates:
         if self.best is None or np.nansum(losses) < np.nansum(self.best):
             self.best = losses
 
-    def _closed(self, found: Found, seconds: float) -> Tried:
+    def _closed(self, found: ClosedForm, seconds: float) -> Tried:
         network = hold_to_range(found.network())
         row = self._row(found.family, found.name, seconds, network)
         lost = found.diverged()
@@ -106,7 +106,9 @@ class Candidates:
                 continue
             yield self._judged(family, name, found, time.perf_counter() - begin)
 
-    def _judged(self, family: str, name: str, found: Judged, seconds: float) -> Tried:
+    def _judged(
+        self, family: str, name: str, found: JudgedMethod, seconds: float
+    ) -> Tried:
         row = self._row(family, name, seconds, found.network, found.detail)
         groups = _listed(np.sqrt(found.losses))
         row = dataclasses.replace(row, groups=groups, diverged=found.diverged)
@@ -128,9 +130,9 @@ class Candidates:
         seconds: float,
         network: Network | None,
         detail: str = "",
-    ) -> Row:
+    ) -> Standing:
         price = None if network is None else cost(network)
-        return Row(
+        return Standing(
             self.look.output,
             0,
             family,
@@ -153,12 +155,12 @@ def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
     return tuple(float(e) if np.isfinite(e) else None for e in errors)
 
 
-def _losses(row: Row) -> Float[np.ndarray, " groups"]:
+def _losses(row: Standing) -> Float[np.ndarray, " groups"]:
     """Mean squared errors of the groups of a row."""
     return np.array([np.nan if e is None else e**2 for e in row.groups])
 
 
-def _with_error(row: Row, losses: Float[np.ndarray, " groups"]) -> Row:
+def _with_error(row: Standing, losses: Float[np.ndarray, " groups"]) -> Standing:
     """With the standard error of the free run, from the spread between groups."""
     losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:

@@ -17,7 +17,7 @@ candidate's there, beyond which the other groups are not tried."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedMethod:
     """Errors of one candidate on groups left out, in standard deviations."""
 
     losses: Float[np.ndarray, " groups"]
@@ -43,7 +43,7 @@ def judge(
     groups: Groups,
     spread: float,
     best: Float[np.ndarray, " groups"] | None = None,
-) -> Judged:
+) -> JudgedMethod:
     """Train without every group in turn, run freely over it; then train on everything.
 
     Given up where a run diverges, or where errors are far beyond those of the `best`
@@ -57,15 +57,15 @@ def judge(
         losses[g], diverged = loss, diverged + bad
         ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
         if diverged:
-            return Judged(losses, counts, np.nan, diverged, None, "diverges")
+            return JudgedMethod(losses, counts, np.nan, diverged, None, "diverges")
         done = slice(g + 1)
         worst = HOPELESS[min(g, 1)] ** 2
         if best is not None and losses[done].sum() > worst * np.nansum(best[done]):
             told = f"given up after {g + 1} of {len(groups)} groups"
-            return Judged(losses, counts, np.nan, diverged, None, told)
+            return JudgedMethod(losses, counts, np.nan, diverged, None, told)
     network = trained(method, data)
     one_step = float(np.sqrt(ahead / max(counts.sum(), 1.0)))
-    return Judged(losses, counts, one_step, diverged, network)
+    return JudgedMethod(losses, counts, one_step, diverged, network)
 
 
 def trained(method: Identification, data: Dataset) -> Network:

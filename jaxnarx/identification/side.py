@@ -23,7 +23,7 @@ import jax
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import write_whole
 from jaxnarx.identification.candidates import Candidates, Tried
-from jaxnarx.identification.leaderboard import Row
+from jaxnarx.identification.leaderboard import Standing
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, load, save
 from jaxnarx.output_error import Look
@@ -37,7 +37,7 @@ WATCH = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Task:
+class OutputTask:
     """What the search for one output is told."""
 
     data: Dataset
@@ -47,7 +47,7 @@ class Task:
     candidates: int | None
     until: float
     """Time of the clock after which no candidate is begun."""
-    known: tuple[Row, ...]
+    known: tuple[Standing, ...]
 
     def run(self) -> Iterator[Tried]:
         """Its candidates."""
@@ -78,7 +78,7 @@ def cores() -> int:
 class Side:
     """A process at work on a task, with one thread for linear algebra."""
 
-    def __init__(self, task: Task):
+    def __init__(self, task: OutputTask):
         self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
         self.place, self.read = Path(self._folder.name), 0
         _write(self.place / TASK, (task, _settings()))

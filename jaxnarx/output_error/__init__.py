@@ -9,5 +9,5 @@ solve and no pass over the data.
 
 from jaxnarx.output_error.look import Look as Look
 from jaxnarx.output_error.look import look as look
-from jaxnarx.output_error.search import Found as Found
-from jaxnarx.output_error.search import Search as Search
+from jaxnarx.output_error.search import ClosedForm as ClosedForm
+from jaxnarx.output_error.search import ClosedSearch as ClosedSearch

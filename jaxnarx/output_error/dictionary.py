@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.output_error.equations import NormalEquations
-from jaxnarx.output_error.signals import Signals, Stretch
+from jaxnarx.output_error.signals import RunSignals, Stretch
 from jaxnarx.regressors import evaluate
 
 WIDTH = 0.5
@@ -87,7 +87,7 @@ class Dictionary:
     Columns of the equations are terms, block by block.
     """
 
-    signals: Signals
+    signals: RunSignals
     a: Float[np.ndarray, " _"]
     blocks: tuple[Block, ...]
     target: tuple[Float[np.ndarray, " _"], ...]
@@ -95,7 +95,7 @@ class Dictionary:
     equations: NormalEquations
 
     @classmethod
-    def of(cls, signals: Signals, a: Float[np.ndarray, " _"]) -> "Dictionary":
+    def of(cls, signals: RunSignals, a: Float[np.ndarray, " _"]) -> "Dictionary":
         """Without blocks."""
         target = _grouped([_target(s, a) for s in signals.stretches])
         groups = len(target)

@@ -69,7 +69,7 @@ class System:
             scipy.linalg.cho_solve(factor, self.right, check_finite=False) / self.size
         )
 
-    def forward(self, ridge: float, most: int, first: Sequence[int]) -> "Path":
+    def forward(self, ridge: float, most: int, first: Sequence[int]) -> "ForwardPath":
         """Columns by error reduction, those of `first` before all others.
 
         Forward orthogonal least squares on normal equations (Chen, Billings and Luo
@@ -97,11 +97,11 @@ class System:
             rows[step], free[j] = row, False
             gain_of, power = gain_of - part * row, power - row**2
             order.append(j)
-        return Path(np.array(order, int), rows[: len(order)], self)
+        return ForwardPath(np.array(order, int), rows[: len(order)], self)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Path:
+class ForwardPath:
     """Columns in the order in which they entered, with their Cholesky rows."""
 
     order: Int[np.ndarray, " steps"]

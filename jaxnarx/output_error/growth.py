@@ -22,14 +22,14 @@ SIZES = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Leaf:
+class Box:
     """A region and the box it covers, in scheduling variables from 0 to 1."""
 
     region: Region
     low: Float[np.ndarray, " dims"]
     high: Float[np.ndarray, " dims"]
 
-    def moved(self, gates: Mapping[tuple[Region, Gate], Gate]) -> "Leaf":
+    def moved(self, gates: Mapping[tuple[Region, Gate], Gate]) -> "Box":
         """The same leaf behind other gates; the box follows the borders."""
         region = with_gates(self.region, gates)
         low, high = np.zeros_like(self.low), np.ones_like(self.high)
@@ -38,14 +38,14 @@ class Leaf:
                 low[gate.dim] = max(low[gate.dim], gate.border)
             else:
                 high[gate.dim] = min(high[gate.dim], gate.border)
-        return Leaf(region, low, high)
+        return Box(region, low, high)
 
-    def halved(self, gate: Gate) -> tuple["Leaf", "Leaf"]:
+    def halved(self, gate: Gate) -> tuple["Box", "Box"]:
         """Upper and lower half."""
         low, high = self.low.copy(), self.high.copy()
         low[gate.dim] = high[gate.dim] = gate.border
-        upper = Leaf((*self.region, gate), low, self.high)
-        return upper, Leaf((*self.region, gate.other), self.low, high)
+        upper = Box((*self.region, gate), low, self.high)
+        return upper, Box((*self.region, gate.other), self.low, high)
 
     def gate(self, dim: int, levels: Sequence[float] | None) -> Gate | None:
         """The gate that halves the box across a variable, between levels if any."""
@@ -61,11 +61,11 @@ class Leaf:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Stage:
+class GrownStage:
     """One partition with the number of columns and the ridge that serve it best."""
 
     dictionary: Dictionary
-    leaves: tuple[Leaf, ...]
+    leaves: tuple[Box, ...]
     losses: Float[np.ndarray, " groups"]
     """Sum of squared errors of every group left out."""
     size: int
@@ -92,9 +92,9 @@ def constants(dictionary: Dictionary) -> list[int]:
 
 def sized(
     dictionary: Dictionary,
-    leaves: tuple[Leaf, ...],
+    leaves: tuple[Box, ...],
     ridges: Sequence[float] = RIDGES,
-) -> Stage:
+) -> GrownStage:
     """Number of columns and ridge by the groups left out."""
     equations = dictionary.equations
     most = min(equations.columns, int(equations.samples.sum() / 8))
@@ -105,17 +105,17 @@ def sized(
         n = int(curve.sum(axis=0).argmin())
         found.append((curve[:, n].sum(), n, ridge, curve[:, n]))
     _, n, ridge, losses = min(found, key=lambda one: one[0])
-    return Stage(dictionary, leaves, losses, sizes[n], ridge)
+    return GrownStage(dictionary, leaves, losses, sizes[n], ridge)
 
 
 def grown(
-    start: Stage,
+    start: GrownStage,
     *,
     max_models: int,
     levels: Sequence[Sequence[float] | None],
     patience: int = 3,
-    told: Callable[[Stage], None] = lambda stage: None,
-) -> list[Stage]:
+    told: Callable[[GrownStage], None] = lambda stage: None,
+) -> list[GrownStage]:
     """One more region a stage; those that no halving improves end it."""
     stages, kept = [start], {}
     while len(stages[-1].leaves) < max_models:
@@ -138,7 +138,7 @@ def grown(
     return stages
 
 
-def _tried(stage: Stage, levels, kept: dict[Region, Block]):
+def _tried(stage: GrownStage, levels, kept: dict[Region, Block]):
     """Loss of every halving: the chosen columns and all of the new block."""
     at, _ = stage.chosen()
     small, out = stage.dictionary.only(at), []

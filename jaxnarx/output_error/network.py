@@ -15,7 +15,7 @@ from jaxnarx.models import (
     output_model,
 )
 from jaxnarx.output_error.dictionary import Dictionary, Gate, Region
-from jaxnarx.output_error.signals import Signals
+from jaxnarx.output_error.signals import RunSignals
 from jaxnarx.regressors import Pool, Variables
 
 
@@ -52,7 +52,7 @@ def network_of(
 
 
 def _in_scaled_signals(
-    signals: Signals,
+    signals: RunSignals,
     table: Float[np.ndarray, "leaves terms"],
     a: Float[np.ndarray, " _"],
 ) -> Float[np.ndarray, "leaves terms"]:
@@ -65,7 +65,7 @@ def _in_scaled_signals(
     return raw
 
 
-def _with_feedback(signals: Signals, factor: np.ndarray, order: int) -> Pool:
+def _with_feedback(signals: RunSignals, factor: np.ndarray, order: int) -> Pool:
     """Terms that are used, the output's lags last; variables without a term go."""
     pool = signals.pool
     entries = pool.variables.entries
@@ -82,7 +82,7 @@ def _with_feedback(signals: Signals, factor: np.ndarray, order: int) -> Pool:
 
 
 def _divided(
-    signals: Signals,
+    signals: RunSignals,
     leaves: tuple[Region, ...],
     pool: Pool,
     theta: Float[np.ndarray, "leaves terms"],

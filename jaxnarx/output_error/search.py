@@ -15,10 +15,10 @@ from jaxnarx.models import Network
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
-from jaxnarx.output_error.growth import RIDGES, Leaf, Stage, grown, sized
+from jaxnarx.output_error.growth import RIDGES, Box, GrownStage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
-from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.regressors import evaluate
@@ -40,12 +40,12 @@ GROWN = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Found:
+class ClosedForm:
     """A candidate: its structure, its errors, and the network of all records."""
 
     family: str
     name: str
-    stage: Stage
+    stage: GrownStage
     data: Dataset
     given: Float[np.ndarray, " columns"] | None = None
     """Coefficients that are not those of least squares of the free run."""
@@ -82,7 +82,7 @@ class Found:
         return float(np.sqrt(square / max(count, 1.0)))
 
     @property
-    def _signals(self) -> Signals:
+    def _signals(self) -> RunSignals:
         return self.stage.dictionary.signals
 
     @property
@@ -116,14 +116,14 @@ class Found:
         return network_of(self.stage.dictionary, leaves, self.coefficients(), self.data)
 
 
-class Search:
+class ClosedSearch:
     """Candidates for one output; what several of them need is formed once."""
 
     def __init__(self, data: Dataset, look: Look, groups: Groups):
         self.data, self.look, self.groups = data, look, groups
-        self.known: dict[tuple[Memory, int], Signals] = {}
+        self.known: dict[tuple[Memory, int], RunSignals] = {}
 
-    def signals(self, memory: Memory, degree: int) -> Signals:
+    def signals(self, memory: Memory, degree: int) -> RunSignals:
         """Variables and terms of a memory."""
         key = memory, degree
         if key not in self.known:
@@ -148,23 +148,25 @@ class Search:
         """Lags and filters in this scale."""
         return Memory.of(step, self.look.reach)
 
-    def found(self, family: str, name: str, stage: Stage) -> Found:
+    def found(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
         """A candidate."""
-        return Found(family, name, stage, self.data)
+        return ClosedForm(family, name, stage, self.data)
 
     def root(
         self,
-        signals: Signals,
+        signals: RunSignals,
         a: Float[np.ndarray, " _"],
         ridges: Sequence[float] = RIDGES,
-    ) -> Stage:
+    ) -> GrownStage:
         """One region with this feedback."""
         dictionary = Dictionary.of(signals, a)
         dictionary = dictionary.extended(dictionary.block(()))
         dims = len(signals.scheduling)
-        return sized(dictionary, (Leaf((), np.zeros(dims), np.ones(dims)),), ridges)
+        return sized(dictionary, (Box((), np.zeros(dims), np.ones(dims)),), ridges)
 
-    def retuned(self, stage: Stage, *, gates: bool = False, most: int = 1) -> Stage:
+    def retuned(
+        self, stage: GrownStage, *, gates: bool = False, most: int = 1
+    ) -> GrownStage:
         """The same regions with the feedback (and gates) that suit them best.
 
         As often as the groups left out gain: every time columns are chosen anew.
@@ -176,7 +178,7 @@ class Search:
             stage = new
         return stage
 
-    def _retuned(self, stage: Stage, gates: bool) -> Stage | None:
+    def _retuned(self, stage: GrownStage, gates: bool) -> GrownStage | None:
         at, _ = stage.chosen()
         start = stage.dictionary.only(at)
         end = tuned(start, stage.ridge, gates=gates)[0]
@@ -188,20 +190,20 @@ class Search:
         leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
         return sized(moved, leaves, near(stage.ridge))
 
-    def constant(self) -> Found:
+    def constant(self) -> ClosedForm:
         """The mean."""
         signals = self.signals(Memory(1, (0,), ()), 1)
         dictionary = Dictionary.of(signals, np.ones(1))
         place = np.flatnonzero(np.all(signals.factor == 0, axis=1))
         dictionary = dictionary.extended(dictionary.block((), place))
         dims = len(signals.scheduling)
-        leaf = Leaf((), np.zeros(dims), np.ones(dims))
+        leaf = Box((), np.zeros(dims), np.ones(dims))
         losses = dictionary.left_out(0.0)
         return self.found(
-            "constant", "mean", Stage(dictionary, (leaf,), losses, 1, 0.0)
+            "constant", "mean", GrownStage(dictionary, (leaf,), losses, 1, 0.0)
         )
 
-    def linear(self) -> Iterator[Found]:
+    def linear(self) -> Iterator[ClosedForm]:
         """Output-error models of rising order without filters (OE)."""
         last = np.ones(1)
         for order in range(1, ORDERS + 1):
@@ -212,7 +214,7 @@ class Search:
             yield self.found("OE", f"order {order}", stage)
 
     def feedback(
-        self, signals: Signals, order: int, last: Float[np.ndarray, " _"]
+        self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, " _"]:
         """A(q) of linear terms: the best of several starts, tuned."""
         starts = [a for a in self._starts(signals, order, last) if is_stable(a)]
@@ -226,7 +228,7 @@ class Search:
             (tuned(one, SETTLED) for one, _ in every[:2]), key=lambda one: one[1]
         )[0].a
 
-    def _starts(self, signals: Signals, order: int, last) -> Iterator[np.ndarray]:
+    def _starts(self, signals: RunSignals, order: int, last) -> Iterator[np.ndarray]:
         if len(last) == order + 1:
             yield last
         elif len(last) == order:
@@ -239,7 +241,7 @@ class Search:
         for time in dict.fromkeys(times):
             yield of_times([time * unit / 3**k for k in range(order)], unit)
 
-    def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[Found]:
+    def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[ClosedForm]:
         """Linear terms at lags and through filters, without feedback and with it."""
         memory = self.memory(max(1, round(self.look.rise / 4)))
         signals = self.signals(memory, 1)
@@ -248,7 +250,9 @@ class Search:
             stage = self.root(signals, a)
             yield self.found(FAMILIES[order], told(memory, a), stage)
 
-    def polynomials(self, orders: dict[int, np.ndarray], degree: int) -> list[Found]:
+    def polynomials(
+        self, orders: dict[int, np.ndarray], degree: int
+    ) -> list[ClosedForm]:
         """Products in several scales of lags and filters, with several feedbacks; best
         first."""
         most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
@@ -272,7 +276,7 @@ class Search:
 
     def candidates(
         self, max_models: int, degree: int = 2, grown_roots: int = GROWN
-    ) -> Iterator[Found]:
+    ) -> Iterator[ClosedForm]:
         """From the mean to regions, cheap ones first."""
         yield self.constant()
         for order in (1, 2, 3):
@@ -302,7 +306,7 @@ class Search:
                 if end is not stages[best]:
                     yield self.found("shared feedback", f"{name}, gates moved", end)
 
-    def levels(self, signals: Signals) -> list[tuple[float, ...] | None]:
+    def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
         """Of scheduling variables with few values these, scaled as they are."""
         out = []
         scales = zip(signals.offset, signals.span, strict=True)
@@ -312,7 +316,7 @@ class Search:
             out.append(own and tuple(float((v - offset) / span) for v in own))
         return out
 
-    def equation_error(self, order: int) -> Found:
+    def equation_error(self, order: int) -> ClosedForm:
         """Least squares one step ahead (ARX), run freely."""
         signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
         dims, losses = len(signals.scheduling), []
@@ -325,9 +329,9 @@ class Search:
                 losses.append(bare.loss(g, np.nan_to_num(run)))
             a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
-        leaf = Leaf((), np.zeros(dims), np.ones(dims))
-        stage = Stage(bare, (leaf,), np.array(losses), len(theta), 0.0)
-        return Found("ARX", f"order {order}", stage, self.data, theta)
+        leaf = Box((), np.zeros(dims), np.ones(dims))
+        stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
+        return ClosedForm("ARX", f"order {order}", stage, self.data, theta)
 
 
 def near(ridge: float) -> list[float]:
@@ -335,9 +339,9 @@ def near(ridge: float) -> list[float]:
     return [r for r in RIDGES if ridge / 11 < r < ridge * 11] or [ridge]
 
 
-def _distinct(ranked: list[Found]) -> list[Found]:
+def _distinct(ranked: list[ClosedForm]) -> list[ClosedForm]:
     """The best for every order of the feedback."""
-    seen: dict[int, Found] = {}
+    seen: dict[int, ClosedForm] = {}
     for one in ranked:
         seen.setdefault(len(one.stage.dictionary.a), one)
     return list(seen.values())
@@ -348,21 +352,21 @@ def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
     return f"order {len(a) - 1}, {memory}"
 
 
-def _bare(signals: Signals, a: Float[np.ndarray, " _"]) -> Dictionary:
+def _bare(signals: RunSignals, a: Float[np.ndarray, " _"]) -> Dictionary:
     """One region without products of its columns."""
     bare = Dictionary.of(signals, a)
     terms = np.arange(len(signals.factor))
     return dataclasses.replace(bare, blocks=(Block((), terms, ()),))
 
 
-def _of_group(signals: Signals, runs: list[np.ndarray], group: int) -> np.ndarray:
+def _of_group(signals: RunSignals, runs: list[np.ndarray], group: int) -> np.ndarray:
     """Where a group's samples count."""
     parts = zip(signals.stretches, runs, strict=True)
     return np.concatenate([run[one.counted[group]] for one, run in parts])
 
 
 def equation_error(
-    signals: Signals, order: int, *, without: int | None = None
+    signals: RunSignals, order: int, *, without: int | None = None
 ) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, " columns"]]:
     """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
     size = order + len(signals.factor)

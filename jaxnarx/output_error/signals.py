@@ -49,7 +49,7 @@ class Stretch:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Signals:
+class RunSignals:
     """All records of one output, with the scales of what they hold."""
 
     pool: Pool
@@ -78,7 +78,7 @@ def signals_of(
     *,
     history: int,
     every: int,
-) -> Signals:
+) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. Runs start behind `history`
@@ -128,6 +128,6 @@ def signals_of(
                 tuple(counted),
             )
         )
-    return Signals(
+    return RunSignals(
         pool, centring, gain, middle, spread, scheduling, offset, span, tuple(stretches)
     )

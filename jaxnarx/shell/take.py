@@ -5,8 +5,8 @@ from pathlib import Path
 
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import (
-    Row,
     SearchFolder,
+    Standing,
     read_search,
     sentences,
 )
@@ -74,13 +74,13 @@ def take(command: Take, typed: str) -> int:
     return judged(result, command.require_fit)
 
 
-def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Row]:
+def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Standing]:
     """The candidates of these numbers; SpecError where two are of one output."""
     if not numbers:
         raise SpecError(
             "give the number of a candidate; `jaxnarx leaderboard` has them"
         )
-    rows: dict[str, Row] = {}
+    rows: dict[str, Standing] = {}
     for number in numbers:
         row = found.row(number)
         if row.output in rows:
@@ -92,7 +92,7 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Row]:
     return list(rows.values())
 
 
-def _network(found: SearchFolder, rows: Sequence[Row]) -> Network:
+def _network(found: SearchFolder, rows: Sequence[Standing]) -> Network:
     networks = [found.network(row.number) for row in rows]
     whole = networks[0] if len(networks) == 1 else merged(networks)
     return narrowed(whole)

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.output_error.dictionary import Dictionary
-from jaxnarx.output_error.growth import Leaf
-from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.growth import Box
+from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.regressors import LowPass, Pool, Variables, polynomial_pool
 
 SAMPLE_TIME = 0.1
@@ -18,7 +18,7 @@ LENGTHS = 170, 150, 190, 160
 LABELS = 0, 1, 0, 2
 """Groups of the records."""
 A_INPUT, B_INPUT, OUTPUT = range(3)
-"""Signals."""
+"""RunSignals."""
 LONGEST = 4
 """Largest lag of the pools below."""
 FEEDBACK = np.array([1.0, -1.2, 0.45])
@@ -85,20 +85,20 @@ def labels(numbers=LABELS, data: Dataset | None = None) -> list[np.ndarray]:
 
 
 @cache
-def signals(every: int = 1) -> Signals:
+def signals(every: int = 1) -> RunSignals:
     """What the dictionaries below are made of."""
     return signals_of(
         records(), pool(), SCHEDULING, labels(), history=LONGEST, every=every
     )
 
 
-def whole(dims: int) -> Leaf:
+def whole(dims: int) -> Box:
     """The root."""
-    return Leaf((), np.zeros(dims), np.ones(dims))
+    return Box((), np.zeros(dims), np.ones(dims))
 
 
 @cache
-def leaves() -> tuple[Leaf, ...]:
+def leaves() -> tuple[Box, ...]:
     """Halved across `a`, one half between the levels of `b`, another once more."""
     root = whole(3)
     upper, lower = _halved(root, 0)
@@ -108,7 +108,7 @@ def leaves() -> tuple[Leaf, ...]:
     return high, low, left, above, below
 
 
-def _halved(leaf: Leaf, dim: int, at=None) -> tuple[Leaf, Leaf]:
+def _halved(leaf: Box, dim: int, at=None) -> tuple[Box, Box]:
     gate = leaf.gate(dim, at)
     assert gate is not None
     return leaf.halved(gate)

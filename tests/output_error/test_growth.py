@@ -9,8 +9,8 @@ import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.output_error.dictionary import Dictionary
-from jaxnarx.output_error.growth import Leaf, Stage, constants, grown, sized
-from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.growth import Box, GrownStage, constants, grown, sized
+from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.regressors import Variables, polynomial_pool
 
@@ -58,25 +58,25 @@ def data_of(kind) -> Dataset:
     return problems.dataset(us, ys)
 
 
-def signals_from(data: Dataset, labels) -> Signals:
+def signals_from(data: Dataset, labels) -> RunSignals:
     pool = polynomial_pool(data.channels, input_lags=(1,), output_lags=(), degree=1)
     return signals_of(data, pool, SCHEDULING, labels, history=1, every=1)
 
 
-def root(signals: Signals) -> Stage:
+def root(signals: RunSignals) -> GrownStage:
     """One region."""
     begun = Dictionary.of(signals, FEEDBACK)
     return sized(begun.extended(begun.block(())), (problems.whole(2),))
 
 
 @cache
-def stages(kind, most: int = 3) -> tuple[Stage, ...]:
+def stages(kind, most: int = 3) -> tuple[GrownStage, ...]:
     data = data_of(kind)
     start = root(signals_from(data, problems.labels(LABELS, data)))
     return tuple(grown(start, max_models=most, levels=LEVELS))
 
 
-def gates(stage: Stage) -> list[list[tuple[int, float, int]]]:
+def gates(stage: GrownStage) -> list[list[tuple[int, float, int]]]:
     """Of every leaf."""
     return [
         [(g.dim, round(float(g.border), 9), g.side) for g in leaf.region]
@@ -125,7 +125,7 @@ def test_a_region_at_one_level_is_not_divided_between_levels():
 @pytest.mark.parametrize("own", [(0.0, 0.05, 1.0), (0.0, 0.95, 1.0), (0.2, 0.21)])
 def test_a_gate_between_levels_tells_them_apart_however_close(own):
     """At the levels themselves weights are zero or one."""
-    leaf = Leaf((), np.zeros(1), np.ones(1))
+    leaf = Box((), np.zeros(1), np.ones(1))
     waiting, seen = [leaf], []
     while waiting:
         one = waiting.pop()
@@ -140,7 +140,7 @@ def test_a_gate_between_levels_tells_them_apart_however_close(own):
     assert sorted(seen) == [[v] for v in own], "a leaf for every level"
 
 
-def refitted(stage: Stage, ridge: float, size: int) -> np.ndarray:
+def refitted(stage: GrownStage, ridge: float, size: int) -> np.ndarray:
     return stage.dictionary.curve(ridge, [size], constants(stage.dictionary))[:, 0]
 
 

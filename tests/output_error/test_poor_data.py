@@ -11,7 +11,7 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import groups
-from jaxnarx.output_error import Search, look
+from jaxnarx.output_error import ClosedSearch, look
 
 
 def constant_input(rng, u, y):
@@ -86,7 +86,7 @@ def test_every_candidate_is_made(case):
     # Fewer scales of lags are fewer programs to be compiled.
     seen = look(data, "y")
     seen = dataclasses.replace(seen, rise=min(seen.rise, 2.0))
-    search = Search(data, seen, groups(data, gap=seen.memory))
+    search = ClosedSearch(data, seen, groups(data, gap=seen.memory))
     every, names = [], []
     for one in search.candidates(3):
         names.append((one.family, one.name))
@@ -111,7 +111,7 @@ def test_levels_stand_where_the_gates_look_for_them():
     """Scaled as scheduling variables are, whatever else there was of the input."""
     data = problems.plant(outliers)
     seen = look(data, "y")
-    search = Search(data, seen, groups(data, gap=seen.memory))
+    search = ClosedSearch(data, seen, groups(data, gap=seen.memory))
     signals = search.signals(search.memory(1), 1)
     own = search.levels(signals)[1]
     assert seen.levels[1] == (0.0, 1.0)

@@ -8,7 +8,7 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import groups
-from jaxnarx.output_error import Found, Search, look
+from jaxnarx.output_error import ClosedForm, ClosedSearch, look
 from jaxnarx.output_error.denominator import is_stable
 from jaxnarx.output_error.search import equation_error
 
@@ -16,9 +16,9 @@ FAMILIES = ("constant", "ARX", "OE", "filtered inputs", "OE with filtered inputs
 FAMILIES += ("polynomial", "shared feedback")
 
 
-def search_of(data, output: str = "y") -> Search:
+def search_of(data, output: str = "y") -> ClosedSearch:
     seen = look(data, output)
-    return Search(data, seen, groups(data, gap=seen.memory))
+    return ClosedSearch(data, seen, groups(data, gap=seen.memory))
 
 
 @pytest.fixture(scope="module")
@@ -27,16 +27,16 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def search(data) -> Search:
+def search(data) -> ClosedSearch:
     return search_of(data)
 
 
 @pytest.fixture(scope="module")
-def found(search) -> list[Found]:
+def found(search) -> list[ClosedForm]:
     return list(search.candidates(3))
 
 
-def of(found: list[Found], family: str) -> list[Found]:
+def of(found: list[ClosedForm], family: str) -> list[ClosedForm]:
     return [one for one in found if one.family == family]
 
 
@@ -107,7 +107,7 @@ def test_networks_are_those_of_the_candidates(data, found):
             np.testing.assert_allclose(y[tail, 0], own[tail], atol=1e-4)
 
 
-def slow_arx(one: Found, order: int, without=None):
+def slow_arx(one: ClosedForm, order: int, without=None):
     """A(q) and coefficients by dense least squares on measured outputs."""
     made = one.stage.dictionary.signals
     rows, right = [], []

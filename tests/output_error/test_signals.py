@@ -7,7 +7,7 @@ import numpy as np
 from nested_problems import A_INPUT, B_INPUT, LONGEST, OUTPUT, SAMPLE_TIME
 
 from jaxnarx.data import Dataset
-from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.signals import RunSignals, signals_of
 
 
 def low_pass(u, time: float):
@@ -72,7 +72,7 @@ def test_every_third_sample_counts_in_the_group_of_its_record():
                 assert at.tolist() == list(rows)
 
 
-def made(data: Dataset, labels) -> Signals:
+def made(data: Dataset, labels) -> RunSignals:
     return signals_of(
         data,
         problems.pool(),

@@ -8,7 +8,7 @@ from nested_problems import coefficients, nested
 from jaxnarx.output_error.denominator import is_stable
 from jaxnarx.output_error.dictionary import Dictionary, Gate, weight
 from jaxnarx.output_error.search import equation_error
-from jaxnarx.output_error.signals import Signals, signals_of
+from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.output_error.tuning import (
     _step,
     derivatives,
@@ -130,7 +130,7 @@ def linear(u: np.ndarray, a, noise: float, seed: int) -> np.ndarray:
     return 7 + y + noise * y.std() * np.random.default_rng(seed).normal(size=len(u))
 
 
-def signals_from(us, ys) -> Signals:
+def signals_from(us, ys) -> RunSignals:
     data = problems.dataset([u[:, None] for u in us], [y[:, None] for y in ys])
     pool = polynomial_pool(data.channels, input_lags=(1, 2), output_lags=(), degree=1)
     labels = [np.full(len(r), n % 2) for n, r in enumerate(data)]
