@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from jaxnarx.identification.leaderboard import Leaderboard, Standing
+from jaxnarx.identification.leaderboard import Leaderboard, Contender
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""
@@ -20,17 +20,17 @@ RULES = {
 NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %"}
 
 
-def is_linear(row: Standing) -> bool:
+def is_linear(row: Contender) -> bool:
     """Whether a candidate is of a linear family."""
     return row.family.lower() in LINEAR
 
 
-def title(row: Standing) -> str:
+def title(row: Contender) -> str:
     """`12 (OE: order 2)`."""
     return f"{row.number} ({row.family}: {row.name})"
 
 
-def figure(row: Standing) -> str:
+def figure(row: Contender) -> str:
     """`0.131 ± 0.004`, or what became of the candidate."""
     if row.free_run is None:
         return row.status
@@ -42,14 +42,14 @@ def figure(row: Standing) -> str:
     return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
 
-def used(board: Leaderboard, output: str, taken: int | None = None) -> Standing:
+def used(board: Leaderboard, output: str, taken: int | None = None) -> Contender:
     """The row of the model in use: taken by hand, else chosen, else the safest."""
     if taken is not None:
         return next(r for r in board.of(output) if r.number == taken)
     return board.chosen(output) or safest(board, output)
 
 
-def safest(board: Leaderboard, output: str) -> Standing:
+def safest(board: Leaderboard, output: str) -> Contender:
     """Where every candidate is vetoed: the mean, else the one that diverges least."""
     rows = board.of(output)
     told = {"constant": 0, "diverged": 1}
@@ -58,17 +58,17 @@ def safest(board: Leaderboard, output: str) -> Standing:
     )
 
 
-def pareto(board: Leaderboard, output: str) -> list[Standing]:
+def pareto(board: Leaderboard, output: str) -> list[Contender]:
     """Candidates that no other beats in error at the same cost; cheapest first."""
     rows = [r for r in board.of(output) if r.eligible and r.operations is not None]
-    front: list[Standing] = []
+    front: list[Contender] = []
     for row in sorted(rows, key=lambda r: (r.operations, r.free_run)):
         if not front or _less(row, front[-1]):
             front.append(row)
     return front
 
 
-def _less(row: Standing, other: Standing) -> bool:
+def _less(row: Contender, other: Contender) -> bool:
     return (row.free_run or 0.0) < (other.free_run or 0.0)
 
 
@@ -97,7 +97,7 @@ def described(
 
 
 def _plain(
-    board: Leaderboard, place: int, row: Standing, is_used: bool
+    board: Leaderboard, place: int, row: Contender, is_used: bool
 ) -> dict[str, Any]:
     name, error = board.worst_group(row) or ("", None)
     return {"rank": place + 1, "used": is_used, "linear": is_linear(row)} | (
@@ -110,7 +110,7 @@ def _plain(
     )
 
 
-def _choice(board: Leaderboard, output: str, row: Standing) -> str:
+def _choice(board: Leaderboard, output: str, row: Contender) -> str:
     chosen, named = board.chosen(output), f"{output}: {title(row)}"
     if chosen is None:
         return (
@@ -125,14 +125,14 @@ def _choice(board: Leaderboard, output: str, row: Standing) -> str:
     return f"{told}: {RULES.get(board.rule, f'chosen by the rule {board.rule!r}')}."
 
 
-def _best(board: Leaderboard, row: Standing) -> list[str]:
+def _best(board: Leaderboard, row: Contender) -> list[str]:
     best = board.best(row.output)
     if best is None or best == row or row.free_run is None:
         return []
     return [f"The best itself, {title(best)}, {_price(best, row)}."]
 
 
-def _others(board: Leaderboard, row: Standing) -> list[str]:
+def _others(board: Leaderboard, row: Contender) -> list[str]:
     """What the best of a family costs that is neither this nor that of the best."""
     best = board.best(row.output) or row
     for other in board.of(row.output):
@@ -144,7 +144,7 @@ def _others(board: Leaderboard, row: Standing) -> list[str]:
     return []
 
 
-def _price(other: Standing, row: Standing) -> str:
+def _price(other: Contender, row: Contender) -> str:
     """What another candidate would cost and bring: `takes 3 times the ... for ...`."""
     if other.operations is None:
         cost = "takes an unknown number of operations"
@@ -164,7 +164,7 @@ def _price(other: Standing, row: Standing) -> str:
     return f"{cost} and has {abs(change):.1%} {'more' if change > 0 else 'less'} error"
 
 
-def _linear(board: Leaderboard, row: Standing) -> list[str]:
+def _linear(board: Leaderboard, row: Contender) -> list[str]:
     """What nonlinearity buys."""
     best = board.best(row.output)
     rows = [
@@ -189,7 +189,7 @@ def _vetoed(board: Leaderboard, output: str) -> list[str]:
     return [f"{lost} of {len(rows)} candidates {is_are} on records left out: vetoed."]
 
 
-def _groups(board: Leaderboard, row: Standing) -> list[str]:
+def _groups(board: Leaderboard, row: Contender) -> list[str]:
     worst = board.worst_group(row)
     known = [e for e in row.groups if e is not None]
     if worst is None or len(known) < 2 or not row.free_run:

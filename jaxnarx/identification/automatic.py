@@ -14,7 +14,7 @@ from typing import Any
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.identification.leaderboard import Leaderboard, Standing
+from jaxnarx.identification.leaderboard import Leaderboard, Contender
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.side import OutputTask, Side, cores
 from jaxnarx.methods import PRESETS
@@ -51,7 +51,6 @@ def search(
     key = {
         "data": data_hash(data),
         "preset": preset,
-        "candidates": candidates,
         "outputs": list(outputs),
         "groups": list(groups.names),
     }
@@ -101,7 +100,7 @@ class Race:
         else:
             self._side_by_side(tasks, workers)
 
-    def add(self, output: str, row: Standing, network: Network | None) -> None:
+    def add(self, output: str, row: Contender, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
         rows = self.store.leaderboard.rows
         same = [

@@ -12,12 +12,12 @@ from jaxnarx.errors import JaxnarxError
 from jaxnarx.evaluation import cost
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
-from jaxnarx.identification.leaderboard import Standing
+from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
 
-Tried = tuple[Standing, Network | None]
+Tried = tuple[Contender, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
 
@@ -31,7 +31,7 @@ class Candidates:
         groups: Groups,
         preset: Preset,
         *,
-        known: Sequence[Standing] = (),
+        known: Sequence[Contender] = (),
         late: Callable[[], bool] = lambda: False,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
@@ -130,9 +130,9 @@ class Candidates:
         seconds: float,
         network: Network | None,
         detail: str = "",
-    ) -> Standing:
+    ) -> Contender:
         price = None if network is None else cost(network)
-        return Standing(
+        return Contender(
             self.look.output,
             0,
             family,
@@ -155,12 +155,12 @@ def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
     return tuple(float(e) if np.isfinite(e) else None for e in errors)
 
 
-def _losses(row: Standing) -> Float[np.ndarray, " groups"]:
+def _losses(row: Contender) -> Float[np.ndarray, " groups"]:
     """Mean squared errors of the groups of a row."""
     return np.array([np.nan if e is None else e**2 for e in row.groups])
 
 
-def _with_error(row: Standing, losses: Float[np.ndarray, " groups"]) -> Standing:
+def _with_error(row: Contender, losses: Float[np.ndarray, " groups"]) -> Contender:
     """With the standard error of the free run, from the spread between groups."""
     losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:

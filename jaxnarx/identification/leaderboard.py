@@ -15,7 +15,7 @@ SHARE = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
+class Contender:
     """One candidate for one output.
 
     Errors are NRMSE: root mean square over the standard deviation of the output, pooled
@@ -59,7 +59,7 @@ class Standing:
         return dataclasses.asdict(self)
 
     @classmethod
-    def from_dict(cls, table: dict[str, Any]) -> "Standing":
+    def from_dict(cls, table: dict[str, Any]) -> "Contender":
         """From a file."""
         own: dict[str, Any] = dict(table)
         own["groups"] = tuple(table.get("groups", ()))
@@ -70,13 +70,13 @@ class Standing:
 class Leaderboard:
     """All candidates of an identification, output by output, best first."""
 
-    rows: tuple[Standing, ...]
+    rows: tuple[Contender, ...]
     group_names: tuple[str, ...] = ()
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 % of it; `best`."""
 
-    def __iter__(self) -> Iterator[Standing]:
+    def __iter__(self) -> Iterator[Contender]:
         return iter(self.rows)
 
     def __len__(self) -> int:
@@ -87,15 +87,15 @@ class Leaderboard:
         """Names, in the order of their first candidates."""
         return list(dict.fromkeys(row.output for row in self.rows))
 
-    def of(self, output: str) -> list[Standing]:
+    def of(self, output: str) -> list[Contender]:
         """Rows of one output, best first; those that may not be chosen come last."""
         return sorted((r for r in self.rows if r.output == output), key=_place)
 
-    def best(self, output: str) -> Standing | None:
+    def best(self, output: str) -> Contender | None:
         """The smallest error, whatever it costs."""
         return next((row for row in self.of(output) if row.eligible), None)
 
-    def chosen(self, output: str) -> Standing | None:
+    def chosen(self, output: str) -> Contender | None:
         """The one to use by the rule; None where every candidate is vetoed."""
         best = self.best(output)
         if best is None or self.rule == "best":
@@ -104,7 +104,7 @@ class Leaderboard:
         near = [r for r in self.of(output) if r.eligible and close(r, best)]
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
-    def worst_group(self, row: Standing) -> tuple[str, float] | None:
+    def worst_group(self, row: Contender) -> tuple[str, float] | None:
         """Name and error of the group that a candidate serves worst."""
         seen = [
             (error, name)
@@ -137,24 +137,24 @@ HEAD = (
 """Columns of the table that are fields of a row."""
 
 
-def _error(row: Standing) -> float:
+def _error(row: Contender) -> float:
     return math.inf if row.free_run is None else row.free_run
 
 
-def _cost(row: Standing) -> float:
+def _cost(row: Contender) -> float:
     return math.inf if row.operations is None else float(row.operations)
 
 
-def _place(row: Standing) -> tuple[bool, float, float]:
+def _place(row: Contender) -> tuple[bool, float, float]:
     return (not row.eligible, _error(row), _cost(row))
 
 
-def _within(row: Standing, best: Standing) -> bool:
+def _within(row: Contender, best: Contender) -> bool:
     """Whether the error is at most `SHARE` above that of the best."""
     return _error(row) <= (1 + SHARE) * _error(best)
 
 
-def _near(row: Standing, best: Standing) -> bool:
+def _near(row: Contender, best: Contender) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
     Of the difference, group by group: groups differ in how hard they are, which says
@@ -174,6 +174,6 @@ def _near(row: Standing, best: Standing) -> bool:
     return statistics.fmean(pairs) <= LIMIT * error
 
 
-def first(rows: Sequence[Standing]) -> int:
+def first(rows: Sequence[Contender]) -> int:
     """The number of the next candidate."""
     return 1 + max((row.number for row in rows), default=0)

@@ -17,7 +17,7 @@ from typing import Any
 
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
 from jaxnarx.files import unwritable, write_whole
-from jaxnarx.identification.leaderboard import Leaderboard, Standing
+from jaxnarx.identification.leaderboard import Leaderboard, Contender
 from jaxnarx.models import Network, load, save
 
 NAME = "search.json"
@@ -37,7 +37,7 @@ class SearchFolder:
         """Where the model of a candidate is, or would be."""
         return self.path / CANDIDATES / f"{number}.safetensors"
 
-    def row(self, number: int) -> Standing:
+    def row(self, number: int) -> Contender:
         """The candidate of that number; SpecError where there is none."""
         for row in self.leaderboard:
             if row.number == number:
@@ -56,7 +56,7 @@ class SearchFolder:
             )
         return load(path)
 
-    def added(self, row: Standing, network: Network | None) -> "SearchFolder":
+    def added(self, row: Contender, network: Network | None) -> "SearchFolder":
         """With one more candidate, written to the disk: its model before its row."""
         if network is not None:
             self.save(row.number, network)
@@ -138,7 +138,7 @@ def open_search(
     )
 
 
-def lost(folder: SearchFolder, row: Standing) -> bool:
+def lost(folder: SearchFolder, row: Contender) -> bool:
     """Whether the model of a candidate that had one is no longer there."""
     return row.free_run is not None and not folder.model_path(row.number).is_file()
 
@@ -158,21 +158,21 @@ def read_search(path: Path) -> SearchFolder:
         if told["format"] > FORMAT:
             raise ModelFileError(f"{file}: written by a newer jaxnarx", path=file)
         board = Leaderboard(
-            tuple(Standing.from_dict(row) for row in told["rows"]),
+            tuple(Contender.from_dict(row) for row in told["rows"]),
             tuple(told["group_names"]),
             told["rule"],
         )
         return SearchFolder(path, dict(told["key"]), board)
 
 
-def _finite(row: Standing) -> Standing:
+def _finite(row: Contender) -> Contender:
     """Without figures beyond all numbers, which no file holds."""
 
     def kept(value: Any) -> Any:
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
-    return Standing(**plain, groups=tuple(kept(e) for e in row.groups))
+    return Contender(**plain, groups=tuple(kept(e) for e in row.groups))
 
 
 def _plain(key: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import jax
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import write_whole
 from jaxnarx.identification.candidates import Candidates, Tried
-from jaxnarx.identification.leaderboard import Standing
+from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, load, save
 from jaxnarx.output_error import Look
@@ -47,7 +47,7 @@ class OutputTask:
     candidates: int | None
     until: float
     """Time of the clock after which no candidate is begun."""
-    known: tuple[Standing, ...]
+    known: tuple[Contender, ...]
 
     def run(self) -> Iterator[Tried]:
         """Its candidates."""

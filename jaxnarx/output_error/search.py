@@ -300,11 +300,15 @@ class ClosedSearch:
             if best:
                 for stage in stages[1 : best + 1]:
                     if len(stage.leaves) % 2 == 0 or stage is stages[best]:
-                        name = f"{len(stage.leaves)} regions, {root.name}"
-                        yield self.found("shared feedback", name, stage)
+                        yield self.divided(root, stage)
                 end = self.retuned(stages[best], gates=True, most=3)
                 if end is not stages[best]:
-                    yield self.found("shared feedback", f"{name}, gates moved", end)
+                    yield self.divided(root, end, ", gates moved")
+
+    def divided(self, root: ClosedForm, stage: GrownStage, more: str = "") -> ClosedForm:
+        """A candidate of several regions."""
+        name = f"{len(stage.leaves)} regions, {root.name}{more}"
+        return self.found("shared feedback", name, stage)
 
     def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
         """Of scheduling variables with few values these, scaled as they are."""

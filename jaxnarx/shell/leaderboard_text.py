@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from jaxnarx.identification import Leaderboard, Standing, described, figure
+from jaxnarx.identification import Leaderboard, Contender, described, figure
 
 TOP = 10
 """Candidates that the end of a search shows of every output."""
@@ -23,7 +23,7 @@ def live_head() -> str:
     return _live("", "output", "family", "free run", "operations", "s", "", "")
 
 
-def live_line(row: Standing, best: bool) -> str:
+def live_line(row: Contender, best: bool) -> str:
     """One candidate as it finishes; the best of its output so far has a star."""
     operations = "" if row.operations is None else str(row.operations)
     cells = (str(row.number), row.output, row.family, figure(row), operations)
@@ -36,7 +36,7 @@ def _live(number, output, family, error, operations, seconds, star, name) -> str
     return f"  {words} {figures} {star:1} {_cut(name, WIDEST)}".rstrip()
 
 
-def _name(row: Standing) -> str:
+def _name(row: Contender) -> str:
     """The name, and why there is no figure."""
     return f"{row.name} ({row.detail})" if row.detail else row.name
 
@@ -64,7 +64,7 @@ def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
-    row = Standing.from_dict(
+    row = Contender.from_dict(
         {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
     )
     worst = table["worst_group"]
@@ -84,7 +84,7 @@ def _cells(table: dict[str, Any]) -> list[str]:
     ]
 
 
-_FIELDS = {field.name for field in dataclasses.fields(Standing)}
+_FIELDS = {field.name for field in dataclasses.fields(Contender)}
 
 
 def aligned(lines: Iterable[Sequence[str]], left: Sequence[bool]) -> list[str]:

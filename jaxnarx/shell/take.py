@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import (
     SearchFolder,
-    Standing,
+    Contender,
     read_search,
     sentences,
 )
@@ -74,13 +74,13 @@ def take(command: Take, typed: str) -> int:
     return judged(result, command.require_fit)
 
 
-def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Standing]:
+def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Contender]:
     """The candidates of these numbers; SpecError where two are of one output."""
     if not numbers:
         raise SpecError(
             "give the number of a candidate; `jaxnarx leaderboard` has them"
         )
-    rows: dict[str, Standing] = {}
+    rows: dict[str, Contender] = {}
     for number in numbers:
         row = found.row(number)
         if row.output in rows:
@@ -92,7 +92,7 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Standing]:
     return list(rows.values())
 
 
-def _network(found: SearchFolder, rows: Sequence[Standing]) -> Network:
+def _network(found: SearchFolder, rows: Sequence[Contender]) -> Network:
     networks = [found.network(row.number) for row in rows]
     whole = networks[0] if len(networks) == 1 else merged(networks)
     return narrowed(whole)

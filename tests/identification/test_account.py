@@ -8,7 +8,7 @@ from search_fakes import board, row
 
 from jaxnarx.identification import Leaderboard, described, figure, sentences, used
 from jaxnarx.identification.account import pareto, safest
-from jaxnarx.identification.leaderboard import Standing
+from jaxnarx.identification.leaderboard import Contender
 
 
 def test_the_choice_and_what_others_cost():
@@ -90,5 +90,5 @@ def test_plain_tables_are_json():
     ],
 )
 def test_figures_have_the_digits_that_their_error_leaves(error, spread, text):
-    one = Standing("y", 1, "OE", "order 1", free_run=error, standard_error=spread)
+    one = Contender("y", 1, "OE", "order 1", free_run=error, standard_error=spread)
     assert figure(dataclasses.replace(one, status="skipped")) == text

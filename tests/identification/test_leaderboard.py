@@ -7,15 +7,15 @@ import io
 import numpy as np
 import pytest
 
-from jaxnarx.identification import Leaderboard, Standing
+from jaxnarx.identification import Leaderboard, Contender
 
 GROUPS = ("day 1", "day 2", "day 3", "day 4")
 
 
-def row(number: int, errors, operations: int | None = 10, **more) -> Standing:
+def row(number: int, errors, operations: int | None = 10, **more) -> Contender:
     """A candidate with these errors of the groups, all of one size."""
     squares = np.square(errors or (1.0,))
-    made = Standing(
+    made = Contender(
         "y",
         number,
         "OE",
@@ -28,7 +28,7 @@ def row(number: int, errors, operations: int | None = 10, **more) -> Standing:
     return dataclasses.replace(made, **more)
 
 
-def board(*rows: Standing, rule: str = "near") -> Leaderboard:
+def board(*rows: Contender, rule: str = "near") -> Leaderboard:
     return Leaderboard(rows, GROUPS, rule)
 
 
@@ -50,7 +50,7 @@ def test_worse_everywhere_is_not_near_though_groups_differ_more():
     assert board(BEST, other).chosen("y") == BEST
 
 
-def paired(mine: Standing, best: Standing) -> bool:
+def paired(mine: Contender, best: Contender) -> bool:
     """Mean difference of squares within its standard error, as in a paired test, and
     not more than 5 % worse."""
     a, b = np.square(mine.groups), np.square(best.groups)
@@ -182,7 +182,7 @@ def test_a_row_there_and_back():
     wild = dataclasses.replace(BEST, groups=(0.1, None), free_run=None)
     for one in (BEST, wild):
         table = one.to_dict()
-        assert Standing.from_dict(table) == one
-        assert Standing.from_dict(table | {"groups": list(one.groups)}) == one
+        assert Contender.from_dict(table) == one
+        assert Contender.from_dict(table | {"groups": list(one.groups)}) == one
     assert BEST.eligible and not wild.eligible
     assert not dataclasses.replace(BEST, status="failed").eligible
