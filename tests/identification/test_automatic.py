@@ -17,7 +17,7 @@ from jaxnarx.data import Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import Leaderboard, automatic, read_search
 from jaxnarx.methods import PRESETS, Preset
-from jaxnarx.output_error import Found
+from jaxnarx.output_error import ClosedForm
 from jaxnarx.solution import Solution
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=0)
@@ -203,7 +203,7 @@ def test_a_budget_too_small_for_anything_still_gives_a_model(tmp_path):
 
 
 def test_where_all_are_vetoed_the_mean_is_given_with_its_reason(monkeypatch):
-    monkeypatch.setattr(Found, "diverged", lambda one: 2)
+    monkeypatch.setattr(ClosedForm, "diverged", lambda one: 2)
     found = jnx.identify(plant(), preset="linear")
     assert found.status_name == "diverged" and "y diverges" in found.detail
     assert board_of(found).chosen("y") is None and len(board_of(found)) == LINEAR

@@ -13,10 +13,10 @@ from jaxnarx.evaluation import cost
 from jaxnarx.identification import candidates as module
 from jaxnarx.identification.candidates import Candidates
 from jaxnarx.identification.fed_back import fed_back
-from jaxnarx.identification.judge import Judged
-from jaxnarx.identification.leaderboard import Row
+from jaxnarx.identification.judge import JudgedMethod
+from jaxnarx.identification.leaderboard import Standing
 from jaxnarx.methods import Preset
-from jaxnarx.output_error import Found, Look, Search, look
+from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, look
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, longest=10_000)
 
@@ -32,9 +32,9 @@ def seen(data) -> Look:
 
 
 @pytest.fixture(scope="module")
-def few(data, seen) -> list[Found]:
+def few(data, seen) -> list[ClosedForm]:
     """The mean and two ARX models."""
-    search = Search(data, seen, groups(data))
+    search = ClosedSearch(data, seen, groups(data))
     return [search.constant(), search.equation_error(1), search.equation_error(2)]
 
 
@@ -61,15 +61,15 @@ def judged(monkeypatch, few) -> dict:
             raise result
         return result
 
-    monkeypatch.setattr(module, "Search", Fake)
+    monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "judge", judge)
     return said
 
 
-def made(losses, network=None, **more) -> Judged:
+def made(losses, network=None, **more) -> JudgedMethod:
     losses = np.array(losses, float)
     counts = np.where(np.isfinite(losses), [100.0, 150.0, 120.0, 80.0], 0.0)
-    return Judged(losses, counts, 0.1, more.pop("diverged", 0), network, **more)
+    return JudgedMethod(losses, counts, 0.1, more.pop("diverged", 0), network, **more)
 
 
 def names(data, seen) -> list[tuple[str, str]]:
@@ -147,8 +147,12 @@ def test_one_given_up_is_skipped_and_not_remembered(data, seen, few, judged):
 
 def test_known_ones_are_not_tried_again_but_count(data, seen, few, judged):
     family, name = names(data, seen)[0]
-    known = Row("y", 4, family, name, free_run=0.03, groups=(0.03, None, 0.03, 0.03))
-    failed = Row("y", 5, *names(data, seen)[1], status="failed", groups=(1e-9,) * 4)
+    known = Standing(
+        "y", 4, family, name, free_run=0.03, groups=(0.03, None, 0.03, 0.03)
+    )
+    failed = Standing(
+        "y", 5, *names(data, seen)[1], status="failed", groups=(1e-9,) * 4
+    )
     judged["results"] = [made([0.5] * 4, few[0].network())]
     found, every = tried(data, seen, known=[known, failed])
     assert [(row.family, row.name) for row, _ in every[3:]] == names(data, seen)[2:3]
@@ -191,7 +195,7 @@ def test_linear_presets_have_no_regions_and_products(data, seen, judged):
 def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     data, seen, few, judged, monkeypatch
 ):
-    monkeypatch.setattr(Found, "diverged", lambda one: 3)
+    monkeypatch.setattr(ClosedForm, "diverged", lambda one: 3)
     _, every = tried(data, seen, dataclasses.replace(TINY, fed_back=0))
     for (row, network), one in zip(every, few, strict=True):
         assert row.status == "diverged" and row.diverged == 3

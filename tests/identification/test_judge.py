@@ -5,7 +5,7 @@ import pytest
 from search_problems import LENGTHS, explosive, plant
 
 from jaxnarx.data import groups
-from jaxnarx.identification.judge import HOPELESS, Judged, judge
+from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge
 from jaxnarx.methods import ForwardOLS, Global, Identification, Polynomial
 
 METHOD = Identification(
@@ -24,7 +24,7 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def found(data) -> Judged:
+def found(data) -> JudgedMethod:
     return judge(METHOD, data, groups(data), SPREAD)
 
 
