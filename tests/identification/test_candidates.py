@@ -1,0 +1,206 @@
+"""Rows and models of candidates as they are tried; what costs time is faked."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from search_problems import plant
+
+import jaxnarx as jnx
+from jaxnarx.data import groups
+from jaxnarx.errors import DataError
+from jaxnarx.evaluation import cost
+from jaxnarx.identification import candidates as module
+from jaxnarx.identification.candidates import Candidates
+from jaxnarx.identification.fed_back import fed_back
+from jaxnarx.identification.judge import JudgedMethod
+from jaxnarx.identification.leaderboard import Standing
+from jaxnarx.methods import Preset
+from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, look
+
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, longest=10_000)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return plant()
+
+
+@pytest.fixture(scope="module")
+def seen(data) -> Look:
+    return look(data, "y")
+
+
+@pytest.fixture(scope="module")
+def few(data, seen) -> list[ClosedForm]:
+    """The mean and two ARX models."""
+    search = ClosedSearch(data, seen, groups(data))
+    return [search.constant(), search.equation_error(1), search.equation_error(2)]
+
+
+@pytest.fixture
+def judged(monkeypatch, few) -> dict:
+    """Results of the judge by the names of what it is asked, in turn; `asked` are the
+    best losses it was told."""
+    said: dict = {"asked": [], "results": []}
+
+    class Fake:
+        spread = 1.5
+
+        def __init__(self, *_):
+            pass
+
+        def candidates(self, **limits):
+            said["limits"] = limits
+            yield from few
+
+    def judge(method, data, groups, spread, best):
+        said["asked"].append((spread, None if best is None else best.copy()))
+        result = said["results"].pop(0)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    monkeypatch.setattr(module, "ClosedSearch", Fake)
+    monkeypatch.setattr(module, "judge", judge)
+    return said
+
+
+def made(losses, network=None, **more) -> JudgedMethod:
+    losses = np.array(losses, float)
+    counts = np.where(np.isfinite(losses), [100.0, 150.0, 120.0, 80.0], 0.0)
+    return JudgedMethod(losses, counts, 0.1, more.pop("diverged", 0), network, **more)
+
+
+def names(data, seen) -> list[tuple[str, str]]:
+    return [(family, name) for family, name, _ in fed_back(data, seen)]
+
+
+def tried(data, seen, preset=TINY, **more):
+    found = Candidates(data, seen, groups(data), preset, **more)
+    return found, list(found)
+
+
+def test_rows_tell_what_was_found(data, seen, few, judged):
+    network = few[1].network()
+    judged["results"] = [made([0.04, 0.09, 0.01, 0.25], network)] * 3
+    _, every = tried(data, seen)
+    assert len(every) == 6 and judged["limits"]["max_models"] == 2
+    for one, (row, own) in zip(few, every[:3], strict=True):
+        assert (row.output, row.family, row.name) == ("y", one.family, one.name)
+        assert row.free_run == one.free_run and row.one_step == one.one_step()
+        np.testing.assert_allclose(row.groups, one.groups())
+        assert row.status == "ok" and row.seconds >= 0 and row.number == 0
+        assert own is not None and own.hold is not None
+        price = cost(own)
+        assert row.parameters == price.parameters
+        costly = price.multiplications, price.divisions, price.exponentials
+        assert row.operations == sum(costly)
+    row, own = every[3]
+    assert own is network and row.status == "ok" and row.one_step == 0.1
+    assert (row.family, row.name) == names(data, seen)[0]
+    weights = [100, 150, 120, 80]
+    pooled = np.average([0.04, 0.09, 0.01, 0.25], weights=weights) ** 0.5
+    assert row.free_run == pytest.approx(pooled)
+    assert row.groups == pytest.approx((0.2, 0.3, 0.1, 0.5))
+
+
+def test_standard_error_is_that_of_the_mean_over_groups(data, seen, few, judged):
+    """Of the mean square, brought to the root by its slope."""
+    judged["results"] = [made([0.04, 0.09, 0.01, 0.25], few[0].network())] * 3
+    row = tried(data, seen)[1][3][0]
+    of_square = np.std([0.04, 0.09, 0.01, 0.25], ddof=1) / 2
+    assert row.standard_error == pytest.approx(of_square / (2 * row.free_run))
+
+
+def test_trouble_of_one_is_told_and_the_next_is_tried(data, seen, few, judged):
+    gone = [np.nan] * 3
+    judged["results"] = [
+        DataError("no record can be run"),
+        np.linalg.LinAlgError("singular"),
+        made([0.3, *gone], diverged=2, detail="diverges"),
+    ]
+    _, every = tried(data, seen)
+    first, second, third = (row for row, _ in every[3:])
+    assert all(network is None for _, network in every[3:])
+    assert (first.status, first.detail) == ("failed", "no record can be run")
+    assert (second.status, second.detail) == ("failed", "singular")
+    assert third.status == "diverged" and third.diverged == 2
+    assert third.free_run is None and third.groups[1:] == (None,) * 3
+    assert not any(row.eligible for row, _ in every[3:])
+
+
+def test_one_given_up_is_skipped_and_not_remembered(data, seen, few, judged):
+    low = made([1e-6] + [np.nan] * 3, detail="given up after 1 of 4 groups")
+    good = made([1e-3] * 4, few[0].network())
+    judged["results"] = [low, good, made([0.5] * 4, few[0].network())]
+    _, every = tried(data, seen)
+    row = every[3][0]
+    assert row.status == "skipped" and row.detail == "given up after 1 of 4 groups"
+    asked = [best for _, best in judged["asked"]]
+    best = min((one.losses() for one in few), key=np.sum)
+    np.testing.assert_array_equal(asked[0], best)
+    np.testing.assert_array_equal(asked[1], best)
+    np.testing.assert_array_equal(asked[2], [1e-3] * 4)
+    assert {spread for spread, _ in judged["asked"]} == {1.5}
+
+
+def test_known_ones_are_not_tried_again_but_count(data, seen, few, judged):
+    family, name = names(data, seen)[0]
+    known = Standing(
+        "y", 4, family, name, free_run=0.03, groups=(0.03, None, 0.03, 0.03)
+    )
+    failed = Standing(
+        "y", 5, *names(data, seen)[1], status="failed", groups=(1e-9,) * 4
+    )
+    judged["results"] = [made([0.5] * 4, few[0].network())]
+    found, every = tried(data, seen, known=[known, failed])
+    assert [(row.family, row.name) for row, _ in every[3:]] == names(data, seen)[2:3]
+    ((_, best),) = judged["asked"]
+    np.testing.assert_allclose(best, [9e-4, np.nan, 9e-4, 9e-4])
+    assert found.passed == 6
+
+
+def test_one_candidate_at_least_whatever_the_time(data, seen, judged):
+    _, every = tried(data, seen, late=lambda: True)
+    assert [row.family for row, _ in every] == ["constant"]
+
+
+def test_time_that_runs_out_ends_it_between_candidates(data, seen, few, judged):
+    judged["results"] = [made([0.5] * 4, few[0].network())] * 3
+    left = [5]
+
+    def late():
+        left[0] -= 1
+        return left[0] < 0
+
+    _, every = tried(data, seen, late=late)
+    assert 3 < len(every) < 6
+
+
+def test_long_data_are_not_trained_step_by_step(data, seen, judged):
+    short = dataclasses.replace(TINY, longest=data.samples - 1)
+    row, network = tried(data, seen, short)[1][-1]
+    assert network is None and row.status == "skipped" and row.name == "not tried"
+    assert f"{data.samples} samples" in row.detail and not judged["asked"]
+    exact = dataclasses.replace(TINY, longest=data.samples, fed_back=0)
+    assert len(tried(data, seen, exact)[1]) == 3
+
+
+def test_linear_presets_have_no_regions_and_products(data, seen, judged):
+    tried(data, seen, dataclasses.replace(TINY, linear=True, fed_back=0))
+    assert judged["limits"]["max_models"] == judged["limits"]["degree"] == 1
+
+
+def test_what_leaves_its_bounds_is_vetoed_with_its_model(
+    data, seen, few, judged, monkeypatch
+):
+    monkeypatch.setattr(ClosedForm, "diverged", lambda one: 3)
+    _, every = tried(data, seen, dataclasses.replace(TINY, fed_back=0))
+    for (row, network), one in zip(every, few, strict=True):
+        assert row.status == "diverged" and row.diverged == 3
+        assert row.free_run is None and not row.eligible
+        np.testing.assert_allclose(row.groups, one.groups())
+        assert network is not None
+    run = jnx.simulate(every[0][1], data).value
+    assert all(np.all(np.isfinite(y)) for y in run.outputs)

@@ -1,0 +1,118 @@
+"""Errors on groups left out, against least squares and runs in NumPy."""
+
+import numpy as np
+import pytest
+from search_problems import LENGTHS, explosive, plant
+
+from jaxnarx.data import groups
+from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge
+from jaxnarx.methods import ForwardOLS, Global, Identification, Polynomial
+
+METHOD = Identification(
+    pool=Polynomial(outputs="y", input_lags=(1,), output_lags=(1,), degree=1),
+    select=ForwardOLS(max_terms=3),
+    grow=Global(),
+    refine=None,
+)
+"""y(t) = c + b u(t-1) - a y(t-1), by least squares one step ahead."""
+SPREAD = 2.5
+
+
+@pytest.fixture(scope="module")
+def data():
+    return plant()
+
+
+@pytest.fixture(scope="module")
+def found(data) -> JudgedMethod:
+    return judge(METHOD, data, groups(data), SPREAD)
+
+
+def rows_of(record):
+    u, y = record.u[:, 0], record.y[:, 0]
+    return np.stack([np.ones(len(u) - 1), u[:-1], y[:-1]], axis=1), y[1:]
+
+
+def slow(data, without: int):
+    """Mean squared errors of a free run and one step ahead, held to the range of what
+    the model was trained on."""
+    kept = [r for n, r in enumerate(data) if n != without]
+    parts = [rows_of(r) for r in kept]
+    rows = np.concatenate([p[0] for p in parts])
+    theta = np.linalg.lstsq(rows, np.concatenate([p[1] for p in parts]))[0]
+    u, y = (np.concatenate([getattr(r, k)[:, 0] for r in kept]) for k in "uy")
+    wider = 0.02 * (y.max() - y.min())
+
+    def held(values):
+        return np.clip(values, y.min() - wider, y.max() + wider)
+
+    record = data.records[without]
+    inside, run = np.clip(record.u[:, 0], u.min(), u.max()), [record.y[0, 0]]
+    for value in inside[:-1]:
+        run.append(float(theta @ [1.0, value, run[-1]]))
+    ahead = rows_of(record)[0]
+    ahead[:, 1] = inside[:-1]
+    measured = record.y[1:, 0]
+    errors = measured - held(np.array(run[1:])), measured - held(ahead @ theta)
+    return [np.mean(e**2) / SPREAD**2 for e in errors]
+
+
+def test_every_group_is_judged_by_a_model_of_the_others(data, found):
+    assert found.complete and found.network is not None and found.diverged == 0
+    assert found.counts.tolist() == [n - 1 for n in LENGTHS]
+    expected = np.array([slow(data, g) for g in range(len(LENGTHS))])
+    np.testing.assert_allclose(found.losses, expected[:, 0], rtol=1e-6)
+    ahead = np.sqrt(np.average(expected[:, 1], weights=found.counts))
+    np.testing.assert_allclose(found.one_step, ahead, rtol=1e-6)
+
+
+def test_the_model_is_that_of_all_records_and_held(data, found):
+    assert found.network is not None and found.network.hold is not None
+    parts = [rows_of(r) for r in data]
+    theta = np.linalg.lstsq(*(np.concatenate(p) for p in zip(*parts, strict=True)))[0]
+    (told,) = found.network.equations()
+    named = dict(told["terms"])
+    own = [named["1"], named["u[t-1]"], named["y[t-1]"]]
+    np.testing.assert_allclose(own, theta, rtol=1e-7)
+
+
+def test_one_that_is_far_behind_is_given_up(data, found):
+    many = judge(METHOD, data, groups(data), SPREAD, found.losses / 10)
+    assert many.network is None and not many.complete
+    assert many.detail == f"given up after 1 of {len(LENGTHS)} groups"
+    assert many.losses[0] == found.losses[0] and np.isnan(many.losses[1:]).all()
+    # Between the two limits the first group is no reason yet, two are.
+    between = HOPELESS[0] * HOPELESS[1]
+    two = judge(METHOD, data, groups(data), SPREAD, found.losses / between)
+    assert two.detail == f"given up after 2 of {len(LENGTHS)} groups"
+
+
+def test_one_that_is_not_far_behind_is_tried_on_every_group(data, found):
+    close = judge(METHOD, data, groups(data), SPREAD, found.losses / 1.4**2)
+    assert close.complete and close.network is not None
+    np.testing.assert_array_equal(close.losses, found.losses)
+
+
+def test_what_runs_away_is_given_up_at_once():
+    data = explosive()
+    wild = judge(METHOD, data, groups(data), float(np.std(data.records[0].y)))
+    assert wild.diverged >= 1 and wild.detail == "diverges"
+    assert wild.network is None and not wild.complete
+
+
+def test_blocks_of_one_record():
+    data = plant(1, (300,))
+    own = groups(data, gap=5)
+    assert not own.whole
+    found = judge(METHOD, data, own, SPREAD)
+    assert found.complete and np.all(found.losses < 0.05)
+    (label,) = own.labels
+    # A run begins with the record, so the first sample alone is not judged.
+    sizes = [int(np.sum(label[1:] == g)) for g in range(len(own))]
+    assert found.counts.tolist() == sizes
+
+
+def test_a_group_too_short_to_be_run_is_passed_over():
+    data = plant(1, (150, 160, 140, 1))
+    found = judge(METHOD, data, groups(data), SPREAD)
+    assert np.isfinite(found.losses).sum() == 3 and found.network is not None
