@@ -2,7 +2,7 @@
 
 from jaxnarx.identification.account import described, figure, sentences, title, used
 from jaxnarx.identification.by_method import Events, needed
-from jaxnarx.identification.leaderboard import Leaderboard, Contender
+from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search
 from jaxnarx.identification.verb import VALIDATION, identify, with_group

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from jaxnarx.identification.leaderboard import Leaderboard, Contender
+from jaxnarx.identification.leaderboard import Contender, Leaderboard
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""

@@ -14,7 +14,7 @@ from typing import Any
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.identification.leaderboard import Leaderboard, Contender
+from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.side import OutputTask, Side, cores
 from jaxnarx.methods import PRESETS

@@ -17,7 +17,7 @@ from typing import Any
 
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
 from jaxnarx.files import unwritable, write_whole
-from jaxnarx.identification.leaderboard import Leaderboard, Contender
+from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.models import Network, load, save
 
 NAME = "search.json"

@@ -305,7 +305,9 @@ class ClosedSearch:
                 if end is not stages[best]:
                     yield self.divided(root, end, ", gates moved")
 
-    def divided(self, root: ClosedForm, stage: GrownStage, more: str = "") -> ClosedForm:
+    def divided(
+        self, root: ClosedForm, stage: GrownStage, more: str = ""
+    ) -> ClosedForm:
         """A candidate of several regions."""
         name = f"{len(stage.leaves)} regions, {root.name}{more}"
         return self.found("shared feedback", name, stage)

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from jaxnarx.identification import Leaderboard, Contender, described, figure
+from jaxnarx.identification import Contender, Leaderboard, described, figure
 
 TOP = 10
 """Candidates that the end of a search shows of every output."""

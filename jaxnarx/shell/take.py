@@ -5,8 +5,8 @@ from pathlib import Path
 
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import (
-    SearchFolder,
     Contender,
+    SearchFolder,
     read_search,
     sentences,
 )

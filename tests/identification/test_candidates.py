@@ -14,7 +14,7 @@ from jaxnarx.identification import candidates as module
 from jaxnarx.identification.candidates import Candidates
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod
-from jaxnarx.identification.leaderboard import Standing
+from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import Preset
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, look
 
@@ -147,10 +147,10 @@ def test_one_given_up_is_skipped_and_not_remembered(data, seen, few, judged):
 
 def test_known_ones_are_not_tried_again_but_count(data, seen, few, judged):
     family, name = names(data, seen)[0]
-    known = Standing(
+    known = Contender(
         "y", 4, family, name, free_run=0.03, groups=(0.03, None, 0.03, 0.03)
     )
-    failed = Standing(
+    failed = Contender(
         "y", 5, *names(data, seen)[1], status="failed", groups=(1e-9,) * 4
     )
     judged["results"] = [made([0.5] * 4, few[0].network())]

@@ -7,7 +7,7 @@ import io
 import numpy as np
 import pytest
 
-from jaxnarx.identification import Leaderboard, Contender
+from jaxnarx.identification import Contender, Leaderboard
 
 GROUPS = ("day 1", "day 2", "day 3", "day 4")
 
