@@ -223,7 +223,9 @@ def test_groups_are_those_that_were_given(tmp_path):
     a, b = (np.concatenate([data.records[n].y for n in at]) for at in ((0, 2), (1, 3)))
     spread = np.concatenate([a, b]).std()
     expected = [np.sqrt(np.mean((y - o.mean()) ** 2)) for y, o in ((a, b), (b, a))]
-    np.testing.assert_allclose(row.groups, np.array(expected) / spread, rtol=0.05)
+    np.testing.assert_allclose(
+        np.array(row.groups, float), np.array(expected) / spread, rtol=0.05
+    )
     assert isinstance(own, Groups)
 
 

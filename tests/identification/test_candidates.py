@@ -89,7 +89,7 @@ def test_rows_tell_what_was_found(data, seen, few, judged):
     for one, (row, own) in zip(few, every[:3], strict=True):
         assert (row.output, row.family, row.name) == ("y", one.family, one.name)
         assert row.free_run == one.free_run and row.one_step == one.one_step()
-        np.testing.assert_allclose(row.groups, one.groups())
+        np.testing.assert_allclose(np.array(row.groups, float), one.groups())
         assert row.status == "ok" and row.seconds >= 0 and row.number == 0
         assert own is not None and own.hold is not None
         price = cost(own)
@@ -110,6 +110,7 @@ def test_standard_error_is_that_of_the_mean_over_groups(data, seen, few, judged)
     judged["results"] = [made([0.04, 0.09, 0.01, 0.25], few[0].network())] * 3
     row = tried(data, seen)[1][3][0]
     of_square = np.std([0.04, 0.09, 0.01, 0.25], ddof=1) / 2
+    assert row.free_run is not None
     assert row.standard_error == pytest.approx(of_square / (2 * row.free_run))
 
 
@@ -200,7 +201,9 @@ def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     for (row, network), one in zip(every, few, strict=True):
         assert row.status == "diverged" and row.diverged == 3
         assert row.free_run is None and not row.eligible
-        np.testing.assert_allclose(row.groups, one.groups())
+        np.testing.assert_allclose(np.array(row.groups, float), one.groups())
         assert network is not None
-    run = jnx.simulate(every[0][1], data).value
+    mean = every[0][1]
+    assert mean is not None
+    run = jnx.simulate(mean, data).value
     assert all(np.all(np.isfinite(y)) for y in run.outputs)

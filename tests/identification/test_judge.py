@@ -69,7 +69,8 @@ def test_every_group_is_judged_by_a_model_of_the_others(data, found):
 def test_the_model_is_that_of_all_records_and_held(data, found):
     assert found.network is not None and found.network.hold is not None
     parts = [rows_of(r) for r in data]
-    theta = np.linalg.lstsq(*(np.concatenate(p) for p in zip(*parts, strict=True)))[0]
+    rows, right = (np.concatenate(p) for p in zip(*parts, strict=True))
+    theta = np.linalg.lstsq(rows, right)[0]
     (told,) = found.network.equations()
     named = dict(told["terms"])
     own = [named["1"], named["u[t-1]"], named["y[t-1]"]]

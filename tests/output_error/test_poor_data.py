@@ -4,6 +4,7 @@ Warnings are errors, so none of them divides by zero on its way.
 """
 
 import dataclasses
+from typing import Any
 
 import nested_problems as problems
 import numpy as np
@@ -57,7 +58,7 @@ def outliers(rng, u, y):
     return u, y
 
 
-CASES = {
+CASES: dict[str, dict[str, Any]] = {
     "one record": dict(lengths=(300,)),
     "100 samples": dict(lengths=(100,)),
     "two records": dict(lengths=(150, 160)),
@@ -87,7 +88,7 @@ def test_every_candidate_is_made(case):
     seen = look(data, "y")
     seen = dataclasses.replace(seen, rise=min(seen.rise, 2.0))
     search = ClosedSearch(data, seen, groups(data, gap=seen.memory))
-    every, names = [], []
+    every, names, network = [], [], None
     for one in search.candidates(3):
         names.append((one.family, one.name))
         assert one.diverged() >= 0 and np.isfinite(one.one_step())
@@ -99,6 +100,7 @@ def test_every_candidate_is_made(case):
     # With what is held to the range of other groups no one does much worse than chance.
     assert every[0] <= 1.5 and np.all(np.isfinite(every)) and min(every) <= every[0]
     assert len(names) == len(set(names)) >= 13
+    assert network is not None
     run = jnx.simulate(network, data).value
     assert all(np.all(np.isfinite(y)) for y in run.outputs)
     if case == "copied_input":
