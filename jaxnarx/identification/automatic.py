@@ -110,8 +110,9 @@ class Race:
         ]
         if same:
             return
-        own = sum(r.output == output for r in rows)
-        number = SHARE * self.outputs.index(output) + own + 1
+        first = SHARE * self.outputs.index(output)
+        own = (r.number for r in rows if r.output == output)
+        number = 1 + max(own, default=first)
         row = dataclasses.replace(row, number=number)
         self.store = self.store.added(row, network)
         board = self.store.leaderboard

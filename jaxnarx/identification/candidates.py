@@ -49,7 +49,6 @@ class Candidates:
         if self.preset.linear:
             limits = dict(max_models=1, degree=1)
         for found in search.candidates(**limits, grown_roots=self.preset.grown):
-            self._remember(found.losses())
             self.passed += 1
             yield self._closed(found, time.perf_counter() - begin)
             if self.late():
@@ -68,6 +67,8 @@ class Candidates:
         network = hold_to_range(found.network())
         row = self._row(found.family, found.name, seconds, network)
         lost = found.diverged()
+        if not lost:
+            self._remember(found.losses())
         row = dataclasses.replace(
             row,
             free_run=None if lost else found.free_run,

@@ -1,5 +1,6 @@
 """Candidates whose terms hold past outputs, each trained on the free run."""
 
+import math
 from collections.abc import Iterator
 
 from jaxnarx.data import Dataset
@@ -55,7 +56,7 @@ def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
     """Inputs from their dead time on and outputs, all products; None if too many."""
     names = data.channels.input_names
     variables = len(names) * (lags + 1) + lags
-    if degree > 1 and variables**degree > 6 * LARGEST:
+    if math.comb(variables + degree, degree) > LARGEST and degree > 1:
         return None
     return polynomial_pool(
         data.channels,

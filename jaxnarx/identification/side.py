@@ -60,9 +60,9 @@ class OutputTask:
             late=self._late,
         )
         for one in found:
-            yield one
-            if self.candidates is not None and found.passed >= self.candidates:
+            if self.candidates is not None and found.passed > self.candidates:
                 return
+            yield one
 
     def _late(self) -> bool:
         return time.time() > self.until

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.dynamics import dynamics
+from jaxnarx.errors import DataError
 
 FEW = 3
 """Distinct values up to which an input counts as binary or event-like."""
@@ -51,6 +52,7 @@ class Look:
 
 def look(data: Dataset, output: str) -> Look:
     """Facts about one output; a few seconds for a million rows."""
+    _require_seen(data)
     o = data.channels.output_names.index(output)
     inputs = len(data.channels.inputs)
     found = dynamics(data, reach=REACH)
@@ -68,6 +70,16 @@ def look(data: Dataset, output: str) -> Look:
         _usual_length(data) // SHORTEST,
         max(1, data.samples // COUNTED),
     )
+
+
+def _require_seen(data: Dataset) -> None:
+    """DataError where there is no input, or a channel that is measured nowhere."""
+    if not data.channels.inputs:
+        raise DataError("there are no inputs: a search needs at least one")
+    seen = np.any([r.valid.any(axis=0) for r in data], axis=0)
+    for name, there in zip(data.channels.names, seen.tolist(), strict=True):
+        if not there:
+            raise DataError(f"{name} is measured nowhere; leave it out")
 
 
 def _usual_length(data: Dataset) -> int:

@@ -5,7 +5,7 @@ normal equations of the simulation error give without another pass over the data
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -146,7 +146,7 @@ class ClosedSearch:
 
     def memory(self, step: int) -> Memory:
         """Lags and filters in this scale."""
-        return Memory.of(step, self.look.reach)
+        return Memory.of(step, self.look.reach, self.look.memory)
 
     def found(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
         """A candidate."""
@@ -252,20 +252,20 @@ class ClosedSearch:
 
     def polynomials(
         self, orders: dict[int, np.ndarray], degree: int
-    ) -> list[ClosedForm]:
-        """Products in several scales of lags and filters, with several feedbacks; best
-        first."""
+    ) -> list[tuple[int, int, ClosedForm]]:
+        """(step, order, candidate): products in several scales of lags and filters,
+        with several feedbacks; best first."""
         most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
         step, out = max(1, 2 ** int(np.log2(most) - SCALES + 1)), []
         while step <= most:
             memory = self.memory(step)
             signals = self.signals(memory, degree)
-            for a in (np.ones(1), orders[1], orders[2]):
+            for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a, (1e-4, 1e-2))
                 name = f"degree {degree}, {told(memory, a)}"
-                out.append(self.found("polynomial", name, stage))
+                out.append((step, order, self.found("polynomial", name, stage)))
             step *= 2
-        return sorted(out, key=lambda one: one.free_run)
+        return sorted(out, key=lambda one: one[2].free_run)
 
     @property
     def spread(self) -> float:
@@ -288,12 +288,10 @@ class ClosedSearch:
         yield from self.filtered(orders)
         if degree < 2:
             return
-        roots = []
-        for one in _distinct(self.polynomials(orders, degree)):
-            roots.append(dataclasses.replace(one, stage=self.retuned(one.stage)))
-            yield roots[-1]
-        roots.sort(key=lambda one: one.free_run)
-        for root in roots[:grown_roots]:
+        ranked = self.polynomials(orders, degree)
+        yield from _distinct(ranked, lambda one: one[1])
+        for root in _distinct(ranked, lambda one: one[0])[:grown_roots]:
+            root = dataclasses.replace(root, stage=self.retuned(root.stage))
             levels = self.levels(root.stage.dictionary.signals)
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
@@ -345,11 +343,14 @@ def near(ridge: float) -> list[float]:
     return [r for r in RIDGES if ridge / 11 < r < ridge * 11] or [ridge]
 
 
-def _distinct(ranked: list[ClosedForm]) -> list[ClosedForm]:
-    """The best for every order of the feedback."""
+def _distinct(
+    ranked: list[tuple[int, int, ClosedForm]],
+    kind: Callable[[tuple[int, int, ClosedForm]], int],
+) -> list[ClosedForm]:
+    """The best of every kind, best first."""
     seen: dict[int, ClosedForm] = {}
     for one in ranked:
-        seen.setdefault(len(one.stage.dictionary.a), one)
+        seen.setdefault(kind(one), one[2])
     return list(seen.values())
 
 

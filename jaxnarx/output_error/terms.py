@@ -15,8 +15,9 @@ from jaxnarx.regressors import (
 
 SPREAD = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""
-SLOW = (2.5, 10.0, 40.0, 150.0)
-"""Time constants of first-order lags of the inputs, in steps."""
+FIRST, APART = 2.5, 4.0
+"""Shortest time constant of first-order lags of the inputs, in steps, and the factor
+from one to the next."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,13 +26,18 @@ class Memory:
 
     step: int
     lags: tuple[int, ...] = SPREAD
-    times: tuple[float, ...] = SLOW
-    """Time constants in steps; none without filters."""
+    times: tuple[float, ...] = ()
+    """Time constants of filters in steps."""
 
     @classmethod
-    def of(cls, step: int, reach: int) -> "Memory":
-        """The usual lags and filters, as far as the reach [samples]."""
-        return cls(step, tuple(lag for lag in SPREAD if lag * step <= max(reach, 2)))
+    def of(cls, step: int, reach: int, memory: int) -> "Memory":
+        """The usual lags, as far as the reach, and filters until a response as long as
+        the memory is over behind the slowest [samples]."""
+        lags = tuple(lag for lag in SPREAD if lag * step <= max(reach, 2))
+        times = [FIRST, APART * FIRST]
+        while 3 * times[-1] * step < memory:
+            times.append(APART * times[-1])
+        return cls(step, lags, tuple(times))
 
     def lags_of(self, dead_time: int) -> list[int]:
         """Lags of an input; one step before the dead time too, which may be wrong."""
