@@ -13,8 +13,8 @@ class Preset:
     """Most regions in closed form."""
     degree: int = 2
     """Of products of inputs there."""
-    grown: int = 2
-    """How many kinds of feedback are grown."""
+    grown: int = 3
+    """How many scales of lags and filters are grown."""
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
     longest: int = 60_000
@@ -42,7 +42,7 @@ PRESETS = {
     "best": Preset(
         "an hour, or what the budget says; the smallest error whatever it costs",
         max_models=24,
-        grown=3,
+        grown=5,
         fed_back=16,
         longest=400_000,
         rule="best",
