@@ -152,30 +152,6 @@ def test_the_figure_of_the_readme(tmp_path):
     assert (tmp_path / "demo.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
-def test_the_choice_of_a_configuration(tmp_path, measured):
-    experiment("gengine1/choose.py", "--out", str(tmp_path / "choice.json"))
-    content = json.loads((tmp_path / "choice.json").read_text())
-    (row,) = content["rows"]
-    assert row["validation"] > 0 and content["chosen"]["NOx"] in (row, None)
-    names = content["held_out"]
-    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
-
-
-@pytest.mark.slow
-def test_terms_of_a_real_engine(tmp_path, measured):
-    experiment("gengine1/select_terms.py", "--results", str(tmp_path))
-    content = json.loads((tmp_path / "gengine1_selection.json").read_text())
-    (row,) = content["figures"]["rows"]
-    assert row["terms"] == len(row["names"]) <= 25
-    # The bound holds the free run alone; one step ahead nothing keeps so small a model
-    # of filtered inputs from going astray outside its data.
-    assert row["test"]["free_run"]["rmse"] < 1.0
-    assert row["validation"]["one_step"]["rmse"] < 1.0
-    names = content["figures"]["held_out"]
-    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
-
-
 def test_results_hold_no_folders(tmp_path):
     code = (
         "import sys; from pathlib import Path; sys.argv[0] = 'x.py'\n"
@@ -205,18 +181,6 @@ def test_processes_of_nelles(tmp_path):
         assert entry[name]["met"]
     assert entry["staged"]["diverged"] == 0
     assert (tmp_path / "nelles_processes.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_all_outputs_of_a_real_engine(tmp_path, measured):
-    experiment("gengine1/refine_outputs.py", "--results", str(tmp_path))
-    content = json.loads((tmp_path / "gengine1_outputs.json").read_text())
-    (row,) = content["figures"]["rows"]
-    scores = [s["free_run"]["rmse"] for s in row["validation"].values()]
-    assert scores == sorted(scores, reverse=True)
-    assert content["figures"]["choice"]["over"] == ["T_exhaust"]
-    names = content["figures"]["held_out"]
-    assert names and not any(f"raw_00005{n}" in x for n in range(3, 9) for x in names)
 
 
 @pytest.mark.slow
@@ -304,3 +268,15 @@ def test_the_house_is_counted(tmp_path):
     parts = [sums for room, sums in rooms.items() if room.startswith("jaxnarx/")]
     for figure, total in rooms["jaxnarx"].items():
         assert sum(part[figure] for part in parts) == total > 0
+
+
+@pytest.mark.slow
+def test_the_search_on_a_real_engine(tmp_path, measured):
+    options = "--results", str(tmp_path), "--runs", str(tmp_path / "runs")
+    experiment("gengine1/identify.py", *options)
+    figures = json.loads((tmp_path / "gengine1_identify.json").read_text())["figures"]
+    (row,) = figures["linear"]["rows"]
+    assert row["output"] == "T_exhaust"
+    assert row["cross_validated"]["chosen"] >= row["cross_validated"]["best"] > 0
+    assert 0 < row["test"]["one_step"]["rmse"] < row["test"]["free_run"]["rmse"]
+    assert len(figures["linear"]["scored"]) == 1

@@ -92,26 +92,6 @@ def test_trees_without_peers(tmp_path):
 
 
 @pytest.mark.slow
-def test_references_of_a_real_engine(tmp_path, measured):
-    experiment("gengine1/references.py", "--results", str(tmp_path))
-    figures = json.loads((tmp_path / "gengine1_references.json").read_text())["figures"]
-    (row,) = figures["rows"]
-    assert [stage["models"] for stage in row["growth"]] == [2, 3]
-    assert row["size"]["regions"] in (2, 3)
-    # The training records judge the refinement: never worse than its start.
-    closed, joint = (row["train"][k]["free_run"]["rmse"] for k in row["train"])
-    assert joint <= closed * (1 + 1e-9)
-    verdict = figures["verdict"]["T_exhaust"]
-    tested = row["test"]["joint"]["free_run"]
-    assert verdict["ours"] == tested["rmse"] and verdict["reference"] == 0.094
-    assert verdict["met"] == (tested["rmse"] <= 0.094 and not tested["diverged"])
-    assert {b["kind"] for b in figures["baselines"]} == {
-        *("linear ARX", "LOLIMOT, one step", "global polynomial, refined"),
-        *("MLP, NARX", "MLP, NOE"),
-    }
-
-
-@pytest.mark.slow
 def test_growth_without_peers(tmp_path, measured):
     figures = run("growth.py", results=tmp_path / "results")["growth"]
     (row,) = figures["growth"].values()
