@@ -15,6 +15,8 @@ from jaxnarx.regressors import (
 
 SPREAD = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""
+FEWEST = 4
+"""Filters at least: slow parts of an answer are small and easily overlooked."""
 FIRST, APART = 2.5, 4.0
 """Shortest time constant of first-order lags of the inputs, in steps, and the factor
 from one to the next."""
@@ -34,7 +36,7 @@ class Memory:
         """The usual lags, as far as the reach, and filters until a response as long as
         the memory is over behind the slowest [samples]."""
         lags = tuple(lag for lag in SPREAD if lag * step <= max(reach, 2))
-        times = [FIRST, APART * FIRST]
+        times = [FIRST * APART**k for k in range(FEWEST)]
         while 3 * times[-1] * step < memory:
             times.append(APART * times[-1])
         return cls(step, lags, tuple(times))
