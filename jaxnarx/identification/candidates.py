@@ -118,7 +118,7 @@ class Candidates:
         if not found.complete:
             return row, None
         self._remember(found.losses)
-        total = float(np.average(found.losses, weights=found.counts))
+        total = float(np.nansum(found.losses * found.counts) / found.counts.sum())
         row = dataclasses.replace(
             row, free_run=total**0.5, one_step=found.one_step, status="ok"
         )

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
+from jaxnarx.errors import DataError
 from jaxnarx.identification.by_method import by_method
 from jaxnarx.methods import Identification
 from jaxnarx.models import Network, hold_to_range
@@ -21,7 +22,7 @@ class JudgedMethod:
     """Errors of one candidate on groups left out, in standard deviations."""
 
     losses: Float[np.ndarray, " groups"]
-    """Mean squared error of every group; NaN where it was not tried."""
+    """Mean squared error of every group; NaN where it was not tried, or too short."""
     counts: Float[np.ndarray, " groups"]
     """Samples that count."""
     one_step: float
@@ -34,7 +35,7 @@ class JudgedMethod:
     @property
     def complete(self) -> bool:
         """Whether every group has been tried."""
-        return bool(np.all(np.isfinite(self.losses)))
+        return self.network is not None
 
 
 def judge(
@@ -53,14 +54,18 @@ def judge(
     ahead, diverged = 0.0, 0
     for g, fold in enumerate(groups.folds(data)):
         network = trained(method, fold.train)
-        loss, counts[g], bad = score(network, fold.left, spread)
-        losses[g], diverged = loss, diverged + bad
-        ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
+        try:
+            losses[g], counts[g], bad = score(network, fold.left, spread)
+            ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
+        except DataError:  # too short to start from: it judges nothing
+            continue
+        diverged += bad
         if diverged:
             return JudgedMethod(losses, counts, np.nan, diverged, None, "diverges")
         done = slice(g + 1)
         worst = HOPELESS[min(g, 1)] ** 2
-        if best is not None and losses[done].sum() > worst * np.nansum(best[done]):
+        mine = np.nansum(losses[done])
+        if best is not None and mine > worst * np.nansum(best[done]):
             told = f"given up after {g + 1} of {len(groups)} groups"
             return JudgedMethod(losses, counts, np.nan, diverged, None, told)
     network = trained(method, data)
