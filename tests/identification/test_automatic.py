@@ -15,6 +15,7 @@ from search_problems import plant
 import jaxnarx as jnx
 from jaxnarx.data import Groups, groups
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation import cost
 from jaxnarx.identification import Leaderboard, automatic, read_search
 from jaxnarx.methods import PRESETS, Preset
 from jaxnarx.output_error import ClosedForm
@@ -160,7 +161,7 @@ def test_a_model_that_was_lost_is_made_again(whole, tiny, tmp_path):
     numbers = [row.number for row in board_of(again)]
     assert len(numbers) == len(set(numbers))
     for row in board_of(again):
-        price = jnx.cost(read_search(copy).network(row.number))
+        price = cost(read_search(copy).network(row.number))
         assert price.parameters == row.parameters, "the model is the row's"
 
 

@@ -1,10 +1,13 @@
 """What the data say: levels, dead times, memory."""
 
+import dataclasses
+
 import nested_problems as problems
 import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset
+from jaxnarx.errors import DataError
 from jaxnarx.output_error import look
 from jaxnarx.output_error.look import COUNTED
 
@@ -72,3 +75,29 @@ def test_of_long_data_every_so_many_samples_count():
     u = np.repeat(rng.uniform(size=(4000, 2)), 10, axis=0)
     y = u @ [[1.0], [2.0]] + 0.1 * rng.normal(size=(40_000, 1))
     assert look(problems.dataset([u], [y]), "y").every == 40_000 // COUNTED > 1
+
+
+def test_what_is_measured_nowhere_is_named():
+    data = made()
+    for place, name in enumerate(data.channels.names):
+        seen = np.arange(3) != place
+        parts = [dataclasses.replace(r, valid=r.valid & seen[None]) for r in data]
+        with pytest.raises(DataError, match=f"{name} is measured nowhere"):
+            look(dataclasses.replace(data, records=tuple(parts)), "y")
+    nothing = Dataset.from_arrays(
+        np.zeros((90, 0)),
+        data.records[0].y[:90],
+        inputs=[],
+        outputs=["y"],
+        sample_time=1.0,
+    )
+    with pytest.raises(DataError, match="no inputs"):
+        look(nothing, "y")
+
+
+def test_one_short_record_does_not_shorten_the_reach():
+    data = made()
+    short = {k: getattr(data.records[0], k)[:12] for k in ("u", "y", "valid")}
+    short = dataclasses.replace(data.records[0], name="short", **short)
+    more = dataclasses.replace(data, records=(*data.records, short))
+    assert look(more, "y").reach == look(data, "y").reach > 8

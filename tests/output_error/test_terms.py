@@ -4,6 +4,7 @@ import dataclasses
 
 import nested_problems as problems
 import numpy as np
+import pytest
 
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
@@ -18,13 +19,16 @@ def test_lags_begin_a_step_before_the_dead_time():
     assert memory.lags_of(1) == memory.lags_of(0) == [0, 2, 4, 8]
 
 
+TIMES = (2.5, 10.0, 40.0, 160.0)
+
+
 def test_filters_that_records_are_long_enough_for():
     """A quarter of the longest record, of 190 samples of 0.1 s: 4.75 s."""
     data = problems.records()
-    times = [f.time_constant for f in Memory(1).filters(data)]
+    times = [f.time_constant for f in Memory(1, (0,), TIMES).filters(data)]
     assert times == [0.25, 1.0, 4.0]
-    assert Memory(4).filters(data) == [LowPass(1.0), LowPass(4.0)]
-    assert Memory(1, (0,), ()).filters(data) == []
+    assert Memory(4, (0,), TIMES).filters(data) == [LowPass(1.0), LowPass(4.0)]
+    assert Memory(1).filters(data) == []
 
 
 def test_a_linear_pool_has_the_constant_lags_and_filters():
@@ -36,7 +40,7 @@ def test_a_linear_pool_has_the_constant_lags_and_filters():
 
 def products(look: Look, degree: int) -> list[str]:
     """Of three lags."""
-    memory = Memory(1, (0, 1, 2), ())
+    memory = Memory(1, (0, 1, 2))
     linear = linear_pool(problems.records(), look, memory)
     pool = product_pool(linear, look, memory, degree)
     assert pool.names[: len(linear)] == linear.names
@@ -78,16 +82,28 @@ def test_every_product_has_its_parts():
 
 def test_scheduling_is_every_input_and_of_few_inputs_slow_ones():
     data = problems.records()
-    table = scheduling(data, LOOK, Memory(1))
+    table = scheduling(data, LOOK, Memory(1, (0, 1, 2), TIMES))
     assert table.entries[:2] == ((0, 4, None), (1, 2, None))
     assert table.entries[2:] == ((0, 0, LowPass(1.0)), (0, 0, LowPass(4.0)))
-    plain = scheduling(data, LOOK, Memory(1, (0,), ()))
+    plain = scheduling(data, LOOK, Memory(1, (0,)))
     assert plain.rows == ((0, 2), (1, 0)) and not plain.filters
 
 
-def test_memory_ends_at_the_reach():
-    assert Memory.of(2, 9).lags == (0, 1, 2, 3, 4)
-    assert Memory.of(1, 0).lags == (0, 1, 2) and Memory.of(5, 0).lags == (0,)
-    assert str(Memory(3)) == "lags by 3, 4 filters"
-    assert str(Memory(3, (0,), ())) == "lags by 3"
-    assert np.max(Memory.of(1, 1000).lags) == 8
+def test_lags_end_at_the_reach():
+    assert Memory.of(2, 9, 20).lags == (0, 1, 2, 3, 4)
+    assert Memory.of(1, 0, 20).lags == (0, 1, 2) and Memory.of(5, 0, 20).lags == (0,)
+    assert max(Memory.of(1, 1000, 20).lags) == 8
+
+
+@pytest.mark.parametrize(("step", "memory"), [(1, 4), (1, 100), (4, 100), (2, 3000)])
+def test_filters_cover_the_memory(step, memory):
+    """A first-order lag is over after three time constants."""
+    times = Memory.of(step, 10, memory).times
+    assert 3 * times[-1] * step >= memory and len(times) >= 2
+    assert len(times) == 2 or 3 * times[-2] * step < memory
+    np.testing.assert_allclose(np.divide(times[1:], times[:-1]), 4.0)
+
+
+def test_words():
+    assert str(Memory(3, (0,), TIMES)) == "lags by 3, 4 filters"
+    assert str(Memory(3, (0,))) == "lags by 3"
