@@ -99,8 +99,8 @@ def test_lags_end_at_the_reach():
 def test_filters_cover_the_memory(step, memory):
     """A first-order lag is over after three time constants."""
     times = Memory.of(step, 10, memory).times
-    assert 3 * times[-1] * step >= memory and len(times) >= 2
-    assert len(times) == 2 or 3 * times[-2] * step < memory
+    assert 3 * times[-1] * step >= memory and len(times) >= 4
+    assert len(times) == 4 or 3 * times[-2] * step < memory
     np.testing.assert_allclose(np.divide(times[1:], times[:-1]), 4.0)
 
 
