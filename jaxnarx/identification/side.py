@@ -57,15 +57,14 @@ class OutputTask:
             self.groups,
             PRESETS[self.preset],
             known=self.known,
-            late=self._late,
+            late=lambda: self._late(found.passed),
         )
-        for one in found:
-            if self.candidates is not None and found.passed > self.candidates:
-                return
-            yield one
+        yield from found
 
-    def _late(self) -> bool:
-        return time.time() > self.until
+    def _late(self, passed: int) -> bool:
+        """Whether enough has been tried."""
+        enough = self.candidates is not None and passed >= self.candidates
+        return enough or time.time() > self.until
 
 
 def cores() -> int:
