@@ -39,10 +39,12 @@ def identify(
 
     The search looks at the data, then tries candidates from cheap to rich: a constant,
     linear ARX and output-error models, filters, polynomials, regions with shared
-    feedback, LOLIMOT and trees. Each is judged by the free run over groups of records
-    that it has not seen; where one diverges the candidate is out. Of the others the
-    cheapest to compute within one standard error of the best is trained on all records
-    (`preset="best"`: the best itself). The same data and settings give the same model.
+    feedback in closed form (`jaxnarx.output_error`), and, where records are not too
+    long for the preset, polynomials of past outputs and LOLIMOT. Each is judged by the
+    free run over groups of records that it has not seen; where one diverges the
+    candidate is out. Of the others the cheapest to compute within one standard error,
+    and 5 %, of the best is taken, trained on all records (`preset="best"`: the best
+    itself). The same data and settings give the same model.
 
     With a method the verbs `select`, `grow` and `refine` follow one another, and what
     they raise passes as it is. Outputs that are neither modelled nor scheduled on are
@@ -53,8 +55,9 @@ def identify(
         method: The settings of all steps. Without it the search decides; the arguments
             that follow, up to `groups` and also `folder`, are the search's own.
         preset: `"quick"` (a minute or two), `"good"`, `"best"` (an hour, or the budget;
-            sums of networks where they gain), `"ecu"` (the fewest operations within 5 %
-            of the best, stable for certain) or `"linear"`.
+            the smallest error whatever it costs), `"ecu"` (the fewest operations within
+            5 % of the best, stable for certain) or `"linear"`; see
+            `jaxnarx.methods.PRESETS`.
         budget: Time for the search [s]; default the preset's.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
@@ -67,9 +70,9 @@ def identify(
             same call goes on there where an earlier one stopped; SpecError where the
             folder holds the search of other data or settings.
         progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,
-            and `trying` and `output` before a candidate; after it its `row`, the row
-            `chosen` so far, how many are `done` `of` how many, `seconds` passed and
-            `left`. Of a method: `verb` is `"select"`, `"grow"` or `"refine"`; with
+            and after every candidate its `row`, the row `chosen` so far, how many are
+            `done` `of` how many, `seconds` passed and `left` (None where that is not
+            known). Of a method: `verb` is `"select"`, `"grow"` or `"refine"`; with
             `candidates`, their number, before the first, with `solution` after each,
             else with a row of that verb's own progress.
 
