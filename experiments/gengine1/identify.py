@@ -48,13 +48,6 @@ NEAR = 1.03
 """Multiple of the figure reached by hand that counts as no worse."""
 
 
-def identified(data: jnx.Dataset, preset: str, folder: Path) -> tuple[Any, float]:
-    """The search, and its seconds."""
-    begin = time.perf_counter()
-    fit = jnx.identify(data, preset=preset, folder=folder, progress=shown)
-    return fit, time.perf_counter() - begin
-
-
 def shown(event: dict[str, Any]) -> None:
     """A candidate."""
     row = event.get("row")
@@ -103,6 +96,7 @@ def row_of(fit: Any, name: str, scores: dict[str, Any]) -> dict[str, Any]:
             "best": best.free_run,
             "linear OE": linear[0].free_run if linear else None,
         },
+        "seconds": round(sum(r.seconds for r in board.of(name)), 1),
         "operations": chosen.operations,
         "parameters": chosen.parameters,
         "test": scores,
@@ -161,13 +155,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     path = folder / "gengine1_identify.json"
     figures = json.loads(path.read_text())["figures"] if path.exists() else {}
     for preset in presets:
-        fit, seconds = identified(train, preset, options.runs / f"gengine1-{preset}")
+        place = options.runs / f"gengine1-{preset}"
+        fit = jnx.identify(train, preset=preset, folder=place, progress=shown)
         scores = errors(fit.value, test)
         rows = [row_of(fit, name, scores[name]) for name in fit.value.output_names]
         past = figures.get(preset, {}).get("scored", [])
         told = {"mean NRMSE": summary(rows)["mean NRMSE"]["jaxnarx"]}
         figures[preset] = {
-            "seconds": round(seconds, 1),
             "summary": summary(rows),
             "rows": rows,
             "scored": [*past, code() | {"date": time.strftime("%Y-%m-%d")} | told],
