@@ -5,7 +5,7 @@ import dataclasses
 import io
 import math
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 LIMIT = 1.0
@@ -172,8 +172,3 @@ def _near(row: Contender, best: Contender) -> bool:
         return _error(row) <= _error(best) + LIMIT * (best.standard_error or 0.0)
     error = statistics.stdev(pairs) / math.sqrt(len(pairs))
     return statistics.fmean(pairs) <= LIMIT * error
-
-
-def first(rows: Sequence[Contender]) -> int:
-    """The number of the next candidate."""
-    return 1 + max((row.number for row in rows), default=0)
