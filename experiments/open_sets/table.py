@@ -76,7 +76,10 @@ def _name(row: Row) -> str:
 
 def _diverged(row: Row) -> bool:
     tests = row["jaxnarx"]["test"].values()
-    return any(test["diverged"] or test["nrmse"] is None for test in tests)
+    return any(
+        test["diverged"] or (test["nrmse"] is None and not test.get("late"))
+        for test in tests
+    )
 
 
 def _worse(row: Row) -> bool:
@@ -118,7 +121,7 @@ def _cell(column: Row | None, part: str) -> str:
         return "failed"
     test = column["test"][part]
     if test["nrmse"] is None:
-        return "diverged"
+        return "late" if test.get("late") else "diverged"
     return _text(test["nrmse"]) + ("!" if test["diverged"] else "")
 
 
