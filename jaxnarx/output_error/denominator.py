@@ -33,10 +33,3 @@ def reflections(a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " order"]:
 def is_stable(a: Float[np.ndarray, " _"]) -> bool:
     """Whether all poles are inside the unit circle."""
     return bool(np.all(np.abs(reflections(a)) < 1 - NEAREST))
-
-
-def times_of(a: Float[np.ndarray, " _"], sample_time: float) -> list[float]:
-    """Time constants [s] of the poles, slowest first; of a pair, that of its decay."""
-    size = np.abs(np.roots(a))
-    with np.errstate(divide="ignore"):
-        return sorted((-sample_time / np.log(np.maximum(size, 1e-12))).tolist())[::-1]

@@ -1,7 +1,7 @@
 """Regions by halving, judged by the free run of groups left out."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -114,7 +114,6 @@ def grown(
     max_models: int,
     levels: Sequence[Sequence[float] | None],
     patience: int = 3,
-    told: Callable[[GrownStage], None] = lambda stage: None,
 ) -> list[GrownStage]:
     """One more region a stage; those that no halving improves end it."""
     stages, kept = [start], {}
@@ -131,7 +130,6 @@ def grown(
         near = [r for r in RIDGES if last.ridge / 11 < r < last.ridge * 11]
         stage = sized(last.dictionary.extended(block), leaves, near)
         stages.append(stage)
-        told(stage)
         best = int(np.argmin([s.score for s in stages]))
         if len(stages) - 1 - best >= patience:
             break

@@ -8,7 +8,6 @@ from jaxnarx.output_error.denominator import (
     is_stable,
     of_times,
     reflections,
-    times_of,
 )
 
 
@@ -76,16 +75,10 @@ def test_on_the_circle_is_not_stable():
     assert not is_stable(np.array([1.0, 0.5, np.inf]))
 
 
-def test_time_constants_there_and_back():
+def test_poles_of_time_constants():
     a = of_times((0.3, 2.0, 0.7), 0.1)
     assert a[0] == 1.0 and is_stable(a)
     np.testing.assert_allclose(
         np.sort(np.roots(a)), np.exp(-0.1 / np.array([0.3, 0.7, 2.0]))
     )
-    np.testing.assert_allclose(times_of(a, 0.1), [2.0, 0.7, 0.3], rtol=1e-9)
-    assert of_times((), 0.1).tolist() == [1.0] and times_of(np.ones(1), 0.1) == []
-    # The decay of a pair of poles counts, twice; a pole at zero has no memory.
-    decay = np.exp(-0.1 / 0.5)
-    pair = np.array([1.0, -2 * decay * np.cos(0.4), decay**2])
-    np.testing.assert_allclose(times_of(pair, 0.1), [0.5, 0.5], rtol=1e-9)
-    assert times_of(np.array([1.0, 0.0]), 0.1)[0] < 0.01
+    assert of_times((), 0.1).tolist() == [1.0]
