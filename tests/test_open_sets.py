@@ -14,7 +14,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "open_sets"))
 from own import best_linear, chosen  # noqa: E402 # pyright: ignore
 from packed import pack, unpack  # noqa: E402 # pyright: ignore
 from peers import history, lags_to  # noqa: E402 # pyright: ignore
-from score import errors, far, part_scores  # noqa: E402 # pyright: ignore
+from score import (  # noqa: E402 # pyright: ignore
+    errors,
+    far,
+    free_runs,
+    held_back,
+    part_scores,
+    scores,
+)
 from sets import READERS, OpenSet, Part  # noqa: E402 # pyright: ignore
 from table import compared, summary  # noqa: E402 # pyright: ignore
 
@@ -45,6 +52,24 @@ def network(data) -> jnx.Network:
     )
     selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4)).value
     return jnx.grow(selection, data, jnx.Global()).value
+
+
+@pytest.fixture(scope="module")
+def short(data) -> jnx.Network:
+    """Of `y` alone, from y[t-1] and u[t-1]."""
+    pool = jnx.polynomial_pool(
+        data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
+    )
+    selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=3)).value
+    return jnx.grow(selection, data, jnx.Global()).value
+
+
+def scored(networks: list[jnx.Network], part: Part, scale: float = 1.0) -> list[dict]:
+    """Errors of `y` on one part."""
+    runs = [
+        jnx.simulate(network, held_back(network, part)).value for network in networks
+    ]
+    return part_scores(runs, part, "y", scale)
 
 
 def oracle(network: jnx.Network, record, first: int) -> np.ndarray:
@@ -101,9 +126,7 @@ def test_a_run_begins_with_the_last_measurements_before_the_first_score(data, ne
     runs = [oracle(network, record, first) for record in data]
     counted = [np.arange(len(y)) >= first for y in runs]
     expected = errors([r.y[:, 1] for r in data], runs, counted)
-    found = part_scores(network, Part(data, first))
-    assert set(found) == {"y"}
-    row = found["y"]
+    row = scored([network], Part(data, first))[0]
     assert row["late"] == row["diverged"] == 0
     assert row["samples"] == sum(len(r) - first for r in data)
     # Rounded to five digits on both sides.
@@ -117,12 +140,45 @@ def test_a_run_begins_with_the_last_measurements_before_the_first_score(data, ne
 def test_the_truth_is_scored_instead_of_the_measurement(data, network):
     runs = [oracle(network, record, 50) for record in data]
     truth = tuple(np.stack([np.zeros_like(y), y], axis=1) for y in runs)
-    assert part_scores(network, Part(data, 50, truth))["y"]["nrmse"] < 1e-9
+    assert scored([network], Part(data, 50, truth))[0]["nrmse"] < 1e-9
 
 
-def test_a_model_that_needs_more_history_has_no_figure(data, network):
-    row = part_scores(network, Part(data, LONG - 10))["y"]
-    assert row["late"] == 2 * 10 and row["nrmse"] is None and row["rmse"] is None
+def test_models_of_a_row_are_scored_over_the_samples_that_both_predict(
+    data, network, short
+):
+    # Of 90 and 70 samples due, the network lacks the first five each.
+    first = LONG - 5
+    late, early = scored([network, short], Part(data, first))
+    assert (late["late"], early["late"]) == (10, 0)
+    for model, row in ((network, late), (short, early)):
+        begin = LONG if model is network else first
+        runs = [oracle(model, record, begin) for record in data]
+        both = [np.arange(len(y)) >= LONG for y in runs]
+        expected = errors([r.y[:, 1] for r in data], runs, both)
+        assert row["samples"] == expected["samples"] == 90 + 70
+        # Rounded to five digits on both sides.
+        np.testing.assert_allclose(row["nrmse"], expected["nrmse"], rtol=2e-5)
+    # Alone it is scored over all that is due.
+    assert scored([short], Part(data, first))[0]["samples"] == 95 + 75
+
+
+def test_a_model_that_needs_much_more_history_has_no_figure(data, network, short):
+    part = Part(data, LONG - 20)
+    late, early = scored([network, short], part)
+    assert late["late"] == 2 * 20 and late["samples"] == 0
+    assert late["nrmse"] is None and late["rmse"] is None
+    # It takes no sample from the other.
+    assert early == scored([short], part)[0]
+    assert early["samples"] == 110 + 90
+
+
+def test_scores_of_an_output_by_model_and_part(data, network, short):
+    parts = {"a": Part(data, 50), "b": Part(data[:1], LONG - 5)}
+    whole = OpenSet("one", data, parts, {"other": "-", "y": "V"}, "", "", 1000.0)
+    found = scores([free_runs(m, whole) for m in (network, short)], whole, "y")
+    for name, part in parts.items():
+        expected = scored([network, short], part, 1000.0)
+        assert [rows[name] for rows in found] == expected
 
 
 def test_peers_get_what_we_get(data, tmp_path):
@@ -208,7 +264,11 @@ def row_of(own: dict, linear: dict, cross_validated: float) -> dict:
     """A row of the table with these errors by part."""
 
     def tests(errors: dict) -> dict:
-        return {p: {"nrmse": e, "diverged": 0} for p, e in errors.items()}
+        # 0 stands for a model that is too late for a figure.
+        return {
+            p: {"nrmse": e or None, "diverged": 0, "samples": 0 if e == 0 else 9}
+            for p, e in errors.items()
+        }
 
     row = {"set": "s", "output": "y", "best linear": {"test": tests(linear)}}
     row["jaxnarx"] = {"test": tests(own), "free_run": cross_validated}
@@ -221,10 +281,16 @@ def test_what_the_table_aims_at():
     assert better["compared"]["test over cross-validated"] == 1.25
     worse = row_of({"a": 0.1, "b": 0.52}, {"a": 0.2, "b": 0.5}, 0.2)
     lost = row_of({"a": None, "b": 0.1}, {"a": 0.2, "b": 0.5}, 0.2)
-    for row, target, count in ((better, 0, 0), (worse, 1, 0), (lost, 1, 1)):
+    late = row_of({"a": 0, "b": 0.1}, {"a": 0.2, "b": 0.5}, 0.2)
+    for row, *counts in (
+        (better, 0, 0, 0),
+        (worse, 1, 0, 0),
+        (lost, 1, 1, 0),
+        (late, 0, 0, 1),
+    ):
         found = summary([row], {})
-        assert len(found["worse than linear"]) == target
-        assert len(found["diverged"]) == count
+        names = ("worse than linear", "diverged", "late")
+        assert [len(found[name]) for name in names] == counts
     assert summary([better], {})["flattered by"] == {"s y": 1.25}
     assert summary([worse], {})["flattered by"] == {}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from packed import pack, told
-from score import digits, scores
+from score import digits, free_runs, scores
 from sets import READERS, OpenSet, smaller
 from virtual import BEDS, engine
 
@@ -166,24 +166,18 @@ def fit(
     begin = time.perf_counter()
     network, rows = identify(found.train)
     seconds = round(time.perf_counter() - begin, 1)
-    tests, columns = scores(network, found), {}
-    known: dict[int, Any] = {}
+    runs, columns = free_runs(network, found), {}
+    about = {"preset": method if method == "fixed" else preset, "fit_seconds": seconds}
     for output in found.outputs:
-        about = {"preset": method if method == "fixed" else preset}
-        about |= {"fit_seconds": seconds, "test": of(tests, output)}
-        columns[output] = {"jaxnarx": chosen(rows, output) | about}
+        models = {"jaxnarx": (chosen(rows, output) | about, runs)}
         if (linear := best_linear(rows, output)) is not None:
             row, model = linear
-            if id(row) not in known:
-                known[id(row)] = scores(model, found)
-            test = {"test": of(known[id(row)], output)}
-            columns[output]["best linear"] = kept(row, output) | test
+            models["best linear"] = kept(row, output), free_runs(model, found)
+        tests = scores([own for _, own in models.values()], found, output)
+        columns[output] = {
+            name: row | {"test": test}
+            for (name, (row, _)), test in zip(models.items(), tests, strict=True)
+        }
     outputs = found.outputs[0]
     table = [kept(row, row.get("output") or outputs) for row in rows]
     return {"about": told(found), "columns": columns, "leaderboard": table}
-
-
-def of(tests: dict[str, dict[str, Row]], output: str) -> dict[str, Row]:
-    """The errors of one output by part; a model may leave an output out."""
-    missing = {"rmse": None, "nrmse": None, "diverged": 0}
-    return {part: rows.get(output, missing) for part, rows in tests.items()}

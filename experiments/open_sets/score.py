@@ -1,17 +1,21 @@
 """Errors of free runs on the scored samples, output by output.
 
-`errors` needs nothing but numpy, so that peers are scored by the same lines; `scores`
-runs a network through `jaxnarx.simulate`.
+`errors` needs nothing but numpy, so that peers are scored by the same lines;
+`free_runs` runs a network through `jaxnarx.simulate`.
 """
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from sets import OpenSet, Part
 
 FAR = 10.0
 """A run that leaves the training range by more than so many widths has diverged."""
+
+LATE = 0.1
+"""A run that lacks more than this share of the samples due has no figure."""
 
 Row = dict[str, Any]
 
@@ -56,40 +60,60 @@ def far(run: Any, train: Any, first: int) -> bool:
     return not bool(within.all())
 
 
-def scores(network: Any, open_set: OpenSet) -> dict[str, dict[str, Row]]:
-    """Errors by part and output of a network's free runs on the test records."""
+def free_runs(network: Any, open_set: OpenSet) -> dict[str, Any]:
+    """Free runs of a network on the test records, by part."""
+    from jaxnarx import simulate
+
     return {
-        name: part_scores(network, part, open_set.scale)
+        name: simulate(network, held_back(network, part)).value
         for name, part in open_set.parts.items()
     }
 
 
-def part_scores(network: Any, part: Part, scale: float = 1.0) -> dict[str, Row]:
-    """Errors of one part by output.
+def scores(
+    models: Sequence[dict[str, Any]], open_set: OpenSet, output: str
+) -> list[dict[str, Row]]:
+    """Errors of one output by part, for the `free_runs` of every model.
 
-    `diverged` counts records. `late` counts samples that should be scored and that the
-    network, for want of history, does not predict. Without them the error would
-    flatter: only where there are none are figures given.
+    Within a part all are scored over the same samples.
     """
-    from jaxnarx import simulate
+    found = {
+        name: part_scores([runs[name] for runs in models], part, output, open_set.scale)
+        for name, part in open_set.parts.items()
+    }
+    return [{part: rows[n] for part, rows in found.items()} for n in range(len(models))]
 
-    run = simulate(network, held_back(network, part)).value
-    names = part.data.channels.output_names
-    found = {}
-    for o, name in enumerate(run.output_names):
-        at = names.index(name)
-        due = [_due(r, at, part.first) for r in part.data]
-        there = [s[:, o] for s in run.scored]
-        late = sum(int((d & ~s).sum()) for d, s in zip(due, there, strict=True))
-        row = errors(
-            [y[:, at] for y in part.targets], [y[:, o] for y in run.outputs], due, scale
-        )
-        if late:
-            row |= {"rmse": None, "nrmse": None}
-        diverged = sum(bool(d[o]) for d in run.diverged)
-        limited = sum(int(held[:, o].sum()) for held in run.limited)
-        found[name] = row | {"diverged": diverged, "limited": limited, "late": late}
-    return found
+
+def part_scores(
+    runs: Sequence[Any], part: Part, output: str, scale: float = 1.0
+) -> list[Row]:
+    """Errors of one output of a part for every run, all over the same samples.
+
+    These are the samples due that every run predicts. `late` counts those due that a
+    run does not predict, for want of history; more than `LATE` of them, and the run has
+    no figure and takes no sample from the others. `diverged` counts records.
+    """
+    import numpy as np
+
+    at = part.data.channels.output_names.index(output)
+    due = np.concatenate([_due(r, at, part.first) for r in part.data])
+    y = np.concatenate([target[:, at] for target in part.targets])
+    places = [run.output_names.index(output) for run in runs]
+    masks = [
+        due & np.concatenate([scored[:, o] for scored in run.scored])
+        for run, o in zip(runs, places, strict=True)
+    ]
+    late = [int(due.sum() - mask.sum()) for mask in masks]
+    in_time = [count <= LATE * due.sum() for count in late]
+    shared = due & np.all([m for m, ok in zip(masks, in_time, strict=True) if ok], 0)
+    rows = []
+    for run, o, count, ok in zip(runs, places, late, in_time, strict=True):
+        values = np.concatenate([outputs[:, o] for outputs in run.outputs])
+        row = errors([y], [values], [shared & ok], scale)
+        row["diverged"] = sum(bool(diverged[o]) for diverged in run.diverged)
+        row["limited"] = sum(int(limited[:, o].sum()) for limited in run.limited)
+        rows.append(row | {"late": count})
+    return rows
 
 
 def _due(record: Any, output: int, first: int) -> Any:

@@ -12,6 +12,11 @@ NOTES = {
     "test": "free run of the test records, RMSE in the unit of the row's set, NRMSE "
     "over the standard deviation of what is scored; all records of a part pooled",
     "start": "a run begins with the measurements before the first scored sample",
+    "late": "samples due that one of our models does not predict, for it needs more "
+    "history than there is in front of them: its run begins later. Ours and the best "
+    "linear of a row are scored over the same samples, those due that both predict; "
+    "peers over all due. With more than a tenth of them late: no figure, neither "
+    "diverged nor worse",
     "cross-validated": "`free_run` of the leaderboard: NRMSE on training records left "
     "out",
     "to linear": "test NRMSE over that of the best linear output-error model, by part",
@@ -55,9 +60,11 @@ def summary(rows: list[Row], sets: dict[str, Row]) -> Row:
     beside = [row for row in own if "to linear" in row["compared"]]
     diverged = [_name(row) for row in own if _diverged(row)]
     worse = [_name(row) for row in beside if _worse(row)]
+    late = [_name(r) for r in own if any(map(_late, r["jaxnarx"]["test"].values()))]
     return {
         "rows": len(own),
         "failed": {n: held["failed"] for n, held in sets.items() if "failed" in held},
+        "late": late,
         "diverged": diverged,
         "beside linear": len(beside),
         "worse than linear": worse,
@@ -74,10 +81,15 @@ def _name(row: Row) -> str:
     return f"{row['set']} {row['output']}"
 
 
+def _late(test: Row) -> bool:
+    """Whether too many samples are late for a figure."""
+    return test["samples"] == 0
+
+
 def _diverged(row: Row) -> bool:
     tests = row["jaxnarx"]["test"].values()
     return any(
-        test["diverged"] or (test["nrmse"] is None and not test.get("late"))
+        test["diverged"] or (test["nrmse"] is None and not _late(test))
         for test in tests
     )
 
@@ -85,11 +97,13 @@ def _diverged(row: Row) -> bool:
 def _worse(row: Row) -> bool:
     """Whether a part of the test is worse than linear by more than the slack.
 
-    A missing figure of ours counts as worse unless the linear model has none either.
+    A missing figure of ours counts as worse unless the linear model has none either, or
+    ours is late: only what has been scored over the same samples is compared.
     """
     own, linear = (row[column]["test"] for column in ("jaxnarx", "best linear"))
     return any(
         linear[part]["nrmse"] is not None
+        and not _late(test)
         and (test["nrmse"] is None or test["nrmse"] > SLACK * linear[part]["nrmse"])
         for part, test in own.items()
     )
@@ -121,7 +135,7 @@ def _cell(column: Row | None, part: str) -> str:
         return "failed"
     test = column["test"][part]
     if test["nrmse"] is None:
-        return "late" if test.get("late") else "diverged"
+        return "late" if _late(test) else "diverged"
     return _text(test["nrmse"]) + ("!" if test["diverged"] else "")
 
 
