@@ -51,6 +51,23 @@ class Groups:
     def __len__(self) -> int:
         return len(self.names)
 
+    def parts(
+        self,
+    ) -> tuple[tuple[Int[np.ndarray, " _"], ...], Bool[np.ndarray, "groups parts"]]:
+        """Samples by what they are left out with, and which parts that are.
+
+        The first parts are the groups. Each of the others is a gap, which is left out
+        with the blocks beside it and trains whenever both of them do.
+        """
+        out = np.stack([np.concatenate(self.left_out(g)) for g in range(len(self))])
+        every, edges = np.concatenate(self.labels), np.cumsum([*map(len, self.labels)])
+        gap = every < 0
+        kinds, own = np.unique(out[:, gap], axis=1, return_inverse=True)
+        every = every.copy()
+        every[gap] = len(self) + own.ravel()
+        apart = np.concatenate([np.eye(len(self), dtype=bool), kinds], axis=1)
+        return tuple(np.split(every, edges[:-1])), apart
+
     def left_out(self, g: int) -> tuple[Bool[np.ndarray, " _"], ...]:
         """For every record the samples that train nothing while group `g` is left out:
         its own, and the gaps beside them."""

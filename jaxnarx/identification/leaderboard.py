@@ -40,10 +40,10 @@ class Contender:
     one_step: float | None = None
     """One-step error on the same records."""
     diverged: int = 0
-    """Records in which the free run diverged; any is a veto. Of candidates that are
-    trained step by step these are records left out; of those in closed form, whose runs
-    over records left out are held to the range of all others, records that the model of
-    all groups leaves its bounds in."""
+    """Runs that diverged; any is a veto. Of candidates that are trained step by step
+    these are records left out; of those in closed form, whose errors on groups left out
+    are those of runs held to the range of all others, groups left out and records run
+    by the model of all groups."""
     operations: int | None = None
     """Multiplications, divisions and exponentials at a sample."""
     parameters: int | None = None

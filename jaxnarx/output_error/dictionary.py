@@ -73,7 +73,7 @@ def weight(region: Region, x: Float[np.ndarray, "dims time"]) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
-    """Filtered columns of one region at the samples that count, group by group."""
+    """Filtered columns of one region at the samples that count, part by part."""
 
     region: Region
     terms: Int[np.ndarray, " terms"]
@@ -98,12 +98,13 @@ class Dictionary:
     def of(cls, signals: RunSignals, a: Float[np.ndarray, " _"]) -> "Dictionary":
         """Without blocks."""
         target = _grouped([_target(s, a) for s in signals.stretches])
-        groups = len(target)
+        parts = len(target)
         empty = NormalEquations(
-            np.zeros((groups, 0, 0)),
-            np.zeros((groups, 0)),
+            np.zeros((parts, 0, 0)),
+            np.zeros((parts, 0)),
             np.array([e[0] @ e[0] for e in target]),
             np.array([e.shape[1] for e in target], float),
+            signals.apart,
         )
         y = _grouped([_at(s.y[None], s.counted) for s in signals.stretches])
         own = tuple(e[0] for e in target), tuple(e[0] for e in y)
@@ -164,8 +165,12 @@ class Dictionary:
     def products(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
         """C'B and C'e of a block's columns C with those of the dictionary, B."""
         own = [c @ e for c, e in zip(block.columns, self.target, strict=True)]
-        cross = [c @ b.T for c, b in zip(block.columns, self.rows(), strict=True)]
-        return np.stack(cross), np.stack(own)
+        empty = np.zeros((len(own), len(block.terms), 0))
+        cross = [
+            np.stack([c @ b.T for c, b in zip(block.columns, one.columns, strict=True)])
+            for one in self.blocks
+        ]
+        return np.concatenate([empty, *cross], axis=2), np.stack(own)
 
     def runs(
         self, theta: Float[np.ndarray, " columns"]
@@ -196,21 +201,38 @@ class Dictionary:
     def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:
         """Sum of squared errors of every group by a model made without it."""
         out = []
-        for g, rows in enumerate(self.rows()):
+        for g in range(len(self.signals.apart)):
             theta = self.equations.without(g).solve(ridge)
-            out.append(self.loss(g, theta @ rows + self.begun(g)))
+            out.append(self.loss(g, self.answers(g, theta[None])[0]))
         return np.array(out)
 
     def curve(
         self, ridge: float, sizes: Sequence[int], first: Sequence[int]
     ) -> Float[np.ndarray, "groups sizes"]:
         """The same with so many columns, chosen anew without the group."""
-        out = np.empty((len(self.target), len(sizes)))
-        for g, rows in enumerate(self.rows()):
+        out = np.empty((len(self.signals.apart), len(sizes)))
+        for g in range(len(self.signals.apart)):
             path = self.equations.without(g).forward(ridge, max(sizes), first)
-            for n, size in enumerate(sizes):
-                at, theta = path.at(size)
-                out[g, n] = self.loss(g, theta @ rows[at] + self.begun(g))
+            theta = np.zeros((len(sizes), self.equations.columns))
+            for row, size in zip(theta, sizes, strict=True):
+                at, own = path.at(size)
+                row[at] = own
+            out[g] = [self.loss(g, run) for run in self.answers(g, theta)]
+        return out
+
+    def answers(
+        self, group: int, theta: Float[np.ndarray, "models columns"]
+    ) -> Float[np.ndarray, "models _"]:
+        """Free runs of several models where samples of a group count.
+
+        Block by block: all columns in one array would be a copy of the largest thing
+        there is.
+        """
+        out, edge = np.tile(self.begun(group), (len(theta), 1)), 0
+        for block in self.blocks:
+            own = theta[:, edge : edge + len(block.terms)]
+            edge += own.shape[1]
+            out += own @ block.columns[group]
         return out
 
     def begun(self, group: int) -> Float[np.ndarray, " _"]:
@@ -219,14 +241,19 @@ class Dictionary:
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
         """Sum of squared errors of a group, held within the range of all others."""
-        rest = np.concatenate([y for g, y in enumerate(self.measured) if g != group])
-        low, high = rest.min(initial=np.inf), rest.max(initial=-np.inf)
-        margin = MARGIN * (high - low)
-        held = np.clip(run, low - margin, high + margin)
+        held = np.clip(run, *self.others(group, MARGIN))
         return float(np.sum((self.measured[group] - held) ** 2))
 
+    def others(self, group: int, margin: float) -> tuple[float, float]:
+        """Range of the output in all that is not left out with a group, widened."""
+        apart = self.signals.apart[group]
+        rest = [y for y, out in zip(self.measured, apart, strict=True) if not out]
+        low = min(y.min(initial=np.inf) for y in rest)
+        high = max(y.max(initial=-np.inf) for y in rest)
+        return low - margin * (high - low), high + margin * (high - low)
+
     def rows(self) -> list[np.ndarray]:
-        """Columns at the samples that count, group by group."""
+        """Columns at the samples that count, part by part."""
         return [
             np.concatenate(
                 [np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)]

@@ -1,7 +1,8 @@
 """Normal equations by group: ridge, forward selection and cross-validation as solves.
 
 Sums of squares and products add over samples. With one sum a group, leaving a group out
-is a subtraction, and a model without it one small solve: no pass over the data.
+is a subtraction, and a model without it one small solve: no pass over the data. Samples
+between two groups are parts of their own, which no model is judged on.
 """
 
 import dataclasses
@@ -9,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 POWERLESS = 1e-7
 """Share of a column's power below which what others leave of it is rounding."""
@@ -17,15 +18,22 @@ POWERLESS = 1e-7
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """C'C, C'e, e'e and the number of samples, group by group."""
+    """C'C, C'e, e'e and the number of samples, part by part: groups, then gaps."""
 
-    gram: Float[np.ndarray, "groups columns columns"]
-    right: Float[np.ndarray, "groups columns"]
-    square: Float[np.ndarray, " groups"]
-    samples: Float[np.ndarray, " groups"]
+    gram: Float[np.ndarray, "parts columns columns"]
+    right: Float[np.ndarray, "parts columns"]
+    square: Float[np.ndarray, " parts"]
+    samples: Float[np.ndarray, " parts"]
+    apart: Bool[np.ndarray, "groups parts"]
+    """What is left out with a group: itself, and the gaps beside it."""
 
     def __len__(self) -> int:
         return len(self.square)
+
+    @property
+    def judged(self) -> Float[np.ndarray, " groups"]:
+        """Samples that judge, group by group."""
+        return self.samples[: len(self.apart)]
 
     @property
     def columns(self) -> int:
@@ -38,8 +46,9 @@ class NormalEquations:
         return dataclasses.replace(self, gram=gram, right=self.right[:, at])
 
     def without(self, group: int | None) -> "System":
-        """The sums over all groups but one, columns scaled to unit mean square."""
-        keep = np.arange(len(self)) != (-1 if group is None else group)
+        """The sums without what is left out with a group, columns scaled to unit mean
+        square."""
+        keep = np.full(len(self), True) if group is None else ~self.apart[group]
         count = max(self.samples[keep].sum(), 1.0)
         gram, right = self.gram[keep].sum(axis=0), self.right[keep].sum(axis=0)
         power = np.diagonal(gram) / count
@@ -47,10 +56,10 @@ class NormalEquations:
         scaled = gram / count / np.outer(size, size)
         return System(scaled, right / count / size, size)
 
-    def loss(self, group: int, theta: Float[np.ndarray, " columns"]) -> float:
-        """Sum of squared errors of a group."""
-        error = self.square[group] - 2 * self.right[group] @ theta
-        return max(float(error + theta @ self.gram[group] @ theta), 0.0)
+    def loss(self, part: int, theta: Float[np.ndarray, " columns"]) -> float:
+        """Sum of squared errors of a part."""
+        error = self.square[part] - 2 * self.right[part] @ theta
+        return max(float(error + theta @ self.gram[part] @ theta), 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """Regions by halving, judged by the free run of groups left out."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -16,8 +17,13 @@ from jaxnarx.output_error.dictionary import (
     with_gates,
 )
 
-RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-SIZES = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320)
+RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+USUAL = 1e-3
+"""Where the search for a ridge begins."""
+SIZES = (
+    *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
+    *(380, 450),
+)
 """Numbers of columns that are tried."""
 
 
@@ -74,8 +80,23 @@ class GrownStage:
     @property
     def score(self) -> float:
         """Root mean square error of the groups left out, in standard deviations."""
-        count = self.dictionary.equations.samples.sum()
+        count = self.dictionary.equations.judged.sum()
         return float(np.sqrt(self.losses.sum() / max(count, 1.0)))
+
+    def left_out(self) -> list[Float[np.ndarray, " _"]]:
+        """Free runs over every group by a model made without it, not held."""
+        equations, first, out = (
+            self.dictionary.equations,
+            constants(self.dictionary),
+            [],
+        )
+        for g in range(len(self.losses)):
+            theta = np.zeros((1, equations.columns))
+            path = equations.without(g).forward(self.ridge, self.size, first)
+            at, own = path.at(self.size)
+            theta[0, at] = own
+            out.append(self.dictionary.answers(g, theta)[0])
+        return out
 
     def chosen(self) -> tuple[np.ndarray, np.ndarray]:
         """Columns and coefficients from all groups."""
@@ -91,21 +112,30 @@ def constants(dictionary: Dictionary) -> list[int]:
 
 
 def sized(
-    dictionary: Dictionary,
-    leaves: tuple[Box, ...],
-    ridges: Sequence[float] = RIDGES,
+    dictionary: Dictionary, leaves: tuple[Box, ...], ridge: float = USUAL
 ) -> GrownStage:
-    """Number of columns and ridge by the groups left out."""
+    """Number of columns and ridge by the groups left out.
+
+    From `ridge` on to the next smaller and larger one for as long as the groups gain.
+    """
     equations = dictionary.equations
     most = min(equations.columns, int(equations.samples.sum() / 8))
     sizes = [s for s in SIZES if s < most] + [min(most, SIZES[-1])]
-    found = []
-    for ridge in ridges:
-        curve = dictionary.curve(ridge, sizes, constants(dictionary))
+    first = constants(dictionary)
+
+    @functools.cache
+    def stage(place: int) -> GrownStage:
+        curve = dictionary.curve(RIDGES[place], sizes, first)
         n = int(curve.sum(axis=0).argmin())
-        found.append((curve[:, n].sum(), n, ridge, curve[:, n]))
-    _, n, ridge, losses = min(found, key=lambda one: one[0])
-    return GrownStage(dictionary, leaves, losses, sizes[n], ridge)
+        return GrownStage(dictionary, leaves, curve[:, n], sizes[n], RIDGES[place])
+
+    at = int(np.argmin(np.abs(np.log(np.array(RIDGES) / ridge))))
+    for way in (-1, 1):
+        while 0 <= at + way < len(RIDGES):
+            if stage(at + way).score >= stage(at).score:
+                break
+            at += way
+    return stage(at)
 
 
 def grown(
@@ -127,8 +157,7 @@ def grown(
         upper, lower = leaf.halved(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
-        near = [r for r in RIDGES if last.ridge / 11 < r < last.ridge * 11]
-        stage = sized(last.dictionary.extended(block), leaves, near)
+        stage = sized(last.dictionary.extended(block), leaves, last.ridge)
         stages.append(stage)
         best = int(np.argmin([s.score for s in stages]))
         if len(stages) - 1 - best >= patience:

@@ -15,7 +15,7 @@ from jaxnarx.models import Network
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
-from jaxnarx.output_error.growth import RIDGES, Box, GrownStage, grown, sized
+from jaxnarx.output_error.growth import Box, GrownStage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals, signals_of
@@ -48,7 +48,9 @@ class ClosedForm:
     stage: GrownStage
     data: Dataset
     given: Float[np.ndarray, " columns"] | None = None
-    """Coefficients that are not those of least squares of the free run."""
+    """Coefficients that are not those of least squares of the free run ..."""
+    left_out: Sequence[Float[np.ndarray, " _"]] | None = None
+    """... and what such models answer over every group made without it."""
 
     @property
     def free_run(self) -> float:
@@ -57,17 +59,20 @@ class ClosedForm:
 
     def losses(self) -> Float[np.ndarray, " groups"]:
         """Mean squared error of every group; NaN where no sample of it counts."""
-        count = self.stage.dictionary.equations.samples
+        count = self.stage.dictionary.equations.judged
         return self.stage.losses / np.where(count > 0, count, np.nan)
 
     def diverged(self) -> int:
-        """Records that would leave the bounds of the feedback, run by the model of all
-        groups: far beyond the trained range more than now and then."""
-        wild = 0
-        for run in self._runs():
-            low, high = self._bounds
-            wild += bool(has_diverged((run < low) | (run > high)))
-        return wild
+        """Runs that would leave the bounds of the feedback, far beyond the trained
+        range more than now and then: records run by the model of all groups, and groups
+        by the models made without them."""
+        low, high = self._bounds
+        left = self.stage.left_out() if self.left_out is None else self.left_out
+        return sum(
+            bool(has_diverged((run < low) | (run > high)))
+            for run in (*self._runs(), *map(_tame, left))
+            if len(run)
+        )
 
     def one_step(self) -> float:
         """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
@@ -95,7 +100,7 @@ class ClosedForm:
         """Free runs by the model of all groups."""
         with np.errstate(all="ignore"):
             runs = self.stage.dictionary.runs(self.coefficients())
-        return [np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD) for run in runs]
+        return list(map(_tame, runs))
 
     def groups(self) -> Float[np.ndarray, " groups"]:
         """The same of every group."""
@@ -131,13 +136,12 @@ class ClosedSearch:
             if degree > 1:
                 pool = product_pool(pool, self.look, memory, degree)
             table = scheduling(self.data, self.look, memory)
-            labels = list(self.groups.labels)
             self.known = {
                 key: signals_of(
                     self.data,
                     pool,
                     table,
-                    labels,
+                    *self.groups.parts(),
                     history=ORDERS,
                     every=self.look.every,
                 )
@@ -156,13 +160,12 @@ class ClosedSearch:
         self,
         signals: RunSignals,
         a: Float[np.ndarray, " _"],
-        ridges: Sequence[float] = RIDGES,
     ) -> GrownStage:
         """One region with this feedback."""
         dictionary = Dictionary.of(signals, a)
         dictionary = dictionary.extended(dictionary.block(()))
         dims = len(signals.scheduling)
-        return sized(dictionary, (Box((), np.zeros(dims), np.ones(dims)),), ridges)
+        return sized(dictionary, (Box((), np.zeros(dims), np.ones(dims)),))
 
     def retuned(
         self, stage: GrownStage, *, gates: bool = False, most: int = 1
@@ -188,7 +191,7 @@ class ClosedSearch:
         gate_of = {old: new[1] for old, new in pairs}
         moved = stage.dictionary.moved(end.a, gate_of)
         leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
-        return sized(moved, leaves, near(stage.ridge))
+        return sized(moved, leaves, stage.ridge)
 
     def constant(self) -> ClosedForm:
         """The mean."""
@@ -261,7 +264,7 @@ class ClosedSearch:
             memory = self.memory(step)
             signals = self.signals(memory, degree)
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
-                stage = self.root(signals, a, (1e-4, 1e-2))
+                stage = self.root(signals, a)
                 name = f"degree {degree}, {told(memory, a)}"
                 out.append((step, order, self.found("polynomial", name, stage)))
             step *= 2
@@ -323,24 +326,24 @@ class ClosedSearch:
     def equation_error(self, order: int) -> ClosedForm:
         """Least squares one step ahead (ARX), run freely."""
         signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
-        dims, losses = len(signals.scheduling), []
+        dims, losses, left = len(signals.scheduling), [], []
         # What is fitted one step ahead may run away: inf then, and held to the range.
         with np.errstate(all="ignore"):
             for g in range(len(self.groups)):
                 a, theta = equation_error(signals, order, without=g)
                 bare = _bare(signals, a)
-                run = _of_group(signals, bare.runs(theta), g)
-                losses.append(bare.loss(g, np.nan_to_num(run)))
+                left.append(_tame(_of_group(signals, bare.runs(theta), g)))
+                losses.append(bare.loss(g, left[-1]))
             a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
-        return ClosedForm("ARX", f"order {order}", stage, self.data, theta)
+        return ClosedForm("ARX", f"order {order}", stage, self.data, theta, left)
 
 
-def near(ridge: float) -> list[float]:
-    """Ridges beside one."""
-    return [r for r in RIDGES if ridge / 11 < r < ridge * 11] or [ridge]
+def _tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
+    """Numbers beyond all numbers are very large ones."""
+    return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)
 
 
 def _distinct(
@@ -378,10 +381,12 @@ def equation_error(
     """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
     size = order + len(signals.factor)
     gram, right = np.zeros((size, size)), np.zeros(size)
+    parts = signals.apart.shape[1]
+    trains = np.full(parts, True) if without is None else ~signals.apart[without]
     for one in signals.stretches:
         past = np.concatenate([one.before[:order][::-1], one.y])
         lags = [past[order - i : order - i + len(one.y)] for i in range(1, order + 1)]
-        at = np.concatenate([c for g, c in enumerate(one.counted) if g != without])
+        at = np.concatenate([c for c, t in zip(one.counted, trains, strict=True) if t])
         terms = np.asarray(evaluate(signals.factor, one.z[:, at]))
         rows = np.concatenate([-np.stack(lags)[:, at], terms])
         gram += rows @ rows.T

@@ -1,10 +1,11 @@
 """What all structures over the same variables share: columns' factors and targets."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.signal
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
@@ -29,7 +30,7 @@ class Stretch:
     before: Float[np.ndarray, " history"]
     """Outputs before the first sample, latest first."""
     counted: tuple[Int[np.ndarray, " _"], ...]
-    """Samples that count, group by group."""
+    """Samples that count, part by part: groups, then gaps between them."""
 
     def filtered(
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
@@ -63,6 +64,8 @@ class RunSignals:
     offset: Float[np.ndarray, " dims"]
     span: Float[np.ndarray, " dims"]
     stretches: tuple[Stretch, ...]
+    apart: Bool[np.ndarray, "groups parts"]
+    """What is left out with a group: itself, and the gaps beside it."""
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:
@@ -74,15 +77,17 @@ def signals_of(
     data: Dataset,
     pool: Pool,
     scheduling: Variables,
-    labels,
+    labels: Sequence[Int[np.ndarray, " _"]],
+    apart: Bool[np.ndarray, "groups parts"],
     *,
     history: int,
     every: int,
 ) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
-    `pool` has one output and terms of inputs alone. Runs start behind `history`
-    samples at least; every so many samples one counts.
+    `pool` has one output and terms of inputs alone. `labels` and `apart` are
+    `Groups.parts`. Runs start behind `history` samples at least; every so many samples
+    one counts.
     """
     table = Variables.of(
         [
@@ -92,7 +97,6 @@ def signals_of(
     )
     low, high = ranges(data)
     gain = gains(data)
-    groups = 1 + max(int(one.max(initial=-1)) for one in labels)
     offset, span = low[scheduling.signal], (high - low)[scheduling.signal]
     span = np.where(span > 0, span, 1.0)
     empty = global_model(pool.factor[:1], np.zeros(1))
@@ -118,7 +122,9 @@ def signals_of(
         label[: len(record)] = labels[n][:e]
         seen = scored[n, s:e]
         seen[np.arange(e - s) % every != 0] = False
-        counted = [np.flatnonzero(seen & (label[s:] == g)) for g in range(groups)]
+        counted = [
+            np.flatnonzero(seen & (label[s:] == g)) for g in range(apart.shape[1])
+        ]
         stretches.append(
             Stretch(
                 (v[n, :, s:e] - shift[:, None]) / size[:, None],
@@ -129,5 +135,14 @@ def signals_of(
             )
         )
     return RunSignals(
-        pool, centring, gain, middle, spread, scheduling, offset, span, tuple(stretches)
+        pool,
+        centring,
+        gain,
+        middle,
+        spread,
+        scheduling,
+        offset,
+        span,
+        tuple(stretches),
+        apart,
     )

@@ -241,6 +241,19 @@ def test_a_fold_marks_block_and_gaps_as_missing_in_training():
             assert train.scored is None
 
 
+@pytest.mark.parametrize("gap", [0, 7])
+def test_parts_are_groups_and_gaps_by_what_they_are_left_out_with(gap):
+    data = records(150, 31)
+    found = groups(data, folds=3, gap=gap)
+    labels, apart = found.parts()
+    for g in range(len(found)):
+        expected = found.left_out(g)
+        for own, out, judged in zip(labels, expected, found.labels, strict=True):
+            np.testing.assert_array_equal(apart[g][own], out)
+            np.testing.assert_array_equal(own == g, judged == g)
+    assert apart.shape[1] == 3 + (2 if gap else 0)
+
+
 def test_every_sample_is_judged_once_but_for_the_gaps():
     data = records(300, 250, 40)
     found = groups(data, folds=3, gap=5)

@@ -88,7 +88,13 @@ def labels(numbers=LABELS, data: Dataset | None = None) -> list[np.ndarray]:
 def signals(every: int = 1) -> RunSignals:
     """What the dictionaries below are made of."""
     return signals_of(
-        records(), pool(), SCHEDULING, labels(), history=LONGEST, every=every
+        records(),
+        pool(),
+        SCHEDULING,
+        labels(),
+        np.eye(1 + max(LABELS), dtype=bool),
+        history=LONGEST,
+        every=every,
     )
 
 

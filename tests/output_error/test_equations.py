@@ -1,5 +1,7 @@
 """Normal equations by group, against dense least squares with the ridge as rows."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,7 @@ def equations(dense) -> NormalEquations:
         np.stack([c @ e for c, e in dense]),
         np.array([e @ e for _, e in dense]),
         np.array([float(len(e)) for _, e in dense]),
+        np.eye(len(dense), dtype=bool),
     )
 
 
@@ -67,6 +70,18 @@ def test_solution_is_that_of_ridge_regression(dense, equations, without, ridge):
     assert found[7] == 0.0
 
 
+def test_a_gap_trains_unless_a_group_beside_it_is_left_out(dense, equations):
+    """Two groups, then a gap beside the first and one that is beside neither."""
+    apart = np.array([[True, False, True, False], [False, True, False, False]])
+    found = dataclasses.replace(equations, apart=apart)
+    assert found.judged.tolist() == list(LENGTHS[:2])
+    for g, trains in ((None, (0, 1, 2, 3)), (0, (1, 3)), (1, (0, 2, 3))):
+        columns, target = together([dense[n] for n in trains], None)
+        expected, _ = ridged(columns, target, RIDGE)
+        theta = found.without(g).solve(RIDGE)
+        np.testing.assert_allclose(theta, expected, rtol=1e-7, atol=1e-12)
+
+
 def test_loss_is_the_sum_of_squares_of_a_group(dense, equations):
     rng = np.random.default_rng(1)
     theta = rng.normal(size=8) / np.sqrt(np.mean(dense[0][0] ** 2, axis=1) + 1e-9)
@@ -74,9 +89,7 @@ def test_loss_is_the_sum_of_squares_of_a_group(dense, equations):
         expected = np.sum((target - theta @ columns) ** 2)
         np.testing.assert_allclose(equations.loss(g, theta), expected, rtol=EXACT)
     # Where rounding would make it negative it is zero.
-    exact = NormalEquations(
-        equations.gram, equations.right, 0 * equations.square, equations.samples
-    )
+    exact = dataclasses.replace(equations, square=0 * equations.square)
     assert exact.loss(0, equations.without(None).solve(RIDGE)) == 0.0
 
 
@@ -140,6 +153,7 @@ def test_columns_that_others_make_up_are_passed_over():
         (columns @ target)[None],
         np.array([target @ target]),
         np.array([60.0]),
+        np.eye(1, dtype=bool),
     )
     path = equations.without(None).forward(0.0, 5, ())
     assert len(path.order) == 3 and path.order[-1] != 4
@@ -161,6 +175,7 @@ def test_without_columns_or_samples_there_is_nothing_to_choose():
     at, theta = nothing.forward(RIDGE, 3, (0,)).at(3)
     assert not len(at) and not len(theta)
     empty = NormalEquations(
-        np.zeros((2, 1, 1)), np.zeros((2, 1)), np.zeros(2), np.zeros(2)
+        *(np.zeros((2, 1, 1)), np.zeros((2, 1)), np.zeros(2), np.zeros(2)),
+        np.eye(2, dtype=bool),
     )
     assert empty.without(0).solve(RIDGE).tolist() == [0.0]

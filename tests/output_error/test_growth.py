@@ -60,7 +60,9 @@ def data_of(kind) -> Dataset:
 
 def signals_from(data: Dataset, labels) -> RunSignals:
     pool = polynomial_pool(data.channels, input_lags=(1,), output_lags=(), degree=1)
-    return signals_of(data, pool, SCHEDULING, labels, history=1, every=1)
+    return signals_of(
+        data, pool, SCHEDULING, labels, np.eye(3, dtype=bool), history=1, every=1
+    )
 
 
 def root(signals: RunSignals) -> GrownStage:
@@ -151,8 +153,9 @@ def test_a_stage_tells_the_losses_of_its_size_and_ridge():
         count = sum(LENGTHS) - len(LENGTHS)
         expected = np.sqrt(losses.sum() / count)
         np.testing.assert_allclose(stage.score, expected, rtol=1e-12)
+        least = stage.losses.sum() * (1 - 1e-12)  # sums of another order
         for size in (1, 2, 4):
-            assert refitted(stage, stage.ridge, size).sum() >= stage.losses.sum()
+            assert refitted(stage, stage.ridge, size).sum() >= least
 
 
 def test_the_model_of_all_groups_has_the_constant_first():

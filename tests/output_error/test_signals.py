@@ -78,6 +78,7 @@ def made(data: Dataset, labels) -> RunSignals:
         problems.pool(),
         problems.SCHEDULING,
         labels,
+        np.eye(1 + max(one.max() for one in labels), dtype=bool),
         history=LONGEST,
         every=1,
     )

@@ -135,7 +135,9 @@ def signals_from(us, ys) -> RunSignals:
     pool = polynomial_pool(data.channels, input_lags=(1, 2), output_lags=(), degree=1)
     labels = [np.full(len(r), n % 2) for n, r in enumerate(data)]
     table = Variables.of([(0, 1, None)])
-    return signals_of(data, pool, table, labels, history=4, every=1)
+    return signals_of(
+        data, pool, table, labels, np.eye(2, dtype=bool), history=4, every=1
+    )
 
 
 @pytest.mark.parametrize(
