@@ -5,6 +5,8 @@ them. What was tried is on the disk after every candidate.
 """
 
 import dataclasses
+import math
+import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -54,7 +56,6 @@ def search(
         "outputs": list(outputs),
         "groups": list(groups.names),
     }
-    until = begin + (PRESETS[preset].budget if budget is None else budget)
     with tempfile.TemporaryDirectory() as place:
         store = open_search(Path(place) if folder is None else folder, key, board)
         tasks = {
@@ -64,12 +65,14 @@ def search(
                 groups,
                 preset,
                 candidates,
-                until,
+                math.inf,
                 tuple(r for r in store.leaderboard.rows if r.output == name),
             )
             for name, one in looks.items()
         }
-        race = Race(store, list(outputs), tell, begin)
+        usual = PRESETS[preset].budget * -(-len(outputs) // min(cores(), len(outputs)))
+        until = begin + (usual if budget is None else budget)
+        race = Race(store, list(outputs), tell, begin, until)
         stopped = False
         try:
             race.run(tasks)
@@ -84,21 +87,44 @@ def search(
 class Race:
     """Candidates of all outputs as they come."""
 
-    def __init__(self, store: SearchFolder, outputs: list[str], tell: Tell, begin):
-        self.store, self.outputs, self.tell, self.begin = store, outputs, tell, begin
+    def __init__(
+        self, store: SearchFolder, outputs: list[str], tell: Tell, begin, until
+    ):
+        self.store, self.outputs, self.tell = store, outputs, tell
+        self.begin, self.until = begin, until
+        self.begun: dict[str, float] = {}
+        self.took: list[float] = []
+        self.waiting, self.workers = 0, 1
 
     def run(self, tasks: dict[str, OutputTask]) -> None:
         """Search every output."""
         places = {name: self.outputs.index(name) for name in tasks}
         tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
-        workers = min(cores(), len(tasks))
-        if workers < 2:
+        self.waiting, self.workers = len(tasks), max(min(cores(), len(tasks)), 1)
+        if self.workers < 2:
             for name, task in tasks.items():
+                task = self._begun(name, task)
                 for tried in task.run():
                     self.add(name, *tried)
-                self._finish(places[name], task)
+                self._finish(name, task)
         else:
-            self._side_by_side(tasks, workers)
+            self._side_by_side(tasks)
+
+    def _begun(self, name: str, task: OutputTask) -> OutputTask:
+        """The task with its share of the time; the last may use all that is left."""
+        now, rounds = time.time(), -(-self.waiting // self.workers)
+        self.begun[name] = now
+        self.waiting -= 1
+        return dataclasses.replace(task, until=now + (self.until - now) / rounds)
+
+    def _left(self) -> float | None:
+        """Seconds until all is done, by what outputs took so far; None before one is
+        complete."""
+        if not self.took:
+            return None
+        now, usual = time.time(), statistics.fmean(self.took)
+        running = sum(max(usual - (now - begin), 0.0) for begin in self.begun.values())
+        return (running + usual * self.waiting) / self.workers
 
     def add(self, output: str, row: Contender, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
@@ -124,24 +150,27 @@ class Race:
                 "done": len(board),
                 "of": None,
                 "seconds": time.time() - self.begin,
-                "left": None,
+                "left": self._left(),
             }
         )
 
-    def _finish(self, place: int, task: OutputTask) -> None:
+    def _finish(self, name: str, task: OutputTask) -> None:
         """Say that an output needs no further look, unless time was short."""
-        if time.time() < task.until:
-            self.store.finish(place)
+        now = time.time()
+        self.took.append(now - self.begun.pop(name))
+        if now < task.until:
+            self.store.finish(self.outputs.index(name))
 
-    def _side_by_side(self, tasks: dict[str, OutputTask], workers: int) -> None:
+    def _side_by_side(self, tasks: dict[str, OutputTask]) -> None:
         """A process for every output, as many at a time as there are cores."""
-        waiting = list(tasks.items())
+        waiting = list(tasks)
         running: dict[str, Side] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < workers:
-                    name, task = waiting.pop(0)
-                    running[name] = Side(task)
+                while waiting and len(running) < self.workers:
+                    name = waiting.pop(0)
+                    tasks[name] = self._begun(name, tasks[name])
+                    running[name] = Side(tasks[name])
                 for name, side in list(running.items()):
                     ended = side.ended
                     for row, network in side.found():
@@ -149,7 +178,7 @@ class Race:
                     if ended:
                         side.close()
                         del running[name]
-                        self._finish(self.outputs.index(name), tasks[name])
+                        self._finish(name, tasks[name])
                 time.sleep(POLL)
         finally:
             for side in running.values():

@@ -58,7 +58,8 @@ def identify(
             the smallest error whatever it costs), `"ecu"` (the fewest operations within
             5 % of the best, stable for certain) or `"linear"`; see
             `jaxnarx.methods.PRESETS`.
-        budget: Time for the search [s]; default the preset's.
+        budget: Time for the search [s], shared by the outputs; default the preset's for
+            every output.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
         groups: What is left out together (`jaxnarx.data.groups`); default as the

@@ -21,7 +21,7 @@ class Preset:
     """Samples of all records beyond which those are not tried: they are trained on the
     free run step by step."""
     budget: float = 3600.0
-    """Seconds beyond which no further candidate is begun."""
+    """Seconds for an output, beyond which no further candidate is begun."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 %; `best`: the smallest error."""
