@@ -40,3 +40,4 @@ from jaxnarx.data.preparation import ToCrankAngle as ToCrankAngle
 from jaxnarx.data.preparation import ToTime as ToTime
 from jaxnarx.data.preparation import prepare as prepare
 from jaxnarx.data.record import Record as Record
+from jaxnarx.data.shortened import shortened as shortened

@@ -11,7 +11,6 @@ import numpy as np
 from jaxnarx.checks import require
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.groups import whole_groups
-from jaxnarx.data.record import Record
 from jaxnarx.data.repeats import cycles
 from jaxnarx.errors import DataError, SpecError
 
@@ -52,25 +51,13 @@ def _cut(data: Dataset, share: float | int) -> tuple[Dataset, Dataset]:
             f"{longest.name} has {len(longest)} rows, of which a share of {share:g} "
             "cannot be held out. Name validation records, or take another share."
         )
-    first = [_part(r, 0, edges[n]) for n, r in enumerate(data)]
+    first = [r.part(0, edges[n]) for n, r in enumerate(data)]
     pairs = [(r, edges[n]) for n, r in enumerate(data) if edges[n]]
     last = [
-        dataclasses.replace(_part(r, edge, None), name=f"{r.name} (end)")
+        dataclasses.replace(r.part(edge, None), name=f"{r.name} (end)")
         for r, edge in pairs
     ]
     return (
         dataclasses.replace(data, records=tuple(first)),
         dataclasses.replace(data, records=tuple(last)),
-    )
-
-
-def _part(record: Record, first: int, stop: int | None) -> Record:
-    rows = slice(first, stop)
-    return dataclasses.replace(
-        record,
-        u=record.u[rows],
-        y=record.y[rows],
-        valid=record.valid[rows],
-        scored=None if record.scored is None else record.scored[rows],
-        start_row=record.start_row + first,
     )

@@ -38,6 +38,18 @@ class Record:
         """Inputs, then outputs, as columns of one array."""
         return np.concatenate([self.u, self.y], axis=1)
 
+    def part(self, first: int, stop: int | None) -> "Record":
+        """Rows from `first` on and before `stop`, under the same name."""
+        rows = slice(first, stop)
+        return dataclasses.replace(
+            self,
+            u=self.u[rows],
+            y=self.y[rows],
+            valid=self.valid[rows],
+            scored=None if self.scored is None else self.scored[rows],
+            start_row=self.start_row + first,
+        )
+
     def signal(self, j: int) -> Float[np.ndarray, " time"]:
         """One of the signals, without a copy."""
         inputs = self.u.shape[1]

@@ -13,7 +13,7 @@ from jaxnarx.evaluation import cost
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.methods import Preset
+from jaxnarx.methods import Identification, Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
 
@@ -83,13 +83,6 @@ class Candidates:
         """Those that are trained step by step, as many as the preset says."""
         if not self.preset.fed_back:
             return
-        if self.data.samples > self.preset.longest:
-            told = (
-                f"{self.data.samples} samples are more than the "
-                f"{self.preset.longest} of this preset"
-            )
-            yield self._row("polynomial NARX", "not tried", 0.0, None, told), None
-            return
         for n, (family, name, method) in enumerate(fed_back(self.data, self.look)):
             if n >= self.preset.fed_back or self.late():
                 return
@@ -100,12 +93,16 @@ class Candidates:
                 continue
             begin = time.perf_counter()
             try:
-                found = judge(method, self.data, self.groups, self.spread, self.best)
+                found = self._judge(method)
             except (JaxnarxError, np.linalg.LinAlgError) as error:
                 row = self._row(family, name, time.perf_counter() - begin, None)
                 yield dataclasses.replace(row, status="failed", detail=str(error)), None
                 continue
             yield self._judged(family, name, found, time.perf_counter() - begin)
+
+    def _judge(self, method: Identification) -> JudgedMethod:
+        rows = self.preset.longest
+        return judge(method, self.data, self.groups, self.spread, self.best, rows)
 
     def _judged(
         self, family: str, name: str, found: JudgedMethod, seconds: float

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset, Groups
+from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.errors import DataError
 from jaxnarx.identification.by_method import by_method
 from jaxnarx.methods import Identification
-from jaxnarx.models import Network, hold_to_range
+from jaxnarx.models import Network, hold_to_range, ranged
 from jaxnarx.simulation import predict, simulate
 
 HOPELESS = 2.0, 1.5
@@ -44,16 +44,18 @@ def judge(
     groups: Groups,
     spread: float,
     best: Float[np.ndarray, " groups"] | None = None,
+    rows: int | None = None,
 ) -> JudgedMethod:
     """Train without every group in turn, run freely over it; then train on everything.
 
     Given up where a run diverges, or where errors are far beyond those of the `best`
-    candidate. `spread` is the output's standard deviation.
+    candidate. `spread` is the output's standard deviation. Stretches of up to `rows`
+    samples train; runs go over all samples of a group.
     """
     losses, counts = np.full(len(groups), np.nan), np.zeros(len(groups))
     ahead, diverged = 0.0, 0
     for g, fold in enumerate(groups.folds(data)):
-        network = trained(method, fold.train)
+        network = trained(method, fold.train, rows)
         try:
             losses[g], counts[g], bad = score(network, fold.left, spread)
             ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
@@ -68,14 +70,17 @@ def judge(
         if best is not None and mine > worst * np.nansum(best[done]):
             told = f"given up after {g + 1} of {len(groups)} groups"
             return JudgedMethod(losses, counts, np.nan, diverged, None, told)
-    network = trained(method, data)
+    network = trained(method, data, rows)
     one_step = float(np.sqrt(ahead / max(counts.sum(), 1.0)))
     return JudgedMethod(losses, counts, one_step, diverged, network)
 
 
-def trained(method: Identification, data: Dataset) -> Network:
-    """The network of a method, held to the range of its records."""
-    return hold_to_range(by_method(data, method, None, None).value)
+def trained(method: Identification, data: Dataset, rows: int | None = None) -> Network:
+    """The network of a method, trained on at most so many samples and held to the range
+    of all."""
+    some = data if rows is None else shortened(data, rows)
+    network = by_method(some, method, None, None).value
+    return hold_to_range(network if some is data else ranged(network, data))
 
 
 def score(

@@ -39,10 +39,10 @@ def identify(
 
     The search looks at the data, then tries candidates from cheap to rich: a constant,
     linear ARX and output-error models, filters, polynomials, regions with shared
-    feedback in closed form (`jaxnarx.output_error`), and, where records are not too
-    long for the preset, polynomials of past outputs and LOLIMOT. Each is judged by the
-    free run over groups of records that it has not seen; where one diverges the
-    candidate is out. Of the others the cheapest to compute within one standard error,
+    feedback in closed form (`jaxnarx.output_error`), polynomials of past outputs and
+    LOLIMOT (trained on stretches of long records). Each is judged by the free run over
+    groups of records that it has not seen; where one diverges the candidate is out. Of
+    the others the cheapest to compute within one standard error,
     and 5 %, of the best is taken, trained on all records (`preset="best"`: the best
     itself). The same data and settings give the same model.
 

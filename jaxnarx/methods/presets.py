@@ -17,8 +17,8 @@ class Preset:
     """How many scales of lags and filters are grown."""
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
-    longest: int = 60_000
-    """Samples of all records beyond which those are not tried: they are trained on the
+    longest: int = 20_000
+    """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
     budget: float = 3600.0
     """Seconds for an output, beyond which no further candidate is begun."""
@@ -44,7 +44,7 @@ PRESETS = {
         max_models=24,
         grown=5,
         fed_back=16,
-        longest=400_000,
+        longest=60_000,
         rule="best",
     ),
     "ecu": Preset(

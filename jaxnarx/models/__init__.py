@@ -4,6 +4,7 @@ from jaxnarx.models.assemble import assemble as assemble
 from jaxnarx.models.assemble import global_model as global_model
 from jaxnarx.models.assemble import local_models as local_models
 from jaxnarx.models.assemble import output_model as output_model
+from jaxnarx.models.assemble import ranged as ranged
 from jaxnarx.models.feedback import advance as advance
 from jaxnarx.models.feedback import collapse as collapse
 from jaxnarx.models.feedback import collapsed_step as collapsed_step

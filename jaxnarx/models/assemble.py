@@ -1,5 +1,7 @@
 """The parts of a network that come from data and terms, whatever the partition."""
 
+import dataclasses
+
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -77,10 +79,24 @@ def assemble(
     models: list[OutputModel],
 ) -> Network:
     """Complete a network: gains, training ranges and feedback bounds."""
-    low, high = ranges(data)
+    time = np.asarray(data.sample_time, gain.dtype)
     signal = len(data.channels.inputs) + np.array(pool.outputs)
+    leaves = jax.device_put((gain, *_bounds(data, gain, signal), time))
+    return Network(data.channels, pool.outputs, pool.variables, tuple(models), *leaves)
+
+
+def ranged(network: Network, data: Dataset) -> Network:
+    """The network with the ranges and feedback bounds of these data of its channels."""
+    signal = np.array(network.signals)
+    leaves = jax.device_put(_bounds(data, np.asarray(network.gain), signal))
+    lower, upper, low, high = leaves
+    return dataclasses.replace(network, lower=lower, upper=upper, low=low, high=high)
+
+
+def _bounds(data: Dataset, gain: np.ndarray, signal: np.ndarray):
+    """Feedback bounds of the outputs at these signals, scaled; ranges of all signals,
+    in physical units."""
+    low, high = ranges(data)
     wider = MARGIN * (high - low)[signal]
     held = (low[signal] - wider) / gain[signal], (high[signal] + wider) / gain[signal]
-    time = np.asarray(data.sample_time, gain.dtype)
-    leaves = jax.device_put((gain, *held, low, high, time))
-    return Network(data.channels, pool.outputs, pool.variables, tuple(models), *leaves)
+    return *held, low, high

@@ -54,7 +54,8 @@ def judged(monkeypatch, few) -> dict:
             said["limits"] = limits
             yield from few
 
-    def judge(method, data, groups, spread, best):
+    def judge(method, data, groups, spread, best, rows):
+        assert rows == TINY.longest
         said["asked"].append((spread, None if best is None else best.copy()))
         result = said["results"].pop(0)
         if isinstance(result, Exception):
@@ -179,13 +180,9 @@ def test_time_that_runs_out_ends_it_between_candidates(data, seen, few, judged):
     assert 3 < len(every) < 6
 
 
-def test_long_data_are_not_trained_step_by_step(data, seen, judged):
-    short = dataclasses.replace(TINY, longest=data.samples - 1)
-    row, network = tried(data, seen, short)[1][-1]
-    assert network is None and row.status == "skipped" and row.name == "not tried"
-    assert f"{data.samples} samples" in row.detail and not judged["asked"]
-    exact = dataclasses.replace(TINY, longest=data.samples, fed_back=0)
-    assert len(tried(data, seen, exact)[1]) == 3
+def test_without_feedback_nothing_is_trained_step_by_step(data, seen, judged):
+    bare = dataclasses.replace(TINY, fed_back=0)
+    assert len(tried(data, seen, bare)[1]) == 3 and not judged["asked"]
 
 
 def test_linear_presets_have_no_regions_and_products(data, seen, judged):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from search_problems import LENGTHS, explosive, plant
 
-from jaxnarx.data import groups
-from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge
+from jaxnarx.data import groups, shortened
+from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge, trained
 from jaxnarx.methods import ForwardOLS, Global, Identification, Polynomial
+from jaxnarx.models.assemble import MARGIN
 
 METHOD = Identification(
     pool=Polynomial(outputs="y", input_lags=(1,), output_lags=(1,), degree=1),
@@ -75,6 +76,20 @@ def test_the_model_is_that_of_all_records_and_held(data, found):
     named = dict(told["terms"])
     own = [named["1"], named["u[t-1]"], named["y[t-1]"]]
     np.testing.assert_allclose(own, theta, rtol=1e-7)
+
+
+def test_long_records_train_by_stretches_and_are_held_to_all_that_is_known(data):
+    some = shortened(data, data.samples // 2)
+    network = trained(METHOD, data, data.samples // 2)
+    expected = trained(METHOD, some)
+    (own,), (same,) = network.equations(), expected.equations()
+    assert own["terms"] == same["terms"], "of the stretches alone"
+    np.testing.assert_array_equal(network.low[0], min(r.u.min() for r in data))
+    np.testing.assert_array_equal(network.high[1], max(r.y.max() for r in data))
+    y = np.concatenate([r.y[:, 0] for r in data]) / float(network.gain[1])
+    wider = MARGIN * np.ptp(y)
+    np.testing.assert_allclose(network.lower[0], y.min() - wider, rtol=1e-12)
+    np.testing.assert_allclose(network.upper[0], y.max() + wider, rtol=1e-12)
 
 
 def test_one_that_is_far_behind_is_given_up(data, found):

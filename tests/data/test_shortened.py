@@ -1,0 +1,45 @@
+"""Stretches of all records, evenly spread."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxnarx import Dataset
+from jaxnarx.data import shortened
+
+
+def records(*rows: int) -> Dataset:
+    """Each counts its rows."""
+    us = [np.arange(float(n))[:, None] for n in rows]
+    data = Dataset.from_arrays(us, us, inputs=["u"], outputs=["y"], sample_time=1.0)
+    named = [dataclasses.replace(r, group="g") for r in data]
+    return dataclasses.replace(data, records=tuple(named))
+
+
+def test_short_data_stay_as_they_are():
+    data = records(30, 20)
+    assert shortened(data, 50) is data
+
+
+def test_short_records_keep_their_begin():
+    data = records(300, 200)
+    found = shortened(data, 100)
+    assert [len(r) for r in found] == [60, 40]
+    assert all(r.u[0, 0] == 0 for r in found)
+    assert found.names == data.names and found.records[0].group == "g"
+
+
+@pytest.mark.parametrize(("rows", "count"), [(3000, 3), (7999, 7), (60_000, 8)])
+def test_long_records_are_seen_from_begin_to_end(rows, count):
+    length = 100_000
+    found = shortened(records(length), rows)
+    assert len(found) == count
+    starts = [int(r.u[0, 0]) for r in found]
+    assert starts[0] == 0 and found.records[-1].u[-1, 0] == length - 1
+    assert [r.start_row for r in found] == starts
+    assert np.ptp(np.diff(starts)) <= 1, "at equal distances"
+    assert 0.99 * rows < found.samples <= rows
+    for r in found:
+        np.testing.assert_array_equal(np.diff(r.u[:, 0]), 1.0)
+    assert len(set(found.names)) == count
