@@ -73,13 +73,25 @@ REFINED, REFINED_MODELS = "NMSE splits", (1, 2, 4)
 REFINEMENT = jnx.SimulationError(max_steps=20, window_steps=10)
 
 
+def bench(seed: int, length: int) -> dict[str, jnx.Dataset]:
+    """Three records of the bed, for its one output."""
+    key, lengths = jax.random.key(seed), [length] * len(PARTS)
+    data = records(PfiDyno(), key, lengths, names=PARTS)
+    return {OUTPUT.name: chosen(data, INPUTS, OUTPUT, BED)}
+
+
+def pool_of(data: jnx.Dataset) -> jnx.Pool:
+    """All lagged variables."""
+    return jnx.polynomial_pool(
+        data.channels, input_lags=LAGS, output_lags=LAGS, degree=1
+    )
+
+
 def grown(
     data: jnx.Dataset, name: str, models: int, criterion: Any = "none"
 ) -> jnx.Network:
     """A network of one series, with so many local models or up to as many."""
-    pool = jnx.polynomial_pool(
-        data.channels, input_lags=LAGS, output_lags=LAGS, degree=1
-    )
+    pool = pool_of(data)
     method = jnx.Lolimot(
         SCHEDULING, max_models=models, criterion=criterion, **SERIES[name]
     )
@@ -186,8 +198,7 @@ def main() -> None:
     seeds, length, asked = (1, 300, (1, 2)) if smoke else (SEEDS, LENGTH, MODELS)
     criteria: dict[str, list[int]] = {"aicc": [], "bic": [], "validation": []}
     for seed in range(seeds):
-        measured = records(PfiDyno(), jax.random.key(seed), [length] * 3, names=PARTS)
-        data = chosen(measured, INPUTS, OUTPUT, BED)
+        data = bench(seed, length)[OUTPUT.name]
         for name in list(SERIES)[:1] if smoke else SERIES:
             for models in asked:
                 key = {"seed": seed, "splits": name, "asked": models}

@@ -41,7 +41,7 @@ from multi_models import (
     record,  # pyright: ignore[reportAttributeAccessIssue]
     table,
 )
-from neural import Budget, neural_run, train
+from neural import Budget, Lesson, neural_run, train
 from validity_surface import validity_surface
 
 import jaxnarx as jnx
@@ -151,9 +151,9 @@ def section_6_3(kept: Kept, length: int, smoke: bool) -> None:
         network = local.network_of(data, structure, method)
         run = jnx.simulate(network, unseen).value
         shown.append(estimated(f"{output}, local models", unseen, run))
-        given = {"width": 2 if smoke else 5, "key": jax.random.key(0), "budget": budget}
-        net = train(pool, data[:1], validation=data[1:2], **given)["NOE"]
-        run = neural_run(net, unseen, one_step=False)
+        width, key = 2 if smoke else 5, jax.random.key(0)
+        (nets,) = train([Lesson(pool, data[:1], data[1:2], width, key)], budget)
+        run = neural_run(nets["NOE"], unseen, one_step=False)
         shown.append(estimated(f"{output}, perceptron", unseen, run))
         if output == "TRQ":
             kept(jnx.plot.partition(network, data[:1]), "chapter6_weights_local")

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from neural import Budget, Neural, neural_run, neural_size, train
+from neural import Budget, Lesson, Neural, neural_run, neural_size, train
 
 from jaxnarx import Channel, Dataset, Network, Pool, predict, simulate
 from jaxnarx.evaluation.cost import cost
@@ -104,6 +104,7 @@ def errors(data: Dataset, run: Trajectories) -> dict[str, Any]:
     columns = [np.concatenate(a) for a in (run.outputs, run.scored)]
     found = scores(np.concatenate([r.y for r in data]), *columns)
     kept = {k: float(f"{found[k][0]:.6g}") for k in ("r2", "fit", "nmse")}
+    kept["samples"] = int(found["samples"][0])
     return kept | {"diverged": bool(np.any(run.diverged))}
 
 
@@ -111,6 +112,14 @@ def judged(network: Network, data: Dataset) -> dict[str, dict[str, Any]]:
     """Errors one step ahead and in the free run."""
     network = padded(network)
     return {mode: errors(data, run(network, data).value) for mode, run in MODES.items()}
+
+
+def judged_neural(model: Neural, data: Dataset) -> dict[str, dict[str, Any]]:
+    """The same of a perceptron."""
+    return {
+        mode: errors(data, neural_run(model, data, one_step=mode == "one_step"))
+        for mode in MODES
+    }
 
 
 def padded(network: Network, terms: int = 48, slots: int = 12) -> Network:
@@ -172,27 +181,15 @@ def perceptrons(
 ) -> list[dict]:
     """Rows of a perceptron, trained one step ahead and then in the free run."""
     begin = time.perf_counter()
-    models = train(
-        *(pool, data[:1]),
-        validation=data[1:2],
-        width=width,
-        key=jax.random.key(seed),
-        budget=budget,
-    )
+    lesson = Lesson(pool, data[:1], data[1:2], width, jax.random.key(seed))
+    (models,) = train([lesson], budget)
     seconds = round(time.perf_counter() - begin, 1)
-
-    def judge(model: Neural, data: Dataset):
-        return {
-            mode: errors(data, neural_run(model, data, one_step=mode == "one_step"))
-            for mode in MODES
-        }
-
     return [
         {
             "series": f"MLP {kind}",
             "cost": neural_size(model),
             "seconds": seconds,
-            **parts(data, lambda d, model=model: judge(model, d)),
+            **parts(data, lambda d, model=model: judged_neural(model, d)),
         }
         for kind, model in models.items()
     ]
