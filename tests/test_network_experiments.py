@@ -1,9 +1,17 @@
 """Experiments on multi-model networks run with `--smoke`; see `test_experiments.py`."""
 
 import json
+import sys
 
+import equinox as eqx
+import jax
+import numpy as np
 import pytest
-from smoke import assert_target, experiment, run
+from smoke import ROOT, assert_target, experiment, run
+
+import jaxnarx as jnx
+
+PLACES = "benchmarks", "thesis"
 
 
 @pytest.mark.slow
@@ -55,6 +63,55 @@ def test_forward_model_of_chapter_7(tmp_path):
     assert {row["series"] for row in rows} > {"MLP NARX", "MLP NOE"}
     assert all(row["validation"]["one_step"]["r2"] > 0 for row in rows)
     assert (tmp_path / "chapter7_forward.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_tasks_of_the_thesis_by_identify(tmp_path):
+    command = "thesis/by_identify.py", "--tasks", "6.4", "--results", str(tmp_path)
+    experiment(*command)
+    path = tmp_path / "by_identify.json"
+    figures = json.loads(path.read_text())["figures"]
+    rows = {row["series"]: row for row in figures["rows"]}
+    assert set(rows) == {"identify", "best linear OE", "perceptron"}
+    (found,) = figures["summary"]
+    assert (found["task"], found["output"], found["thesis"]) == ("6.4", "TRQ", None)
+    for series, row in rows.items():
+        assert row["scored"]["date"]
+        # Both are scored on the same samples: all behind those where nothing counts.
+        assert row["test"]["free_run"]["samples"] == 300 - 100
+        assert found[series]["r2"]["median"] == row["test"]["free_run"]["r2"]
+    ours, theirs = (found[s]["r2"]["median"] for s in ("identify", "perceptron"))
+    assert found["ahead_of_both"] == (ours > theirs)
+    # A second run scores nothing again.
+    experiment(*command)
+    assert json.loads(path.read_text())["figures"] == figures
+
+
+@pytest.mark.slow
+def test_perceptrons_in_a_batch_are_those_alone(tmp_path):
+    sys.path[:0] = [str(ROOT / "experiments" / place) for place in PLACES]
+    from neural import Budget, Lesson, train
+
+    rng = np.random.default_rng(0)
+    us = [rng.normal(size=(60, 1)) for _ in range(2)]
+    ys = [np.tanh(np.cumsum(u, axis=0) / 5) for u in us]
+    data = jnx.Dataset.from_arrays(us, ys, inputs=["u"], outputs=["y"], sample_time=1.0)
+    pool = jnx.polynomial_pool(data.channels, input_lags=[1], output_lags=[1], degree=1)
+    lessons = [
+        Lesson(pool, data[:1], data[1:], width, jax.random.key(width))
+        for width in (2, 3)
+    ]
+    budget = Budget(20, 10, 0, (5,))
+    batch = train(lessons, budget)
+    for lesson, found in zip(lessons, batch, strict=True):
+        (alone,) = train([lesson], budget)
+        for kind, model in found.items():
+            assert model.net.width_size == lesson.width
+            both = (jax.tree.leaves(m.net) for m in (model, alone[kind]))
+            for a, b in zip(*both, strict=True):
+                if eqx.is_array(a):
+                    # Sums of a batch round differently; Adam carries that on.
+                    np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.slow
