@@ -185,7 +185,7 @@ def outputs(model: Neural, task: Task) -> Float[Array, "records time 1"]:
     bounds = frame.lower, frame.upper
     if task.one_step:
         y = jax.vmap(jax.vmap(model, in_axes=1))(task.v)
-        return jnp.clip(y[:, :, None], *bounds)
+        return jnp.clip(y[:, :, None], *(b[None, None] for b in bounds))
 
     def one(v, measured, anchor):
         inputs = _step(model), params, v.T, measured, anchor
