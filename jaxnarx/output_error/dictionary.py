@@ -9,6 +9,7 @@ needs one coefficient, and what is known of a region stays when it is divided.
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -26,6 +27,8 @@ MARGIN = 0.02
 """Share of the trained range by which predictions may leave it."""
 HARD = 60.0
 """Steepness of a gate between levels, over their distance."""
+TILE = 32_768
+"""Numbers that are taken through product, gates and filter together (256 kB)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +82,11 @@ class Block:
     terms: Int[np.ndarray, " terms"]
     columns: tuple[Float[np.ndarray, "terms _"], ...]
 
+    @functools.cached_property
+    def gram(self) -> Float[np.ndarray, "groups terms terms"]:
+        """C'C of its columns C: kept, for growth offers a block again and again."""
+        return np.stack([c @ c.T for c in self.columns])
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dictionary:
@@ -116,11 +124,39 @@ class Dictionary:
         """Columns of a region, all terms unless said; a pass over the data."""
         factor = self.signals.factor
         terms = np.arange(len(factor)) if terms is None else terms
-        parts = []
+        columns = [np.empty((len(terms), len(e))) for e in self.target]
+        edges = np.zeros(len(columns), int)
         for one in self.signals.stretches:
-            raw = evaluate(factor[terms], one.z) * weight(region, one.x)[None]
-            parts.append(_at(one.filtered(np.asarray(raw), self.a), one.counted))
-        return Block(region, terms, tuple(_grouped(parts)))
+            counts = np.array([len(at) for at in one.counted])
+            ends = edges + counts
+            own = [c[:, k:e] for c, k, e in zip(columns, edges, ends, strict=True)]
+            self._fill(own, one, region, factor[terms])
+            edges = ends
+        return Block(region, terms, tuple(columns))
+
+    def _fill(
+        self,
+        out: list[Float[np.ndarray, "terms _"]],
+        one: Stretch,
+        region: Region,
+        factor: Int[np.ndarray, "terms degree"],
+    ) -> None:
+        """Write a stretch's columns, a few at a time, which the processor's cache
+        holds from the product to the choice of samples."""
+        counted, z, x = one.counted, one.z, one.x
+        if len(self.a) == 1:  # no sample needs the others
+            at = np.concatenate(counted)
+            borders = np.cumsum([len(own) for own in counted])[:-1]
+            counted = tuple(np.split(np.arange(len(at)), borders))
+            z, x = z[:, at], x[:, at]
+        gates = weight(region, x)[None]
+        step = max(1, TILE // max(z.shape[1], 1))
+        for k in range(0, len(factor), step):
+            raw = np.asarray(evaluate(factor[k : k + step], z)) * gates
+            run = one.filtered(raw, self.a)
+            for own, at in zip(out, counted, strict=True):
+                if len(at):
+                    own[k : k + step] = run[:, at]
 
     def only(self, at: Int[np.ndarray, " chosen"]) -> "Dictionary":
         """Of these columns; blocks have the terms that are left."""
@@ -151,9 +187,8 @@ class Dictionary:
     def extended(self, block: Block) -> "Dictionary":
         """With one more block."""
         gram, right = self.products(block)
-        own = np.stack([c @ c.T for c in block.columns])
         top = np.concatenate([self.equations.gram, gram.transpose(0, 2, 1)], axis=2)
-        low = np.concatenate([gram, own], axis=2)
+        low = np.concatenate([gram, block.gram], axis=2)
         equations = dataclasses.replace(
             self.equations,
             gram=np.concatenate([top, low], axis=1),
