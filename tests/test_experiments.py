@@ -271,6 +271,28 @@ def test_the_house_is_counted(tmp_path):
 
 
 @pytest.mark.slow
+def test_speed_and_memory_of_the_search(tmp_path, measured, monkeypatch):
+    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+    found = run("search.py", "--peers", results=tmp_path / "results")["search"]
+    for run_ in (*found["candidates"].values(), found["engine"]["quick"]):
+        if isinstance(run_, dict) and "candidates" in run_:
+            assert 0 < run_["candidates"] == sum(run_["families"].values())
+            assert run_["peak_mb"] > 0
+    cold, warm = (found["quick"][name] for name in ("cold", "warm"))
+    assert cold["compiled"] == cold["programs"] == warm["programs"] > 0
+    assert warm["compiled"] == 0
+    for name in ("seconds", "cross_validated_nrmse", "chosen"):
+        assert (cold[name] == warm[name]) == (name != "seconds")
+    for row in (cold["aim"], found["candidates"]["a_hundred"]):
+        assert_target(row)
+    for row in found["equations"].values():
+        assert row["aim"]["met"] == (row["share"]["whole"] >= 0.5)
+        assert row["samples"] == sum(n for _, n in row["shapes"])
+    for row in found["engine"]["peers"].values():
+        assert "skipped" in row or row["seconds"] > 0
+
+
+@pytest.mark.slow
 def test_the_search_on_a_real_engine(tmp_path, measured):
     options = "--results", str(tmp_path), "--runs", str(tmp_path / "runs")
     experiment("gengine1/identify.py", *options)

@@ -73,7 +73,7 @@ class Groups:
         its own, and the gaps beside them."""
         return tuple(_left_out(label, g) for label in self.labels)
 
-    def fold(self, data: Dataset, g: int) -> Fold:
+    def fold(self, data: Dataset, g: int, *, whole: bool = False) -> Fold:
         """Training records without group `g`, and those that judge it.
 
         `data` are the records that the groups were made of, perhaps with other
@@ -83,6 +83,10 @@ class Groups:
         measured, but only the block counts (`Record.scored`). So a free run of `left`
         begins at the record's measured start, whatever the model's memory, and is
         scored on the block alone.
+
+        With `whole`, records that train nothing stay in `train`, not one sample of them
+        valid: programs are made for a number of records and the longest, so that all
+        folds, and a training on everything, are served by the same.
         """
         lengths = [len(label) for label in self.labels]
         require(
@@ -92,16 +96,20 @@ class Groups:
             f"{[len(r) for r in data]}; make groups of these data",
         )
         pairs = zip(data, self.left_out(g), strict=True)
-        train = [_without(record, out) for record, out in pairs if not out.all()]
-        train = [r for r in train if r.valid[:, r.u.shape[1] :].any()]
+        train = [_without(record, out) for record, out in pairs]
+        seen = [r.valid[:, r.u.shape[1] :].any() for r in train]
+        if whole:
+            train = [r if s else _emptied(r) for r, s in zip(train, seen, strict=True)]
+        else:
+            train = [r for r, s in zip(train, seen, strict=True) if s]
         pairs = zip(data, self.labels, strict=True)
         left = [_only(r, label == g) for r, label in pairs if (label == g).any()]
         sides = (dataclasses.replace(data, records=tuple(s)) for s in (train, left))
         return Fold(self.names[g], *sides)
 
-    def folds(self, data: Dataset) -> Iterator[Fold]:
+    def folds(self, data: Dataset, *, whole: bool = False) -> Iterator[Fold]:
         """Every group left out in turn, see `fold`."""
-        return (self.fold(data, g) for g in range(len(self)))
+        return (self.fold(data, g, whole=whole) for g in range(len(self)))
 
 
 def groups(
@@ -163,6 +171,11 @@ def _without(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     valid[out, inputs:] = False
     y = hold(record.y, valid[:, inputs:])
     return dataclasses.replace(record, y=y, valid=valid)
+
+
+def _emptied(record: Record) -> Record:
+    """The record with nothing that counts."""
+    return dataclasses.replace(record, valid=np.zeros_like(record.valid))
 
 
 def _only(record: Record, own: Bool[np.ndarray, " time"]) -> Record:

@@ -54,7 +54,7 @@ def judge(
     """
     losses, counts = np.full(len(groups), np.nan), np.zeros(len(groups))
     ahead, diverged = 0.0, 0
-    for g, fold in enumerate(groups.folds(data)):
+    for g, fold in enumerate(groups.folds(data, whole=True)):
         network = trained(method, fold.train, rows)
         try:
             losses[g], counts[g], bad = score(network, fold.left, spread)

@@ -17,13 +17,17 @@ from jaxnarx.regressors.centring import Centring, centring
 from jaxnarx.regressors.columns import row_columns
 from jaxnarx.regressors.variables import Variables
 
+MOST = 2
+"""Samples for every usable row up to which a program serves all samples."""
+
 
 class Rows(eqx.Module):
     """Scaled lagged variables and targets of one-step prediction.
 
     `v` carries a leading row of ones; `weight` is zero where a target or a lag is
     missing; `at` is the sample's place in `batch.flat`. The last row is repeated with
-    weight zero for all outputs up to a size that programs are made for.
+    weight zero for all outputs up to a size that programs are made for: that of all
+    samples, so that what is left out changes no program, unless most are.
     """
 
     v: Float[Array, "vars rows"]
@@ -77,7 +81,8 @@ def regression_rows(
     enough(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
     rows = len(at)
-    at = np.pad(at, (0, 0 if exact else bucket(rows) - rows), mode="edge")
+    size = data.samples if data.samples <= MOST * rows else rows
+    at = np.pad(at, (0, 0 if exact else bucket(size) - rows), mode="edge")
     gain = gains(data) if gain is None else gain
     weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T
     weight = weight.astype(gain.dtype)

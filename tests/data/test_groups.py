@@ -274,3 +274,18 @@ def test_groups_serve_the_same_records_with_other_channels_alone():
     assert found.fold(one, 1).left.names == ["r1"]
     with pytest.raises(SpecError, match="make groups of these data"):
         found.fold(data[:2], 0)
+
+
+@pytest.mark.parametrize("rows", [(200, 200, 150, 90), (300, 250, 40)])
+def test_a_whole_fold_keeps_records_that_train_nothing_without_a_valid_sample(rows):
+    data = records(*rows)
+    found = groups(data, folds=3, gap=5)
+    pairs = zip(found.folds(data), found.folds(data, whole=True), strict=True)
+    for fold, kept in pairs:
+        assert kept.left.names == fold.left.names
+        assert kept.train.names == data.names
+        own = dict(zip(fold.train.names, fold.train, strict=True))
+        for record in kept.train:
+            valid = own[record.name].valid if record.name in own else False
+            assert np.all(record.valid == valid)
+            assert len(record) == len(data.records[data.names.index(record.name)])

@@ -1,12 +1,23 @@
 """Errors on groups left out, against least squares and runs in NumPy."""
 
+import dataclasses
+
+import common
+import jax
 import numpy as np
 import pytest
 from search_problems import LENGTHS, explosive, plant
 
 from jaxnarx.data import groups, shortened
 from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge, trained
-from jaxnarx.methods import ForwardOLS, Global, Identification, Polynomial
+from jaxnarx.methods import (
+    ForwardOLS,
+    Global,
+    Identification,
+    Lolimot,
+    Polynomial,
+    SimulationError,
+)
 from jaxnarx.models.assemble import MARGIN
 
 METHOD = Identification(
@@ -132,3 +143,32 @@ def test_a_group_too_short_to_be_run_is_passed_over():
     data = plant(1, (150, 160, 140, 1))
     found = judge(METHOD, data, groups(data), SPREAD)
     assert np.isfinite(found.losses).sum() == 3 and found.network is not None
+
+
+REFINED = dataclasses.replace(
+    METHOD,
+    grow=Lolimot(scheduling=["u[t-1]"], max_models=2),
+    refine=SimulationError(horizons=(10,), window_steps=2, max_steps=4),
+)
+
+
+def test_programs_of_the_first_fold_serve_the_others_and_all_records():
+    data = plant(1, (150, 170, 290, 90, 160))
+    own = groups(data, folds=3)
+    first, *others = own.folds(data, whole=True)
+    jax.clear_caches()
+    assert common.compilations(lambda: trained(REFINED, first.train)) > 0
+    for fold in others:
+        assert common.compilations(lambda fold=fold: trained(REFINED, fold.train)) == 0
+    assert common.compilations(lambda: trained(REFINED, data)) == 0
+
+
+def test_records_of_which_nothing_counts_change_no_model():
+    data = plant(1, (150, 170, 290, 90, 160))
+    own = groups(data, folds=3)
+    for fold, kept in zip(own.folds(data), own.folds(data, whole=True), strict=True):
+        assert len(fold.train) < len(kept.train) == len(data)
+        pairs = [trained(REFINED, train) for train in (fold.train, kept.train)]
+        for one, two in zip(*map(jax.tree.leaves, pairs), strict=True):
+            # Sums over other paddings round differently, and steps carry that on.
+            np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-9)
