@@ -130,6 +130,7 @@ def identify(
         "records": len(data),
         "output": output,
         "preset": preset,
+        "threads": os.environ.get(peers.THREADS[1], "as they come"),
         "seconds": round(wall, 1),
         "processor_s": round(spent, 1),
         "candidates": len(tried),
@@ -215,6 +216,7 @@ def equations(length: int, columns: int, threads: int) -> dict[str, Any]:
     best = _in_turns(calls)
     samples = int(empty.equations.samples.sum())
     work = 2e-9 * columns**2 * samples
+    shares = [best["matrix product"][k] / best["whole"][k] for k in range(2)]
     rates = {n: work / best[n][0] for n in ("matrix product", "product alone", "whole")}
     return {
         "threads": threads,
@@ -224,11 +226,10 @@ def equations(length: int, columns: int, threads: int) -> dict[str, Any]:
         "seconds": {name: digits(wall) for name, (wall, _) in best.items()},
         "processor_s": {name: digits(spent) for name, (_, spent) in best.items()},
         "gflop_per_s": {name: round(rate, 1) for name, rate in rates.items()},
-        "share": {
-            name: round(rates[name] / rates["matrix product"], 3)
-            for name in ("product alone", "whole")
+        "share_of_the_product": {
+            "by the clock": round(shares[0], 3),
+            "by processor seconds": round(shares[1], 3),
         },
-        "share_by_processor_s": round(best["matrix product"][1] / best["whole"][1], 3),
         "computed_products": round((columns + 1) / (2 * columns), 3),
     }
 

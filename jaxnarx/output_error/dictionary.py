@@ -288,7 +288,9 @@ class Dictionary:
         return low - margin * (high - low), high + margin * (high - low)
 
     def rows(self) -> list[np.ndarray]:
-        """Columns at the samples that count, part by part."""
+        """Columns at the samples that count, part by part; not to be written to."""
+        if len(self.blocks) == 1:
+            return list(self.blocks[0].columns)
         return [
             np.concatenate(
                 [np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)]
