@@ -294,7 +294,10 @@ class ClosedSearch:
         ranked = self.polynomials(orders, degree)
         yield from _distinct(ranked, lambda one: one[1])
         for root in _distinct(ranked, lambda one: one[0])[:grown_roots]:
-            root = dataclasses.replace(root, stage=self.retuned(root.stage))
+            stage = self.retuned(root.stage)
+            if stage is not root.stage:
+                root = dataclasses.replace(root, stage=stage)
+                yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
             levels = self.levels(root.stage.dictionary.signals)
             stages = grown(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
