@@ -20,6 +20,9 @@ Every part is a fresh process (the fourth is two):
 
 Aims are those of two cores that do nothing else. Where something else runs, threads of
 OpenBLAS wait for one another: OPENBLAS_NUM_THREADS=1 then, which is kept in the record.
+On a machine with three others at work `quick` took 19 s so, and 121 s with two threads.
+Columns formed all at once, as they were at first, make the whole of the normal
+equations .44 of the rate of the matrix product; in pieces that the cache holds, .72.
 """
 
 import json
