@@ -116,7 +116,6 @@ class FakeSearch:
                 if self.stop_after == len(self.tried):
                     signal.raise_signal(signal.SIGINT)
                 self.tried.append(f"{output}: {one.family}")
-                progress({"verb": "search", "trying": one.family, "output": output})
                 if self.vetoed:
                     lost = {"free_run": None, "status": "diverged", "diverged": 1}
                     one = dataclasses.replace(one, **lost)

@@ -6,7 +6,6 @@ them. What was tried is on the disk after every candidate.
 
 import dataclasses
 import math
-import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
+from jaxnarx.identification.shares import Shares
 from jaxnarx.identification.side import OutputTask, Side, cores
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, merged
@@ -88,20 +88,23 @@ class Race:
     """Candidates of all outputs as they come."""
 
     def __init__(
-        self, store: SearchFolder, outputs: list[str], tell: Tell, begin, until
+        self,
+        store: SearchFolder,
+        outputs: list[str],
+        tell: Tell,
+        begin: float,
+        until: float,
     ):
         self.store, self.outputs, self.tell = store, outputs, tell
-        self.begin, self.until = begin, until
-        self.begun: dict[str, float] = {}
-        self.took: list[float] = []
-        self.waiting, self.workers = 0, 1
+        self.begin, self.shares = begin, Shares(until, 0, 1)
 
     def run(self, tasks: dict[str, OutputTask]) -> None:
         """Search every output."""
         places = {name: self.outputs.index(name) for name in tasks}
         tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
-        self.waiting, self.workers = len(tasks), max(min(cores(), len(tasks)), 1)
-        if self.workers < 2:
+        workers = min(cores(), len(tasks))
+        self.shares = Shares(self.shares.until, len(tasks), max(workers, 1))
+        if workers < 2:
             for name, task in tasks.items():
                 task = self._begun(name, task)
                 for tried in task.run():
@@ -111,20 +114,8 @@ class Race:
             self._side_by_side(tasks)
 
     def _begun(self, name: str, task: OutputTask) -> OutputTask:
-        """The task with its share of the time; the last may use all that is left."""
-        now, rounds = time.time(), -(-self.waiting // self.workers)
-        self.begun[name] = now
-        self.waiting -= 1
-        return dataclasses.replace(task, until=now + (self.until - now) / rounds)
-
-    def _left(self) -> float | None:
-        """Seconds until all is done, by what outputs took so far; None before one is
-        complete."""
-        if not self.took:
-            return None
-        now, usual = time.time(), statistics.fmean(self.took)
-        running = sum(max(usual - (now - begin), 0.0) for begin in self.begun.values())
-        return (running + usual * self.waiting) / self.workers
+        """The task with its share of the time."""
+        return dataclasses.replace(task, until=self.shares.begin(name, time.time()))
 
     def add(self, output: str, row: Contender, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
@@ -150,14 +141,14 @@ class Race:
                 "done": len(board),
                 "of": None,
                 "seconds": time.time() - self.begin,
-                "left": self._left(),
+                "left": self.shares.left(time.time()),
             }
         )
 
     def _finish(self, name: str, task: OutputTask) -> None:
         """Say that an output needs no further look, unless time was short."""
         now = time.time()
-        self.took.append(now - self.begun.pop(name))
+        self.shares.finish(name, now)
         if now < task.until:
             self.store.finish(self.outputs.index(name))
 
@@ -167,7 +158,7 @@ class Race:
         running: dict[str, Side] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < self.workers:
+                while waiting and len(running) < self.shares.workers:
                     name = waiting.pop(0)
                     tasks[name] = self._begun(name, tasks[name])
                     running[name] = Side(tasks[name])

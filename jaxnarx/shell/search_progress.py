@@ -46,28 +46,22 @@ def _above(bar: Any, text: str) -> None:
 
 
 class _CandidateLines:
-    """The lines, and in `now` what goes on."""
+    """The lines, and in `now` the best so far and the time left where it is known."""
 
     def __init__(self, write: Callable[[str], object]):
         self.write, self.head, self.now = write, False, ""
-        self.left: float | None = None
-        self.best = ""
 
     def __call__(self, event: dict[str, Any]) -> None:
-        if "row" in event:
-            self._row(event)
-        elif "trying" in event:
-            left = "" if self.left is None else f", {duration(self.left)} left"
-            self.now = f"{event['output']}, {event['trying']}{self.best}{left}"
-
-    def _row(self, event: dict[str, Any]) -> None:
+        if "row" not in event:
+            return
         if not self.head:
             self.write(live_head())
             self.head = True
-        row, chosen = event["row"], event.get("chosen")
+        row, chosen, left = event["row"], event.get("chosen"), event.get("left")
         self.write(live_line(row, chosen == row))
-        self.best = "" if chosen is None else f"; so far {figure(chosen)}"
-        self.left = event.get("left")
+        best = "" if chosen is None else f", so far {figure(chosen)}"
+        rest = "" if left is None else f"; about {duration(left)} left"
+        self.now = f"{row.output}{best}{rest}"
 
 
 def duration(seconds: float) -> str:
