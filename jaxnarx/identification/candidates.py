@@ -17,6 +17,9 @@ from jaxnarx.methods import Identification, Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
 
+NEAR = 1.5
+"""Error, as a multiple of the best candidate's, up to which a kind is promising."""
+
 Tried = tuple[Contender, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
@@ -83,11 +86,15 @@ class Candidates:
         """Those that are trained step by step, as many as the preset says."""
         if not self.preset.fed_back:
             return
+        promising = False
         for n, (family, name, method) in enumerate(fed_back(self.data, self.look)):
             if n >= self.preset.fed_back or self.late():
                 return
+            if n >= self.preset.patience and not promising:
+                return
             self.passed += 1
             if (row := self.known.get((family, name))) is not None:
+                promising |= self._is_near(row)
                 if row.eligible:
                     self._remember(_losses(row))
                 continue
@@ -98,7 +105,15 @@ class Candidates:
                 row = self._row(family, name, time.perf_counter() - begin, None)
                 yield dataclasses.replace(row, status="failed", detail=str(error)), None
                 continue
-            yield self._judged(family, name, found, time.perf_counter() - begin)
+            tried = self._judged(family, name, found, time.perf_counter() - begin)
+            promising |= self._is_near(tried[0])
+            yield tried
+
+    def _is_near(self, row: Contender) -> bool:
+        """Whether a candidate came near the best so far."""
+        if not row.eligible or self.best is None:
+            return row.eligible
+        return bool(np.nansum(_losses(row)) <= NEAR**2 * np.nansum(self.best))
 
     def _judge(self, method: Identification) -> JudgedMethod:
         rows = self.preset.longest

@@ -17,6 +17,8 @@ class Preset:
     """How many scales of lags and filters are grown."""
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
+    patience: int = 3
+    """After so many of them, none of which came near the best, they are given up."""
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
@@ -44,6 +46,7 @@ PRESETS = {
         max_models=24,
         grown=5,
         fed_back=16,
+        patience=16,
         longest=60_000,
         rule="best",
     ),

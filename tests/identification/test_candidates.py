@@ -147,6 +147,17 @@ def test_one_given_up_is_skipped_and_not_remembered(data, seen, few, judged):
     assert {spread for spread, _ in judged["asked"]} == {1.5}
 
 
+@pytest.mark.parametrize(("share", "count"), [(1.4, 4), (1.6, 2)])
+def test_a_kind_that_comes_nowhere_near_is_given_up(
+    data, seen, few, judged, share, count
+):
+    best = min((one.losses() for one in few), key=np.sum)
+    result = made(share**2 * best[:4], few[0].network())
+    judged["results"] = [result] * 4
+    patient = dataclasses.replace(TINY, fed_back=4, patience=2)
+    assert len(tried(data, seen, patient)[1]) == 3 + count
+
+
 def test_known_ones_are_not_tried_again_but_count(data, seen, few, judged):
     family, name = names(data, seen)[0]
     known = Contender(
