@@ -7,29 +7,38 @@ from jaxnarx.data.record import Record
 
 STRETCHES = 8
 """Most stretches of one record ..."""
-USUAL = 1000
+USUAL = 500
 """... which hold so many samples or more, where the record allows it."""
+
+GOLDEN = (5**0.5 - 1) / 2
+"""Its multiples, less whole numbers, are spread evenly whatever their count."""
 
 
 def shortened(data: Dataset, rows: int) -> Dataset:
     """At most about `rows` samples, in their order and at their sample time.
 
-    Every record keeps the same share, as stretches at equal distances, the first at its
-    begin and the last at its end: one stretch of a short record, several of a long one.
-    They are records of their own, of the same group. As they are where `rows` suffice.
+    Every record keeps the same share: a long one as stretches at equal distances, the
+    first at its begin and the last at its end, short ones as one stretch, each at
+    another place. They are records of their own, of the same group. As they are where
+    `rows` suffice.
     """
     if data.samples <= rows:
         return data
     share = rows / data.samples
-    records = [part for record in data for part in _stretches(record, share)]
+    records = [
+        part
+        for n, record in enumerate(data)
+        for part in _stretches(record, share, n * GOLDEN % 1.0)
+    ]
     return dataclasses.replace(data, records=tuple(records))
 
 
-def _stretches(record: Record, share: float) -> list[Record]:
+def _stretches(record: Record, share: float, place: float) -> list[Record]:
     kept = max(int(share * len(record)), 1)
     count = min(STRETCHES, max(kept // USUAL, 1))
     if count == 1:
-        return [record.part(0, kept)]
+        first = int(place * (len(record) - kept + 1))
+        return [record.part(first, first + kept)]
     size = kept // count
     starts = [n * (len(record) - size) // (count - 1) for n in range(count)]
     return [
