@@ -13,8 +13,8 @@ class Preset:
     """Most regions in closed form."""
     degree: int = 2
     """Of products of inputs there."""
-    grown: int = 3
-    """How many scales of lags and filters are grown."""
+    grown: int = 4
+    """How many of the polynomials are grown."""
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
     patience: int = 3
@@ -35,7 +35,7 @@ PRESETS = {
     "quick": Preset(
         "a minute or two",
         max_models=6,
-        grown=1,
+        grown=2,
         fed_back=2,
         longest=5_000,
         budget=120.0,
@@ -53,7 +53,7 @@ PRESETS = {
     "ecu": Preset(
         "the fewest operations within 5 % of the best, stable for certain",
         max_models=8,
-        grown=1,
+        grown=2,
         fed_back=0,
         rule="share",
     ),

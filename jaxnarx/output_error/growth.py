@@ -18,8 +18,9 @@ from jaxnarx.output_error.dictionary import (
 )
 
 RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-USUAL = 1e-3
-"""Where the search for a ridge begins."""
+COARSE = 1e-4, 1e-2
+"""Of one region: it cannot tell what regions will make of its feedback, and finer ones
+rank by chance."""
 SIZES = (
     *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
     *(380, 450),
@@ -112,11 +113,16 @@ def constants(dictionary: Dictionary) -> list[int]:
 
 
 def sized(
-    dictionary: Dictionary, leaves: tuple[Box, ...], ridge: float = USUAL
+    dictionary: Dictionary,
+    leaves: tuple[Box, ...],
+    ridges: Sequence[float] = COARSE,
+    *,
+    search: bool = False,
 ) -> GrownStage:
     """Number of columns and ridge by the groups left out.
 
-    From `ridge` on to the next smaller and larger one for as long as the groups gain.
+    The best of these ridges; with `search` from there on to the next smaller and larger
+    ones of `RIDGES` for as long as the groups gain.
     """
     equations = dictionary.equations
     most = min(equations.columns, int(equations.samples.sum() / 8))
@@ -129,8 +135,8 @@ def sized(
         n = int(curve.sum(axis=0).argmin())
         return GrownStage(dictionary, leaves, curve[:, n], sizes[n], RIDGES[place])
 
-    at = int(np.argmin(np.abs(np.log(np.array(RIDGES) / ridge))))
-    for way in (-1, 1):
+    at = min((RIDGES.index(ridge) for ridge in ridges), key=lambda n: stage(n).score)
+    for way in (-1, 1) if search else ():
         while 0 <= at + way < len(RIDGES):
             if stage(at + way).score >= stage(at).score:
                 break
@@ -157,7 +163,9 @@ def grown(
         upper, lower = leaf.halved(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
-        stage = sized(last.dictionary.extended(block), leaves, last.ridge)
+        stage = sized(
+            last.dictionary.extended(block), leaves, (last.ridge,), search=True
+        )
         stages.append(stage)
         best = int(np.argmin([s.score for s in stages]))
         if len(stages) - 1 - best >= patience:

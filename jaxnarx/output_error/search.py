@@ -6,6 +6,7 @@ normal equations of the simulation error give without another pass over the data
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -121,6 +122,10 @@ class ClosedForm:
         return network_of(self.stage.dictionary, leaves, self.coefficients(), self.data)
 
 
+Root = tuple[int, int, ClosedForm]
+"""Step of the lags, order of the feedback, and the candidate."""
+
+
 class ClosedSearch:
     """Candidates for one output; what several of them need is formed once."""
 
@@ -191,7 +196,7 @@ class ClosedSearch:
         gate_of = {old: new[1] for old, new in pairs}
         moved = stage.dictionary.moved(end.a, gate_of)
         leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
-        return sized(moved, leaves, stage.ridge)
+        return sized(moved, leaves, (stage.ridge,), search=True)
 
     def constant(self) -> ClosedForm:
         """The mean."""
@@ -255,20 +260,32 @@ class ClosedSearch:
 
     def polynomials(
         self, orders: dict[int, np.ndarray], degree: int
-    ) -> list[tuple[int, int, ClosedForm]]:
-        """(step, order, candidate): products in several scales of lags and filters,
-        with several feedbacks; best first."""
+    ) -> tuple[list[Root], list[Root]]:
+        """Products in several scales of lags and filters, with several feedbacks; best
+        first, with a coarse ridge and with the one that serves them best.
+
+        What ranks first alone need not do so when it is divided: of both orders
+        some are grown.
+        """
         most = max(min(self.look.rise, self.look.reach), self.look.memory / 64, 1.0)
-        step, out = max(1, 2 ** int(np.log2(most) - SCALES + 1)), []
+        step = max(1, 2 ** int(np.log2(most) - SCALES + 1))
+        coarse, fine = [], []
         while step <= most:
             memory = self.memory(step)
             signals = self.signals(memory, degree)
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a)
                 name = f"degree {degree}, {told(memory, a)}"
-                out.append((step, order, self.found("polynomial", name, stage)))
+                found = self.found("polynomial", name, stage)
+                coarse.append((step, order, found))
+                stage = sized(
+                    stage.dictionary, stage.leaves, (stage.ridge,), search=True
+                )
+                fine.append((step, order, dataclasses.replace(found, stage=stage)))
             step *= 2
-        return sorted(out, key=lambda one: one[2].free_run)
+        return tuple(
+            sorted(every, key=lambda one: one[2].free_run) for every in (coarse, fine)
+        )
 
     @property
     def spread(self) -> float:
@@ -291,9 +308,9 @@ class ClosedSearch:
         yield from self.filtered(orders)
         if degree < 2:
             return
-        ranked = self.polynomials(orders, degree)
-        yield from _distinct(ranked, lambda one: one[1])
-        for root in _distinct(ranked, lambda one: one[0])[:grown_roots]:
+        coarse, fine = self.polynomials(orders, degree)
+        yield from (one[2] for one in _distinct(fine, lambda one: one[1]))
+        for root in _to_grow(coarse, fine)[:grown_roots]:
             stage = self.retuned(root.stage)
             if stage is not root.stage:
                 root = dataclasses.replace(root, stage=stage)
@@ -349,15 +366,19 @@ def _tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
     return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)
 
 
-def _distinct(
-    ranked: list[tuple[int, int, ClosedForm]],
-    kind: Callable[[tuple[int, int, ClosedForm]], int],
-) -> list[ClosedForm]:
+def _distinct(ranked: list[Root], kind: Callable[[Root], Any]) -> list[Root]:
     """The best of every kind, best first."""
-    seen: dict[int, ClosedForm] = {}
+    seen: dict[Any, Root] = {}
     for one in ranked:
-        seen.setdefault(kind(one), one[2])
+        seen.setdefault(kind(one), one)
     return list(seen.values())
+
+
+def _to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
+    """The best of every scale, of both orders in turn."""
+    both = (_distinct(ranked, lambda one: one[0]) for ranked in (coarse, fine))
+    turns = [one for pair in zip(*both, strict=True) for one in pair]
+    return [one[2] for one in _distinct(turns, lambda one: one[:2])]
 
 
 def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
