@@ -283,9 +283,7 @@ class ClosedSearch:
                 )
                 fine.append((step, order, dataclasses.replace(found, stage=stage)))
             step *= 2
-        return tuple(
-            sorted(every, key=lambda one: one[2].free_run) for every in (coarse, fine)
-        )
+        return _ranked(coarse), _ranked(fine)
 
     @property
     def spread(self) -> float:
@@ -364,6 +362,10 @@ class ClosedSearch:
 def _tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
     """Numbers beyond all numbers are very large ones."""
     return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)
+
+
+def _ranked(every: list[Root]) -> list[Root]:
+    return sorted(every, key=lambda one: one[2].free_run)
 
 
 def _distinct(ranked: list[Root], kind: Callable[[Root], Any]) -> list[Root]:
