@@ -165,12 +165,15 @@ class ClosedSearch:
         self,
         signals: RunSignals,
         a: Float[np.ndarray, " _"],
+        *,
+        search: bool = True,
     ) -> GrownStage:
-        """One region with this feedback."""
+        """One region with this feedback; the ridge is a coarse one or searched."""
         dictionary = Dictionary.of(signals, a)
         dictionary = dictionary.extended(dictionary.block(()))
         dims = len(signals.scheduling)
-        return sized(dictionary, (Box((), np.zeros(dims), np.ones(dims)),))
+        leaf = Box((), np.zeros(dims), np.ones(dims))
+        return sized(dictionary, (leaf,), search=search)
 
     def retuned(
         self, stage: GrownStage, *, gates: bool = False, most: int = 1
@@ -274,7 +277,7 @@ class ClosedSearch:
             memory = self.memory(step)
             signals = self.signals(memory, degree)
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
-                stage = self.root(signals, a)
+                stage = self.root(signals, a, search=False)
                 name = f"degree {degree}, {told(memory, a)}"
                 found = self.found("polynomial", name, stage)
                 coarse.append((step, order, found))
