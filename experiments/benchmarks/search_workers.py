@@ -275,8 +275,9 @@ def _signals(length: int, columns: int, every: int) -> Any:
     assert len(pool) >= columns
     pool = dataclasses.replace(pool, factor=pool.factor[:columns])
     labels = [np.full(n, k % GROUPS) for k, n in enumerate(lengths)]
+    parts = labels, np.eye(GROUPS, dtype=bool)
     scheduling = Variables.of([(0, 0, None)])
-    return signals_of(data, pool, scheduling, labels, history=8, every=every)
+    return signals_of(data, pool, scheduling, *parts, history=8, every=every)
 
 
 WORKERS = {f.__name__: f for f in (identify, prepare, peer, equations, peers.installed)}
