@@ -25,7 +25,7 @@ FEWEST = 3
 GAPS = 0.1
 """Share of a record that gaps may take: runs go on through them, so that they only part
 what is correlated beyond the model. With half of a record, models of single records of
-virtual engines were a sixth worse on other records."""
+virtual engines were a fifth worse on other records."""
 SHORTEST = 10
 """Rows of the shortest block worth leaving out."""
 
