@@ -83,7 +83,7 @@ class Block:
     columns: tuple[Float[np.ndarray, "terms _"], ...]
 
     @functools.cached_property
-    def gram(self) -> Float[np.ndarray, "groups terms terms"]:
+    def gram(self) -> Float[np.ndarray, "parts terms terms"]:
         """C'C of its columns C: kept, for growth offers a block again and again."""
         return np.stack([c @ c.T for c in self.columns])
 
