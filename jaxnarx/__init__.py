@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from jaxnarx import refinement as refinement
     from jaxnarx import regressors as regressors
     from jaxnarx import selection as selection
+    from jaxnarx import states as states
     from jaxnarx import sweep as sweep
     from jaxnarx.data import Channel as Channel
     from jaxnarx.data import Channels as Channels
@@ -107,7 +108,7 @@ _ROOMS = {
     name: f"jaxnarx.{name}"
     for name in (
         "data design engines evaluation excitation inverse linear methods models "
-        "partition refinement regressors selection sweep"
+        "partition refinement regressors selection states sweep"
     ).split()
 }
 

@@ -89,7 +89,17 @@ class FakeSearch:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(
-        self, data, *, preset, budget, candidates, groups, outputs, folder, progress
+        self,
+        data,
+        *,
+        preset,
+        budget,
+        candidates,
+        groups,
+        outputs,
+        states,
+        folder,
+        progress,
     ) -> Solution[Network]:
         self.options = {"preset": preset, "budget": budget, "candidates": candidates}
         self.options["groups"] = [record.group for record in data]

@@ -50,6 +50,7 @@ HOUSE = [
     ["selection"],
     ["partition"],
     ["linear", "inverse", "design", "evaluation", "output_error"],
+    ["states"],
     ["identification"],
     ["sweep"],
     # Floor 4.

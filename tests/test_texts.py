@@ -16,7 +16,7 @@ from jaxnarx.texts import field_texts
 
 PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     f"{room}.{name}": getattr(getattr(jnx, room), name)
-    for room in ("design", "evaluation", "inverse", "linear", "regressors")
+    for room in ("design", "evaluation", "inverse", "linear", "regressors", "states")
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__
 }

@@ -5,6 +5,7 @@ what is traced.
 """
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
@@ -21,11 +22,29 @@ def triangle(
     Least squares of one column by any others is the same problem in the columns of R,
     which has at most as many rows as there are columns: 10,000 samples become 31.
     """
-    r = np.zeros((0, len(columns)))
-    for start in range(0, columns.shape[1], BLOCK):
-        part = columns[:, start : start + BLOCK].T
-        r = np.asarray(np.linalg.qr(np.concatenate([r, part]), mode="r"))
-    return r
+    width, rows = columns.shape
+    blocks = (columns[:, k : k + BLOCK].T for k in range(0, rows, BLOCK))
+    return accumulate(blocks, width)
+
+
+def accumulate(
+    parts: Iterable[Float[np.ndarray, "_ columns"]], columns: int
+) -> Float[np.ndarray, "_ columns"]:
+    """R of the rows of all `parts` below one another, which are never held at once.
+
+    Parts with few rows are gathered to blocks.
+    """
+    r, held, rows = np.zeros((0, columns)), [], 0
+    for part in parts:
+        held.append(part)
+        rows += len(part)
+        if rows >= BLOCK:
+            r, held, rows = _upper([r, *held]), [], 0
+    return _upper([r, *held]) if held else r
+
+
+def _upper(parts: list[np.ndarray]) -> np.ndarray:
+    return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

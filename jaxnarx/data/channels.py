@@ -44,12 +44,14 @@ class Channel:
 class Channels:
     """Input and output channels in the order of the arrays' columns.
 
-    The *signal table* that lagged variables index is inputs, then outputs. Hashable, so
-    it can be static in a traced value.
+    The *signal table* that lagged variables index is inputs, then outputs, then the
+    `hidden` channels of a model, which nobody measures and no record holds. Hashable,
+    so it can be static in a traced value.
     """
 
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
+    hidden: tuple[Channel, ...] = ()
 
     def __post_init__(self):
         names = self.names
@@ -70,9 +72,14 @@ class Channels:
             )
 
     @property
+    def measured(self) -> "Channels":
+        """Those that records hold."""
+        return dataclasses.replace(self, hidden=()) if self.hidden else self
+
+    @property
     def all(self) -> tuple[Channel, ...]:
-        """The signal table: inputs, then outputs."""
-        return self.inputs + self.outputs
+        """The signal table: inputs, outputs, hidden channels."""
+        return self.inputs + self.outputs + self.hidden
 
     @property
     def names(self) -> list[str]:
@@ -129,9 +136,10 @@ def make_channels(
 
 
 @functools.cache
-def numbered(inputs: int, outputs: int) -> Channels:
-    """Channels `u1`, `u2`, ... and `y1`, ... without units."""
+def numbered(inputs: int, outputs: int, hidden: int = 0) -> Channels:
+    """Channels `u1`, `u2`, ..., `y1`, ... and hidden `x1`, ... without units."""
     return Channels(
         tuple(Channel(f"u{n + 1}") for n in range(inputs)),
         tuple(Channel(f"y{n + 1}") for n in range(outputs)),
+        tuple(Channel(f"x{n + 1}") for n in range(hidden)),
     )

@@ -111,6 +111,26 @@ class Groups:
         sides = (dataclasses.replace(data, records=tuple(s)) for s in (train, left))
         return Fold(self.names[g], *sides)
 
+    def parted(self, data: Dataset, g: int | None = None) -> Dataset:
+        """Training records without group `g`, of runs that end where it begins.
+
+        Every record comes twice, valid up to the block that is left out, and behind it:
+        a run that went on through a stretch on which nothing holds it would be trained
+        to leave that as it likes. Without a block the second has no valid sample, so
+        that all programs are for one number of records; so it is with None, where
+        nothing is left out. Groups of whole records are left out as `fold` does.
+        """
+        if self.whole:
+            return data if g is None else self.fold(data, g, whole=True).train
+        out = (
+            tuple(np.zeros(len(r), bool) for r in data)
+            if g is None
+            else self.left_out(g)
+        )
+        pairs = list(zip(data, out, strict=True))
+        parts = [_before(r, o) for r, o in pairs] + [_behind(r, o) for r, o in pairs]
+        return dataclasses.replace(data, records=tuple(parts))
+
     def folds(self, data: Dataset, *, whole: bool = False) -> Iterator[Fold]:
         """Every group left out in turn, see `fold`."""
         return (self.fold(data, g, whole=whole) for g in range(len(self)))
@@ -175,6 +195,25 @@ def _without(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     valid[out, inputs:] = False
     y = hold(record.y, valid[:, inputs:])
     return dataclasses.replace(record, y=y, valid=valid)
+
+
+def _before(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
+    """The record, not valid from the first row that is left out on."""
+    return _valid_in(record, 0, int(np.argmax(out)) if out.any() else len(record))
+
+
+def _behind(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
+    """The record, not valid up to the last row that is left out."""
+    last = int(np.flatnonzero(out)[-1]) if out.any() else len(record)
+    part = _valid_in(record, last + 1, len(record))
+    return dataclasses.replace(part, name=f"{record.name} (behind)")
+
+
+def _valid_in(record: Record, first: int, stop: int) -> Record:
+    """The record with valid samples in these rows alone."""
+    rows = np.arange(len(record))
+    inside = (rows >= first) & (rows < stop)
+    return dataclasses.replace(record, valid=record.valid & inside[:, None])
 
 
 def _emptied(record: Record) -> Record:

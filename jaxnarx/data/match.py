@@ -19,9 +19,9 @@ def match_channels(data: Dataset, channels: Channels) -> tuple[Dataset, list[str
     Channels are matched by name wherever they stand, so an output of the data may serve
     as an input. A channel that is missing, or has another unit where both are stated,
     is a SpecError; surplus channels are dropped and their names returned. A unit stated
-    on one side only is accepted.
+    on one side only is accepted. Hidden channels are in no data and asked of none.
     """
-    own = data.channels
+    channels, own = channels.measured, data.channels
     extra = [name for name in own.names if name not in channels.names]
     if channels == own:
         return data, extra

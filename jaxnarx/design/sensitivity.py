@@ -145,8 +145,10 @@ def network_sensitivity(
 
     `noise` is the standard deviation by output, in its unit; without, one hundredth of
     each output's training range. A network that uses measured outputs it does not model
-    is refused: nobody knows what they would be under another plan.
+    is refused: nobody knows what they would be under another plan. So is one with
+    hidden channels.
     """
+    network.require_measured("The design of experiments")
     own = {*range(len(network.channels.inputs)), *network.signals}
     tables = [network.variables, *(m.scheduling for m in network.models)]
     if any(s not in own for table in tables for s, _ in table):

@@ -132,7 +132,7 @@ def cost(network: Network, *, shared: bool = False) -> Cost:
     """
     outputs = {
         name: _output(network, model, shared)
-        for name, model in zip(network.output_names, network.models, strict=True)
+        for name, model in zip(network.computed_names, network.models, strict=True)
     }
     pairs = [pair for m in network.models for pair in _filters(network, m)]
     parts = list(outputs.values())

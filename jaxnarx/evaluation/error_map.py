@@ -63,7 +63,8 @@ def error_maps(
         error = y - np.concatenate([one.predicted[one.scored] for one in calm])
         table = _candidates(network, o)
         x = row_columns(batch, at, table, float(network.sample_time)).astype(float)
-        given = len(network.models[o].scheduling)
+        given = network.models[o].scheduling
+        given = len(given) if network.tells(given) else 0
         telling = [-np.inf if i < given else -_share(v, y) for i, v in enumerate(x)]
         order = np.argsort(telling, kind="stable")
         varied = [int(i) for i in order if np.ptp(x[i]) > 0][:2]
@@ -81,7 +82,8 @@ def error_maps(
 
 def _candidates(network: Network, o: int) -> Variables:
     """Scheduling variables, then every input without delay."""
-    scheduling = network.models[o].scheduling.entries
+    scheduling = network.models[o].scheduling
+    scheduling = scheduling.entries if network.tells(scheduling) else ()
     taken = {s for s, _, _ in scheduling}
     inputs = range(len(network.channels.inputs))
     return Variables.of(

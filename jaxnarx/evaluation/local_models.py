@@ -66,6 +66,7 @@ def local_behaviour(
     `over=["speed[t]"]`. A model that leads nowhere has no points. What other outputs
     feed into a local model counts as an input.
     """
+    network.require_measured("The behaviour of local models")
     o = _position(network, output)
     model = network.models[o]
     data = fitting(network, data)

@@ -72,9 +72,11 @@ def reactivation_notes(network: Any, data: Dataset) -> list[str]:
     if not isinstance(network, Network):
         return []
     notes = []
-    for name, model in zip(network.output_names, network.models, strict=True):
+    for name, model in zip(network.computed_names, network.models, strict=True):
         validity, active = model.validity, np.asarray(model.active)
         if not isinstance(validity, Gaussians) or active.sum() < 2:
+            continue
+        if not network.tells(model.scheduling):
             continue
         x = scheduling_cloud(data, model.scheduling)
         rise = _rise(validity, active, scaled_points(model, x))

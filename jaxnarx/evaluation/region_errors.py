@@ -42,15 +42,18 @@ def region_errors(
     """The part of every local model, the largest error first, by output.
 
     `free` is the free run on `data`; records that diverged are left out, and so are
-    outputs with a single local model.
+    outputs with a single local model, or with regions of hidden channels.
     """
     if not isinstance(network, Network):
         return ()
     batch, found = stack(fitting(network, data)), []
     length = batch.valid.shape[1]
-    for o, (model, samples) in enumerate(zip(network.models, free, strict=True)):
+    models = network.models[: len(network.modelled)]
+    for o, (model, samples) in enumerate(zip(models, free, strict=True)):
         calm = [(n, one) for n, one in enumerate(samples) if not one.diverged]
         if not calm or not len(model.scheduling) or np.asarray(model.active).sum() < 2:
+            continue
+        if not network.tells(model.scheduling):
             continue
         at = [n * length + np.flatnonzero(one.scored[:, 0]) for n, one in calm]
         error = [(one.measured - one.predicted)[one.scored] for _, one in calm]

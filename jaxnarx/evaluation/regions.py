@@ -34,14 +34,15 @@ def describe_partition(
       open side lies `above` or `below`) and `path`, a row of sides per local model;
     - `cloud`: up to 2000 points of `data`, evenly spaced (samples, dims).
 
-    Outputs with a single local model are left out. It is the form `Report.partition`
+    Outputs with a single local model are left out; of those divided by hidden channels
+    there is no cloud. It is the form `Report.partition`
     takes; weights and cloud stay out of its JSON.
     """
     if not isinstance(network, Network):
         return {}
     out = {}
     for o, (name, model) in enumerate(
-        zip(network.output_names, network.models, strict=True)
+        zip(network.computed_names, network.models, strict=True)
     ):
         if int(np.asarray(model.active).sum()) < 2 or not len(model.scheduling):
             continue
@@ -54,7 +55,7 @@ def describe_partition(
         }
         if isinstance(start, Network) and _has_partition(start, o, model):
             out[name]["before"] = _side(start, o, ranges)
-        if data is not None:
+        if data is not None and network.tells(model.scheduling):
             out[name]["cloud"] = scheduling_cloud(data, model.scheduling)
     return out
 

@@ -318,6 +318,11 @@ def _diagnostics(
         return chosen, list(chosen.summary)
     if not chosen or not isinstance(network, Network):
         return None, []
+    if network.hidden:
+        return None, [
+            "Residuals of one step were not tested: hidden states are estimated from "
+            "the very measurements they would be compared with."
+        ]
     found = diagnose(network, data, selection=selection)
     more = [] if found.status_name == "ok" else [found.detail + "."]
     return found.value, [*found.value.summary, *more]
@@ -359,7 +364,8 @@ def _beside(
 ) -> dict[str, tuple[Row, ...]]:
     """Pooled free-run rows of the linear model and of `others` on the main part."""
     runs: dict[str, tuple[tuple[Channel, ...], list[list[ScoredSamples]]]] = {}
-    if isinstance(network, Network) and "train" in parts:
+    # Without lags of outputs a linear model of the same lags is no match for states.
+    if isinstance(network, Network) and not network.hidden and "train" in parts:
         linear = linear_runs(network, parts["train"], parts[main], free)
         runs[NAME] = tuple(network.output_channels), linear
     for name, other in others.items():

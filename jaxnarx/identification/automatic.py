@@ -25,7 +25,7 @@ from jaxnarx.output_error import look
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
-SHARE = 100
+SHARE = 1000
 """Numbers that the candidates of one output have."""
 POLL = 0.2
 """Seconds between looks at what the processes have found."""
@@ -39,6 +39,7 @@ def search(
     candidates: int | None,
     groups: Groups | None,
     outputs: Sequence[str],
+    states: int | None,
     folder: Path | None,
     progress: Tell | None,
 ) -> Solution[Network]:
@@ -56,6 +57,8 @@ def search(
         "outputs": list(outputs),
         "groups": list(groups.names),
     }
+    if states is not None:
+        key["states"] = states
     with tempfile.TemporaryDirectory() as place:
         store = open_search(Path(place) if folder is None else folder, key, board)
         tasks = {
@@ -67,6 +70,7 @@ def search(
                 candidates,
                 math.inf,
                 tuple(r for r in store.leaderboard.rows if r.output == name),
+                states,
             )
             for name, one in looks.items()
         }

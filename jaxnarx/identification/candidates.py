@@ -13,13 +13,16 @@ from jaxnarx.evaluation import cost
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.methods import Identification, Preset
+from jaxnarx.identification.with_states import with_states
+from jaxnarx.methods import HiddenStates, Identification, Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
 
 NEAR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
+Trial = tuple[str, list[str], Identification | HiddenStates]
+"""Family, names of the candidates that a method ends with, and the method."""
 Tried = tuple[Contender, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
@@ -59,7 +62,9 @@ class Candidates:
             begin = time.perf_counter()
         self.spread = search.spread
         del search
-        yield from self._fed_back()
+        hidden = with_states(self.data, self.look.output, self.preset)
+        yield from self._trained(hidden, self.preset.states)
+        yield from self._trained(fed_back(self.data, self.look), self.preset.fed_back)
 
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
         """The losses of the best so far."""
@@ -82,32 +87,39 @@ class Candidates:
         )
         return _with_error(row, found.losses()), network
 
-    def _fed_back(self) -> Iterator[Tried]:
-        """Those that are trained step by step, as many as the preset says."""
-        if not self.preset.fed_back:
-            return
+    def _trained(self, methods: Iterator[Trial], most: int) -> Iterator[Tried]:
+        """Those that are trained step by step, so many methods of a kind at most.
+
+        A method whose networks are all known is not tried again, nor one that failed:
+        of that there is one row.
+        """
         promising = False
-        for n, (family, name, method) in enumerate(fed_back(self.data, self.look)):
-            if n >= self.preset.fed_back or self.late():
+        for n, (family, names, method) in enumerate(methods):
+            if n >= most or self.late():
                 return
             if n >= self.preset.patience and not promising:
                 return
             self.passed += 1
-            if (row := self.known.get((family, name))) is not None:
-                promising |= self._is_near(row)
-                if row.eligible:
-                    self._remember(_losses(row))
+            rows = [self.known.get((family, name)) for name in names]
+            first = rows[0]
+            if all(rows) or (first is not None and first.status == "failed"):
+                for row in filter(None, rows):
+                    promising |= self._is_near(row)
+                    if row.eligible:
+                        self._remember(_losses(row))
                 continue
             begin = time.perf_counter()
             try:
                 found = self._judge(method)
             except (JaxnarxError, np.linalg.LinAlgError) as error:
-                row = self._row(family, name, time.perf_counter() - begin, None)
+                row = self._row(family, names[0], time.perf_counter() - begin, None)
                 yield dataclasses.replace(row, status="failed", detail=str(error)), None
                 continue
-            tried = self._judged(family, name, found, time.perf_counter() - begin)
-            promising |= self._is_near(tried[0])
-            yield tried
+            seconds = (time.perf_counter() - begin) / len(names)
+            for name, one in zip(names, found, strict=True):
+                tried = self._judged(family, name, one, seconds)
+                promising |= self._is_near(tried[0])
+                yield tried
 
     def _is_near(self, row: Contender) -> bool:
         """Whether a candidate came near the best so far."""
@@ -115,7 +127,7 @@ class Candidates:
             return row.eligible
         return bool(np.nansum(_losses(row)) <= NEAR**2 * np.nansum(self.best))
 
-    def _judge(self, method: Identification) -> JudgedMethod:
+    def _judge(self, method: Identification | HiddenStates) -> list[JudgedMethod]:
         rows = self.preset.longest
         return judge(method, self.data, self.groups, self.spread, self.best, rows)
 
@@ -132,7 +144,10 @@ class Candidates:
         self._remember(found.losses)
         total = float(np.nansum(found.losses * found.counts) / found.counts.sum())
         row = dataclasses.replace(
-            row, free_run=total**0.5, one_step=found.one_step, status="ok"
+            row,
+            free_run=total**0.5,
+            one_step=found.one_step if np.isfinite(found.one_step) else None,
+            status="ok",
         )
         return _with_error(row, found.losses), found.network
 

@@ -24,8 +24,10 @@ LARGEST = 600
 """Candidate terms of a pool."""
 
 
-def fed_back(data: Dataset, look: Look) -> Iterator[tuple[str, str, Identification]]:
-    """(family, name, method), those that pay most often first."""
+def fed_back(
+    data: Dataset, look: Look
+) -> Iterator[tuple[str, list[str], Identification]]:
+    """(family, its one name, method), those that pay most often first."""
     for lags, degree, terms in TRIED:
         if degree == 1:
             yield from _local(data, look, lags)
@@ -33,12 +35,12 @@ def fed_back(data: Dataset, look: Look) -> Iterator[tuple[str, str, Identificati
         pool = pool_of(data, look, lags, degree)
         if pool is not None and len(pool) > terms:
             name = f"degree {degree}, {terms} terms, lags up to {lags}"
-            yield "polynomial NARX", name, _method(pool, terms, Global())
+            yield "polynomial NARX", [name], _method(pool, terms, Global())
 
 
 def _local(
     data: Dataset, look: Look, lags: int
-) -> Iterator[tuple[str, str, Identification]]:
+) -> Iterator[tuple[str, list[str], Identification]]:
     """Affine local models over inputs and the last output."""
     pool = pool_of(data, look, lags, 1)
     assert pool is not None
@@ -49,7 +51,7 @@ def _local(
     for models in (3, 6):
         method = Lolimot(scheduling=[*over, f"{look.output}[t-1]"], max_models=models)
         name = f"{models} models, lags up to {lags}"
-        yield "LOLIMOT", name, _method(pool, len(pool), method)
+        yield "LOLIMOT", [name], _method(pool, len(pool), method)
 
 
 def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:

@@ -8,10 +8,14 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.errors import DataError
 from jaxnarx.identification.by_method import by_method
-from jaxnarx.methods import Identification
+from jaxnarx.methods import HiddenStates, Identification
 from jaxnarx.models import Network, hold_to_range, ranged
 from jaxnarx.simulation import predict, simulate
+from jaxnarx.states import fit_states
 
+FIRST = 3.0
+"""Error in training after the first steps of a start, as a multiple of the best
+candidate's on groups left out, beyond which it is not trained."""
 HOPELESS = 2.0, 1.5
 """Error on the first group, and on the first two or more, as a multiple of the best
 candidate's there, beyond which the other groups are not tried."""
@@ -39,48 +43,156 @@ class JudgedMethod:
 
 
 def judge(
-    method: Identification,
+    method: Identification | HiddenStates,
     data: Dataset,
     groups: Groups,
     spread: float,
     best: Float[np.ndarray, " groups"] | None = None,
     rows: int | None = None,
-) -> JudgedMethod:
+    *,
+    one_step: bool | None = None,
+) -> list[JudgedMethod]:
     """Train without every group in turn, run freely over it; then train on everything.
 
-    Given up where a run diverges, or where errors are far beyond those of the `best`
+    A method may end with several networks of a kind (`trained`); each is judged. Given
+    up where runs of all of them diverge, or have errors far beyond those of the `best`
     candidate. `spread` is the output's standard deviation. Stretches of up to `rows`
-    samples train; runs go over all samples of a group.
+    samples train; runs go over all samples of a group. The error one step ahead is left
+    out, NaN, where `one_step` is False, and by default with hidden states: it has an
+    estimate of these for every sample, and takes longer than the training.
+
+    With hidden states everything trains first: that says which start is taken, in all
+    trainings, and nothing is left out where the error in training is beyond the best
+    candidate's on what was left out.
     """
-    losses, counts = np.full(len(groups), np.nan), np.zeros(len(groups))
-    ahead, diverged = 0.0, 0
+    hidden = isinstance(method, HiddenStates)
+    one_step = not hidden if one_step is None else one_step
+    whole: list[Network] = []
+    every: list[_Judging] = []
+    parted = False
+    if isinstance(method, HiddenStates):
+        parted = rows is None or data.samples <= rows
+        everything = groups.parted(data) if parted else data
+        whole, method = begun(method, everything, rows, best)
+        told = _hopeless(whole, data, spread, best)
+        if told:
+            none = [_Judging(len(groups), one_step) for _ in whole]
+            return [one.judged(None, told) for one in none]
     for g, fold in enumerate(groups.folds(data, whole=True)):
-        network = trained(method, fold.train, rows)
+        train = groups.parted(data, g) if parted else fold.train
+        networks = trained(method, train, rows)
+        every = every or [_Judging(len(groups), one_step) for _ in networks]
+        for one, network in zip(every, networks, strict=True):
+            one.look(g, network, fold.left, spread)
+        told = [one.given_up(g, best) for one in every]
+        if all(told):
+            return [
+                one.judged(None, text) for one, text in zip(every, told, strict=True)
+            ]
+    whole = whole or trained(method, data, rows)
+    pairs = zip(every, whole, strict=True)
+    return [
+        one.judged(None, "diverges") if one.diverged else one.judged(network)
+        for one, network in pairs
+    ]
+
+
+class _Judging:
+    """What is known of one network of a method so far."""
+
+    def __init__(self, groups: int, one_step: bool):
+        self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
+        self.ahead, self.diverged = 0.0 if one_step else np.nan, 0
+
+    def look(self, g: int, network: Network, left: Dataset, spread: float) -> None:
+        """Run the network of the group left out; one too short judges nothing."""
         try:
-            losses[g], counts[g], bad = score(network, fold.left, spread)
-            ahead += counts[g] * score(network, fold.left, spread, k=1)[0]
-        except DataError:  # too short to start from: it judges nothing
-            continue
-        diverged += bad
-        if diverged:
-            return JudgedMethod(losses, counts, np.nan, diverged, None, "diverges")
-        done = slice(g + 1)
-        worst = HOPELESS[min(g, 1)] ** 2
-        mine = np.nansum(losses[done])
-        if best is not None and mine > worst * np.nansum(best[done]):
-            told = f"given up after {g + 1} of {len(groups)} groups"
-            return JudgedMethod(losses, counts, np.nan, diverged, None, told)
-    network = trained(method, data, rows)
-    one_step = float(np.sqrt(ahead / max(counts.sum(), 1.0)))
-    return JudgedMethod(losses, counts, one_step, diverged, network)
+            self.losses[g], self.counts[g], bad = score(network, left, spread)
+            self.diverged += bad
+            if self.ahead == self.ahead:  # wanted
+                ahead = score(network, left, spread, k=1)[0]
+                self.ahead += self.counts[g] * ahead
+        except DataError:
+            return
+
+    def given_up(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
+        """Why no further group is tried, or ""."""
+        if self.diverged:
+            return "diverges"
+        done, worst = slice(g + 1), HOPELESS[min(g, 1)] ** 2
+        mine = np.nansum(self.losses[done])
+        if best is None or mine <= worst * np.nansum(best[done]):
+            return ""
+        return f"given up after {g + 1} of {len(self.losses)} groups"
+
+    def judged(self, network: Network | None, detail: str = "") -> JudgedMethod:
+        """The outcome."""
+        one_step = np.nan
+        if network is not None:
+            one_step = float(np.sqrt(self.ahead / max(self.counts.sum(), 1.0)))
+        return JudgedMethod(
+            self.losses, self.counts, one_step, self.diverged, network, detail
+        )
 
 
-def trained(method: Identification, data: Dataset, rows: int | None = None) -> Network:
-    """The network of a method, trained on at most so many samples and held to the range
-    of all."""
-    some = data if rows is None else shortened(data, rows)
-    network = by_method(some, method, None, None).value
-    return hold_to_range(network if some is data else ranged(network, data))
+def begun(
+    method: HiddenStates,
+    data: Dataset,
+    rows: int | None = None,
+    best: Float[np.ndarray, " groups"] | None = None,
+) -> tuple[list[Network], HiddenStates]:
+    """Networks trained on everything, and the method with the start that was best.
+
+    `DataError` where that is far beyond the `best` candidate after its first steps.
+    """
+    limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
+    some = _some(data, rows)
+    fit = fit_states(some, method, hopeless=limit)
+    chosen = dataclasses.replace(method, start=fit.stats["start"])
+    return _held(fit.stats["path"], data, rows), chosen
+
+
+def _hopeless(
+    networks: list[Network],
+    data: Dataset,
+    spread: float,
+    best: Float[np.ndarray, " groups"] | None,
+) -> str:
+    """Why nothing needs to be left out, or ""."""
+    try:
+        scores = [score(network, data, spread) for network in networks]
+    except DataError as error:
+        return str(error)
+    if all(bad for *_, bad in scores):
+        return "diverges in training"
+    error = min(loss for loss, *_ in scores)
+    if best is not None and error > np.nanmean(best):
+        return f"an error in training of {error**0.5:.3g}"
+    return ""
+
+
+def trained(
+    method: Identification | HiddenStates, data: Dataset, rows: int | None = None
+) -> list[Network]:
+    """The networks of a method, trained on at most so many samples and held to the
+    range of all: with hidden states one for every pull, else one alone."""
+    some = _some(data, rows)
+    if isinstance(method, HiddenStates):
+        return _held(fit_states(some, method).stats["path"], data, rows)
+    return _held([by_method(some, method, None, None).value], data, rows)
+
+
+def _some(data: Dataset, rows: int | None) -> Dataset:
+    """Stretches of so many samples, of those that are valid."""
+    count = sum(int(r.valid.any(axis=1).sum()) for r in data)
+    return data if rows is None or count <= rows else shortened(data, rows)
+
+
+def _held(networks: list[Network], data: Dataset, rows: int | None) -> list[Network]:
+    """Networks held to the range of all data, whatever part has trained them."""
+    if rows is not None and data.samples > rows:
+        networks = [ranged(network, data) for network in networks]
+    return [hold_to_range(network) for network in networks]
 
 
 def score(

@@ -48,6 +48,7 @@ class OutputTask:
     until: float
     """Time of the clock after which no candidate is begun."""
     known: tuple[Contender, ...]
+    states: int | None = None
 
     def run(self) -> Iterator[Tried]:
         """Its candidates."""
@@ -55,7 +56,7 @@ class OutputTask:
             self.data,
             self.look,
             self.groups,
-            PRESETS[self.preset],
+            PRESETS[self.preset].with_orders(self.states),
             known=self.known,
             late=lambda: self._late(found.passed),
         )

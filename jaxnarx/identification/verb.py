@@ -30,6 +30,7 @@ def identify(
     budget: float | None = None,
     candidates: int | None = None,
     outputs: Sequence[str] = (),
+    states: int | None = None,
     groups: Groups | None = None,
     validation: Dataset | None = None,
     folder: str | os.PathLike[str] | None = None,
@@ -40,7 +41,8 @@ def identify(
     The search looks at the data, then tries candidates from cheap to rich: a constant,
     linear ARX and output-error models, filters, polynomials, regions with shared
     feedback in closed form (`jaxnarx.output_error`), polynomials of past outputs and
-    LOLIMOT (trained on stretches of long records). Each is judged by the free run over
+    LOLIMOT, and models with hidden states (both trained on stretches of long records).
+    Each is judged by the free run over
     groups of records that it has not seen; where one diverges the candidate is out. Of
     the others the cheapest to compute within one standard error,
     and 5 %, of the best is taken, trained on all records (`preset="best"`: the best
@@ -62,6 +64,8 @@ def identify(
             every output.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
+        states: Number of hidden states of the candidates that have some; 0 for none
+            with any. Default: what the preset tries.
         groups: What is left out together (`jaxnarx.data.groups`); default as the
             records say, else records that repeat one another's inputs belong together.
             Not beside `validation`.
@@ -89,10 +93,10 @@ def identify(
         fit = jnx.identify(data, jnx.Identification(select=jnx.ForwardOLS(max_terms=2)))
         print(fit.status_name)
     """
-    asked = _Wanted(preset, budget, candidates, tuple(outputs), groups, folder)
+    asked = _Wanted(preset, budget, candidates, tuple(outputs), states, groups, folder)
     if method is None:
         return _searched(data, asked, validation, progress)
-    if changed := [f.name for f in dataclasses.fields(asked) if asked.states(f.name)]:
+    if changed := [f.name for f in dataclasses.fields(asked) if asked.asks(f.name)]:
         raise SpecError(
             f"{changed[0]} belongs to a search; with a method there is none",
             field=changed[0],
@@ -108,10 +112,11 @@ class _Wanted:
     budget: float | None = None
     candidates: int | None = None
     outputs: tuple[str, ...] = ()
+    states: int | None = None
     groups: Groups | None = None
     folder: str | os.PathLike[str] | None = None
 
-    def states(self, name: str) -> bool:
+    def asks(self, name: str) -> bool:
         """Whether something else than the default is asked for."""
         value, usual = getattr(self, name), getattr(_Wanted(), name)
         return value is not usual and not (isinstance(value, str) and value == usual)
@@ -132,6 +137,10 @@ class _Wanted:
             raise SpecError(
                 f"candidates must be at least 1, got {self.candidates}",
                 field="candidates",
+            )
+        if self.states is not None and self.states < 0:
+            raise SpecError(
+                f"states must not be negative, got {self.states}", field="states"
             )
         for name in self.outputs:
             if name not in channels.output_names:
@@ -168,6 +177,7 @@ def _searched(
         candidates=asked.candidates,
         groups=asked.groups,
         outputs=[c.name for c in kept],
+        states=asked.states,
         folder=None if asked.folder is None else Path(asked.folder),
         progress=progress,
     )

@@ -102,8 +102,9 @@ def _system(filter_: AbstractFilter, network: Network) -> FilterSystem:
 def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> LocalSlopes:
     """Linearise at `points` measured samples, evenly spaced.
 
-    Local models with feedback of their own are refused: their past is not measured. Of
-    a network with limits, inputs beyond their range stand at its edge.
+    Local models with feedback of their own and hidden channels are refused: their past
+    is not measured. Of a network with limits, inputs beyond their range stand at its
+    edge.
     """
     require_shared(network)
     data = fitting(network, data)
@@ -137,7 +138,9 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
 
 
 def require_shared(network: Network) -> None:
-    """SpecError where local models have feedback of their own."""
+    """SpecError where local models have feedback of their own, or channels are
+    hidden."""
+    network.require_measured("An inverse")
     if network.parallel:
         raise SpecError(
             "the forward model has local models with feedback of their own, whose past "

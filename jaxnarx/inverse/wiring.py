@@ -44,8 +44,11 @@ def wire(inverse: Network, forward: Network) -> Wiring:
 
     `SpecError` where the inverse's outputs are not inputs of the forward network, where
     an input of it is neither a channel of the forward network nor a modelled output
-    seen ahead, and where the loop would have to filter what it computes.
+    seen ahead, where the loop would have to filter what it computes, and where either
+    has hidden channels.
     """
+    for network in (inverse, forward):
+        network.require_measured("A cascade")
     _require_same_time(inverse, forward)
     if inverse.parallel:
         raise SpecError(

@@ -66,6 +66,7 @@ def adapt(
     Status `no_improvement` where a window was undone, `stalled` where all of one output
     were, `unidentifiable` where not one sample was used. No usable sample: `DataError`.
     """
+    network.require_measured("Adaptation")
     method = Recursive() if method is None else method
     plan = make_plan(network, method)
     matched = fitting(network, data)

@@ -28,6 +28,7 @@ from jaxnarx.methods.presets import Preset as Preset
 from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
+from jaxnarx.methods.states import HiddenStates
 
 __all__ = [
     "ARMAX",
@@ -42,6 +43,7 @@ __all__ = [
     "Given",
     "Global",
     "Grid",
+    "HiddenStates",
     "Identification",
     "LeastSquares",
     "Lolimot",

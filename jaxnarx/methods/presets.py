@@ -17,8 +17,13 @@ class Preset:
     """How many of the polynomials are grown."""
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
+    states: int = 5
+    """How many structures with hidden states are tried."""
+    orders: tuple[int, ...] = ()
+    """Numbers of hidden states that are tried (empty: as the data suggest)."""
     patience: int = 3
-    """After so many of them, none of which came near the best, they are given up."""
+    """After so many methods of a kind, none of which came near the best, the kind is
+    given up."""
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
@@ -30,6 +35,16 @@ class Preset:
     linear: bool = False
     """Linear models alone."""
 
+    def with_orders(self, states: int | None) -> "Preset":
+        """With hidden states of this number alone; 0 for none, None as it stands."""
+        if states is None:
+            return self
+        if not states:
+            return dataclasses.replace(self, states=0)
+        return dataclasses.replace(
+            self, orders=(states,), states=max(self.states, 3), patience=3
+        )
+
 
 PRESETS = {
     "quick": Preset(
@@ -37,6 +52,7 @@ PRESETS = {
         max_models=6,
         grown=2,
         fed_back=2,
+        states=2,
         longest=5_000,
         budget=120.0,
     ),
@@ -46,6 +62,7 @@ PRESETS = {
         max_models=24,
         grown=5,
         fed_back=16,
+        states=9,
         patience=16,
         longest=60_000,
         rule="best",
@@ -55,8 +72,9 @@ PRESETS = {
         max_models=8,
         grown=2,
         fed_back=0,
+        states=0,
         rule="share",
     ),
-    "linear": Preset("linear models only", linear=True, fed_back=0),
+    "linear": Preset("linear models only", linear=True, fed_back=0, states=0),
 }
 """By name."""

@@ -54,6 +54,11 @@ class SimulationError:
     ridge: NotNegative = 1e-5
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
+    shrink: NotNegative = 0.0
+    """What a coefficient's squared distance from its start costs, of columns made of
+    variables with mean zero and spread one, in units of the output's spread: a model
+    that says the mean costs one. Zero none. It holds what the ridge cannot: directions
+    the data hardly tell of."""
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     solver: Literal["levenberg", "bfgs", "lbfgs", "windows"] = "levenberg"

@@ -23,6 +23,7 @@ from jaxnarx.models.limits import held_inputs as held_inputs
 from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import reported as reported
 from jaxnarx.models.limits import reported_range as reported_range
+from jaxnarx.models.merge import hidden_names as hidden_names
 from jaxnarx.models.merge import merged as merged
 from jaxnarx.models.narrow import narrowed as narrowed
 from jaxnarx.models.network import LocalModels as LocalModels

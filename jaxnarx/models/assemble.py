@@ -87,9 +87,14 @@ def assemble(
 
 def ranged(network: Network, data: Dataset) -> Network:
     """The network with the ranges and feedback bounds of these data of its channels."""
-    signal = np.array(network.signals)
-    leaves = jax.device_put(_bounds(data, np.asarray(network.gain), signal))
-    lower, upper, low, high = leaves
+    outputs, measured = len(network.modelled), len(network.channels.measured.all)
+    signal = np.array(network.signals)[:outputs]
+    found = _bounds(data, np.asarray(network.gain)[:measured], signal)
+    old = network.lower, network.upper, network.low, network.high
+    # What hidden channels have done no data tell.
+    rest = [np.asarray(a)[len(b) :] for a, b in zip(old, found, strict=True)]
+    leaves = [np.append(a, b) for a, b in zip(found, rest, strict=True)]
+    lower, upper, low, high = jax.device_put(leaves)
     return dataclasses.replace(network, lower=lower, upper=upper, low=low, high=high)
 
 

@@ -56,7 +56,7 @@ def reported_range(
 
     Infinite where the network is not held; host only.
     """
-    own = np.array(network.signals)
+    own = np.array(network.signals)[: len(network.modelled)]
     low, high = (np.asarray(a)[own] for a in (network.low, network.high))
     if network.hold is None:
         return np.full_like(low, -np.inf), np.full_like(high, np.inf)

@@ -17,9 +17,10 @@ def narrowed(network: Network) -> Network:
     used = {*network.signals, *(s for table in tables for s, _ in table)}
     outputs = network.channels.outputs
     kept = [o for o in range(len(outputs)) if inputs + o in used]
+    hidden = range(inputs + len(outputs), len(network.channels.all))
     if len(kept) == len(outputs):
         return network
-    signals = [*range(inputs), *(inputs + o for o in kept)]
+    signals = [*range(inputs), *(inputs + o for o in kept), *hidden]
     place = {signal: n for n, signal in enumerate(signals)}
 
     def moved(table: Variables) -> Variables:
@@ -31,8 +32,9 @@ def narrowed(network: Network) -> Network:
     models = tuple(
         dataclasses.replace(m, scheduling=moved(m.scheduling)) for m in network.models
     )
+    left, own = tuple(outputs[o] for o in kept), network.channels
     return Network(
-        channels=Channels(network.channels.inputs, tuple(outputs[o] for o in kept)),
+        channels=Channels(own.inputs, left, own.hidden),
         modelled=tuple(kept.index(o) for o in network.modelled),
         variables=moved(network.variables),
         models=models,
@@ -43,4 +45,5 @@ def narrowed(network: Network) -> Network:
         high=of_signals("high"),
         sample_time=network.sample_time,
         hold=network.hold,
+        window=network.window,
     )

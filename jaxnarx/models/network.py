@@ -3,13 +3,18 @@
     y_o(t) = sum_m phi_m(z_t) sum_k theta[m, k] p_(m,k)(v_t)
 
 One class serves every model of this package: a NARX model is a network with one local
-model, and a model of several outputs has a partition and terms for each.
+model, a model of several outputs has a partition and terms for each, and a model with
+hidden states has outputs that nobody measures: channels with terms, partition and
+bounds of their own, which enter terms and scheduling as simulated outputs do. A
+state-space model is one of them, with z(t) the state after sample t,
+
+    z(t) = f(z(t-1), u(t)) ,   y(t) = g(z(t-1), u(t)) .
 """
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxnarx.arrays.programs import twin
 from jaxnarx.data import Channel, Channels
@@ -80,12 +85,14 @@ class Network(eqx.Module):
     """A multi-model network with everything needed to run it on physical signals.
 
     `variables` are the lagged variables of all outputs' terms; `modelled` the positions
-    of the modelled outputs among `channels.outputs`. `gain` brings signals to unit
-    size. `lower` and `upper` bound the simulated outputs (scaled); `low` and `high` are
-    the training ranges in physical units, to which inputs and reported outputs are held
-    if there is a `hold`: the share of its range by which an output may leave it, see
+    of the modelled outputs among `channels.outputs`. `models` computes these and, after
+    them, all hidden channels. `gain` brings signals to unit size. `lower` and `upper`
+    bound what is simulated (scaled); `low` and `high` are the training ranges in
+    physical units, to which inputs and reported outputs are held if there is a `hold`:
+    the share of its range by which an output may leave it, see
     `jaxnarx.models.limits`. A free run starts from `history` measured samples, those of
-    local models with their own feedback too.
+    local models with their own feedback too; hidden channels start from what the
+    outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
     """
 
     channels: Channels = eqx.field(static=True)
@@ -99,11 +106,14 @@ class Network(eqx.Module):
     high: Float[Array, " signals"]
     sample_time: Float[Array, ""]
     hold: Float[Array, ""] | None = None
+    window: int = eqx.field(static=True, default=0, kw_only=True)
 
     def __check_init__(self):
-        if len(self.models) != len(self.modelled):
+        if len(self.models) != len(self.modelled) + len(self.channels.hidden):
             raise ValueError(
-                f"{len(self.modelled)} modelled outputs but {len(self.models)} models"
+                f"{len(self.modelled)} modelled outputs and "
+                f"{len(self.channels.hidden)} hidden channels but {len(self.models)} "
+                "models"
             )
         for table in (self.variables, *(m.scheduling for m in self.models)):
             table.require_measured(self.signals, self.channels.names)
@@ -122,13 +132,13 @@ class Network(eqx.Module):
             )
         names = self.variable_names
         for o, (name, model) in enumerate(
-            zip(self.output_names, self.models, strict=True)
+            zip(self.computed_names, self.models, strict=True)
         ):
             gain = float(np.asarray(self.gain)[self.signals[o]])
             low, high = (
                 float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper)
             )
-            unit = f" {unit}" if (unit := self.output_channels[o].unit) else ""
+            unit = f" {unit}" if (unit := self.computed[o].unit) else ""
             active = np.flatnonzero(np.asarray(model.active)).tolist()
             kind = type(model.validity).__name__
             lines.append(
@@ -150,7 +160,8 @@ class Network(eqx.Module):
     @property
     def nameless(self) -> "Network":
         """The same with channels that have numbers for names, for programs."""
-        counts = len(self.channels.inputs), len(self.channels.outputs)
+        own = self.channels
+        counts = len(own.inputs), len(own.outputs), len(own.hidden)
         return twin(self, channels=numbered(*counts))
 
     @property
@@ -160,14 +171,37 @@ class Network(eqx.Module):
         return max(self.variables.longest, *scheduling)
 
     @property
+    def before(self) -> int:
+        """Samples needed before the first prediction that counts: the history, and the
+        window from which hidden channels are estimated."""
+        return self.history + self.window
+
+    @property
     def parallel(self) -> bool:
         """Whether local models may be fed back their own outputs."""
         return any(m.own is not None for m in self.models)
 
     @property
     def signals(self) -> tuple[int, ...]:
-        """Signal index of each modelled output."""
-        return tuple(len(self.channels.inputs) + o for o in self.modelled)
+        """Signal index of all that is computed: modelled outputs, hidden channels."""
+        inputs, measured = len(self.channels.inputs), len(self.channels.measured.all)
+        hidden = range(measured, measured + self.hidden)
+        return (*(inputs + o for o in self.modelled), *hidden)
+
+    @property
+    def hidden(self) -> int:
+        """How many channels are computed that nobody measures."""
+        return len(self.channels.hidden)
+
+    @property
+    def computed(self) -> tuple[Channel, ...]:
+        """Channels of the modelled outputs, then hidden ones."""
+        return self.output_channels + self.channels.hidden
+
+    @property
+    def computed_names(self) -> list[str]:
+        """Names of all that is computed."""
+        return [c.name for c in self.computed]
 
     @property
     def output_channels(self) -> tuple[Channel, ...]:
@@ -183,6 +217,30 @@ class Network(eqx.Module):
     def variable_names(self) -> list[str]:
         """`speed[t-2]` for every lagged variable."""
         return variable_names(self.channels, self.variables)
+
+    def require_measured(self, what: str) -> None:
+        """SpecError where something is asked for that hidden channels have not."""
+        if self.hidden:
+            raise SpecError(
+                f"{what} knows no hidden channels, and the model has "
+                f"{', '.join(c.name for c in self.channels.hidden)}: nobody measures "
+                "them. Take a model without.",
+                field="network",
+            )
+
+    def tells(self, table: Variables) -> bool:
+        """Whether records hold all that a table of variables asks for."""
+        measured = len(self.channels.measured.all)
+        return all(s < measured for s, _ in table)
+
+    def complete(
+        self, signals: Shaped[Array, "*rows measured"]
+    ) -> Shaped[Array, "*rows signals"]:
+        """Measured signals with zeros behind them for the hidden channels."""
+        if not self.hidden:
+            return signals
+        room = [(0, 0)] * (signals.ndim - 1) + [(0, self.hidden)]
+        return jnp.pad(signals, room)
 
     def within(
         self,
@@ -213,9 +271,10 @@ class Network(eqx.Module):
         The scaled ones of the terms behind a leading one, and per output those of the
         scheduling in physical units, of inputs held `within` their ranges. Filters
         begin at rest at the first valid sample (without `valid`: the first); see
-        `jaxnarx.regressors.record_columns`.
+        `jaxnarx.regressors.record_columns`. Hidden channels are zeros.
         """
-        signals = self.within(signals)
+        signals = self.complete(self.within(signals))
+        valid = None if valid is None else self.complete(valid)
         at = jnp.arange(signals.shape[0])
         ones = jnp.ones((1, at.shape[0]), signals.dtype)
 
@@ -253,7 +312,7 @@ class Network(eqx.Module):
         with np.errstate(all="ignore"):
             value = value / np.prod(scale[factor], axis=1)
             value = value * unit
-        output, names = self.output_names[o], self.variable_names
+        output, names = self.computed_names[o], self.variable_names
         own = self.models[o].own
         alone = own is not None and bool(own[m])
         left = output
@@ -276,9 +335,9 @@ class Network(eqx.Module):
         }
 
     def regions(self, output: int | str) -> list[dict[str, dict[str, float]]]:
-        """Where the local models of one output (its number or name) are valid, in
-        physical units."""
-        names = self.output_names
+        """Where the local models of one output or hidden channel (its number or name)
+        are valid, in physical units."""
+        names = self.computed_names
         number = names.index(output) if output in names else output
         if number not in range(len(names)):
             raise SpecError(

@@ -5,8 +5,9 @@ channels with units and the static tables; the tensors are the network's arrays.
 of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
 filtered variables is written as format 2, one with other validity functions than
 Gaussians as format 3, one with local models that have feedback of their own as format
-4, one that is held to its trained ranges as format 5, so that older programs say what
-they lack; any other is still written as format 1. Files of formats 1 to 4 hold none.
+4, one that is held to its trained ranges as format 5, one with hidden channels as
+format 6, so that older programs say what they lack; any other is still written as
+format 1. Files of formats 1 to 4 hold none.
 """
 
 import dataclasses
@@ -35,7 +36,7 @@ from jaxnarx.regressors import (
     require_sampled,
 )
 
-FORMAT = 5
+FORMAT = 6
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
@@ -51,6 +52,7 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
         "inputs": [[c.name, c.unit] for c in network.channels.inputs],
         "outputs": [[c.name, c.unit] for c in network.channels.outputs],
         "modelled": list(network.modelled),
+        **_hidden(network),
         **_described("variables", network.variables),
         "models": [
             {
@@ -63,8 +65,18 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
+def _hidden(network: Network) -> dict[str, Any]:
+    """Hidden channels and the window they are estimated from, if there are any."""
+    if not network.hidden:
+        return {}
+    channels = [[c.name, c.unit] for c in network.channels.hidden]
+    return {"hidden": channels, "window": network.window}
+
+
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if network.hidden:
+        return 6
     if network.hold is not None:
         return 5
     if network.parallel:
@@ -257,6 +269,12 @@ def _text(value: object) -> str:
     return value
 
 
+def _whole(value: object) -> int:
+    if type(value) is not int:
+        raise ValueError(f"the window of hidden channels is {value!r}")
+    return value
+
+
 def _variables(entry: dict[str, Any], name: str, signals: int) -> Variables:
     table = tuple((int(s), int(d)) for s, d in entry[name])
     if any(not 0 <= s < signals or not 0 <= d <= LONGEST for s, d in table):
@@ -271,6 +289,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     channels = Channels(
         tuple(Channel(_text(n), _text(u)) for n, u in header["inputs"]),
         tuple(Channel(_text(n), _text(u)) for n, u in header["outputs"]),
+        tuple(Channel(_text(n), _text(u)) for n, u in header.get("hidden", [])),
     )
     signals = len(channels.all)
 
@@ -319,6 +338,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
         hold=get(".hold") if ".hold" in tensors else None,
+        window=_whole(header["window"]) if channels.hidden else 0,
     )
     _check(network)
     return network
@@ -331,7 +351,7 @@ def _require(holds: Any, otherwise: str) -> None:
 
 def _check(network: Network) -> None:
     """Sizes, kinds and indices that belong together; a wrong one is a ValueError."""
-    signals, outputs = (len(network.channels.all),), (len(network.modelled),)
+    signals, outputs = (len(network.channels.all),), (len(network.models),)
     for name in ("gain", "low", "high"):
         shape = getattr(network, name).shape
         _require(shape == signals, f"{name} has not one entry per channel")
@@ -351,7 +371,8 @@ def _check(network: Network) -> None:
         "a modelled output is not among the channels, or is twice",
     )
     _check_magnitudes(network)
-    own = [len(network.channels.inputs) + o for o in network.modelled]
+    _require(0 <= network.window <= LONGEST, "the window of hidden channels")
+    own = network.signals
     tables = [network.variables, *(m.scheduling for m in network.models)]
     _require(
         all(d > 0 for table in tables for s, d in table if s in own),

@@ -160,15 +160,16 @@ def spread_of(
 
 def _powers(network: Network, box_cox) -> Float[np.ndarray, " outputs"]:
     names = network.output_names
+    hidden = np.ones(network.hidden)
     if not isinstance(box_cox, Mapping):
-        return np.full(len(names), float(box_cox))
+        return np.append(np.full(len(names), float(box_cox)), hidden)
     unknown = sorted(set(box_cox) - set(names))
     if unknown:
         raise SpecError(
             f"box_cox names {unknown[0]!r}, but the modelled outputs are {names}",
             field="box_cox",
         )
-    return np.array([float(box_cox.get(name, 1.0)) for name in names])
+    return np.append([float(box_cox.get(name, 1.0)) for name in names], hidden)
 
 
 def _require_positive(network, data, measured, scored, power) -> None:

@@ -16,18 +16,21 @@ from jaxnarx.errors import DataError
 from jaxnarx.refinement.task import Task
 
 
-def divided(task: Task, groups: Groups, history: int) -> list[tuple[Task, Task]]:
+def divided(
+    task: Task, groups: Groups, history: int, judge: Task | None = None
+) -> list[tuple[Task, Task]]:
     """For every group a task without it, and one that it alone is judged by.
 
-    Shapes stay. A group without samples that count is passed over, and so is one
-    without which none are left; fewer than two others are a DataError.
+    That is a part of `judge`, where runs begin otherwise. Shapes stay. A group without
+    samples that count is passed over, and so is one without which none are left; fewer
+    than two others are a DataError.
     """
     rows = task.masks.anchors.shape[1]
     found = []
     for g in range(len(groups)):
         own = _stacked([label == g for label in groups.labels], rows)
         out = _stacked(groups.left_out(g), rows)
-        pair = task.without(out, history), task.only(own)
+        pair = task.without(out, history), (judge or task).only(own)
         if all(np.any(np.asarray(part.weight) > 0) for part in pair):
             found.append(pair)
     if len(found) < 2:

@@ -3,14 +3,14 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.programs import program, twin
 from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation import RunInputs, has_diverged, limited, run
+from jaxnarx.simulation import RunInputs, begun, has_diverged, limited, run
 
 
 class Judged(eqx.Module):
@@ -34,12 +34,14 @@ class Judged(eqx.Module):
 class Guard(eqx.Module):
     """Judges networks by the free run of records, from their measured starts.
 
-    A record has diverged by its samples that are `counted`.
+    A record has diverged by its samples that are `counted`. Hidden channels are
+    estimated anew for every network, before the sample `start` of each record.
     """
 
     layout: Layout
     drive: RunInputs
     anchor: Bool[Array | np.ndarray, "records time"]
+    start: Int[Array | np.ndarray, " records"]
     counted: Bool[Array | np.ndarray, "records time"]
     weight: Float[Array, "records time outputs"]
     criterion: Criterion
@@ -55,7 +57,9 @@ class Guard(eqx.Module):
 
     def of(self, network: Network) -> Judged:
         """Of any network that the records were prepared for."""
-        y = run(network, self.drive, self.anchor)
+        y = run(
+            network, begun(network, self.drive, jnp.asarray(self.start)), self.anchor
+        )
         value = self.criterion(y, self.drive.measured, self.weight)
         held = jnp.moveaxis(limited(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
@@ -70,7 +74,13 @@ def make_guard(layout: Layout, task: Task) -> Guard:
     counted = (time >= masks.start[:, None]) & (time < masks.end[:, None])
     counted &= np.any(masks.scored, axis=(1, 2))[:, None]
     return Guard(
-        layout, task.drive, task.anchors(None), counted, task.weight, task.criterion
+        layout,
+        task.drive,
+        task.anchors(None),
+        masks.start,
+        counted,
+        task.weight,
+        task.criterion,
     )
 
 

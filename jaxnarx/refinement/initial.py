@@ -5,6 +5,10 @@ forgotten. During refinement they may be estimated beside the parameters: offset
 from the measured values, each of which counts as one more residual of the same weight
 as a scored sample, so that a start pays for every bit it departs from its measurement.
 The finished network is judged and used from measured starts all the same.
+
+Hidden channels have no measurement: their values before a record's start are always
+estimated, as departures from those that fit the start's network best, with the weight
+of the prior of `jaxnarx.simulation.observer`. Used they start from its windows.
 """
 
 import equinox as eqx
@@ -14,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models import Network, depth, fed_back
 from jaxnarx.refinement.task import Task
+from jaxnarx.simulation.observer import PRIOR, scales
 
 
 class Initial(eqx.Module):
@@ -70,14 +75,26 @@ class Initial(eqx.Module):
         return jnp.where(here, value, 0.0).reshape(rows, states, -1)
 
 
-def initial_conditions(network: Network, task: Task) -> Initial | None:
-    """What can be estimated; None where the network feeds nothing back."""
+def initial_conditions(
+    network: Network, task: Task, *, measured: bool = True
+) -> Initial | None:
+    """What can be estimated; None where the network feeds nothing back.
+
+    Without `measured` the hidden channels' values alone; None where there are none.
+    """
     tables = [network.variables, *(m.scheduling for m in network.models)]
     if not any(fed_back(t, network.signals) for t in tables):
         return None
+    if not (measured or network.hidden):
+        return None
     start, time = task.masks.start, task.masks.anchors.shape[1]
-    weight = np.asarray(task.weight)
-    each = weight.max(axis=1)[:, None] * np.ones((1, depth(network), 1))
+    weight, count = np.asarray(task.weight), len(network.modelled)
+    each = weight.max(axis=1)
+    square = np.asarray(scales(network)[1]) ** 2
+    unit = (each * square[None])[:, :count].max(axis=1, keepdims=True)
+    each[:, count:] = PRIOR * unit / square[None, count:]
+    each[:, :count] *= measured
+    each = each[:, None] * np.ones((1, depth(network), 1))
     at = start[:, None] - 1 - np.arange(depth(network))[None]
     there = (start < time)[:, None] & (at >= 0)
     each = np.where(there[..., None], each, 0.0).astype(weight.dtype)

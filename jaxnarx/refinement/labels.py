@@ -52,7 +52,7 @@ def _coefficients(network: Network, o: int) -> Entries:
     gain = np.asarray(network.gain)
     scale = np.concatenate([[1.0], gain[[s for s, _ in network.variables]]])
     slope = gain[network.signals[o]] / np.prod(scale[factor], axis=2)
-    known, output = network.variable_names, network.output_names[o]
+    known, output = network.variable_names, network.computed_names[o]
     names = [
         f"{output}: model {m + 1}: {term_name(known, row)}"
         for m, rows in enumerate(factor.tolist())
@@ -64,7 +64,7 @@ def _coefficients(network: Network, o: int) -> Entries:
 
 def _validity(network: Network, o: int, model: OutputModel) -> list[Entries]:
     if not isinstance(model.validity, Gaussians):
-        return _plain(network.output_names[o], model)
+        return _plain(network.computed_names[o], model)
     span, offset = np.asarray(model.span)[None], np.asarray(model.offset)[None]
     centre = np.asarray(model.validity.centre)
     width = np.exp(np.asarray(model.validity.log_width)) * span
@@ -72,7 +72,7 @@ def _validity(network: Network, o: int, model: OutputModel) -> list[Entries]:
     known = variable_names(network.channels, model.scheduling)
 
     def names(kind: str) -> list[str]:
-        stem = f"{network.output_names[o]}: {kind} of model"
+        stem = f"{network.computed_names[o]}: {kind} of model"
         return [f"{stem} {m + 1} in {n}" for m in range(len(centre)) for n in known]
 
     there = np.broadcast_to(span, centre.shape)

@@ -81,7 +81,7 @@ class Layout(eqx.Module):
     high: Float[Array, " params"]
     chosen: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
     initial: Initial | None = None
-    back: tuple[Float[Array, "models slots slots"], ...] | None = None
+    back: tuple[Float[Array, "_ _ _"], ...] | None = None
 
     @property
     def nameless(self) -> "Layout":
@@ -221,11 +221,13 @@ def make_layout(
     initial: Initial | None = None,
     *,
     centred: bool = False,
+    every: bool = False,
 ) -> Layout:
     """Layout of the leaves that are True in `trainable` (default: all with an effect).
 
     `centred` frees the vector's coefficients of the offsets of channels that are far
-    from zero, where there are any; host only. Only coefficients and validity functions
+    from zero, where there are any, and with `every` of all channels' offsets and
+    spreads; host only. Only coefficients and validity functions
     can be trained; a True elsewhere raises `SpecError`.
     """
     tree = freeze(network) if trainable is None else trainable
@@ -245,7 +247,7 @@ def make_layout(
         )
     more = 0 if initial is None else initial.size
     low, high = _bounds(network, width_band, chosen, more)
-    back = _backs(network) if centred else None
+    back = _backs(network, every) if centred or every else None
     return Layout(network, low, high, chosen, initial, back)
 
 
@@ -269,13 +271,14 @@ def _bounds(
     return found
 
 
-def _backs(network: Network) -> tuple[Float[Array, "models slots slots"], ...] | None:
+def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] | None:
     """From coefficients of columns without offsets to those of terms, by output."""
     centre = Centring.of_ranges(
         np.asarray(network.low),
         np.asarray(network.high),
         np.asarray(network.gain),
         network.variables,
+        every=every,
     )
     if centre is None:
         return None

@@ -21,6 +21,7 @@ from jaxnarx.refinement.stability import (
 )
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import RunInputs
+from jaxnarx.simulation.observer import scales
 
 Arrays = Array | np.ndarray
 
@@ -66,7 +67,8 @@ class Problem(AbstractProblem):
 
     Runs restart at `anchor`; entries that are not `moving` stay. `ridge` is the share
     of their information that pulls the parameters to the start; `prior` adds that of a
-    prior: one over its standard deviation and over the root of the number of samples.
+    prior: one over its standard deviation and over the root of the number of samples,
+    `shrink` what a squared distance from the start costs as it is.
     """
 
     layout: Layout
@@ -78,6 +80,7 @@ class Problem(AbstractProblem):
     ridge: Float[Arrays, ""]
     prior: Float[Arrays, " params"] | None = None
     restraint: Restraint | None = None
+    shrink: Float[Arrays, " params"] | None = None
 
     @property
     def nameless(self) -> "Problem":
@@ -116,6 +119,8 @@ class Problem(AbstractProblem):
         The noise's variance, in units of the loss, is what is left at the start.
         """
         pull = self.ridge * jnp.diagonal(start.gram)
+        if self.shrink is not None:
+            pull = pull + self.shrink
         if self.prior is None:
             return pull
         slope = self.layout.slope(start.u)
@@ -135,6 +140,7 @@ def make_problem(
     prior: Float[np.ndarray, " params"] | None = None,
     still: np.ndarray | None = None,
     restraint: Restraint | None = None,
+    shrink: float | int = 0.0,
 ) -> Problem:
     """The loss of a task's runs that restart every `horizon` samples.
 
@@ -158,4 +164,14 @@ def make_problem(
         np.asarray(ridge, dtype),
         prior,
         restraint,
+        _shrink(layout, float(shrink)) if shrink else None,
     )
+
+
+def _shrink(layout: Layout, weight: float) -> Float[np.ndarray, " params"]:
+    """Of coefficients, in units of what they compute; zero for all others."""
+    pull, inner = np.zeros(layout.low.shape), layout.coefficients()
+    size = np.asarray(scales(layout.base)[1])
+    for (start, stop), own in zip(layout.spans(), size, strict=True):
+        pull[inner[(inner >= start) & (inner < stop)]] = weight / own**2
+    return pull.astype(layout.low.dtype)

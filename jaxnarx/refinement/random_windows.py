@@ -52,7 +52,8 @@ def batch_loss(
     size = before + length
     cut = partial(_cut, problem.drive, problem.weight, size=size)
     v, x, measured, weight = jax.vmap(cut)(at[:, 0], at[:, 1] - before)
-    window = RunInputs(v, x, measured)
+    known = jnp.ones(measured.shape, bool)
+    window = RunInputs(v, x, measured, known)
     anchor = jnp.broadcast_to(jnp.arange(size) == before, (at.shape[0], size))
     y = run(network, window, anchor)
     weight = jnp.where(jnp.arange(size)[None, :, None] < before, 0.0, weight)

@@ -94,10 +94,14 @@ def refine(
         settings |= {"corner": method.corner}
     task, _ = make_task(network, data, weights=weights, **settings)
     require_motion(network, task)
-    guard = task
+    _require_outputs(network, method)
+    guard, judged = task, data
     if validation is not None:
-        validation = fitting(network, validation)
-        guard, _ = make_task(network, validation, criterion=task.criterion)
+        judged = validation = fitting(network, validation)
+    if validation is not None or network.hidden:
+        rule = {"criterion": task.criterion, "window": network.window}
+        guard, _ = make_task(network, judged, **rule)
+    task = task.begun(network)
     trainable = _moving(network, trainable, method)
     # A prior is one of the coefficients as they stand.
     plain = deviations is None
@@ -110,11 +114,11 @@ def refine(
             "folds make validation records of the training data; give one or the other",
             field="folds",
         )
-    initial = None
-    if method.initial_conditions == "estimated":
-        initial = initial_conditions(network, task)
+    estimated = method.initial_conditions == "estimated"
+    initial = initial_conditions(network, task, measured=estimated)
     band = method.width_band
-    layout = make_layout(network, trainable, band, initial, centred=plain)
+    every = plain and method.shrink > 0
+    layout = make_layout(network, trainable, band, initial, centred=plain, every=every)
     found = None
     if method.folds:
         found = groups(data, folds=method.folds, gap=network.history)
@@ -166,21 +170,37 @@ def refine_task(
         own = [row for row in one.history if row.get("start", "") == one.winner]
         return curve(start, own, one.total)
 
-    folds = divided(task, left_out, layout.base.history)
+    folds = divided(task, left_out, layout.base.history, guard)
     limit, scores = best_position(folds, judge)
     if not np.isfinite(scores[limit]):
         limit = None
-    solution = _solve(search(task, task, limit))
+    solution = _solve(search(task, guard, limit))
     solution.stats["cross_validation"] = scores
     solution.stats["limit"] = limit
     return solution
+
+
+def _require_outputs(
+    network: Network, method: SimulationError | PredictionError
+) -> None:
+    """SpecError for methods that begin anew at measurements, of hidden channels."""
+    whole = isinstance(method, SimulationError) and method.solver != "windows"
+    if network.hidden and not whole:
+        raise SpecError(
+            "hidden channels are trained on free runs of whole records: take "
+            'SimulationError with another solver than "windows"',
+            field="method",
+        )
 
 
 def _schedules(
     layout: Layout, task: Task, method: SimulationError
 ) -> dict[str, list[Stage]]:
     """The orders of training that are tried, by name."""
-    if method.horizons == "auto":
+    if layout.base.hidden:
+        # Windows would begin at values of hidden channels that nobody knows.
+        horizons = []
+    elif method.horizons == "auto":
         first = first_horizon(layout.base, task.drive, task.masks)
         horizons = [first * 3**n for n in range(20)]
     else:

@@ -84,6 +84,7 @@ class Search(Course):
             prior=self.prior,
             still=self.still if stage.only_coefficients else None,
             restraint=restraint(self.layout, u, self.task, weight, target),
+            shrink=self.method.shrink,
         )
 
     def begun(self, u: np.ndarray, stage: Stage) -> tuple[Any, Standing]:

@@ -51,13 +51,17 @@ def random_start(
 ) -> np.ndarray:
     """The partition moved at random, with the coefficients of least squares there.
 
-    Without a trained partition the coefficients are moved instead.
+    With hidden channels they stay. Without a trained partition the coefficients are
+    moved instead.
     """
     bounded = np.isfinite(np.asarray(layout.low))
     wall = np.asarray(layout.wall())
     if bounded.any():
         moved = u + np.where(bounded, REACH * rng.normal(size=u.size), 0.0)
         moved = np.clip(moved, -wall, wall).astype(u.dtype)
+        if layout.base.hidden:
+            # One step ahead begins at hidden values that nobody knows.
+            return moved
         return one_step_least_squares(layout, task, moved)
     own = np.arange(u.size) < layout.parameters
     factor = 1.0 + JITTER * rng.normal(size=u.size)
@@ -90,12 +94,16 @@ def shrink_feedback(network: Network, factor: float | Float[Array, ""]) -> Netwo
 def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
     """Starts in place of one that diverges, in order, each with its name."""
     layout, task = search.layout, search.task
-    yield "one-step least squares", one_step_least_squares(layout, task, search.start)
+    if not layout.base.hidden:
+        yield (
+            "one-step least squares",
+            one_step_least_squares(layout, task, search.start),
+        )
     for factor in SHRINK:
         u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
         if not search.judge(u).diverged:
             yield f"feedback shrunk to {factor:g}", u
             break
     rng = np.random.default_rng(search.method.seed)
-    for n in range(EXTRA):
+    for n in range(0 if layout.base.hidden else EXTRA):
         yield f"random start {n + 1}", random_start(layout, task, search.start, rng)

@@ -15,6 +15,7 @@ from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
 from jaxnarx.simulation import (
     Masks,
     RunInputs,
+    begun,
     first_anchor,
     make_drive,
     make_masks,
@@ -58,10 +59,12 @@ class Task:
         later = np.arange(rows.shape[1])[None] >= start[:, None]
         scored = self.masks.scored & (~rows & later & some[:, None])[:, :, None]
         used = np.any(scored, axis=(1, 2))
+        start = np.where(used, start, self.masks.start)
         masks = dataclasses.replace(
             self.masks,
             anchors=np.where(used[:, None], anchors, self.masks.anchors),
-            start=np.where(used, start, self.masks.start),
+            start=start,
+            first=start,
         )
         return dataclasses.replace(self, masks=masks)._scoring(scored)
 
@@ -74,6 +77,11 @@ class Task:
         weight = jax.device_put((weight * share).astype(self.weight.dtype))
         masks = dataclasses.replace(self.masks, scored=scored)
         return dataclasses.replace(self, weight=weight, masks=masks)
+
+    def begun(self, network: Network) -> "Task":
+        """The same task with what hidden channels of `network` best start from."""
+        start = jax.device_put(self.masks.start)
+        return dataclasses.replace(self, drive=begun(network, self.drive, start))
 
     def one_step(self) -> "Task":
         """The same task, counting samples with a complete measured history alone."""
@@ -97,19 +105,22 @@ def make_task(
     loss: str = "squares",
     corner: float | int = 0.2,
     box_cox: float | int | Mapping[str, float | int] = 1.0,
+    window: int = 0,
 ) -> tuple[Task, Float[np.ndarray, " outputs"]]:
     """Prepare `data`; residuals are divided by the outputs' standard deviation in them.
 
     So the loss is the squared NRMSE that a report of these data states. A `criterion`
     may be given, as for validation records that of the training is. Also returns the
     standard deviations. `weights` holds one non-negative number per record; their
-    scale does not matter.
+    scale does not matter. Runs begin so many samples before the first that counts as
+    the `window` has, see `Masks`.
     """
     batch = stack(data)
-    masks = make_masks(network, batch)
+    masks = make_masks(network, batch, window)
     if not masks.scored.any():
         raise DataError(
-            f"no record has {network.history} valid samples in a row and one more to "
+            f"no record has {network.history + window} valid samples in a row and one "
+            "more to "
             "score; refinement has nothing to work on"
         )
     drive = make_drive(network, batch)
@@ -129,7 +140,7 @@ def make_task(
     share = masks.scored * record_weights(weights, len(data))[:, None, None]
     total = share.sum(axis=(0, 1))
     total = np.where(total > 0, total, 1.0)
-    weight = share / (total * spread**2 * len(spread))[None, None]
+    weight = share / (total * spread**2 * len(network.modelled))[None, None]
     weight = jax.device_put(weight.astype(spread.dtype))
     return Task(drive, masks, weight, criterion), spread
 
@@ -153,7 +164,7 @@ def record_weights(
 
 def require_motion(network: Network, task: Task) -> None:
     """`DataError` where a modelled output is constant over all samples that count."""
-    for o, name in enumerate(network.output_names):
+    for o, name in enumerate(network.computed_names):
         counted = np.asarray(task.drive.measured)[..., o][task.masks.scored[..., o]]
         # A constant's own standard deviation is a rounding error, not zero.
         if counted.size and counted.std() <= CONSTANT * np.abs(counted).max():

@@ -147,6 +147,7 @@ def uncertainty(
     _one_of(start, ("measured", "exact"), "start")
     if not (np.isfinite(ridge) and ridge >= 0):
         raise SpecError(f"ridge must not be negative, got {ridge}", field="ridge")
+    network.require_measured("The uncertainty of parameters")
     data = fitting(network, data)
     task, _ = make_task(network, data)
     layout = make_layout(network, trainable, (0.5, 2.0))

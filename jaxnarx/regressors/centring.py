@@ -58,10 +58,15 @@ class Centring:
         high: Float[np.ndarray, " signals"],
         gain: Float[np.ndarray, " signals"],
         variables: Variables,
+        *,
+        every: bool = False,
     ) -> "Centring | None":
-        """From the signals' ranges alone; a quarter of one stands for the spread."""
+        """From the signals' ranges alone; a quarter of one stands for the spread.
+
+        With `every`, of all variables that change at all and not the far ones alone.
+        """
         middle, spread = (low / gain + high / gain) / 2, (high - low) / gain / 4
-        far = is_far(middle, spread)
+        far = (spread > 0) if every else is_far(middle, spread)
         if not far[variables.signal].any():
             return None
         shift, size = np.where(far, middle, 0.0), np.where(far, spread, 1.0)

@@ -139,7 +139,7 @@ class Teller(ExitStack):
             say(f"  {asked} were asked for; there are no more candidates")
 
     def _grown(self, network: Network) -> None:
-        for name, model in zip(network.output_names, network.models, strict=True):
+        for name, model in zip(network.computed_names, network.models, strict=True):
             terms = count(model.local.index.shape[1], "term")
             of = "of" if np.asarray(model.local.used).all() else "of up to"
             own = 0 if model.own is None else int(model.own.sum())

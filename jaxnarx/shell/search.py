@@ -151,6 +151,7 @@ def _run(
             budget=asked.budget,
             candidates=asked.candidates,
             outputs=asked.outputs,
+            states=asked.states,
             validation=validation,
             folder=folder,
             progress=progress,

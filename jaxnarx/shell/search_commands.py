@@ -22,6 +22,9 @@ class Automatic:
     """Time for the search, such as 10m, 600s or 1h; default: the preset's."""
     candidates: int | None = None
     """Most candidates of every output; default: the preset's."""
+    states: int | None = None
+    """Number of hidden states of candidates that have some, 0 for none of these;
+    default: what the preset tries."""
     outputs: tuple[str, ...] = ()
     """Names of the outputs to be modelled; default: all."""
 

@@ -10,7 +10,7 @@ from jaxnarx.methods import PRESETS
 from jaxnarx.shell.search_commands import Automatic
 from jaxnarx.texts import field_texts
 
-NAMES = ("preset", "budget", "candidates")
+NAMES = ("preset", "budget", "candidates", "states")
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 """Seconds of the units of a budget; without one it is in seconds."""
 
@@ -22,6 +22,7 @@ def search_options() -> list[tuple[str, Any, None]]:
         "preset": (Literal[tuple(PRESETS)], None, f"(default: {Automatic.preset})"),
         "budget": (str, "TIME", ""),
         "candidates": (int, "INT", ""),
+        "states": (int, "INT", ""),
     }
     return [
         (
@@ -45,10 +46,13 @@ def automatic(parsed: Any) -> Automatic:
     budget = None if parsed.budget is None else seconds(parsed.budget)
     if parsed.candidates is not None and parsed.candidates < 1:
         raise SpecError(f"--candidates must be at least 1, got {parsed.candidates}")
+    if parsed.states is not None and parsed.states < 0:
+        raise SpecError(f"--states must not be negative, got {parsed.states}")
     return Automatic(
         preset=parsed.preset or Automatic.preset,
         budget=budget,
         candidates=parsed.candidates,
+        states=parsed.states,
         outputs=tuple(parsed.output or ()),
     )
 
@@ -83,4 +87,6 @@ def words_of_search(method: Automatic) -> list[str]:
         words += ["--budget", f"{method.budget:g}s"]
     if method.candidates is not None:
         words += ["--candidates", str(method.candidates)]
+    if method.states is not None:
+        words += ["--states", str(method.states)]
     return words

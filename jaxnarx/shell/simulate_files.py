@@ -104,7 +104,8 @@ def _new_data(command: Simulate, network: Network) -> Dataset:
                 "prepared likewise (--prepare does it to raw ones):\n"
                 f"{known.describe()}"
             )
-        return _records(command, network.channels, float(network.sample_time))
+        wanted = network.channels.measured
+        return _records(command, wanted, float(network.sample_time))
     if known is None:
         raise SpecError(
             f"{command.model} was not identified from prepared records; leave out "

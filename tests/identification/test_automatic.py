@@ -21,7 +21,7 @@ from jaxnarx.methods import PRESETS, Preset
 from jaxnarx.output_error import ClosedForm
 from jaxnarx.solution import Solution
 
-TINY = Preset("for tests", max_models=2, grown=1, fed_back=0)
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=0)
 LINEAR = 10
 """Candidates of the preset of linear models for one output."""
 

@@ -18,7 +18,7 @@ from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import Preset
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, look
 
-TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, longest=10_000)
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def judged(monkeypatch, few) -> dict:
         result = said["results"].pop(0)
         if isinstance(result, Exception):
             raise result
-        return result
+        return [result]
 
     monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "judge", judge)
@@ -74,7 +74,7 @@ def made(losses, network=None, **more) -> JudgedMethod:
 
 
 def names(data, seen) -> list[tuple[str, str]]:
-    return [(family, name) for family, name, _ in fed_back(data, seen)]
+    return [(family, name) for family, (name,), _ in fed_back(data, seen)]
 
 
 def tried(data, seen, preset=TINY, **more):

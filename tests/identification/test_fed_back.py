@@ -29,7 +29,7 @@ def wide(inputs: int) -> Dataset:
 
 def test_every_candidate_has_a_name_and_more_terms_to_choose_from_than_it_takes():
     data, seen = plant(2), []
-    for family, name, method in fed_back(data, LOOK):
+    for family, (name,), method in fed_back(data, LOOK):
         seen.append((family, name))
         assert isinstance(method.pool, Pool) and isinstance(method.select, ForwardOLS)
         assert isinstance(method.refine, SimulationError)

@@ -9,7 +9,8 @@ import pytest
 from search_problems import LENGTHS, explosive, plant
 
 from jaxnarx.data import groups, shortened
-from jaxnarx.identification.judge import HOPELESS, JudgedMethod, judge, trained
+from jaxnarx.identification import judge as module
+from jaxnarx.identification.judge import HOPELESS, JudgedMethod
 from jaxnarx.methods import (
     ForwardOLS,
     Global,
@@ -28,6 +29,17 @@ METHOD = Identification(
 )
 """y(t) = c + b u(t-1) - a y(t-1), by least squares one step ahead."""
 SPREAD = 2.5
+
+
+def judge(*args, **more) -> JudgedMethod:
+    """The outcome of a method that ends with one network."""
+    (one,) = module.judge(*args, **more)
+    return one
+
+
+def trained(*args):
+    (network,) = module.trained(*args)
+    return network
 
 
 @pytest.fixture(scope="module")

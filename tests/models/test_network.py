@@ -218,7 +218,9 @@ def test_a_term_listed_twice_in_a_model_adds_up():
 
 
 def test_as_many_models_as_outputs():
-    with pytest.raises(ValueError, match="2 modelled outputs but 1 models"):
+    with pytest.raises(
+        ValueError, match="2 modelled outputs and 0 hidden channels but 1 models"
+    ):
         common.network([PARTS["one"]], (0, 1))
 
 

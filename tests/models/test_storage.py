@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import common
 import equinox as eqx
+import hidden_problems
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 from jaxtyping import Array, Float
 from safetensors.numpy import load_file, save_file
 
+from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.models import AbstractValidity, hold_to_range, load, save, validity
 from jaxnarx.models.storage import FORMAT, load_about
@@ -115,6 +117,70 @@ def test_files_without_limits_are_those_of_before(tmp_path):
         assert (tmp_path / name).read_bytes() == (tmp_path / "plain").read_bytes()
 
 
+def test_hidden_channels_come_back_with_their_window_in_the_newest_format(tmp_path):
+    network = hidden_problems.network(spare_models=1, spare_slots=1)
+    named = Channels(
+        network.channels.inputs,
+        network.channels.outputs,
+        (Channel("wall temperature", "K"), Channel("x2")),
+    )
+    network = hold_to_range(dataclasses.replace(network, channels=named))
+    save(network, tmp_path / "m")
+    again = load(tmp_path / "m")
+    assert jax.tree.structure(again) == jax.tree.structure(network)
+    assert again.channels == named and again.window == network.window
+    assert contents(tmp_path / "m")[1]["format"] == FORMAT == 6
+    save(again, tmp_path / "n")
+    assert (tmp_path / "m").read_bytes() == (tmp_path / "n").read_bytes()
+
+
+def test_a_program_of_before_says_that_it_cannot_read_hidden_channels(
+    tmp_path, monkeypatch
+):
+    save(hidden_problems.network(), tmp_path / "m")
+    monkeypatch.setattr("jaxnarx.models.storage.FORMAT", 5)
+    refused(tmp_path / "m", "format 6", "reads formats up to 5", "Update jaxnarx")
+
+
+HIDDEN_DAMAGE: dict[str, tuple[dict, str]] = {
+    "no window": ({"window": None}, "'window' is missing"),
+    "negative window": ({"window": -1}, "the window of hidden channels"),
+    "window in parts": ({"window": 2.5}, "the window of hidden channels is 2.5"),
+    "window as text": ({"window": "12"}, "the window of hidden channels is '12'"),
+    "a truth for a window": ({"window": True}, "the window of hidden channels is True"),
+    "endless window": ({"window": 10**7}, "the window of hidden channels"),
+    "none of them": ({"hidden": []}, "outside the channels"),
+    "no list": ({"hidden": None}, "outside the channels"),
+    "one too few": ({"hidden": [["x1", ""]]}, "outside the channels"),
+    "one too many": ({"hidden": [["p", ""], ["q", ""], ["r", ""]]}, "3 hidden"),
+    "a name twice": ({"hidden": [["x1", ""], ["y", ""]]}, "'y' is named more than"),
+    "a number": ({"hidden": [["x1", ""], [2, ""]]}, "name or unit is 2"),
+    "text": ({"hidden": "x1x2"}, "damaged"),
+    "beyond the table": ({"variables": [[6, 1]] * 5}, "outside the channels"),
+    "before it is there": ({"variables": [[5, 0]] * 5}, "before it is computed"),
+}
+
+
+@pytest.mark.parametrize("what", HIDDEN_DAMAGE)
+def test_damage_to_what_is_said_of_hidden_channels_is_refused(tmp_path, what):
+    path, (change, word) = tmp_path / "m", HIDDEN_DAMAGE[what]
+    save(hidden_problems.network(), path)
+    tensors, header = contents(path)
+    header = {k: v for k, v in (header | change).items() if v is not None}
+    write(path, tensors, header)
+    refused(path, word)
+
+
+@pytest.mark.parametrize("name", ["gain", "low", "high", "lower", "upper"])
+def test_numbers_of_hidden_channels_must_be_there(tmp_path, name):
+    path = tmp_path / "m"
+    save(hidden_problems.network(), path)
+    tensors, header = contents(path)
+    tensors[f".{name}"] = tensors[f".{name}"][:-1]
+    write(path, tensors, header)
+    refused(path, f"{name} has not one entry per")
+
+
 @pytest.mark.parametrize("bad", [np.array(-0.1), np.array([0.1, 0.1]), np.array(3)])
 def test_a_margin_that_is_none_is_refused(tmp_path, bad):
     path = tmp_path / "m"
@@ -155,8 +221,6 @@ def test_what_is_said_about_a_model_comes_back(tmp_path):
 
 
 def test_odd_channel_names_survive(tmp_path):
-    from jaxnarx.data import Channel, Channels
-
     network = build("one model")
     channels = Channels(
         (Channel('"; {}\\', "µg/m³"), Channel("=1+1")), network.channels.outputs

@@ -17,7 +17,8 @@ from jaxnarx.methods import (
 from jaxnarx.methods.settings import changed
 from jaxnarx.partition.placed import clusters
 from jaxnarx.partition.stages import best_stage, choose_stage
-from jaxnarx.simulation import IN_A_ROW, has_diverged
+from jaxnarx.simulation import has_diverged
+from jaxnarx.simulation.trajectories import IN_A_ROW
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import shapes

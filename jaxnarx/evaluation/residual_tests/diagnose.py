@@ -85,6 +85,7 @@ def diagnose(
         `value.summary` a sentence for each.
     """
     _check(network, lags, level, estimated)
+    network.require_measured("The analysis of residuals")
     matched = fitting(network, data)
     batch = stack(matched)
     run = predict(network, matched).value if predicted is None else predicted

@@ -17,10 +17,12 @@ from jaxnarx.simulation import (
     Masks,
     RunInputs,
     Trajectories,
+    begun,
     first_anchor,
     fitting,
     make_drive,
     make_masks,
+    observed,
     simulate,
     states,
 )
@@ -134,11 +136,12 @@ def _own_outputs(
     run again.
     """
     if network.parallel:
+        drive = begun(network, drive, jnp.asarray(masks.start))
         return np.asarray(states(network, drive, jnp.asarray(first_anchor(masks))))
     y = np.array(drive.measured, np.float64)
     gain = np.asarray(network.gain, np.float64)[np.array(network.signals)]
-    for n, computed in enumerate(run.computed):
-        y[n, : len(computed)] = computed / gain
+    for n, parts in enumerate(zip(run.computed, run.hidden, strict=True)):
+        y[n, : len(parts[0])] = np.concatenate(parts, axis=1) / gain
     return y.astype(drive.measured.dtype)
 
 
@@ -173,7 +176,8 @@ def stability(
     run = simulate(network, data) if simulated is None else simulated
     matched = fitting(network, data)
     batch = stack(matched)
-    masks, drive = make_masks(network, batch), make_drive(network, batch)
+    masks = make_masks(network, batch, network.window)
+    drive = observed(network, make_drive(network, batch))
     own = _own_outputs(network, drive, masks, run.value)
     visited = points_of(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(

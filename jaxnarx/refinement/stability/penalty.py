@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.arrays.programs import program
-from jaxnarx.models import Network, general_step
+from jaxnarx.models import Network, general_step, sources
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.stability.norm import contracting_norm
 from jaxnarx.refinement.stability.points import (
@@ -31,7 +31,7 @@ from jaxnarx.refinement.stability.points import (
     part_of,
     points_of,
 )
-from jaxnarx.simulation import Masks, RunInputs
+from jaxnarx.simulation import Masks, RunInputs, first_anchor, states
 
 
 class Metric(eqx.Module):
@@ -44,8 +44,17 @@ class Metric(eqx.Module):
 def penalty_points(
     network: Network, drive: RunInputs, masks: Masks, *, count: int = 300
 ) -> Points:
-    """Up to `count` samples with measured histories, evenly spaced."""
-    return points_of(network, drive, masks, count=count)
+    """Up to `count` samples with measured histories, evenly spaced.
+
+    Hidden channels are not measured: with them histories are those of the free run.
+    """
+    own = None
+    if network.hidden:
+        own = np.asarray(states(network, drive, jnp.asarray(first_anchor(masks))))
+        begun = np.arange(own.shape[1])[None] >= masks.start[:, None]
+        start = np.asarray(drive.measured)[..., sources(network)]
+        own = np.where(begun[..., None], own, start)
+    return points_of(network, drive, masks, count=count, outputs=own)
 
 
 def find_metric(network: Network, points: Points) -> Metric:

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError
-from jaxnarx.models import Network, depth, sources
+from jaxnarx.models import Network, depth, fed_back, sources
 from jaxnarx.refinement.sensitivity import linearised
 from jaxnarx.simulation import Masks, RunInputs
 
@@ -67,7 +67,7 @@ def points_of(
     """Samples with a complete measured window, evenly thinned to `count`.
 
     Their history is the measured one, or that of `outputs`, all that a run's loop has
-    carried (scaled).
+    carried (scaled); hidden channels are those of the history.
     Without any such sample: `DataError`.
     """
     record, step = np.nonzero(masks.anchors)
@@ -87,8 +87,21 @@ def points_of(
     def columns(a: Float[Array, "records rows time"]) -> np.ndarray:
         return np.asarray(a)[record, :, step].T
 
-    x = tuple(columns(x) for x in drive.x)
-    return Points(columns(drive.v), x, history, record, step)
+    v, x = columns(drive.v), tuple(columns(x) for x in drive.x)
+    _fill_hidden(network, v, x, history)
+    return Points(v, x, history, record, step)
+
+
+def _fill_hidden(network: Network, v: np.ndarray, x, history: np.ndarray) -> None:
+    """Put the hidden channels of the history where measurements have none."""
+    count, gain = len(network.modelled), np.asarray(network.gain)
+    for row, o, d in fed_back(network.variables, network.signals):
+        if o >= count:
+            v[row + 1] = history[:, o, d]
+    for model, x_o in zip(network.models, x, strict=True):
+        for row, o, d in fed_back(model.scheduling, network.signals):
+            if o >= count:
+                x_o[row] = history[:, o, d] * gain[network.signals[o]]
 
 
 def chunked(f, points: Points, *, axis: int) -> np.ndarray:

@@ -122,7 +122,7 @@ def pole_table(
     """Every local model at measured histories, then the network along its free run."""
     rows = [
         _row(name, m + 1, modulus, sample_time)
-        for o, name in enumerate(network.output_names)
+        for o, name in enumerate(network.computed_names)
         for m, modulus in local_moduli(network, measured, o).items()
     ]
     whole = moduli(companion(jacobians(network, visited)))

@@ -50,7 +50,8 @@ class TrainingData(eqx.Module):
         """The free run of the records that judge."""
         own, part = squares(1, self.weight.dtype), self.guard_part
         anchor, weight = jnp.asarray(first_anchor(part)), self.guard_weight
-        return Guard(self.layout, self.guard, anchor, counted(part), weight, own)
+        start = jnp.asarray(part.start)
+        return Guard(self.layout, self.guard, anchor, start, counted(part), weight, own)
 
     def problem(self, turn: "Turn", ridge: Float[Array, ""]) -> Problem:
         """The loss of the stage that a turn belongs to."""

@@ -1,0 +1,74 @@
+"""Candidates with hidden states, each trained on the free run."""
+
+import math
+from collections.abc import Iterator
+
+from jaxnarx.data import Dataset, shortened
+from jaxnarx.methods import HiddenStates, Preset
+from jaxnarx.states import linear_order
+
+FAMILY = "hidden states"
+FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8, 2))
+MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
+"""Number of states and degree, in the order they are tried."""
+FEW = 2
+"""Inputs up to which they are tried unasked, products of three factors first."""
+PULLS = (0.1, 0.01, 0.001)
+LARGEST = 900
+"""Coefficients of a candidate."""
+SAMPLES = 6
+"""Samples for each coefficient."""
+ORDERS = 6
+"""Most states of the linear models that are looked at."""
+ROWS = 10_000
+"""Samples, in stretches of all records, of that look."""
+STEPS = 25
+"""Accepted steps at each pull."""
+SHARE, WINDOW = 40, (10, 50)
+"""The window that starts are estimated from: this part of the shortest record, but not
+less and not more samples than these."""
+
+
+def with_states(
+    data: Dataset, output: str, preset: Preset
+) -> Iterator[tuple[str, list[str], HiddenStates]]:
+    """(family, names, method), those that pay most often first.
+
+    The first has as many states as a linear model asks for. One method makes a
+    candidate for every pull towards the linear model.
+    """
+    low, high = WINDOW
+    window = min(max(min(map(len, data)) // SHARE, low), high)
+    inputs = len(data.channels.inputs)
+    for states, degree in _structures(data, output, preset):
+        count = (states + 1) * math.comb(states + inputs + degree, degree)
+        if count > min(LARGEST, data.samples / SAMPLES):
+            continue
+        names = [f"{states} states, degree {degree}, pull {p:g}" for p in PULLS]
+        method = HiddenStates(
+            outputs=(output,),
+            states=states,
+            degree=degree,
+            shrink=PULLS,
+            window=window,
+            max_steps=STEPS,
+        )
+        yield FAMILY, names, method
+
+
+def _structures(
+    data: Dataset, output: str, preset: Preset
+) -> Iterator[tuple[int, int]]:
+    """Number of states and degree; nothing is looked at before the first is wanted."""
+    few = len(data.channels.inputs) <= FEW
+    if not (few or preset.orders or preset.rule == "best"):
+        # On virtual engines none came near the closed form, at minutes for each.
+        return
+    degrees = (3, 2) if few else (2, 3)
+    if preset.orders:
+        yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
+        return
+    usual = FEW_INPUTS if degrees[0] == 3 else MANY_INPUTS
+    n = linear_order(shortened(data, ROWS), output, ORDERS)
+    own = () if n is None else ((n, degree) for degree in degrees)
+    yield from dict.fromkeys([*own, *usual])

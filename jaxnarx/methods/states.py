@@ -1,0 +1,45 @@
+"""Settings of models with hidden states."""
+
+from collections.abc import Sequence
+
+from jaxnarx.checks import require
+from jaxnarx.methods.fields import Count, Steps, settings
+
+
+@settings
+class HiddenStates:
+    """A state-space model with polynomials of states and inputs, trained on the free
+    run.
+
+    Linear models by subspace identification and a chain of first-order lags are its
+    starts; products come with coefficients of zero.
+    """
+
+    outputs: Sequence[str] = ()
+    """Names of the outputs it computes; default: all."""
+    states: Count = 2
+    """Number of hidden states."""
+    degree: Count = 2
+    """Most factors of a product."""
+    shrink: Sequence[float] = (0.1, 0.01, 0.001)
+    """Pull of the coefficients towards the linear model, see `SimulationError`; the
+    training goes through these values one after another."""
+    window: Count = 50
+    """Measured samples that a run's first states are estimated from."""
+    start: str = ""
+    """Name of the linear model to start from; by default the one with the smallest
+    training error after its first steps."""
+    max_steps: Steps = 40
+    """Accepted steps at each value of `shrink`, on all samples."""
+    first_steps: Steps = 12
+    """Those that every start is given before the best is chosen."""
+    first_rows: Count = 3000
+    """Samples, in stretches of all records, that these are taken on."""
+
+    def __post_init__(self):
+        falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))
+        require(
+            len(self.shrink) > 0 and falling and self.shrink[-1] >= 0,
+            "shrink",
+            f"shrink must fall, and not below zero, got {tuple(self.shrink)}",
+        )

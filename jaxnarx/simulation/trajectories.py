@@ -1,0 +1,150 @@
+"""What a run makes of records, in physical units, and when it counts as diverged."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnarx.data.batch import Batch
+from jaxnarx.models import Network, reported
+from jaxnarx.simulation.masks import tables
+
+SHARE = 0.05
+"""A record whose limited samples exceed this share has diverged ..."""
+
+
+IN_A_ROW = 50
+"""... and so has one with this many limited samples in a row."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Outputs of a run, one array per record, in physical units.
+
+    Samples before the first prediction repeat the measurement. `scored` marks predicted
+    samples whose measurement is valid, `limited` those held by the feedback bound (of a
+    k-step prediction: those that the bound held on the way, for k = 1 none; or that are
+    beyond all numbers), `held` those of a network with limits whose output is at the
+    edge of its trained range in place of what was `computed`, `extrapolated` those with
+    an input outside its training range, or in a prediction a measured or computed
+    output; `diverged` tells per output whether the record counts as diverged. `hidden`
+    are the hidden channels in their own unit; a sample of which one is held by its
+    bound is `limited` for all outputs.
+    """
+
+    outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
+    computed: tuple[Float[np.ndarray, "_ outputs"], ...]
+    scored: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    limited: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    held: tuple[Bool[np.ndarray, "_ outputs"], ...]
+    extrapolated: tuple[Bool[np.ndarray, " _"], ...]
+    diverged: tuple[Bool[np.ndarray, " outputs"], ...]
+    names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    hidden: tuple[Float[np.ndarray, "_ hidden"], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    def __getitem__(self, record: int) -> Float[np.ndarray, "time outputs"]:
+        return self.outputs[record]
+
+
+def limited(
+    network: Network, y: Float[Array, "records time outputs"]
+) -> Bool[Array, "records time outputs"]:
+    """Where the feedback bound holds the scaled outputs of a run."""
+    return (y <= network.lower[None, None]) | (y >= network.upper[None, None])
+
+
+def has_diverged(
+    held: Bool[Array | np.ndarray, "*rows time"],
+    counted: Bool[Array | np.ndarray, "*rows time"] | None = None,
+) -> Any:
+    """More than 5 % of the samples, or 50 in a row, held by the feedback bound.
+
+    Of the samples that are `counted`, by default all; a flag for every row. NumPy in,
+    NumPy out; inside programs too.
+    """
+    xp = np if isinstance(held, np.ndarray) else jnp
+    counted = xp.ones_like(held) if counted is None else counted
+    held = held & counted
+    count, total = held.sum(axis=-1), counted.sum(axis=-1)
+    bad = count.astype(float) > SHARE * total.astype(float)
+    if held.shape[-1] < IN_A_ROW:
+        return bad
+    so_far = xp.cumsum(held, axis=-1)
+    before = xp.concatenate([xp.zeros_like(so_far[..., :1]), so_far], axis=-1)
+    in_a_row = before[..., IN_A_ROW:] - before[..., :-IN_A_ROW]
+    return bad | (in_a_row == IN_A_ROW).any(axis=-1)
+
+
+def _extrapolated(
+    network: Network, batch: Batch, k: int | None
+) -> Bool[np.ndarray, "records time"]:
+    """Where an input leaves its range; with `k` a measured output too, which the
+    prediction starts from that many steps before."""
+    signals = np.asarray(network.complete(batch.signals))
+    slack = 1e-9 * (np.asarray(network.high) - np.asarray(network.low))
+    outside = (signals < np.asarray(network.low) - slack) | (
+        signals > np.asarray(network.high) + slack
+    )
+    records, time, _ = signals.shape
+    mask = np.zeros((records, time), bool)
+    for s, d in tables(network):
+        if s in network.signals:
+            if k is None or s >= len(network.channels.measured.all):
+                continue
+            d += k - 1
+        mask[:, d:] |= outside[:, : max(time - d, 0), s]
+    return mask
+
+
+def make_trajectories(
+    network, data, batch, scaled, scored, start, ahead=None
+) -> Trajectories:
+    """Of a free run, or of a prediction so many steps `ahead` = (k, limited)."""
+    own = np.array(network.signals)
+    ranges = network.gain, network.low, network.high
+    gain, low, high = (np.asarray(a)[own] for a in ranges)
+    lower, upper = np.asarray(network.lower), np.asarray(network.upper)
+    with np.errstate(over="ignore", invalid="ignore"):
+        computed = np.asarray(scaled) * gain
+    lost = ~np.isfinite(computed)
+    computed = np.where(lost, lower * gain, computed)
+    extrapolated = _extrapolated(network, batch, ahead and ahead[0])
+    if ahead is None:
+        limited = lost | (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
+    else:
+        limited = lost | np.asarray(ahead[1])
+        extrapolated |= np.any((computed < low) | (computed > high), axis=2)
+    count = len(network.modelled)
+    limited = limited[..., :count] | limited[..., count:].any(axis=2, keepdims=True)
+    outputs, hidden, scored = (
+        computed[..., :count],
+        computed[..., count:],
+        scored[..., :count],
+    )
+    edge, at_edge = reported(network, outputs)
+    columns: tuple[list, ...] = ([], [], [], [], [], [], [])
+    for n, record in enumerate(data):
+        length = len(record)
+        first = min(int(start[n]), length)
+        values = edge[n, :length], outputs[n, :length]
+        for y in values:
+            y[:first] = record.y[:first, np.array(network.modelled)]
+        masks = limited[n, :length].copy(), at_edge[n, :length].copy()
+        for mask in masks:
+            mask[:first] = False
+        bad = np.asarray(has_diverged(masks[0][first:].T))
+        parts = *values, scored[n, :length], *masks, extrapolated[n, :length], bad
+        for column, part in zip(columns, parts, strict=True):
+            column.append(part)
+    return Trajectories(
+        *map(tuple, columns),
+        names=tuple(data.names),
+        output_names=tuple(network.output_names),
+        hidden=tuple(h[: len(r)] for h, r in zip(hidden, data, strict=True)),
+    )

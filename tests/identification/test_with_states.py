@@ -1,0 +1,316 @@
+"""Candidates with hidden states: what is tried, judged, kept and not tried again."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from search_problems import LENGTHS, made, plant
+
+import jaxnarx as jnx
+from jaxnarx.data import Dataset, groups
+from jaxnarx.errors import DataError
+from jaxnarx.identification import automatic
+from jaxnarx.identification import candidates as module
+from jaxnarx.identification import judge as judging
+from jaxnarx.identification.candidates import Candidates
+from jaxnarx.identification.judge import JudgedMethod
+from jaxnarx.identification.leaderboard import Contender
+from jaxnarx.identification.with_states import (
+    FAMILY,
+    FEW,
+    FEW_INPUTS,
+    LARGEST,
+    MANY_INPUTS,
+    ORDERS,
+    PULLS,
+    SAMPLES,
+    WINDOW,
+    with_states,
+)
+from jaxnarx.methods import PRESETS, HiddenStates, Preset
+from jaxnarx.output_error import ClosedSearch, look
+
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=2)
+
+
+def wide(inputs: int, rows: int) -> Dataset:
+    """Noise."""
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=(rows, inputs)), rng.normal(size=(rows, 1))
+    names = [f"u{n}" for n in range(inputs)]
+    return Dataset.from_arrays([u], [y], inputs=names, outputs=["y"], sample_time=0.1)
+
+
+def sizes(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
+    """Number of states and degree of what is tried."""
+    found = list(with_states(data, "y", preset))
+    return [(method.states, method.degree) for _, _, method in found]
+
+
+# what is tried --------------------------------------------------------------------
+
+
+def test_a_method_has_a_name_for_every_pull():
+    data, seen = plant(2), []
+    for family, names, method in with_states(data, "y", TINY):
+        assert family == FAMILY and method.outputs == ("y",)
+        assert len(names) == len(method.shrink) == len(PULLS)
+        for name, pull in zip(names, method.shrink, strict=True):
+            assert name == (
+                f"{method.states} states, degree {method.degree}, pull {pull:g}"
+            )
+        seen += names
+    assert len(set(seen)) == len(seen) >= 6
+
+
+def test_orders_that_are_asked_for_are_the_only_ones():
+    asked = dataclasses.replace(TINY, orders=(3, 1))
+    found = sizes(wide(1, 5000), asked)
+    assert found == [(3, 3), (3, 2), (3, 1), (1, 3), (1, 2), (1, 1)]
+    # Many inputs hold nobody back who asks.
+    many = sizes(wide(FEW + 1, 5000), dataclasses.replace(asked, orders=(1,)))
+    assert many == [(1, 2), (1, 3), (1, 1)]
+
+
+def test_many_inputs_are_not_tried_unasked():
+    data = wide(FEW + 1, 5000)
+    assert sizes(data) == []
+    assert sizes(data, dataclasses.replace(TINY, rule="best"))
+
+
+def test_a_linear_model_says_how_many_states_are_tried_first():
+    """A resonance behind a lag: three poles, and noise."""
+    rng, n = np.random.default_rng(0), 3000
+    u = rng.normal(size=(n, 1))
+    b, a = np.array([0.0, 0.1]), np.poly([0.9, 0.8 + 0.4j, 0.8 - 0.4j]).real
+    y = np.asarray(lfilter(b, a, u[:, 0]))[:, None]
+    y += 0.01 * y.std() * rng.normal(size=y.shape)
+    assert sizes(made([u], [y]))[:2] == [(3, 3), (3, 2)]
+
+
+@pytest.mark.parametrize(("inputs", "rows"), [(1, 600), (1, 5000), (2, 10_000)])
+def test_there_are_samples_enough_for_the_coefficients(inputs, rows):
+    def count(states, degree):
+        return (states + 1) * math.comb(states + inputs + degree, degree)
+
+    most = min(LARGEST, rows / SAMPLES)
+    found = sizes(wide(inputs, rows))
+    assert all(count(*one) <= most and one[0] <= 8 for one in found)
+    # Behind what the linear model asks for come those of the list that the data bear.
+    usual = [one for one in FEW_INPUTS if count(*one) <= most]
+    assert usual and (rows > 600) == (len(usual) == len(FEW_INPUTS))
+    assert set(usual) <= set(found) and len(found) <= len(usual) + 2
+    assert all(n <= ORDERS for n, _ in set(found) - set(usual))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "window"), [((120,), 10), ((1000, 3000), 25), ((9000,), WINDOW[1])]
+)
+def test_the_window_is_a_share_of_the_shortest_record(lengths, window):
+    rng = np.random.default_rng(0)
+    signals = [rng.normal(size=(n, 1)) for n in lengths]
+    every = list(with_states(made(signals, signals), "y", TINY))
+    assert every and {method.window for _, _, method in every} == {window}
+
+
+def test_presets_try_them_as_they_say():
+    for name in ("linear", "ecu"):
+        assert PRESETS[name].states == 0
+    counts = [PRESETS[name].states for name in ("quick", "good", "best")]
+    assert counts == sorted(counts) and counts[0] > 0
+    assert counts[-1] <= len({*FEW_INPUTS, *MANY_INPUTS})
+
+
+# how they are tried ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def closed():
+    """The mean, and the look at the data."""
+    data = plant()
+    seen = look(data, "y")
+    return data, seen, ClosedSearch(data, seen, groups(data)).constant()
+
+
+@pytest.fixture
+def asked(monkeypatch, closed) -> dict:
+    """Methods that the judge was asked for; it gives `results` in turn."""
+    said: dict = {"asked": [], "results": []}
+
+    class Fake:
+        spread = 1.5
+
+        def __init__(self, *_):
+            pass
+
+        def candidates(self, **_):
+            yield closed[2]
+
+    def judge(method, *_):
+        said["asked"].append(method)
+        result = said["results"].pop(0)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    monkeypatch.setattr(module, "ClosedSearch", Fake)
+    monkeypatch.setattr(module, "judge", judge)
+    return said
+
+
+def outcome(closed, *errors: float | None) -> list[JudgedMethod]:
+    """One network for every error; None: given up."""
+    counts = np.full(4, 100.0)
+    network = closed[2].network()
+    return [
+        JudgedMethod(np.full(4, np.nan), counts, np.nan, 0, None, "given up")
+        if e is None
+        else JudgedMethod(np.full(4, e**2), counts, 0.1, 0, network)
+        for e in errors
+    ]
+
+
+def tried(closed, **more) -> list[Contender]:
+    """Rows of all candidates but the mean."""
+    data, seen, _ = closed
+    return [row for row, _ in Candidates(data, seen, groups(data), TINY, **more)][1:]
+
+
+def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
+    asked["results"] = [outcome(closed, 0.3, 0.2, None), outcome(closed, 0.5, 0.6, 0.4)]
+    rows = tried(closed)
+    assert [row.free_run for row in rows] == pytest.approx(
+        [0.3, 0.2, None, 0.5, 0.6, 0.4]
+    )
+    assert [row.status for row in rows] == ["ok", "ok", "skipped", "ok", "ok", "ok"]
+    assert {row.family for row in rows} == {FAMILY}
+    expected = [n for _, names, _ in with_states(closed[0], "y", TINY) for n in names]
+    assert [row.name for row in rows] == expected[:6]
+    assert [m.states for m in asked["asked"]] == [m for m, _ in sizes(closed[0])[:2]]
+    assert all(row.seconds is not None for row in rows)
+
+
+def test_a_search_that_goes_on_does_not_try_them_again(closed, asked):
+    first = outcome(closed, 0.3, 0.2, None)
+    asked["results"] = [first, DataError("no start of 3 hidden states")]
+    rows = tried(closed)
+    # Of a method that cannot be trained there is one row, under its first name.
+    assert [row.status for row in rows] == ["ok", "ok", "skipped", "failed"]
+    assert len(asked["asked"]) == 2
+    again = tried(closed, known=rows)
+    assert not again and len(asked["asked"]) == 2, "nothing was left to be tried"
+    # Cut short between the candidates of one method: that method is trained again.
+    asked["results"] = [first]
+    part = tried(closed, known=[rows[0], rows[3]])
+    assert [row.name for row in part] == [row.name for row in rows[:3]]
+    assert len(asked["asked"]) == 3
+
+
+def test_failed_ones_do_not_count_as_near(closed, asked):
+    asked["results"] = [DataError("too short"), DataError("too short")]
+    rows = tried(closed)
+    impatient = dataclasses.replace(TINY, states=3, patience=2)
+    data, seen, _ = closed
+    found = Candidates(data, seen, groups(data), impatient, known=rows)
+    assert len(list(found)) == 1 and len(asked["asked"]) == 2
+
+
+# judged on groups left out --------------------------------------------------------
+
+
+@pytest.fixture
+def fits(monkeypatch, closed):
+    """`fit_states` replaced: methods it was asked for, and constants for networks."""
+    from jaxnarx.solution import RESULTS, Solution
+
+    calls: list[tuple[HiddenStates, int]] = []  # with the measured outputs there were
+    network = closed[2].network()
+
+    def fit(data, method, hopeless=np.inf):
+        calls.append((method, sum(int(r.valid[:, -1].sum()) for r in data)))
+        stats = {"path": [network] * len(method.shrink), "start": "chain of lags"}
+        return Solution(network, RESULTS.ok, stats)
+
+    monkeypatch.setattr(judging, "fit_states", fit)
+    return calls
+
+
+METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
+
+
+def test_the_start_is_chosen_on_everything_and_kept_in_all_trainings(closed, fits):
+    data = closed[0]
+    found = judging.judge(METHOD, data, groups(data), 1.0)
+    assert [method.start for method, _ in fits] == [""] + ["chain of lags"] * 4
+    assert fits[0][1] == sum(LENGTHS)
+    assert [sum(LENGTHS) - n for _, n in fits[1:]] == list(LENGTHS)
+    assert len(found) == 3 and all(one.complete for one in found)
+    assert all(
+        one.network is not None and one.network.hold is not None for one in found
+    )
+
+
+def test_an_error_in_training_beyond_the_best_leaves_nothing_out(closed, fits):
+    data = closed[0]
+    best = np.full(4, 1e-4)
+    found = judging.judge(METHOD, data, groups(data), 1.0, best)
+    assert len(fits) == 1 and len(found) == 3
+    assert all("error in training" in one.detail for one in found)
+    assert not any(one.complete for one in found)
+    assert all(np.all(np.isnan(one.losses)) for one in found)
+
+
+# the real thing -------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_plant_with_a_hidden_state_is_judged_as_it_is():
+    rng, us, ys = np.random.default_rng(4), [], []
+    for n in (150, 160, 140, 155):
+        u, z, y = np.repeat(rng.uniform(-1, 1, n // 5 + 1), 5)[:n], 0.0, np.zeros(n)
+        for t in range(n):
+            y[t] = z + 0.3 * z**2
+            z = 0.8 * z + 0.4 * u[t]
+        us.append(u[:, None])
+        ys.append((y + 1e-3 * rng.normal(size=n))[:, None])
+    data = made(us, ys)
+    method = HiddenStates(outputs=("y",), states=1, shrink=(1e-2, 1e-4), window=10)
+    spread = float(np.concatenate(ys).std())
+    found = judging.judge(method, data, groups(data), spread)
+    assert len(found) == 2
+    for one in found:
+        assert one.complete and one.network is not None and one.network.hidden == 1
+        # Ten parameters of 600 samples: the noise, and not much more. Of records left
+        # out one goes farther than the others.
+        errors = np.sort(np.sqrt(one.losses)) * spread
+        assert np.all(errors[:3] < 2e-3) and errors[3] < 0.02
+        assert np.all(one.counts > 100)
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path):
+    few = dataclasses.replace(TINY, orders=(1,), patience=9, rule="best")
+    monkeypatch.setitem(PRESETS, "tiny", few)
+    monkeypatch.setattr(automatic, "cores", lambda: 1)
+    asked = []
+
+    def judge(method, *args):
+        asked.append((method.states, method.degree))
+        return judging.judge(method, *args)
+
+    monkeypatch.setattr(module, "judge", judge)
+
+    def stop(event):
+        if event["row"].family == FAMILY and event["row"].name.endswith("0.001"):
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "run"
+    cut = jnx.identify(plant(), preset="tiny", folder=folder, progress=stop)
+    assert cut.status_name == "budget_spent" and asked == [(1, 2)]
+    done = jnx.identify(plant(), preset="tiny", folder=folder)
+    assert done.is_okay and asked == [(1, 2), (1, 3)]
+    rows = [row for row in done.stats["leaderboard"] if row.family == FAMILY]
+    assert len({row.number for row in rows}) == len(rows) == 6
+    assert all(row.status in ("ok", "skipped", "diverged") for row in rows)
