@@ -93,7 +93,7 @@ def make_records(network, samples: int, records: int = 1):
     anchor = jnp.broadcast_to(first[None], (records, samples))
     noise = 0.05 * np.random.default_rng(5).normal(size=(records, samples, 1))
     measured = run(network, drive, anchor) + jnp.asarray(noise)
-    return RunInputs(drive.v, drive.x, measured), anchor, u
+    return RunInputs(drive.v, drive.x, measured, drive.known), anchor, u
 
 
 def plain_run(network, v, x, measured, anchor):

@@ -8,20 +8,22 @@ import json
 from pathlib import Path
 from typing import Any
 
-from sets import OpenSet
+from sets import OpenSet, Part
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Runs:
     """Inputs (time, inputs) and one output (time,) of every record.
 
-    `truth` is what a run is held against, `first` the first scored sample.
+    `truth` is what a run is held against, `first` the first scored sample, `window` how
+    many measured samples before it are given officially.
     """
 
     u: list[Any]
     y: list[Any]
     truth: list[Any]
     first: int = 0
+    window: int = 0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,18 +40,18 @@ def pack(open_set: OpenSet, path: Path) -> dict[str, Any]:
     import numpy as np
 
     arrays: dict[str, Any] = {}
-    groups: dict[str, tuple[Any, int, Any]] = {"train": (open_set.train, 0, None)}
-    for name, part in open_set.parts.items():
-        groups[f"part {name}"] = (part.data, part.first, part.truth)
+    groups: dict[str, Part] = {"train": Part(open_set.train, 0, window=0)}
+    groups |= {f"part {name}": part for name, part in open_set.parts.items()}
     about: dict[str, Any] = {"scale": open_set.scale, "outputs": open_set.outputs}
     about["groups"] = {}
-    for name, (data, first, truth) in groups.items():
-        about["groups"][name] = {"records": len(data), "first": first}
-        for n, record in enumerate(data):
+    for name, part in groups.items():
+        sizes = {"first": part.first, "window": part.window}
+        about["groups"][name] = {"records": len(part.data)} | sizes
+        for n, record in enumerate(part.data):
             assert record.valid.all(), "peers do not know missing samples"
             arrays[f"{name} u {n}"] = record.u
             arrays[f"{name} y {n}"] = record.y
-            arrays[f"{name} truth {n}"] = record.y if truth is None else truth[n]
+            arrays[f"{name} truth {n}"] = part.targets[n]
     np.savez(path, about=np.array(json.dumps(about)), **arrays)
     return told(open_set)
 
@@ -86,9 +88,8 @@ def unpack(path: str, output: str) -> Task:
                 [file[f"{name} {kind} {n}"] for n in range(known["records"])]
                 for kind in ("u", "y", "truth")
             )
-            return Runs(
-                u, [a[:, at] for a in y], [a[:, at] for a in truth], known["first"]
-            )
+            y, truth = ([a[:, at] for a in arrays] for arrays in (y, truth))
+            return Runs(u, y, truth, known["first"], known["window"])
 
         parts = {n[5:]: runs(n) for n in about["groups"] if n.startswith("part ")}
         return Task(runs("train"), parts, about["scale"])

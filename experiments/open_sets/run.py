@@ -28,7 +28,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +35,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
     benchmark_parser,
-    code,
-    record,
     results_folder,
-    worker,
 )
+from kept import Table, in_process  # noqa: E402 # pyright: ignore
 from own import NAMES, fit, prepare  # noqa: E402 # pyright: ignore
 from peers import PACKAGES, PEERS, installed  # noqa: E402 # pyright: ignore
 from sets import READERS  # noqa: E402 # pyright: ignore
@@ -56,57 +53,19 @@ WORKERS: dict[str, Any] = {"prepare": prepare, "jaxnarx": fit, "installed": inst
 WORKERS |= {name: function for name, (function, _) in PEERS.items()}
 
 
-class Table:
-    """Rows by set and output, written whenever one of them changes."""
+def keep(table: Table, name: str, output: str, columns: Row) -> None:
+    """Put columns into a row, and what they say of the choice."""
+    row = table.row(name, output)
+    if "jaxnarx" in columns:
+        row.pop("best linear", None)
+    row = table.put(name, output, columns)
+    row["compared"] = compared(row)
 
-    def __init__(self, folder: Path, note: str):
-        self.folder, self.note = folder, note
-        path = folder / "open_sets.json"
-        held = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-        figures = held.get("figures", {})
-        # Those of peers stay known when a later run is without them.
-        versions = held.get("versions", {})
-        self.versions = {name: versions[name] for name in PACKAGES if name in versions}
-        self.sets: dict[str, Row] = figures.get("sets", {})
-        self.rows: list[Row] = figures.get("rows", [])
 
-    def row(self, name: str, output: str) -> Row:
-        """The row of an output, empty at first."""
-        for row in self.rows:
-            if (row["set"], row["output"]) == (name, output):
-                return row
-        self.rows.append({"set": name, "output": output, "scored": []})
-        return self.rows[-1]
-
-    def misses(self, name: str, column: str) -> bool:
-        """Whether a set has no such column yet in one of its rows."""
-        outputs = self.sets.get(name, {}).get("outputs", [])
-        return not outputs or any(column not in self.row(name, o) for o in outputs)
-
-    def put(self, name: str, output: str, columns: Row) -> None:
-        """Keep columns of a row, and that the test was scored for them."""
-        row = self.row(name, output)
-        if "jaxnarx" in columns:
-            row.pop("best linear", None)
-        row |= {"unit": self.sets[name]["unit"][output]} | columns
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        for column, found in columns.items():
-            if "test" in found:
-                row["scored"].append({"column": column, "date": now} | code())
-        row["compared"] = compared(row)
-
-    def write(self) -> Path:
-        """The whole table as JSON."""
-        order = {name: n for n, name in enumerate(NAMES)}
-        self.rows.sort(key=lambda row: order[row["set"]])
-        figures = {
-            "notes": NOTES,
-            "sets": self.sets,
-            "rows": self.rows,
-            "summary": summary(self.rows, self.sets),
-        }
-        options = {"folder": self.folder, "note": self.note}
-        return record("open_sets", figures, versions=self.versions, **options)
+def write(table: Table) -> Path:
+    """The whole table as JSON."""
+    figures = {"notes": NOTES, "summary": summary(table.rows, table.sets)}
+    return table.write(NAMES, figures)
 
 
 def main() -> None:
@@ -124,12 +83,13 @@ def main() -> None:
         name, options = chosen.worker
         print(json.dumps(WORKERS[name](**json.loads(options))))
         return
-    table = Table(results_folder(chosen.results, smoke=chosen.smoke), chosen.note)
+    folder = results_folder(chosen.results, smoke=chosen.smoke)
+    table = Table("open_sets", folder, chosen.note, tuple(PACKAGES))
     pythons = _find(chosen.peers, table)
     for name in chosen.sets or (SMOKE if chosen.smoke else NAMES):
         for _ in fill(table, name, chosen, pythons):
-            table.write()
-    print(table.write())
+            write(table)
+    print(write(table))
     show(table.rows)
 
 
@@ -170,7 +130,7 @@ def _identified(table: Table, asked: Row, chosen: Any) -> None:
         return
     held |= found["about"] | {"leaderboard": found["leaderboard"]}
     for output, columns in found["columns"].items():
-        table.put(asked["name"], output, columns)
+        keep(table, asked["name"], output, columns)
 
 
 def _peers(
@@ -188,7 +148,7 @@ def _peers(
                 continue
             options = {"path": path, "output": output, "small": asked["small"]}
             found = _run(column, pythons[column], LIMIT, **options)
-            table.put(name, output, {column: found})
+            keep(table, name, output, {column: found})
             print(name, output, column, found.get("failed", ""), flush=True)
             yield
 
@@ -208,13 +168,7 @@ def _find(python: str | None, table: Table) -> dict[str, str]:
 
 
 def _run(name: str, python: str, limit: float, /, **options: Any) -> Row:
-    script, text = str(Path(__file__).resolve()), json.dumps(options)
-    found, done = worker(script, "--worker", name, text, python=python, limit=limit)
-    if found is not None:
-        return found
-    stopped = done.wall >= limit
-    lines = done.stderr.strip().splitlines() or ["ended without a word"]
-    return {"failed": f"stopped after {limit:g} s" if stopped else lines[-1]}
+    return in_process(str(Path(__file__).resolve()), name, python, limit, **options)
 
 
 if __name__ == "__main__":

@@ -64,10 +64,20 @@ def free_runs(network: Any, open_set: OpenSet) -> dict[str, Any]:
     """Free runs of a network on the test records, by part."""
     from jaxnarx import simulate
 
-    return {
-        name: simulate(network, held_back(network, part)).value
-        for name, part in open_set.parts.items()
-    }
+    found = {}
+    for name, part in open_set.parts.items():
+        begun = started(network, part)
+        found[name] = simulate(begun, held_back(begun, part)).value
+    return found
+
+
+def started(network: Any, part: Part) -> Any:
+    """The network with hidden states that start from the official window of measured
+    samples, of which one may go to the history; any other as it is."""
+    if not network.hidden:
+        return network
+    window = max(part.window - network.history, 1)
+    return dataclasses.replace(network, window=window)
 
 
 def scores(
@@ -131,7 +141,7 @@ def held_back(network: Any, part: Part) -> Any:
     """
     from jaxnarx.models import depth
 
-    keep = part.first - depth(network)
+    keep = part.first - max(depth(network), network.hidden and network.before)
     if keep <= 0:
         return part.data
     records = []

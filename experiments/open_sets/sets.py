@@ -25,12 +25,15 @@ class Part:
     """Test records with one figure in the table.
 
     `first` is the first scored sample of every record. `truth` (time, outputs) of every
-    record is what the run is held against, where that is not the measurement.
+    record is what the run is held against, where that is not the measurement. `window`
+    is how many measured samples before the first scored one the official loader gives
+    to begin with: hidden states are estimated from these.
     """
 
     data: Any
     first: int
     truth: tuple[Any, ...] | None = None
+    window: int = FRONT
 
     @property
     def targets(self) -> tuple[Any, ...]:
@@ -135,9 +138,9 @@ def drives(folder: Path) -> OpenSet:
     names = ["low amplitude", "high amplitude"]
     first = 400 + 10 - FRONT
     tests = [cut(*run, first, 500) for run in runs]
-    parts = {"test": Part(known.dataset(tests, names), FRONT)}
+    parts = {"test": Part(known.dataset(tests, names), FRONT, window=10)}
     for piece, name in zip(tests, names, strict=True):
-        parts[name] = Part(known.dataset([piece], [name]), FRONT)
+        parts[name] = Part(known.dataset([piece], [name]), FRONT, window=10)
     return OpenSet(
         name="ced_coupled_drives",
         train=known.dataset([cut(*run, 0, 400) for run in runs], names),
@@ -263,7 +266,7 @@ def smaller(whole: OpenSet) -> OpenSet:
 
     def part(one: Part) -> Part:
         truth = None if one.truth is None else tuple(y[:SMALL] for y in one.truth)
-        return Part(short(one.data), one.first, truth)
+        return dataclasses.replace(one, data=short(one.data), truth=truth)
 
     parts = {name: part(one) for name, one in whole.parts.items()}
     return dataclasses.replace(whole, train=short(whole.train), parts=parts)

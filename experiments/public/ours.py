@@ -1,0 +1,114 @@
+"""Models with hidden states: chosen on groups left out, trained on all, scored once."""
+
+import dataclasses
+import time
+from typing import Any
+
+from score import digits, free_runs, scores  # pyright: ignore
+from sets import OpenSet  # pyright: ignore
+from structures import FINAL, named  # pyright: ignore
+
+Row = dict[str, Any]
+
+
+def window(open_set: OpenSet) -> int:
+    """Samples that hidden states are estimated from, behind the one of their history:
+    the official start."""
+    return min(part.window for part in open_set.parts.values()) - 1
+
+
+def groups_of(open_set: OpenSet) -> Any:
+    """What is left out together, as `jaxnarx.identify` makes it without being told."""
+    from jaxnarx.data import groups
+    from jaxnarx.output_error import look
+
+    train = open_set.train
+    memory = max(look(train, output).memory for output in open_set.outputs)
+    return groups(train, gap=memory)
+
+
+def judged(method: Any, open_set: OpenSet, best: Any, rows: int) -> list[Row]:
+    """Errors of a structure on groups left out, one row for every pull.
+
+    `best` are the mean squared errors of the best so far, group by group; at most
+    `rows` samples, in stretches, train.
+    """
+    import numpy as np
+
+    from jaxnarx.errors import JaxnarxError
+    from jaxnarx.identification.judge import judge
+
+    train, begin = open_set.train, time.perf_counter()
+    o = train.channels.output_names.index(method.outputs[0])
+    spread = float(np.concatenate([r.y[:, o] for r in train]).std())
+    own = None if best is None else np.asarray(best)
+    try:
+        every = judge(
+            *(method, train, groups_of(open_set), spread, own, rows), one_step=False
+        )
+    except (JaxnarxError, np.linalg.LinAlgError) as error:
+        return [_row(method, method.shrink[0], begin, 1) | {"failed": str(error)}]
+    found = []
+    for pull, one in zip(method.shrink, every, strict=True):
+        row = _row(method, pull, begin, len(every))
+        row["groups"] = [
+            digits(e**0.5) if e == e else None for e in map(float, one.losses)
+        ]
+        if one.complete:
+            mean = np.nansum(one.losses * one.counts) / one.counts.sum()
+            row["free_run"] = digits(float(mean) ** 0.5)
+        else:
+            row["failed"] = one.detail
+        found.append(row)
+    return found
+
+
+def _row(method: Any, pull: float, begin: float, count: int) -> Row:
+    seconds = round((time.perf_counter() - begin) / count, 1)
+    size = {"states": method.states, "degree": method.degree, "pull": pull}
+    return {"name": f"{named(method)}, pull {pull:g}", "seconds": seconds} | size
+
+
+def best_of(rows: list[Row]) -> Row | None:
+    """The smallest error on what was left out."""
+    able = [row for row in rows if "free_run" in row]
+    return min(able, key=lambda row: row["free_run"]) if able else None
+
+
+def losses(rows: list[Row]) -> list[float] | None:
+    """Mean squared errors of the best so far, group by group."""
+    found = best_of(rows)
+    if found is None:
+        return None
+    return [float("nan") if e is None else e**2 for e in found["groups"]]
+
+
+def finished(method: Any, row: Row, open_set: OpenSet, steps: int = FINAL) -> Any:
+    """The chosen structure trained on all training samples, and the seconds of it.
+
+    The training goes through the pulls down to the one that was chosen.
+    """
+    from jaxnarx.identification.judge import trained
+
+    pulls = tuple(p for p in method.shrink if p >= row["pull"])
+    method = dataclasses.replace(method, shrink=pulls, max_steps=steps)
+    begin = time.perf_counter()
+    network = trained(method, open_set.train)[-1]
+    return network, round(time.perf_counter() - begin, 1)
+
+
+def column(network: Any, row: Row, seconds: float, open_set: OpenSet) -> Row:
+    """A network scored on the test; `row` is what was known when it was chosen."""
+    from jaxnarx.evaluation import cost
+
+    price = cost(network)
+    (output,) = network.output_names
+    return {
+        "family": "hidden states",
+        "name": row["name"],
+        "free_run": row["free_run"],
+        "parameters": price.parameters,
+        "operations": price.multiplications + price.divisions + price.exponentials,
+        "fit_seconds": seconds,
+        "test": scores([free_runs(network, open_set)], open_set, output)[0],
+    }
