@@ -1,7 +1,9 @@
 """Compiled functions of models: names of channels are no part of a program."""
 
 import functools
+import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,6 +13,14 @@ R = TypeVar("R")
 
 ARRAY = object()
 """In place of an array among what is static."""
+MAPS, MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
+"""Memory maps of this process and how many it may have, where the system tells; every
+compiled program has about ten, and the compiler ends the process when none is left."""
+SHARE = 0.6
+"""Of them that may be in use."""
+LOOK = 50
+"""New programs between looks at their number."""
+_made = itertools.count(1)
 
 
 def program(function: Callable[..., R]) -> Callable[..., R]:
@@ -49,6 +59,9 @@ def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...
 def _compiled(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
     """The program of a function whose arrays are arguments, in one list."""
     del kinds
+    if next(_made) % LOOK == 0 and crowded():
+        _compiled.cache_clear()
+        jax.clear_caches()
 
     @jax.jit
     @functools.wraps(function, updated=())
@@ -59,6 +72,16 @@ def _compiled(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Cal
         return function(*args, *more, **kwargs)
 
     return run
+
+
+def crowded() -> bool:
+    """Whether so many programs are held that there is little room for others."""
+    try:
+        with MAPS.open("rb") as maps:
+            held = sum(1 for _ in maps)
+        return held > SHARE * int(MOST_MAPS.read_text())
+    except (OSError, ValueError):
+        return False
 
 
 def plain(value: Any) -> Any:
