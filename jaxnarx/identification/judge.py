@@ -61,9 +61,9 @@ def judge(
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
     estimate of these for every sample, and takes longer than the training.
 
-    With hidden states everything trains first: that says which start is taken, in all
-    trainings, and nothing is left out where the error in training is beyond the best
-    candidate's on what was left out.
+    With hidden states everything trains first: of many samples that says which start is
+    taken, in all trainings, and nothing is left out where the error in training is
+    beyond the best candidate's on what was left out.
     """
     hidden = isinstance(method, HiddenStates)
     one_step = not hidden if one_step is None else one_step
@@ -141,14 +141,17 @@ def begun(
     rows: int | None = None,
     best: Float[np.ndarray, " groups"] | None = None,
 ) -> tuple[list[Network], HiddenStates]:
-    """Networks trained on everything, and the method with the start that was best.
+    """Networks trained on everything, and the method, of many samples with the start
+    that was best.
 
     `DataError` where that is far beyond the `best` candidate after its first steps.
     """
     limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
     some = _some(data, rows)
     fit = fit_states(some, method, hopeless=limit)
-    chosen = dataclasses.replace(method, start=fit.stats["start"])
+    chosen = method
+    if some.samples > method.first_rows:
+        chosen = dataclasses.replace(method, start=fit.stats["start"])
     return _held(fit.stats["path"], data, rows), chosen
 
 

@@ -28,13 +28,14 @@ class HiddenStates:
     """Measured samples that a run's first states are estimated from."""
     start: str = ""
     """Name of the linear model to start from; by default the one with the smallest
-    training error after its first steps."""
+    error in training."""
     max_steps: Steps = 40
     """Accepted steps at each value of `shrink`, on all samples."""
     first_steps: Steps = 12
-    """Those that every start is given before the best is chosen."""
+    """Those that every start is given first, at each degree."""
     first_rows: Count = 3000
-    """Samples, in stretches of all records, that these are taken on."""
+    """Samples, in stretches of all records, that these are taken on. Where there are
+    more the best start goes on alone."""
 
     def __post_init__(self):
         falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))

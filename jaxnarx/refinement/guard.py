@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.programs import program, twin
-from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task
@@ -34,8 +33,12 @@ class Judged(eqx.Module):
 class Guard(eqx.Module):
     """Judges networks by the free run of records, from their measured starts.
 
-    A record has diverged by its samples that are `counted`. Hidden channels are
-    estimated anew for every network, before the sample `start` of each record.
+    A record has diverged by its samples that are `counted`. Hidden channels begin with
+    the values that the training has for its own records (`trained`): after a few steps
+    no window tells them well, and what would be judged is that; a state at its bound is
+    no reason to turn back there, the finished network is judged by its own run. On
+    other records they are estimated anew for every network, before the sample `start`
+    of each.
     """
 
     layout: Layout
@@ -45,6 +48,7 @@ class Guard(eqx.Module):
     counted: Bool[Array | np.ndarray, "records time"]
     weight: Float[Array, "records time outputs"]
     criterion: Criterion
+    trained: bool = eqx.field(static=True, default=False)
 
     @property
     def nameless(self) -> "Guard":
@@ -53,23 +57,27 @@ class Guard(eqx.Module):
 
     def __call__(self, u: Float[Array, " params"]) -> Judged:
         """Of the network with the parameters `u`."""
-        return self.of(self.layout.place(u))
-
-    def of(self, network: Network) -> Judged:
-        """Of any network that the records were prepared for."""
-        y = run(
-            network, begun(network, self.drive, jnp.asarray(self.start)), self.anchor
-        )
-        value = self.criterion(y, self.drive.measured, self.weight)
+        network, drive = self.layout.place(u), self.drive
+        if self.trained:
+            measured = self.layout.begin(u, jnp.asarray(drive.measured))
+            drive = eqx.tree_at(lambda d: d.measured, drive, measured)
+        else:
+            drive = begun(network, drive, jnp.asarray(self.start))
+        y = run(network, drive, self.anchor)
+        value = self.criterion(y, drive.measured, self.weight)
         held = jnp.moveaxis(limited(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
         lost = jnp.any(has_diverged(held, counted))
+        lost &= not self.trained
         finite = jnp.isfinite(value)
         return Judged(lost | ~finite, jnp.where(finite, value, jnp.inf))
 
 
-def make_guard(layout: Layout, task: Task) -> Guard:
-    """Of the records of a task; those without a scored sample cannot diverge."""
+def make_guard(layout: Layout, task: Task, *, trained: bool = False) -> Guard:
+    """Of the records of a task; those without a scored sample cannot diverge.
+
+    `trained` where it is the task of the training itself.
+    """
     masks, time = task.masks, np.arange(task.masks.anchors.shape[1])[None]
     counted = (time >= masks.start[:, None]) & (time < masks.end[:, None])
     counted &= np.any(masks.scored, axis=(1, 2))[:, None]
@@ -81,10 +89,11 @@ def make_guard(layout: Layout, task: Task) -> Guard:
         counted,
         task.weight,
         task.criterion,
+        trained and layout.base.hidden > 0,
     )
 
 
 @program
-def judged(guard: Guard, network: Network) -> Judged:
-    """What the guard says of a network."""
-    return guard.of(network)
+def judged(guard: Guard, u: Float[Array, " params"]) -> Judged:
+    """What the guard says of a point."""
+    return guard(u)

@@ -20,7 +20,7 @@ from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.stability import first_horizon
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
-from jaxnarx.refinement.task import Task, make_task, require_motion
+from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
 from jaxnarx.simulation import fitting
 from jaxnarx.solution import RESULTS, Solution
 
@@ -94,14 +94,14 @@ def refine(
         settings |= {"corner": method.corner}
     task, _ = make_task(network, data, weights=weights, **settings)
     require_motion(network, task)
+    require_window(network, data)
     _require_outputs(network, method)
-    guard, judged = task, data
-    if validation is not None:
-        judged = validation = fitting(network, validation)
-    if validation is not None or network.hidden:
-        rule = {"criterion": task.criterion, "window": network.window}
-        guard, _ = make_task(network, judged, **rule)
     task = task.begun(network)
+    guard = task
+    if validation is not None:
+        validation = fitting(network, validation)
+        rule = {"criterion": task.criterion, "window": network.window}
+        guard, _ = make_task(network, validation, **rule)
     trainable = _moving(network, trainable, method)
     # A prior is one of the coefficients as they stand.
     plain = deviations is None

@@ -38,11 +38,12 @@ class Search(Course):
     ):
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
-        self.limit, self.guard = limit, make_guard(layout, guard)
+        self.limit = limit
+        self.guard = make_guard(layout, guard, trained=guard is task)
         self.still = layout.partition()
         self.start = np.asarray(layout.gather(layout.base))
         # Entries near their limits are placed a little off them: the network itself.
-        self.start_diverged, score = judged(self.guard, layout.base).told
+        self.start_diverged, score = judged(self.guard, self.start).told
         self.diverged = self.start_diverged
         super().__init__(self.start, score, progress)
         self.passed, self.attempt, self.winner = 0, "", ""
@@ -71,7 +72,7 @@ class Search(Course):
 
     def judge(self, u: np.ndarray) -> Judged:
         """What the guard says of a point."""
-        return judged(self.guard, self.layout.place(u))
+        return judged(self.guard, u)
 
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
         """The loss of a stage, with the restraint that suits the network at `u`."""

@@ -117,12 +117,7 @@ def make_task(
     """
     batch = stack(data)
     masks = make_masks(network, batch, window)
-    if not masks.scored.any():
-        raise DataError(
-            f"no record has {network.history + window} valid samples in a row and one "
-            "more to "
-            "score; refinement has nothing to work on"
-        )
+    _require_scored(masks, network.history + window)
     drive = make_drive(network, batch)
     measured = np.asarray(drive.measured)
     if criterion is None:
@@ -143,6 +138,22 @@ def make_task(
     weight = share / (total * spread**2 * len(network.modelled))[None, None]
     weight = jax.device_put(weight.astype(spread.dtype))
     return Task(drive, masks, weight, criterion), spread
+
+
+def require_window(network: Network, data: Dataset) -> None:
+    """`DataError` where no record is long enough to be run as the network is used, with
+    a window to estimate hidden channels from."""
+    if network.hidden:
+        masks = make_masks(network, stack(data), network.window)
+        _require_scored(masks, network.history + network.window)
+
+
+def _require_scored(masks: Masks, needed: int) -> None:
+    if not masks.scored.any():
+        raise DataError(
+            f"no record has {needed} valid samples in a row and one more to score; "
+            "refinement has nothing to work on"
+        )
 
 
 def record_weights(

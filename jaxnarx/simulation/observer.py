@@ -24,7 +24,7 @@ from jaxnarx.arrays.programs import program
 from jaxnarx.models import Network, depth
 from jaxnarx.simulation.runs import RunInputs, run_record
 
-PRIOR = 1e-4
+PRIOR = 1e-3
 """Weight of a hidden value's squared distance from the middle of its range."""
 STEPS = 15
 """Steps of Levenberg-Marquardt, rejected ones with them."""

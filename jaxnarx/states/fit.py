@@ -1,14 +1,17 @@
 """Models with hidden states, from a linear start to products, on the free run.
 
 Every start (`jaxnarx.states.starts`) is trained as a linear model, given products of
-states and inputs degree by degree, and trained a few steps with a strong pull towards
-the linear model. The one with the smallest training error then goes on while the pull
-falls. A hidden state that leaves the range it had in training is held in the end.
+states and inputs degree by degree, and trained with a strong pull towards the linear
+model, which then falls. Taken is at every pull the one whose free run of the training
+records, begun as in use, has the smallest error; of many samples the one that has it
+after the first steps goes on alone. A hidden state that leaves the range it had in
+training is held in the end.
 
 Polynomial nonlinear state-space models: J. Paduart et al., Identification of nonlinear
 systems using Polynomial Nonlinear State Space models, Automatica 46 (2010) 647-656.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -21,7 +24,8 @@ from jaxnarx.guard import guarded
 from jaxnarx.methods import HiddenStates, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement import refine
-from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.simulation import fitting, simulate
+from jaxnarx.solution import Solution
 from jaxnarx.states.network import raised, settled, state_network
 from jaxnarx.states.starts import linear_starts
 
@@ -62,44 +66,100 @@ def fit_states(
     for name in method.outputs:
         known_name(name, known, "outputs", f"unknown output {name!r}")
     places = tuple(known.index(name) for name in (method.outputs or known))
-    starts = _starts(data, places, method, progress)
-    name, network, loss = min(starts, key=lambda start: start[2])
-    if not loss <= hopeless**2:
+    few = shortened(data, method.first_rows)
+    starts = _starts(few, data, places, method, progress)
+    if few is not data:
+        starts = [min(starts, key=_told)]
+    if not (least := min(start.error for start in starts)) <= hopeless**2:
         raise DataError(
-            f"an error in training of {loss**0.5:.3g} after the first steps"
+            f"an error in training of {least**0.5:.3g} after the first steps"
         )
     path: list[Network] = []
-    fit = Solution(network, RESULTS.budget_spent, {})
+    errors = {start.name: start.error for start in starts}
     for shrink in method.shrink:
-        fit = _trained(fit.value, data, method.max_steps, shrink, progress)
-        path.append(settled(fit.value, data))
-    stats = {"path": path, "start": name, "starts": {n: e for n, _, e in starts}}
-    return Solution(path[-1], fit.status, fit.stats | stats, fit.detail)
+        starts = [_gone_on(s, data, method, shrink, progress) for s in starts]
+        best = min(starts, key=_told)
+        path.append(best.settled)
+    stats = {"path": path, "start": best.name, "starts": errors}
+    return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Start:
+    """A start on its way: where its training stands, the best network so far, as it is
+    used, and the mean squared error (NRMSE) of its free run in training."""
+
+    name: str
+    fit: Solution[Network]
+    settled: Network
+    error: float
+
+
+def _told(start: _Start) -> tuple[float, float]:
+    """The smaller is the better one."""
+    return start.error, float(start.fit.stats["loss"])
+
+
+def _gone_on(
+    start: _Start,
+    data: Dataset,
+    method: HiddenStates,
+    shrink: float,
+    progress: Tell | None,
+) -> _Start:
+    """Trained on all data with this pull. A network with a larger error than before,
+    begun as in use, is none to be used, though the training goes on from it."""
+    try:
+        fit = _trained(start.fit.value, data, method.max_steps, shrink, progress)
+    except (JaxnarxError, np.linalg.LinAlgError):
+        return start
+    network = settled(fit.value, data)
+    error = _error(network, data)
+    if error > start.error:
+        network, error = start.settled, start.error
+    return _Start(start.name, fit, network, error)
 
 
 def _starts(
-    data: Dataset, places: tuple[int, ...], method: HiddenStates, progress: Tell | None
-) -> list[tuple[str, Network, float]]:
-    """Every start with its name, after its first steps, and with its training error."""
-    few, found = shortened(data, method.first_rows), []
-    steps, reason = method.first_steps, "no linear model can be identified"
+    few: Dataset,
+    data: Dataset,
+    places: tuple[int, ...],
+    method: HiddenStates,
+    progress: Tell | None,
+) -> list[_Start]:
+    """Every start after its first steps, on few samples."""
+    found, steps, shrink = [], method.first_steps, method.shrink[0]
+    reason = "no linear model can be identified"
     for name, model in linear_starts(data, places, method.states):
         if method.start not in ("", name):
             continue
         network = state_network(model, data, places, window=method.window)
         try:
-            fit = _trained(network, few, steps, method.shrink[0], progress)
+            fit = _trained(network, few, steps, shrink, progress)
             for degree in range(2, method.degree + 1):
                 network = raised(fit.value, degree)
-                fit = _trained(network, few, steps, method.shrink[0], progress)
-        except (JaxnarxError, np.linalg.LinAlgError) as error:
-            reason = str(error)
-            continue
-        lost = fit.status == RESULTS.start_diverged
-        found.append((name, fit.value, np.inf if lost else float(fit.stats["loss"])))
+                fit = _trained(network, few, steps, shrink, progress)
+            network = settled(fit.value, few)
+            found.append(_Start(name, fit, network, _error(network, few)))
+        except (JaxnarxError, np.linalg.LinAlgError) as failure:
+            reason = str(failure)
     if not found:
         raise DataError(f"no start of {method.states} hidden states: {reason}")
     return found
+
+
+def _error(network: Network, data: Dataset) -> float:
+    """Of the free run, begun as in use; infinite where it diverges."""
+    run = simulate(network, data).value
+    if any(bad.any() for bad in run.diverged):
+        return np.inf
+    own, records = list(network.modelled), fitting(network, data)
+    y = np.concatenate([r.y[:, own] for r in records])
+    made, scored = np.concatenate(run.outputs), np.concatenate(run.scored)
+    if not scored.any(axis=0).all():
+        return np.inf
+    error, spread = np.where(scored, made - y, 0.0), y.std(axis=0, where=scored)
+    return float(np.mean((error**2).sum(axis=0) / scored.sum(axis=0) / spread**2))
 
 
 def _trained(

@@ -240,10 +240,11 @@ def fits(monkeypatch, closed):
 METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
 
 
-def test_the_start_is_chosen_on_everything_and_kept_in_all_trainings(closed, fits):
-    data = closed[0]
-    found = judging.judge(METHOD, data, groups(data), 1.0)
-    assert [method.start for method, _ in fits] == [""] + ["chain of lags"] * 4
+@pytest.mark.parametrize(("rows", "kept"), [(100, "chain of lags"), (3000, "")])
+def test_of_many_samples_the_start_is_chosen_on_everything(closed, fits, rows, kept):
+    data, method = closed[0], dataclasses.replace(METHOD, first_rows=rows)
+    found = judging.judge(method, data, groups(data), 1.0)
+    assert [method.start for method, _ in fits] == ["", *[kept] * 4]
     assert fits[0][1] == sum(LENGTHS)
     assert [sum(LENGTHS) - n for _, n in fits[1:]] == list(LENGTHS)
     assert len(found) == 3 and all(one.complete for one in found)

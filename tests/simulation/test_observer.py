@@ -26,11 +26,12 @@ from jaxnarx.simulation.observer import POINTS, PRIOR, scales, spread_out
 
 HIDDEN = GAIN[[X1, X2]]
 BEFORE = 1 + WINDOW
-PRIOR_ERROR = 1e-4
+PRIOR_ERROR = 3e-4
 """Of outputs of the size of ten. The prior pulls a hidden value at the begin by its
 weight times the distance from the middle, two sigma at most, over what the window tells
-of it, about one: 2e-4. The model has forgotten .7^12 of that at the end of the window,
-which counts four times in y."""
+of it, about one: 2e-3. Of that .7^12, or .014, is left at the end of the window, which
+counts four times in y, 1.1e-4, and up to twice that where less than the window is
+measured."""
 
 
 def wrong(run, given: Truth) -> float:

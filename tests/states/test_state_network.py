@@ -133,8 +133,8 @@ def test_settled_holds_hidden_channels_to_where_the_data_drive_them():
         np.testing.assert_array_equal(new, old)
     before, after = (simulate(n, given.data).value for n in (net, found))
     for a, b in zip(before.outputs, after.outputs, strict=True):
-        # Windows are estimated with another prior.
-        np.testing.assert_allclose(b, a, atol=1e-4)
+        # Windows are estimated with another prior, see `tests/simulation`.
+        np.testing.assert_allclose(b, a, atol=3e-4)
 
 
 def test_records_too_short_to_run_and_samples_before_the_begin_do_not_widen_it():
