@@ -24,7 +24,7 @@ STRUCTURES: dict[str, tuple[tuple[int, int], ...]] = {
     "silverbox": ((2, 3), (3, 3), (2, 2), (2, 1)),
     "bouc_wen_sysidentpy": ((2, 3), (2, 2), (3, 2), (1, 3), (2, 1)),
     "daisy_cstr": ((2, 3), (3, 3), (3, 2), (2, 2), (2, 1)),
-    "wiener_hammerstein": ((6, 2), (6, 3), (6, 1)),
+    "wiener_hammerstein": ((6, 2), (6, 3)),
 }
 """Number of states and degree."""
 
