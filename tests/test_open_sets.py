@@ -330,3 +330,31 @@ def test_the_table_and_going_on(tmp_path):
     # A second run finds nothing to do, and scores nothing again.
     experiment(*command, "--results", str(tmp_path))
     assert json.loads(path.read_text())["figures"] == figures
+
+
+def test_the_order_takes_what_lowers_errors_most_for_its_seconds():
+    from order import ordered, problems  # pyright: ignore[reportMissingImports]
+
+    def row(output, family, name, error, seconds):
+        keys = "output", "family", "name", "free_run", "seconds"
+        return dict(zip(keys, (output, family, name, error, seconds), strict=True))
+
+    narx = "polynomial NARX"
+    board = [
+        row("y", "OE", "order 1", 0.4, 0.1),
+        row("y", narx, "slow", 0.1, 100.0),
+        row("y", narx, "quick", 0.2, 10.0),
+        row("y", "LOLIMOT", "given up", None, 1.0),
+        row("z", "ARX", "order 1", 0.1, 0.1),
+        row("z", narx, "quick", 0.3, 10.0),
+        row("all vetoed", "OE", "order 1", None, 0.1),
+    ]
+    given = problems({"a": {"leaderboard": board}, "b": {}})
+    assert len(given) == 2
+    found = ordered(given)
+    # ln 2 for 20 s; behind it ln 2 more for 100 s; nothing.
+    names = [f"{narx}: quick", f"{narx}: slow", "LOLIMOT: given up"]
+    assert [one[0] for one in found] == names
+    assert [one[1] for one in found] == [2, 1, 1]
+    np.testing.assert_allclose([one[2] for one in found], np.log([2, 2, 1]), rtol=1e-12)
+    assert [one[3] for one in found] == [20.0, 100.0, 1.0]

@@ -25,19 +25,19 @@ R2 is 1 - SSE/SST of the free run (4.44), NRMSE the root of SSE/SST.
 
 What came out, medians over five seeds of the test R2, identify against perceptron, from
 the second scoring (7 to 49 s for a search; the first, of an earlier state with searches
-cut at 45 s, is kept under `earlier` and was ahead of both in one row). Chapter 5: torque
-0.993 against 0.984, air-fuel ratio 0.847 against 0.801 (thesis 0.676 and 0.865). Section
-6.3: torque 0.988 against 0.989, air-fuel ratio 0.922 against 0.911. Section 6.4: 0.990
-against 0.992. Section 7.2: torque 0.978 against 0.976, air-fuel ratio 0.676 against
-0.611 (thesis 0.790 and 0.907). Identify is ahead of both in four rows of seven, of the
-best linear model in all; no run diverged.
+cut at 45 s, is kept under `earlier` and was ahead of both in one row). Chapter 5:
+torque 0.993 against 0.984, air-fuel ratio 0.847 against 0.801 (thesis 0.676 and 0.865).
+Section 6.3: torque 0.988 against 0.989, air-fuel ratio 0.922 against 0.911. Section
+6.4: 0.990 against 0.992. Section 7.2: torque 0.978 against 0.976, air-fuel ratio 0.676
+against 0.611 (thesis 0.790 and 0.907). Identify is ahead of both in four rows of seven,
+of the best linear model in all; no run diverged.
 
 Where it is not. Torque in 6.3 and 6.4 is nearly linear in these excitations: the linear
-model has 0.987 and 0.983, and the perceptron's figure, the better of two on the test, is
-ahead by 0.001 and 0.002; in 6.4 one seed of five (0.926) has a polynomial that its one
-record's blocks promised 0.983. The thesis's air-fuel ratios are of other engines, and of
-R2 that may be one step ahead; one record in blocks flatters there: cross-validated 0.918
-and 0.866 are 0.847 and 0.676 on the second record.
+model has 0.987 and 0.983, and the perceptron's figure, the better of two on the test,
+is ahead by 0.001 and 0.002; in 6.4 one seed of five (0.926) has a polynomial that its
+one record's blocks promised 0.983. The thesis's air-fuel ratios are of other engines,
+and of R2 that may be one step ahead; one record in blocks flatters there:
+cross-validated 0.918 and 0.866 are 0.847 and 0.676 on the second record.
 
 Run as `python experiments/thesis/by_identify.py [--smoke] [--seeds 5] [--budget 60]
 [--tasks 5 6.3 6.4 7.2] [--results DIR]`. Goes on where an earlier run stopped. Writes
