@@ -302,3 +302,19 @@ def test_the_search_on_a_real_engine(tmp_path, measured):
     assert row["cross_validated"]["chosen"] >= row["cross_validated"]["best"] > 0
     assert 0 < row["test"]["one_step"]["rmse"] < row["test"]["free_run"]["rmse"]
     assert len(figures["linear"]["scored"]) == 1
+
+
+@pytest.mark.slow
+def test_hidden_states_have_exact_derivatives_and_a_price(tmp_path):
+    parts = "--only", "derivatives", "price"
+    found = run("states.py", *parts, results=tmp_path / "results")["states"]
+    for name, count in (("coefficients", 60), ("starting values", 8)):
+        row = found["derivatives"][name]
+        assert row["count"] == count and row["value"] > 0
+        assert_target(row)
+        # A share of the largest derivative: the differences themselves leave 1e-8.
+        assert row["met"]
+    price = found["price"]
+    assert set(price["terms"].values()) == {60}
+    for what in ("loss", "loss and gradient", "normal equations"):
+        assert_target(price[what]["ratio"])

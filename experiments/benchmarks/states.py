@@ -1,0 +1,251 @@
+"""Models with hidden states: derivatives, price of a step, time from file to model.
+
+    derivatives  gradient and normal equations of the free run by all coefficients and
+                 all starting values beside central differences
+    price        loss, its gradient and its normal equations on 10,000 samples: three
+                 hidden states beside a network of as many terms without, in turns
+    tanks        the cascaded tanks, three states of degree two, from the file to the
+                 model in a fresh process: first call, and again when all is compiled
+
+    python experiments/benchmarks/states.py [--only PART ...] [--smoke]
+
+`tanks` needs `$JAXNARX_DATA`. Results: `experiments/benchmarks/results/states.json`.
+"""
+
+import json
+import os
+import statistics
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+sys.path.insert(0, str(HERE.parent / "open_sets"))
+from common import (  # noqa: E402
+    benchmark_parser,
+    record,
+    results_folder,
+    target,
+    worker,
+)
+
+PARTS = ("derivatives", "price", "tanks")
+SAMPLES, ROUNDS = 10_000, 5
+STATES, DEGREE = 3, 2
+STEP = 1e-6
+"""Of the central differences."""
+AIMS = {"derivatives": 1e-6, "price": 4.0, "cold": 40.0, "compiled": 10.0}
+
+
+def plant(samples: int) -> Any:
+    """Records of a plant with three states, the first of them measured with noise."""
+    import numpy as np
+
+    import jaxnarx as jnx
+    from jaxnarx.data import Record
+
+    rng, records = np.random.default_rng(0), []
+    for n in range(2):
+        u = np.repeat(rng.uniform(-1, 1, samples // 20 + 1), 10)[: samples // 2]
+        x, y = np.zeros(3), np.zeros(len(u))
+        for t, value in enumerate(u):
+            y[t] = x[0]
+            x = np.array(
+                [
+                    0.9 * x[0] + 0.1 * x[1] - 0.02 * x[0] ** 2,
+                    0.85 * x[1] + 0.15 * x[2],
+                    0.8 * x[2] + 0.2 * value + 0.05 * value**2,
+                ]
+            )
+        y += 0.001 * rng.normal(size=y.size)
+        valid = np.ones((len(u), 2), bool)
+        records.append(Record(u[:, None], y[:, None], valid, f"record {n + 1}"))
+    channels = jnx.Channels((jnx.Channel("u"),), (jnx.Channel("y"),))
+    return jnx.Dataset(tuple(records), channels, sample_time=1.0)
+
+
+def trained(data: Any) -> Any:
+    """A network with three hidden states, after a few steps."""
+    from jaxnarx.states import HiddenStates, fit_states
+
+    method = HiddenStates(
+        states=STATES,
+        degree=DEGREE,
+        shrink=(0.1,),
+        start="subspace",
+        max_steps=2,
+        first_steps=2,
+    )
+    return fit_states(data, method).value
+
+
+def lagged(data: Any, terms: int) -> Any:
+    """A network of so many products of lagged inputs and outputs, fitted one step."""
+    import jaxnarx as jnx
+
+    pool = jnx.polynomial_pool(
+        data.channels, input_lags=range(5), output_lags=range(1, 6), degree=DEGREE
+    )
+    select = jnx.ForwardOLS(max_terms=terms)
+    found = jnx.identify(data, jnx.Identification(pool=pool, select=select))
+    return found.value
+
+
+def prepared(network: Any, data: Any) -> tuple[Any, Any, Any]:
+    """Task, layout and a point of a training, with starting values if it has any."""
+    import numpy as np
+
+    from jaxnarx.refinement.initial import initial_conditions
+    from jaxnarx.refinement.layout import make_layout
+    from jaxnarx.refinement.refine import make_task
+
+    task = make_task(network, data)[0].begun(network)
+    initial = initial_conditions(network, task, measured=False)
+    layout = make_layout(network, None, (0.5, 2.0), initial, every=True)
+    return task, layout, np.asarray(layout.gather(network))
+
+
+def derivatives(smoke: bool) -> dict[str, Any]:
+    """Largest departure from central differences, as a share of the largest entry."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    from jaxnarx.refinement.normal import loss, normal_equations
+
+    data = plant(200 if smoke else 600)
+    task, layout, u = prepared(trained(data), data)
+    u = u + 0.01 * np.random.default_rng(1).normal(size=u.size)
+    at = task.drive, task.anchors(None), task.weight
+
+    def value(u: Any) -> float:
+        return float(loss(layout, jnp.asarray(u), *at))
+
+    gradient = 2.0 * np.asarray(normal_equations(layout, jnp.asarray(u), *at)[1])
+    plain = np.zeros_like(u)
+    for k in range(u.size):
+        step = np.zeros_like(u)
+        step[k] = STEP
+        plain[k] = (value(u + step) - value(u - step)) / (2 * STEP)
+    parts = {"coefficients": slice(layout.parameters)}
+    parts["starting values"] = slice(layout.parameters, u.size)
+    found: dict[str, Any] = {"step": STEP}
+    for name, part in parts.items():
+        error = np.abs(gradient[part] - plain[part]).max() / np.abs(plain[part]).max()
+        found[name] = {"count": len(u[part])}
+        found[name] |= target(float(f"{error:.3g}"), AIMS["derivatives"])
+    return found
+
+
+def price(smoke: bool) -> dict[str, Any]:
+    """Medians over rounds in turns [s]; with hidden states over without."""
+    import jax
+    import jax.numpy as jnp
+
+    from jaxnarx.evaluation import cost
+    from jaxnarx.refinement.normal import loss, normal_equations
+
+    data = plant(400 if smoke else SAMPLES)
+    with_states = trained(data)
+    terms = cost(with_states).parameters
+    networks = {"hidden states": with_states, "without": lagged(data, terms)}
+    calls = {}
+    for name, network in networks.items():
+        task, layout, u = prepared(network, data)
+        at = task.drive, task.anchors(None), task.weight
+
+        def of(u, layout=layout, at=at):
+            return loss(layout, u, *at)
+
+        def normal(u, layout=layout, at=at):
+            return normal_equations(layout, u, *at)
+
+        point = jnp.asarray(u)
+        for what, made in (
+            ("loss", jax.jit(of)),
+            ("loss and gradient", jax.jit(jax.value_and_grad(of))),
+            ("normal equations", jax.jit(normal)),
+        ):
+            calls[what, name] = lambda made=made, point=point: jax.block_until_ready(
+                made(point)
+            )
+    times: dict[tuple[str, str], list[float]] = {key: [] for key in calls}
+    for call in calls.values():
+        call()
+    for _ in range(1 if smoke else ROUNDS):
+        for key, call in calls.items():
+            begin = time.perf_counter()
+            call()
+            times[key].append(time.perf_counter() - begin)
+    found: dict[str, Any] = {
+        "samples": data.samples,
+        "terms": {name: cost(n).parameters for name, n in networks.items()},
+    }
+    for what in dict.fromkeys(what for what, _ in calls):
+        both = [statistics.median(times[what, name]) for name in networks]
+        found[what] = {
+            name: float(f"{value:.3g}")
+            for name, value in zip(networks, both, strict=True)
+        }
+        found[what]["ratio"] = target(round(both[0] / both[1], 2), AIMS["price"])
+    return found
+
+
+def tanks(smoke: bool) -> dict[str, Any]:
+    """Seconds of the first call in a fresh process, imports included, and again."""
+    begin = time.perf_counter()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import numpy as np
+    from own import load
+
+    from jaxnarx.states import HiddenStates, fit_states
+
+    imported = time.perf_counter() - begin
+    folder = Path(os.environ.get("JAXNARX_DATA", "../shared/data")).resolve()
+    method = HiddenStates(states=STATES, degree=DEGREE)
+    seconds, network = [], None
+    for _ in range(2):
+        begin = time.perf_counter()
+        data = load("cascaded_tanks", str(folder), small=smoke).train
+        network = fit_states(data, method).value
+        seconds.append(time.perf_counter() - begin)
+    assert network is not None
+    return {
+        "imports_s": round(imported, 1),
+        "cold_s": target(round(imported + seconds[0], 1), AIMS["cold"]),
+        "compiled_s": target(round(seconds[1], 1), AIMS["compiled"]),
+        "coefficients": int(
+            sum(np.asarray(m.local.used).sum() for m in network.models)
+        ),
+    }
+
+
+def main() -> None:
+    """Every part in a process of its own, and the file."""
+    parser = benchmark_parser(__doc__ or "", "short records, one round")
+    parser.add_argument("--only", nargs="+", choices=PARTS, help="default: all")
+    chosen = parser.parse_args()
+    if chosen.worker:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+        name, options = chosen.worker
+        print(json.dumps(globals()[name](**json.loads(options))))
+        return
+    figures: dict[str, Any] = {}
+    for name in chosen.only or PARTS:
+        asked = json.dumps({"smoke": chosen.smoke})
+        found, done = worker(str(Path(__file__).resolve()), "--worker", name, asked)
+        if found is None:
+            raise SystemExit(f"{name}: {done.stderr.splitlines()[-1:]}")
+        figures[name] = found | {"peak_mb": round(done.peak / 1e6)}
+        print(name, figures[name], flush=True)
+    folder = results_folder(chosen.results, smoke=chosen.smoke)
+    print(record("states", figures, folder=folder, note=chosen.note))
+
+
+if __name__ == "__main__":
+    main()
