@@ -16,7 +16,7 @@ for folder in ("benchmarks", "open_sets", "public"):
     sys.path.insert(0, str(EXPERIMENTS / folder))
 from gru import run as run_gru  # noqa: E402 # pyright: ignore
 from gru import start  # noqa: E402 # pyright: ignore
-from ours import best_of, losses, window  # noqa: E402 # pyright: ignore
+from ours import best_of, losses, taken, window  # noqa: E402 # pyright: ignore
 from published import PUBLISHED  # noqa: E402 # pyright: ignore
 from score import held_back, started  # noqa: E402 # pyright: ignore
 from sets import READERS, Part  # noqa: E402 # pyright: ignore
@@ -80,6 +80,18 @@ def test_structures_have_enough_samples(data):
             terms = math.comb(method.states + 1 + method.degree, method.degree)
             assert (method.states + 1) * terms * SHARE <= data.samples
             assert method.window == 9
+
+
+def test_a_cheap_structure_that_is_as_good_is_trained_on_everything():
+    size = {"degree": 2, "groups": [0.2, 0.4]}
+    large = size | {"name": "a", "states": 5, "free_run": 0.3}
+    small = size | {"name": "b", "states": 2, "free_run": 0.31}
+    worse = size | {"name": "c", "states": 1, "free_run": 0.32}
+    failed = size | {"name": "d", "states": 1, "failed": "diverges"}
+    # Up to 5 % above the best may be given away.
+    assert taken([large, small, worse, failed]) is small
+    assert taken([large, worse]) is large
+    assert taken([failed]) is None
 
 
 def test_the_best_is_that_of_what_was_left_out():

@@ -35,11 +35,11 @@ from gru import fit_gru  # noqa: E402 # pyright: ignore
 from kept import Table, in_process  # noqa: E402 # pyright: ignore
 from others import PACKAGES, PEERS, installed  # noqa: E402 # pyright: ignore
 from ours import (  # noqa: E402 # pyright: ignore
-    best_of,
     column,
     finished,
     judged,
     losses,
+    taken,
     window,
 )
 from own import fit, load, prepare  # noqa: E402 # pyright: ignore
@@ -158,7 +158,7 @@ def hidden_states(
         yield
     from jaxnarx.models import hold_to_range
 
-    row = best_of(board)
+    row = taken(board)
     if chosen.chosen_only or row is None:
         return
     size = row["states"], row["degree"]
@@ -197,7 +197,7 @@ def _more(peer: str, table: Table, name: str, output: str) -> Row:
     if peer == "GRU":
         return {"name": name}
     board = table.sets[name].get("candidates", {}).get(output, [])
-    row = best_of(board) or {"states": 2, "degree": 2}
+    row = taken(board) or {"states": 2, "degree": 2}
     return {"states": row["states"], "degree": row["degree"]}
 
 
