@@ -199,7 +199,7 @@ def tanks(smoke: bool) -> dict[str, Any]:
 
     jax.config.update("jax_enable_x64", True)
     import numpy as np
-    from own import load
+    from own import load  # pyright: ignore[reportMissingImports]
 
     from jaxnarx.states import HiddenStates, fit_states
 

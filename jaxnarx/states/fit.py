@@ -78,8 +78,8 @@ def fit_states(
     errors = {start.name: start.error for start in starts}
     for shrink in method.shrink:
         starts = [_gone_on(s, data, method, shrink, progress) for s in starts]
-        best = min(starts, key=_told)
-        path.append(best.settled)
+        path.append(min(starts, key=_told).settled)
+    best = min(starts, key=_told)
     stats = {"path": path, "start": best.name, "starts": errors}
     return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
 
