@@ -10,12 +10,14 @@ tried.
 
     python experiments/open_sets/order.py
 
-Of 32 outputs, 25 of them of virtual engines, two were better by a polynomial NARX
-model: Silverbox by a factor of twelve, the temperature of the stirred tank by 7 %. Both
-are of one or two inputs, and both of degree three, with 20 terms. LOLIMOT was never
-ahead, at the longest times. So degree three comes first where the pool bears it,
-LOLIMOT behind the polynomials, and a search goes on only while something is near the
-best (`Preset.patience`).
+Of 32 outputs, 25 of them of virtual engines, four are better by what is trained:
+Silverbox by a factor of 28 and the Wiener-Hammerstein circuit by two with hidden
+states, both outputs of the stirred tank by 7 and 12 % as polynomial NARX models of
+degree three and two. All are of one or two inputs. Before there were hidden states a
+polynomial of degree three with 20 terms was worth a factor of twelve on Silverbox.
+LOLIMOT was never ahead, at the longest times. So hidden states come first, for few
+inputs, then degree three where the pool bears it, LOLIMOT behind the polynomials, and a
+search goes on only while something is near the best (`Preset.patience`).
 """
 
 import json
@@ -52,14 +54,14 @@ def problem(rows: list[dict[str, Any]]) -> Problem | None:
     able = [r for r in rows if r["free_run"] is not None and r["family"] not in TRAINED]
     if not able:
         return None
-    tried = {
-        f"{row['family']}: {row['name']}": (
-            math.inf if row["free_run"] is None else row["free_run"],
-            row["seconds"],
-        )
-        for row in rows
-        if row["family"] in TRAINED
-    }
+    tried: dict[str, tuple[float, float]] = {}
+    for row in rows:
+        if row["family"] in TRAINED:
+            # One training makes a candidate for every pull.
+            name = f"{row['family']}: {row['name']}".partition(", pull")[0]
+            least, seconds = tried.get(name, (math.inf, 0.0))
+            error = math.inf if row["free_run"] is None else row["free_run"]
+            tried[name] = min(least, error), seconds + row["seconds"]
     return min(row["free_run"] for row in able), tried
 
 
