@@ -22,15 +22,11 @@ search goes on only while something is near the best (`Preset.patience`).
 
 import json
 import math
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "benchmarks"))
-from common import RESULTS  # noqa: E402 # pyright: ignore[reportMissingImports]
-
+RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 TRAINED = ("polynomial NARX", "LOLIMOT", "hidden states")
 """Families whose candidates are trained one by one."""
 TINY = 1e-12
