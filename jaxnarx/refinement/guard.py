@@ -65,8 +65,7 @@ class Guard(eqx.Module):
             drive = begun(network, drive, jnp.asarray(self.start))
         y = run(network, drive, self.anchor)
         value = self.criterion(y, drive.measured, self.weight)
-        own = limited(network, y)[..., : len(network.modelled)]
-        held = jnp.moveaxis(own, 2, 0)
+        held = jnp.moveaxis(limited(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
         lost = jnp.any(has_diverged(held, counted))
         lost &= not self.trained

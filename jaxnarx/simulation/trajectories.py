@@ -31,9 +31,7 @@ class Trajectories:
     an input outside its training range, or in a prediction a measured or computed
     output; `diverged` tells per output whether the record counts as diverged. `hidden`
     are the hidden channels in their own unit; a sample of which one is held by its
-    bound is `limited` for all outputs. That is what bounds of hidden channels are for,
-    a few states may rest there while the outputs are right: it does not count towards
-    `diverged`, unless a value is beyond all numbers.
+    bound is `limited` for all outputs.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
@@ -123,9 +121,7 @@ def make_trajectories(
         limited = lost | np.asarray(ahead[1])
         extrapolated |= np.any((computed < low) | (computed > high), axis=2)
     count = len(network.modelled)
-    lost = lost[..., :count] | lost[..., count:].any(axis=2, keepdims=True)
-    each = limited[..., :count] | lost
-    limited = each | limited[..., count:].any(axis=2, keepdims=True)
+    limited = limited[..., :count] | limited[..., count:].any(axis=2, keepdims=True)
     outputs, hidden, scored = (
         computed[..., :count],
         computed[..., count:],
@@ -142,7 +138,7 @@ def make_trajectories(
         masks = limited[n, :length].copy(), at_edge[n, :length].copy()
         for mask in masks:
             mask[:first] = False
-        bad = np.asarray(has_diverged(each[n, first:length].T))
+        bad = np.asarray(has_diverged(masks[0][first:].T))
         parts = *values, scored[n, :length], *masks, extrapolated[n, :length], bad
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
