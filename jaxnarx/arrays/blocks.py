@@ -5,15 +5,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Shaped
+from jaxtyping import Array, PyTree, Shaped
 
 
 def map_blocks(
-    f: Callable[[Any], Shaped[Array, "rows *rest"]], columns: Any, size: int
-) -> Shaped[Array, "time *rest"]:
+    f: Callable[[Any], PyTree[Shaped[Array, "rows ..."]]], columns: Any, size: int
+) -> PyTree[Shaped[Array, "time ..."]]:
     """`f(columns)` for an `f` that treats every sample alone, `size` samples at a time.
 
-    `columns` is a tree of (channels, time) arrays, the result has time first. The
+    `columns` is a tree of (channels, time) arrays, results have time first. The
     derivative computes a block again rather than keep what it needs of all of them: on
     CPU memory traffic, not arithmetic, is what long records cost. Records of fewer than
     four blocks are done in one piece.
@@ -28,4 +28,4 @@ def map_blocks(
         return jnp.moveaxis(padded.reshape(a.shape[0], blocks, size), 1, 0)
 
     pieces = jax.lax.map(jax.checkpoint(f), jax.tree.map(cut, columns))
-    return pieces.reshape(blocks * size, *pieces.shape[2:])[:time]
+    return jax.tree.map(lambda a: a.reshape(blocks * size, *a.shape[2:])[:time], pieces)

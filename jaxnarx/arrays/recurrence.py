@@ -34,28 +34,31 @@ Step = Callable[[Any, Any, Float[Array, "outputs depth"]], Float[Array, " output
 
 def polynomial_step(
     table: Int[np.ndarray, "monomials degree"],
-    output: Int[np.ndarray, " fed_back"],
+    source: Int[np.ndarray, "states fed_back"],
     lag: Int[np.ndarray, " fed_back"],
-    outputs: int,
 ) -> Step:
-    """Step y_o = sum_a G_t[o, a] prod_f x[table[a, f]] with drive G_t.
+    """Step y_s = sum_a G_t[s, a] prod_f x_s[table[a, f]] with drive G_t.
 
-    x = [1, x_1 ... x_E] and x_e is output `output[e - 1]`, `lag[e - 1]` + 1 samples
+    x_s = [1, x_1 ... x_E] and x_e is state `source[s, e - 1]`, `lag[e - 1]` + 1 samples
     ago. Short sums are written out term by term, those of the newest outputs last: a
     loop then waits only for these. On CPU that halves a run of ten monomials, and its
     derivative by the history, over all samples at once, costs a tenth.
     """
-    if outputs * len(table) > WRITTEN_OUT:
-        return _gathering_step(table, output, lag)
+    if len(source) * len(table) > WRITTEN_OUT:
+        return _gathering_step(table, source, lag)
     since = np.concatenate([[np.iinfo(np.int64).max], lag])
     order = np.argsort(-since[table].min(axis=1), kind="stable").tolist()
     rows = [[int(f) - 1 for f in row if f] for row in table]
 
     def step(params, g, history):
         del params
-        past = [history[o, d] for o, d in zip(output, lag, strict=True)]
-        products = [(a, [past[e] for e in rows[a]]) for a in order]
-        return jnp.stack([_weighted_sum(g[o], products) for o in range(outputs)])
+
+        def one(s):
+            past = [history[i, d] for i, d in zip(source[s], lag, strict=True)]
+            products = [(a, [past[e] for e in rows[a]]) for a in order]
+            return _weighted_sum(g[s], products)
+
+        return jnp.stack([one(s) for s in range(len(source))])
 
     return step
 
@@ -67,11 +70,16 @@ def _weighted_sum(weight, products):
     return total
 
 
-def _gathering_step(table, output, lag) -> Step:
+def _gathering_step(table, source, lag) -> Step:
+    rows, which = np.unique(source, axis=0, return_inverse=True)
+
     def step(params, g, history):
         del params
-        past = jnp.concatenate([jnp.ones(1, g.dtype), history[output, lag]])
-        return g @ jnp.prod(past[table], axis=1)
+        past = jnp.pad(history[rows, lag], ((0, 0), (1, 0)), constant_values=1.0)
+        products = jnp.prod(past[:, table], axis=2)
+        if len(rows) == 1:
+            return g @ products[0]
+        return jnp.sum(g * products[which], axis=1)
 
     return step
 

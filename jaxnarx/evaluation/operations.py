@@ -63,7 +63,8 @@ def weighing(
       addition, division); M - 1 differences.
     - `SigmoidTree`: a gate in use takes a product per variable its direction holds, as
       many additions, and a sigmoid. Weights go down the tree: p becomes p g and p - p
-      g, one product and one difference a gate, no product at the root.
+      g, one product and one difference a gate, no product at the root. A gate without
+      direction gives a sum's part the same share everywhere, without a sigmoid.
     """
     raise SpecError(
         f"no rule to count the operations of {type(validity).__name__}", field="network"
@@ -119,12 +120,13 @@ def _log_sigmoids(validity: LogSigmoids, active: Bool[np.ndarray, " models"]):
 def _sigmoid_tree(validity: SigmoidTree, active: Bool[np.ndarray, " models"]):
     used = np.any(np.asarray(validity.path)[active] != 0, axis=0)
     gates = int(used.sum())
-    along = int(np.count_nonzero(np.asarray(validity.direction)[used]))
+    held = np.asarray(validity.direction)[used] != 0
+    along, moving = int(held.sum()), int(held.any(axis=1).sum())
     operations = Operations(
         multiplications=along + gates - 1,
-        additions=along + 2 * gates,
-        exponentials=gates,
-        divisions=gates,
+        additions=along + moving + gates,
+        exponentials=moving,
+        divisions=moving,
     )
     return operations, along + gates
 

@@ -31,7 +31,8 @@ def describe_partition(
       `regions`, one per local model as `Network.regions` tells them; `weights` (models,
       *grid), the network's own validity over the ranges, where there are one or two
       variables; for a tree `gates` (the variable, or combination, of each and what its
-      open side lies `above` or `below`) and `path`, a row of sides per local model;
+      open side lies `above` or `below`, or `{"share": {"above": 0.3}}` where that is
+      a part of a sum of networks) and `path`, a row of sides per local model;
     - `cloud`: up to 2000 points of `data`, evenly spaced (samples, dims).
 
     Outputs with a single local model are left out; of those divided by hidden channels
@@ -104,7 +105,8 @@ def _side(network: Network, o: int, ranges: list[tuple[float, float]]) -> dict:
 
 
 def _tree(network: Network, model: OutputModel, validity: SigmoidTree) -> dict:
-    """Gates as the regions of a tree in which every leaf lies behind one gate alone."""
+    """Gates as the regions of a tree in which every leaf lies behind one gate alone; of
+    one that is open to the same share everywhere, that share."""
     path = np.asarray(validity.path)[np.asarray(model.active)]
     used = np.flatnonzero(np.any(path != 0, axis=0))
     alone = jnp.asarray(np.eye(path.shape[1], dtype=path.dtype)[used])
@@ -112,4 +114,10 @@ def _tree(network: Network, model: OutputModel, validity: SigmoidTree) -> dict:
     gates = dataclasses.replace(validity, path=alone).regions(
         names, np.asarray(model.offset), np.asarray(model.span)
     )
+    shut = np.exp(np.asarray(validity.log_steepness)) * np.asarray(validity.border)
+    share = 1 / (1 + np.exp(shut[used]))
+    gates = [
+        gate or {"share": {"above": float(part)}}
+        for gate, part in zip(gates, share, strict=True)
+    ]
     return {"gates": gates, "path": path[:, used].tolist()}

@@ -13,8 +13,10 @@ from jaxnarx.models.feedback import depth as depth
 from jaxnarx.models.feedback import fed_back as fed_back
 from jaxnarx.models.feedback import folded as folded
 from jaxnarx.models.feedback import general_step as general_step
+from jaxnarx.models.feedback import group_weights as group_weights
 from jaxnarx.models.feedback import places as places
 from jaxnarx.models.feedback import respond as respond
+from jaxnarx.models.feedback import shares as shares
 from jaxnarx.models.feedback import sources as sources
 from jaxnarx.models.feedback import widened as widened
 from jaxnarx.models.feedback import with_history as with_history
@@ -35,6 +37,7 @@ from jaxnarx.models.network import weights_at as weights_at
 from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about
 from jaxnarx.models.storage import save as save
+from jaxnarx.models.total import total as total
 from jaxnarx.models.validity import AbstractValidity as AbstractValidity
 from jaxnarx.models.validity import Boxes as Boxes
 from jaxnarx.models.validity import Compact as Compact

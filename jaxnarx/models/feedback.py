@@ -8,9 +8,10 @@ over models and terms is done before the time loop,
 
 and the loop is only y_t = G_t . h(lags).
 
-Local models that are fed back their own outputs add these to what the loop carries:
-behind the network's outputs come, output by output, those of all its local models. All
-of them start from the measured outputs.
+Groups of local models that are fed back their own outputs add these to what the loop
+carries: behind the network's outputs come, output by output, those of all its groups.
+All of them start from the measured outputs. Each has a G_t of its own, the output gets
+that of all other local models and the groups' values times their summed weights.
 """
 
 import itertools
@@ -61,8 +62,6 @@ def monomials(network: Network) -> np.ndarray:
 
 def collapses(network: Network) -> bool:
     """True where the loop can be reduced to feedback monomials."""
-    if network.parallel:
-        return False
     scheduled = any(fed_back(m.scheduling, network.signals) for m in network.models)
     count = len(fed_back(network.variables, network.signals))
     degree = max(m.local.factor.shape[1] for m in network.models)
@@ -71,25 +70,36 @@ def collapses(network: Network) -> bool:
 
 def _collapse_one(
     model: OutputModel, lookup: np.ndarray, table: np.ndarray, v, x
-) -> Float[Array, "monomials *rows"]:
+) -> Float[Array, "states monomials rows"]:
     factor = model.local.factor
     phi = model.validity(scheduling_values(model, x), model.active)
-    weight = jnp.tensordot(model.local.dense().T, phi, axes=1)
+    weight = jnp.einsum("smr,mk->skr", _by_state(model, phi), model.local.dense())
     own = jnp.asarray(lookup)[factor]
     inputs_only = evaluate(jnp.where(own > 0, 0, factor), v)
     own = jnp.sort(own, axis=1)
     pad = table.shape[1] - own.shape[1]
     own = jnp.pad(own, ((0, 0), (pad, 0)))
     match = jnp.all(own[:, None] == table[None], axis=2).astype(v.dtype)
-    return jnp.tensordot(match.T, weight * inputs_only, axes=1)
+    return jnp.einsum("ka,skr->sar", match, weight * inputs_only[None])
+
+
+def _by_state(
+    model: OutputModel, phi: Float[Array, "models rows"]
+) -> Float[Array, "states models rows"]:
+    """Weights of the local models that are fed back the output, then of each group."""
+    if model.own is None:
+        return phi[None]
+    rest = jnp.where(model.own.any(axis=0)[:, None], 0.0, phi)
+    return jnp.concatenate([rest[None], shares(model, phi)])
 
 
 def collapse(
     network: Network,
-    v: Float[Array, "vars *rows"],
-    x: tuple[Float[Array, "_ *rows"], ...],
-) -> Float[Array, "outputs monomials *rows"]:
-    """G of every output: what multiplies each feedback monomial at each sample.
+    v: Float[Array, "vars rows"],
+    x: tuple[Float[Array, "_ rows"], ...],
+) -> Float[Array, "states monomials rows"]:
+    """G of every output and group: what multiplies each feedback monomial at each
+    sample.
 
     `v` holds the scaled lagged variables behind a leading one, `x` the scheduling
     variables of every output in physical units.
@@ -98,20 +108,49 @@ def collapse(
     for e, (row, _, _) in enumerate(fed_back(network.variables, network.signals)):
         lookup[row + 1] = e + 1
     table = monomials(network)
-    return jnp.stack(
-        [
-            _collapse_one(model, lookup, table, v, x_o)
-            for model, x_o in zip(network.models, x, strict=True)
-        ]
-    )
+    every = [
+        _collapse_one(model, lookup, table, v, x_o)
+        for model, x_o in zip(network.models, x, strict=True)
+    ]
+    groups = [one[1:] for one in every]
+    return jnp.concatenate([*(one[:1] for one in every), *groups])
+
+
+def group_weights(
+    network: Network, x: tuple[Float[Array, "_ rows"], ...]
+) -> Float[Array, "groups rows"]:
+    """Summed weights of every group's local models."""
+    every = [
+        model.own.astype(x_o.dtype)
+        @ model.validity(scheduling_values(model, x_o), model.active)
+        for model, x_o in zip(network.models, x, strict=True)
+        if model.own is not None
+    ]
+    return jnp.concatenate(every)
 
 
 def collapsed_step(network: Network):
-    """Step of the recursion on `G_t`: y = G_t . h(history)."""
-    own = fed_back(network.variables, network.signals)
-    output = np.array([o for _, o, _ in own], dtype=np.int64)
+    """Step of the recursion on `G_t`: y = G_t . h(history); with groups, on that and
+    their weights."""
+    own, of = fed_back(network.variables, network.signals), sources(network)
+    outputs = len(network.models)
+    states = np.arange(len(of))[:, None]
+    output = np.array([o for _, o, _ in own], dtype=np.int64)[None]
     lag = np.array([d for _, _, d in own], dtype=np.int64)
-    return polynomial_step(monomials(network), output, lag, len(network.models))
+    mine = (states >= outputs) & (of[:, None] == output)
+    source = np.where(mine, states, output)
+    plain = polynomial_step(monomials(network), source, lag)
+    if not network.parallel:
+        return plain
+
+    def step(params, drive, history):
+        g, weight = drive
+        value = plain(params, g, history)
+        groups = list(zip(of[outputs:], value[outputs:] * weight, strict=True))
+        mixed = [sum((y for i, y in groups if i == o), value[o]) for o in of[:outputs]]
+        return jnp.concatenate([jnp.stack(mixed), value[outputs:]])
+
+    return step
 
 
 def with_history(network: Network, v, x, history):
@@ -146,8 +185,8 @@ def respond(
 def sources(network: Network) -> Int[np.ndarray, " states"]:
     """The output that each entry of the loop's state is a value of.
 
-    The outputs themselves, then the local models of those that have any with feedback
-    of its own.
+    The outputs themselves, then the groups with feedback of their own of those that
+    have any.
     """
     own = [[o] * len(m.own) for o, m in enumerate(network.models) if m.own is not None]
     return np.array([*range(len(network.models)), *itertools.chain(*own)], np.int64)
@@ -179,25 +218,44 @@ def own_rows(network: Network, output: int) -> list[tuple[int, int]]:
 def with_own(network: Network, output: int, v: Array, history: Array) -> Array:
     """The variables as each local model sees them, (models, vars, *rows).
 
-    `history` (models, depth, *rows) are the local models' own past outputs.
+    `history` (groups, depth, *rows) are the groups' own past outputs.
     """
     own = network.models[output].own
     assert own is not None
 
-    def one(own, history):
-        mine = v
+    def one(member, group):
+        mine, seen = v, history[group]
         for row, d in own_rows(network, output):
-            mine = mine.at[row + 1].set(jnp.where(own, history[d], v[row + 1]))
+            mine = mine.at[row + 1].set(jnp.where(member, seen[d], v[row + 1]))
         return mine
 
-    return jax.vmap(one)(own, history)
+    return jax.vmap(one)(own.any(axis=0), own.argmax(axis=0))
 
 
 def places(network: Network) -> list[slice]:
-    """Where the local models of every output stand in the loop's state."""
+    """Where the groups of every output stand in the loop's state."""
     size = [0 if m.own is None else len(m.own) for m in network.models]
     ends = np.cumsum([len(network.models), *size]).tolist()
     return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
+def shares(
+    model: OutputModel, phi: Float[Array, "models *rows"]
+) -> Float[Array, "groups models *rows"]:
+    """Weights of local models within their groups, of sum one.
+
+    Where all of a group's weights vanish, equal ones: a local model alone always has
+    weight one.
+    """
+    assert model.own is not None
+    member = model.own.astype(phi.dtype)
+    several = (..., *(None,) * (phi.ndim - 1))
+    count = jnp.maximum(member.sum(axis=1, keepdims=True), 1.0)
+    member, equal = member[several], (member / count)[several]
+    weight = member * phi[None]
+    total = weight.sum(axis=1, keepdims=True)
+    there = total > 0
+    return jnp.where(there, weight / jnp.where(there, total, 1.0), equal)
 
 
 def advance(
@@ -206,7 +264,7 @@ def advance(
     x: tuple[Float[Array, "_ *rows"], ...],
     history: Float[Array, "states depth *rows"],
 ) -> Float[Array, "states *rows"]:
-    """The next entry of the loop's state, not limited: outputs, then local models."""
+    """The next entry of the loop's state, not limited: outputs, then groups."""
     v, x = with_history(network, v, x, history)
     outputs, alone = [], []
     parts = zip(network.models, x, places(network), strict=True)
@@ -221,8 +279,9 @@ def advance(
         local = jax.vmap(lambda a, b: jnp.tensordot(a, b, axes=1))(
             model.local.dense(), terms
         )
-        outputs.append(jnp.sum(model.validity(z, model.active) * local, axis=0))
-        alone.append(local)
+        phi = model.validity(z, model.active)
+        outputs.append(jnp.sum(phi * local, axis=0))
+        alone.append(jnp.sum(shares(model, phi) * local[None], axis=1))
     return jnp.concatenate([jnp.stack(outputs), *alone])
 
 

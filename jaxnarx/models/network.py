@@ -59,9 +59,12 @@ class OutputModel(eqx.Module):
     """The part of a network that computes one output: its partition and local models.
 
     Scheduling variables are min-max scaled, z = (x - offset)/span, in physical units of
-    x; `active` is False for unused model slots. A local model that is True in `own` is
-    fed back its own past output in a free run, not that of the network: an output-error
-    model of its region. Without `own` there is none.
+    x; `active` is False for unused model slots. In `own` every row is a group of local
+    models that are fed back their own past output in a free run, the mean of the group
+    by its weights, not that of the network: a local model alone is an output-error
+    model of its region, the local models of a network within a sum of networks are a
+    group. A local model is in one group at most; a square table holds none but groups
+    of one, and rows without any. Without `own` there is none.
     """
 
     scheduling: Variables = eqx.field(static=True)
@@ -70,7 +73,7 @@ class OutputModel(eqx.Module):
     validity: AbstractValidity
     active: Bool[Array, " models"]
     local: LocalModels
-    own: Bool[Array, " models"] | None = None
+    own: Bool[Array, "groups models"] | None = None
 
     def __call__(
         self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
@@ -178,7 +181,7 @@ class Network(eqx.Module):
 
     @property
     def parallel(self) -> bool:
-        """Whether local models may be fed back their own outputs."""
+        """Whether local models may be fed back outputs of their own groups."""
         return any(m.own is not None for m in self.models)
 
     @property
@@ -291,7 +294,8 @@ class Network(eqx.Module):
         One dictionary per output and region: `output`, `model` (count from 1), `region`
         (where it is valid in physical units, by scheduling variable: `centre` and
         `width`, or `above` and `below`), `feedback` (`"own"` where the model is fed
-        back its own output, `NOx_2` for the second of NOx, else `"network"`),
+        back the output of its own group, `NOx_2` for the second of NOx, else
+        `"network"`),
         `terms` (text and coefficient) and the whole as `text` or `latex`.
         """
         return [
@@ -314,10 +318,10 @@ class Network(eqx.Module):
             value = value * unit
         output, names = self.computed_names[o], self.variable_names
         own = self.models[o].own
-        alone = own is not None and bool(own[m])
+        groups = [] if own is None else np.flatnonzero(np.asarray(own)[:, m]).tolist()
         left = output
-        if alone:
-            left = f"{output}_{m + 1}"
+        if groups:
+            left = f"{output}_{groups[0] + 1}"
             names = [
                 name.replace(output, left, 1) if s == self.signals[o] else name
                 for name, s in zip(names, signal, strict=True)
@@ -325,7 +329,7 @@ class Network(eqx.Module):
         return {
             "output": output,
             "model": int(m) + 1,
-            "feedback": "own" if alone else "network",
+            "feedback": "own" if groups else "network",
             "region": self.regions(o)[int(m)],
             "terms": [
                 (term_name(names, row), float(c))

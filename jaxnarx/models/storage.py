@@ -4,10 +4,11 @@ The header (metadata key `jaxnarx`) holds the format version, the package versio
 channels with units and the static tables; the tensors are the network's arrays. A file
 of a newer format, a foreign or a damaged one is a `ModelFileError`. A network with
 filtered variables is written as format 2, one with other validity functions than
-Gaussians as format 3, one with local models that have feedback of their own as format
-4, one that is held to its trained ranges as format 5, one with hidden channels as
-format 6, so that older programs say what they lack; any other is still written as
-format 1. Files of formats 1 to 4 hold none.
+Gaussians as format 3, one that is held to its trained ranges as format 5, one with
+hidden channels as format 6, one with groups of local models that have feedback of their
+own as format 7, so that older programs say what they lack; any other is still written
+as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a group is a
+local model alone.
 """
 
 import dataclasses
@@ -36,7 +37,7 @@ from jaxnarx.regressors import (
     require_sampled,
 )
 
-FORMAT = 6
+FORMAT = 7
 """Newest format read."""
 DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
@@ -75,12 +76,12 @@ def _hidden(network: Network) -> dict[str, Any]:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if network.parallel:
+        return 7
     if network.hidden:
         return 6
     if network.hold is not None:
         return 5
-    if network.parallel:
-        return 4
     if not all(isinstance(m.validity, Gaussians) for m in network.models):
         return 3
     tables = (network.variables, *(m.scheduling for m in network.models))
@@ -325,7 +326,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
                 validity(*(get(f"{lead}.validity.{f}", k) for f, k in fields.items())),
                 get(f"{lead}.active", "b"),
                 local,
-                get(f"{lead}.own", "b") if f"{lead}.own" in tensors else None,
+                _groups(get(f"{lead}.own", "b")) if f"{lead}.own" in tensors else None,
             )
         )
     network = Network(
@@ -342,6 +343,11 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     )
     _check(network)
     return network
+
+
+def _groups(own: jax.Array) -> jax.Array:
+    """Of format 4 a list of the local models that are groups by themselves."""
+    return jnp.diag(own) if own.ndim == 1 else own
 
 
 def _require(holds: Any, otherwise: str) -> None:
@@ -409,10 +415,7 @@ def _check_model(model: OutputModel, limit: int) -> None:
     )
     _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
     model.validity.check(models[0], dims[0])
-    _require(
-        model.own is None or model.own.shape == models,
-        "local models and their kinds of feedback differ in number",
-    )
+    _check_groups(model)
     _require(np.any(np.asarray(model.active)), "no local model is active")
     _require(
         local.index.shape == local.used.shape == local.coefficient.shape,
@@ -427,3 +430,19 @@ def _check_model(model: OutputModel, limit: int) -> None:
             not entries.size or (entries.min() >= 0 and entries.max() < top),
             "a term points outside its table",
         )
+
+
+def _check_groups(model: OutputModel) -> None:
+    """Local models that have feedback of their own, by groups."""
+    if model.own is None:
+        return
+    own, models = np.asarray(model.own), len(model.active)
+    _require(
+        own.ndim == 2 and own.shape[1] == models,
+        "local models and their kinds of feedback differ in number",
+    )
+    _require(np.all(own.sum(axis=0) <= 1), "a local model has two kinds of feedback")
+    _require(
+        len(own) != models or np.array_equal(own, np.diag(np.diag(own))),
+        "as many kinds of feedback as local models, and they share some",
+    )

@@ -31,6 +31,8 @@ class Stretch:
     """Outputs before the first sample, latest first."""
     counted: tuple[Int[np.ndarray, " _"], ...]
     """Samples that count, part by part: groups, then gaps between them."""
+    first: int
+    """Place of the first sample in the record."""
 
     def filtered(
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
@@ -86,8 +88,8 @@ def signals_of(
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. `labels` and `apart` are
-    `Groups.parts`. Runs start behind `history` samples at least; every so many samples
-    one counts.
+    `Groups.parts`. Runs start behind `history` samples at least; of every so many
+    samples of a record one counts.
     """
     table = Variables.of(
         [
@@ -121,7 +123,7 @@ def signals_of(
         label = np.full(e, -1)
         label[: len(record)] = labels[n][:e]
         seen = scored[n, s:e]
-        seen[np.arange(e - s) % every != 0] = False
+        seen[np.arange(s, e) % every != 0] = False
         counted = [
             np.flatnonzero(seen & (label[s:] == g)) for g in range(apart.shape[1])
         ]
@@ -132,6 +134,7 @@ def signals_of(
                 (y[n, s:e] - middle) / spread,
                 (y[n, s - history : s][::-1] - middle) / spread,
                 tuple(counted),
+                s,
             )
         )
     return RunSignals(

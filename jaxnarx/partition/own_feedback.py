@@ -42,7 +42,7 @@ def with_feedback(
         if not _fed_back_itself(network, o):
             own[:] = False
         elif feedback == "choose":
-            own, figure = _chosen(_alone(network, o), data, own)
+            own, figure = _chosen(_part(network, o), data, own)
             figures.append(figure)
         flags.append(own)
         models.append(_turned(model, own))
@@ -61,10 +61,15 @@ def _fed_back_itself(network: Network, output: int) -> bool:
 
 def _turned(model, own: Own):
     """The model with these flags; without any it keeps its quicker loop."""
-    return dataclasses.replace(model, own=jnp.asarray(own) if own.any() else None)
+    return dataclasses.replace(model, own=_alone(own) if own.any() else None)
 
 
-def _alone(network: Network, output: int) -> Network:
+def _alone(own: Own):
+    """Every one of these a group of its own."""
+    return jnp.asarray(np.diag(own))
+
+
+def _part(network: Network, output: int) -> Network:
     """The network of one output alone."""
     at = np.array([output])
     return dataclasses.replace(
@@ -78,7 +83,7 @@ def _alone(network: Network, output: int) -> Network:
 
 def _chosen(network: Network, data: Dataset, every: Own) -> tuple[Own, dict]:
     def error(own: Own) -> float:
-        model = dataclasses.replace(network.models[0], own=jnp.asarray(own))
+        model = dataclasses.replace(network.models[0], own=_alone(own))
         return free_run_nrmse(dataclasses.replace(network, models=(model,)), data)
 
     nobody = np.zeros_like(every)

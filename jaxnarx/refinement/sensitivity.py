@@ -27,6 +27,7 @@ from jaxnarx.models import (
     depth,
     places,
     scheduling_values,
+    shares,
     widened,
     with_history,
     with_own,
@@ -49,11 +50,11 @@ def output_gradient(
     model: OutputModel,
     v: Float[Array, "vars rows"] | Float[Array, "models vars rows"],
     x: Float[Array, "dims rows"],
-) -> tuple[list[Float[Array, "*shape rows"]], Float[Array, "models slots rows"]]:
+) -> tuple[list[Float[Array, "*shape rows"]], list[Float[Array, "groups *shape rows"]]]:
     """Derivative of the output by coefficients and by every trained field of validity.
 
     At fixed lagged variables, all local models' or each one's own; samples are the
-    trailing axis. Beside it that of every local model's output by its coefficients.
+    trailing axis. Beside it those of the outputs of groups with feedback of their own.
     """
     z = scheduling_values(model, x)
     every = jax.vmap(partial(evaluate, model.local.factor))
@@ -75,7 +76,22 @@ def output_gradient(
 
     by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
     by_fields = by_validity(model.validity.parameters, z, local)
-    return [coefficient, *by_fields], alone
+    output = [coefficient, *by_fields]
+    if model.own is None:
+        return output, []
+    weight = shares(model, phi)
+
+    def group(parameters, z, local):
+        phi = model.validity.replaced(parameters)(z, model.active)
+        return jnp.sum(shares(model, phi) * local[None], axis=1)
+
+    groups, models = model.own.shape
+    if groups == models:  # each one local model, whose weight is one
+        by_fields = [jnp.zeros((groups, *leaf.shape), leaf.dtype) for leaf in by_fields]
+    else:
+        by_group = jax.vmap(jax.jacrev(group), in_axes=(None, 1, 1), out_axes=-1)
+        by_fields = by_group(model.validity.parameters, z, local)
+    return output, [weight[:, :, None] * alone[None], *by_fields]
 
 
 def direct_tangents(
@@ -83,7 +99,7 @@ def direct_tangents(
 ) -> Float[Array, "rows states params"]:
     """Direct tangents D_t of all outputs by all parameters, zero where limited.
 
-    Behind the outputs those of local models that have feedback of their own; `history`
+    Behind the outputs those of groups that have feedback of their own; `history`
     (rows, states, depth) is what they have seen.
     """
     rows = v.shape[1]
@@ -95,31 +111,20 @@ def direct_tangents(
         seen = v
         if model.own is not None:
             seen = with_own(network, o, v, jnp.moveaxis(history[:, at], 0, -1))
-        leaves, by_coefficient = output_gradient(model, seen, x[o])
-        leaves[0] = layout.by_vector(o, leaves[0])
-        pieces = [
-            leaf.reshape(-1, rows) for leaf, k in zip(leaves, keep, strict=True) if k
-        ]
-        own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
-        out.append(jnp.pad(own, ((0, 0), (start, total - stop)))[:, None])
-        if model.own is not None:
-            local = _block_diagonal(layout.by_vector(o, by_coefficient), keep[0])
-            room = total - start - local.shape[2]
-            alone.append(jnp.pad(local, ((0, 0), (0, 0), (start, room))))
+        leaves, by_group = output_gradient(model, seen, x[o])
+
+        def flat(leaves, keep=keep, o=o, start=start, stop=stop):
+            leaves = [layout.by_vector(o, leaves[0]), *leaves[1:]]
+            pairs = zip(leaves, keep, strict=True)
+            pieces = [leaf.reshape(-1, rows) for leaf, kept in pairs if kept]
+            own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
+            return jnp.pad(own, ((0, 0), (start, total - stop)))
+
+        out.append(flat(leaves)[:, None])
+        if by_group:
+            alone.append(jax.vmap(flat, out_axes=1)(by_group))
     every = jnp.concatenate([*out, *alone], axis=1)
     return jnp.where(limited[..., None], 0.0, every)
-
-
-def _block_diagonal(
-    leaf: Float[Array, "models slots rows"], kept: bool
-) -> Float[Array, "rows models params"]:
-    """Every local model's output by the coefficients of all, or by nothing."""
-    models, slots, rows = leaf.shape
-    if not kept:
-        return jnp.zeros((rows, models, 0), leaf.dtype)
-    one = jnp.eye(models, dtype=leaf.dtype)
-    both = jnp.einsum("msr,mn->rmns", leaf, one)
-    return both.reshape(rows, models, models * slots)
 
 
 def slopes(

@@ -142,7 +142,7 @@ class Teller(ExitStack):
         for name, model in zip(network.computed_names, network.models, strict=True):
             terms = count(model.local.index.shape[1], "term")
             of = "of" if np.asarray(model.local.used).all() else "of up to"
-            own = 0 if model.own is None else int(model.own.sum())
+            own = 0 if model.own is None else int(np.asarray(model.own).sum())
             fed = f", {own} with feedback of their own" if own else ""
             models = count(int(np.asarray(model.active).sum()), "local model")
             say(f"{name}: {models} {of} {terms}{fed}")

@@ -64,7 +64,11 @@ def branches(
             side = 1 if word == opens else -1
             part = [m for m in leaves if path[m, gate] == side]
             leaf = part[0] if len(part) == 1 else -1
-            rows.append(Branch(f"{text} {sign} {level:.4g}", depth, parent, leaf))
+            told = f"{text} {sign} {level:.4g}"
+            if text == "share":
+                own = level if side > 0 else 1 - level
+                told = f"{own:.0%} of {'the sum' if depth == 0 else 'the rest'}"
+            rows.append(Branch(told, depth, parent, leaf))
             grow(part, used | {gate}, depth + 1, len(rows) - 1)
 
     grow(list(range(len(path))), frozenset(), 0, -1)

@@ -21,6 +21,7 @@ from jaxnarx.models import (
     collapses,
     depth,
     general_step,
+    group_weights,
     widened,
 )
 
@@ -69,10 +70,15 @@ def drive_of(
 def recursion(network: Network, v: Float[Array, "vars time"], x: tuple):
     """Step, parameters and drive of `free_run` for one record."""
     if collapses(network):
-        g = map_blocks(
-            lambda block: jnp.moveaxis(collapse(network, *block), -1, 0), (v, x), BLOCK
-        )
-        return collapsed_step(network), None, g
+
+        def block(columns):
+            parts = (collapse(network, *columns),)
+            if network.parallel:
+                parts = *parts, group_weights(network, columns[1])
+            return tuple(jnp.moveaxis(part, -1, 0) for part in parts)
+
+        g = map_blocks(block, (v, x), BLOCK)
+        return collapsed_step(network), None, g if network.parallel else g[0]
     drive = (v.T, tuple(x_o.T for x_o in x))
     return general_step(network), eqx.filter(network, eqx.is_array), drive
 

@@ -355,7 +355,9 @@ def test_polynomial_step_is_its_sum(copies):
     rng = np.random.default_rng(5)
     g = rng.normal(size=(OUTPUTS, copies * len(table)))
     history = rng.normal(size=(OUTPUTS, DEPTH))
-    polynomial = polynomial_step(np.tile(table, (copies, 1)), output, lag, OUTPUTS)
+    polynomial = polynomial_step(
+        np.tile(table, (copies, 1)), np.tile(output, (OUTPUTS, 1)), lag
+    )
     args = jnp.asarray(g), jnp.asarray(history)
     found, slope = jax.jit(
         lambda g, h: (

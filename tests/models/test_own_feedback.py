@@ -1,4 +1,5 @@
-"""Local models that are fed back their own outputs: output-error models of a region."""
+"""Local models that are fed back their own outputs: output-error models of a region, or
+several that share one."""
 
 import dataclasses
 from functools import cache
@@ -28,19 +29,27 @@ OWN = {
     "by inputs": ((True, False, True),),
     "coupled, by own output": ((True, False, True), None),
     "both": ((False, True, True), (True, False)),
+    "shared": (((True, False, True),),),
 }
-"""Which local models of every output are fed back their own."""
-KIND = {"both": "coupled, by own output"}
+"""Which local models of every output are fed back their own; "shared": which groups
+share one."""
+KIND = {"both": "coupled, by own output", "shared": "by inputs"}
 
 
 @cache
 def network(name: str, bound: float = 50.0) -> Network:
     net = common.named(KIND.get(name, name), bound=bound)
     models = tuple(
-        m if own is None else dataclasses.replace(m, own=jnp.array(own))
+        m if own is None else dataclasses.replace(m, own=groups(own))
         for m, own in zip(net.models, OWN[name], strict=True)
     )
     return dataclasses.replace(net, models=models)
+
+
+def groups(own) -> jax.Array:
+    """Each of these local models a group of its own, or the rows of a table."""
+    table = jnp.array(own)
+    return jnp.diag(table) if table.ndim == 1 else table
 
 
 @cache
@@ -58,16 +67,16 @@ def validity(model, signals: np.ndarray, t: int) -> np.ndarray:
 def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
     """Free run of one record from `start`, or k samples from it, sample by sample.
 
-    A table of signals for the network, and one for every local model in which its own
-    output stands in the place of the network's.
+    A table of signals for the network, and one for every group in which its own output
+    stands in the place of the network's.
     """
     gain = np.asarray(net.gain)
     shared = rows.copy()
     alone = {
-        (o, m): rows.copy()
+        (o, g): rows.copy()
         for o, model in enumerate(net.models)
         if model.own is not None
-        for m in range(len(model.own))
+        for g in range(len(model.own))
     }
     for t in range(start, len(rows) if k is None else start + k):
         new = {}
@@ -75,19 +84,21 @@ def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
             s, total = net.signals[o], 0.0
             phi = validity(model, shared, t)
             theta = np.asarray(model.local.dense())
+            table = np.zeros((0, len(phi))) if model.own is None else model.own
+            value = np.zeros(len(phi))
             for m in range(len(phi)):
-                own = model.own is not None and bool(model.own[m])
                 seen = shared.copy()
-                if own:
-                    seen[:, s] = alone[o, m][:, s]
+                for g in np.flatnonzero(np.asarray(table)[:, m]):
+                    seen[:, s] = alone[o, g][:, s]
                 v = [1.0, *(seen[t - d, c] / gain[c] for c, d in net.variables.rows)]
                 factor = np.asarray(model.local.factor)
                 terms = [np.prod([v[i] for i in row]) for row in factor]
-                y = theta[m] @ np.array(terms)
-                total += phi[m] * y
-                if model.own is not None:
-                    new[o, m] = y
+                value[m] = theta[m] @ np.array(terms)
+                total += phi[m] * value[m]
             new[o] = total
+            for g, members in enumerate(np.asarray(table)):
+                if members.any():
+                    new[o, g] = np.average(value, weights=phi * members)
         for key, value in new.items():
             o = key[0] if isinstance(key, tuple) else key
             s = net.signals[o]
@@ -140,7 +151,7 @@ compiled_run = eqx.filter_jit(run)
 
 
 @pytest.mark.parametrize("bound", [50.0, 0.3], ids=["free", "limited"])
-@pytest.mark.parametrize("name", ["both"])
+@pytest.mark.parametrize("name", ["both", "shared"])
 def test_normal_equations_are_those_of_the_central_differences(name, bound):
     net = network(name, bound)
     task, _ = make_task(net, data())
@@ -249,15 +260,36 @@ def test_poles_and_contraction_are_those_of_the_whole_state():
     assert found.contracts
 
 
-def test_it_is_kept_in_a_file_of_its_own_format(tmp_path):
-    net = network("both")
+@pytest.mark.parametrize("name", ["both", "shared"])
+def test_it_is_kept_in_a_file_of_its_own_format(name, tmp_path):
+    net = network(name)
     save(net, tmp_path / "m.safetensors")
     again = load(tmp_path / "m.safetensors")
     assert eqx.tree_equal(net, again)
-    short = eqx.tree_at(lambda n: n.models[0].own, net, jnp.array([True, False]))
-    save(short, tmp_path / "short.safetensors")
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        [[True, False]],
+        [[True, True, False], [False, True, False]],
+        [[True, True, False], [False] * 3, [False] * 3],
+    ],
+    ids=["too few", "one in two", "square, and two share one"],
+)
+def test_a_file_with_groups_that_cannot_be_is_damaged(own, tmp_path):
+    wrong = eqx.tree_at(lambda n: n.models[0].own, network("shared"), jnp.array(own))
+    save(wrong, tmp_path / "m.safetensors")
     with pytest.raises(ModelFileError, match="damaged"):
-        load(tmp_path / "short.safetensors")
+        load(tmp_path / "m.safetensors")
+
+
+def test_a_list_of_local_models_in_a_file_of_format_four_is_read(tmp_path):
+    net = network("by inputs")
+    save(net, tmp_path / "m.safetensors")
+    flat = eqx.tree_at(lambda n: n.models[0].own, net, jnp.diag(net.models[0].own))
+    save(flat, tmp_path / "m.safetensors")
+    assert eqx.tree_equal(net, load(tmp_path / "m.safetensors"))
 
 
 def test_equations_say_whose_past_they_take():

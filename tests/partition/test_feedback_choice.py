@@ -56,7 +56,7 @@ def test_the_true_class_is_exact_after_refinement_and_no_other(own):
     errors = {}
     for flags in ((True, True), (True, False), (False, True), (False, False)):
         network = grown(records, "own").value
-        model = dataclasses.replace(network.models[0], own=jnp.array(flags))
+        model = dataclasses.replace(network.models[0], own=jnp.diag(jnp.array(flags)))
         start = dataclasses.replace(network, models=(model,))
         only = jnx.freeze(start, partition=False)
         fit = refine(start, records, method, trainable=only).value
@@ -78,7 +78,7 @@ def test_the_choice_is_never_worse_than_either():
     found = np.sqrt(np.mean((run - y) ** 2)) / y.std()
     np.testing.assert_allclose(found, figures["chosen"], rtol=1e-9)
     network = solution.value.models[0]
-    flags = [False, False] if network.own is None else network.own.tolist()
+    flags = [False, False] if network.own is None else np.diag(network.own).tolist()
     assert flags == own.tolist()
 
 
@@ -111,4 +111,4 @@ def test_without_feedback_there_is_nothing_to_choose():
     first = grow(static, records, dataclasses.replace(GRID, feedback="own"))
     assert first.value.models[0].own is None and not first.stats["own"][0].any()
     given = grow(pool(records), records, Given(first.value, feedback="own"))
-    assert np.all(given.value.models[0].own) and given.stats["own"][0].all()
+    assert np.all(np.diag(given.value.models[0].own)) and given.stats["own"][0].all()

@@ -60,10 +60,11 @@ def hull(network: Network, points: Points) -> Interval | None:
     """Centre and radius of A over the feedback box, (points, outputs, outputs, depth).
 
     None where the network is scheduled on its own outputs (or has too many feedback
-    monomials to collapse): there is no such bound then. A radius of zero everywhere
+    monomials to collapse, or groups with feedback of their own): there is no such bound
+    then. A radius of zero everywhere
     means that A depends on the inputs alone.
     """
-    if not collapses(network):
+    if network.parallel or not collapses(network):
         return None
     own = fed_back(network.variables, network.signals)
     lower, upper = (np.asarray(a, np.float64) for a in (network.lower, network.upper))

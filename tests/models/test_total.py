@@ -1,0 +1,166 @@
+"""A weighted sum of networks runs as the parts do, and is one network."""
+
+import dataclasses
+
+import common
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import jaxnarx as jnx
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.evaluation import cost
+from jaxnarx.models import (
+    Network,
+    SigmoidTree,
+    assemble,
+    global_model,
+    hold_to_range,
+    load,
+    local_models,
+    output_model,
+    save,
+    total,
+)
+from jaxnarx.regressors import LowPass, Variables, polynomial_pool
+
+GAIN = np.array([2.0, 0.5, 4.0])
+SHARE = 0.5, 0.2, 0.3
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    rng = np.random.default_rng(5)
+    us = [np.cumsum(rng.normal(size=(n, 2)), axis=0) * 0.2 for n in (90, 70)]
+    ys = [10 * rng.normal(size=(len(u), 1)) for u in us]  # wide bounds
+    return Dataset.from_arrays(
+        us, ys, inputs=["a", "b"], outputs=["y"], sample_time=0.5
+    )
+
+
+def network(data: Dataset, seed: int, *, leaves: int, order: int) -> Network:
+    """Products of inputs at lags of its own, linear feedback of this order."""
+    rng = np.random.default_rng(seed)
+    pool = polynomial_pool(
+        data.channels,
+        outputs=["y"],
+        input_lags={"a": (0, seed), "b": (1,)},
+        output_lags=tuple(range(1, order + 1)),
+        degree=2,
+        filters={"b": [LowPass(0.5 * seed)]},
+    )
+    theta = 0.04 * rng.normal(size=(leaves, len(pool)))  # far from the bounds
+    if leaves == 1:
+        model = global_model(pool.factor, theta[0])
+    else:
+        # Leaf after leaf is cut off; scheduling of its own, and scales of its own.
+        gates = leaves - 1
+        path = np.tril(np.ones((leaves, gates), np.int32), -1) - np.eye(
+            leaves, gates, dtype=np.int32
+        )
+        fields = rng.normal(size=(gates, 2)), rng.uniform(size=gates), np.ones(gates)
+        table = Variables.of([(0, seed, None), (1, 0, None)])
+        local = local_models(pool.factor, theta)
+        tree = SigmoidTree(*jax.device_put((*fields, path)))
+        scales = rng.uniform(-1, 1, 2), rng.uniform(1, 2, 2)
+        model = output_model(local, tree, table, *scales)
+    # Reported outputs are not held: a sum within limits is no sum of parts within them.
+    return hold_to_range(assemble(pool, data, GAIN, [model]), None)
+
+
+@pytest.fixture(scope="module")
+def parts(data) -> list[Network]:
+    return [
+        network(data, 1, leaves=3, order=2),
+        network(data, 2, leaves=1, order=0),
+        network(data, 3, leaves=2, order=1),
+    ]
+
+
+@pytest.fixture(scope="module")
+def added(parts) -> Network:
+    return total(parts, SHARE)
+
+
+def expected(verb, parts, data, history: int) -> list[np.ndarray]:
+    """The same sum of what the parts answer behind the longest history."""
+    late = dataclasses.replace  # parts begin where the sum does
+    runs = []
+    for part in parts:
+        longer = Variables.of([*part.variables.entries, (0, history, None)])
+        runs.append(verb(late(part, variables=longer), data).value.outputs)
+    return [
+        sum(w * run[n] for w, run in zip(SHARE, runs, strict=True))
+        for n in range(len(data))
+    ]
+
+
+@pytest.mark.parametrize("verb", [jnx.simulate, jnx.predict])
+def test_it_answers_with_the_sum_of_what_its_parts_answer(verb, parts, added, data):
+    found = verb(added, data).value.outputs
+    for one, other in zip(
+        found, expected(verb, parts, data, added.history), strict=True
+    ):
+        mine = slice(added.history, None)
+        np.testing.assert_allclose(one[mine], other[mine], rtol=1e-9, atol=1e-9)
+        assert np.ptp(other[mine]) > 0.1
+
+
+def test_weights_are_shares_and_one_part_is_itself(parts, added):
+    twice = total(parts, [2 * w for w in SHARE])
+    assert eqx.tree_equal(twice, added, rtol=1e-14)
+    assert total(parts[:1], [3.0]) is parts[0]
+
+
+def test_the_step_that_evaluates_all_terms_gives_the_same(added, data, monkeypatch):
+    """The loop on collapsed monomials, which a sum of few of them has."""
+    quick = jnx.simulate(added, data).value.outputs
+    monkeypatch.setattr("jaxnarx.models.feedback.WIDEST", 0)
+    jax.clear_caches()
+    slow = jnx.simulate(added, data).value.outputs
+    for one, other in zip(quick, slow, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+
+
+def test_it_is_saved_and_told_as_any_other(added, tmp_path):
+    save(added, tmp_path / "m.safetensors")
+    assert eqx.tree_equal(load(tmp_path / "m.safetensors"), added)
+    left = [row["text"].split("[")[0] for row in added.equations()]
+    # The second part has no feedback, the third is the second group.
+    assert left == ["y_1"] * 3 + ["y"] + ["y_2"] * 2
+
+
+def test_constant_gates_cost_a_product_and_no_exponential(parts, added):
+    alone = [cost(part).weights for part in parts]
+    own = cost(added).weights
+    assert own.exponentials == sum(one.exponentials for one in alone)
+    # Two gates above, and now a product at each part's root that has gates below.
+    more = own.multiplications - sum(one.multiplications for one in alone)
+    assert more == 3
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["another gain", "validity", "own feedback", "scheduling on y", "a weight of zero"],
+)
+def test_what_cannot_be_added_is_refused(change, parts, data):
+    one, other, share = parts[0], parts[2], [0.5, 0.5]
+    model = other.models[0]
+    if change == "another gain":
+        other = dataclasses.replace(other, gain=other.gain * 2)
+    if change == "validity":
+        other = common.named("by inputs")
+        one = dataclasses.replace(other)
+    if change == "own feedback":
+        model = dataclasses.replace(model, own=jax.numpy.eye(2, dtype=bool))
+        other = dataclasses.replace(other, models=(model,))
+    if change == "scheduling on y":
+        rows = Variables.of([(2, 1, None), (1, 0, None)])
+        model = dataclasses.replace(model, scheduling=rows)
+        other = dataclasses.replace(other, models=(model,))
+    if change == "a weight of zero":
+        share = [0.0, 1.0]
+    with pytest.raises(SpecError):
+        total([one, other], share)
