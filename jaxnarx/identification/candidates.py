@@ -16,8 +16,10 @@ from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.identification.with_states import with_states
 from jaxnarx.methods import HiddenStates, Identification, Preset
 from jaxnarx.models import Network, hold_to_range
-from jaxnarx.output_error import ClosedForm, ClosedSearch, Look
+from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, best_sum
 
+SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
+"""Families of which sums are made."""
 NEAR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
@@ -50,18 +52,27 @@ class Candidates:
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time."""
         search = ClosedSearch(self.data, self.look, self.groups)
-        begin = time.perf_counter()
+        begin, parts = time.perf_counter(), []
         limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
         if self.preset.linear:
             limits = dict(max_models=1, degree=1)
         for found in search.candidates(**limits, grown_roots=self.preset.grown):
             self.passed += 1
-            yield self._closed(found, time.perf_counter() - begin)
+            row, network = self._closed(found, time.perf_counter() - begin)
+            if self.preset.sums > 1 and row.eligible and found.family in SUMMED:
+                parts.append(found.part(network))
+            yield row, network
             if self.late():
-                return
+                break
             begin = time.perf_counter()
+        begin = time.perf_counter()
+        added = best_sum(parts, self.preset.sums)
+        if added is not None:
+            yield self._sum(added, time.perf_counter() - begin)
+        if self.late():
+            return
         self.spread = search.spread
-        del search
+        del search, parts
         hidden = with_states(self.data, self.look.output, self.preset)
         yield from self._trained(hidden, self.preset.states)
         yield from self._trained(fed_back(self.data, self.look), self.preset.fed_back)
@@ -84,6 +95,18 @@ class Candidates:
             one_step=found.one_step(),
             diverged=lost,
             status="diverged" if lost else "ok",
+        )
+        return _with_error(row, found.losses()), network
+
+    def _sum(self, found: Sum, seconds: float) -> Tried:
+        network = found.network()
+        self._remember(found.losses())
+        row = self._row("sum", found.name, seconds, network)
+        row = dataclasses.replace(
+            row,
+            free_run=found.free_run,
+            groups=_listed(np.sqrt(found.losses())),
+            one_step=found.one_step(),
         )
         return _with_error(row, found.losses()), network
 

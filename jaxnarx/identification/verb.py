@@ -57,7 +57,8 @@ def identify(
         method: The settings of all steps. Without it the search decides; the arguments
             that follow, up to `groups` and also `folder`, are the search's own.
         preset: `"quick"` (a minute or two), `"good"`, `"best"` (an hour, or the budget;
-            the smallest error whatever it costs), `"ecu"` (the fewest operations within
+            the smallest error whatever it costs, also of sums of up to four candidates
+            in closed form), `"ecu"` (the fewest operations within
             5 % of the best, stable for certain) or `"linear"`; see
             `jaxnarx.methods.PRESETS`.
         budget: Time for the search [s], shared by the outputs; default the preset's for

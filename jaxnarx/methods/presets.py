@@ -24,6 +24,8 @@ class Preset:
     patience: int = 3
     """After so many methods of a kind, none of which came near the best, the kind is
     given up."""
+    sums: int = 0
+    """Most candidates in closed form whose sum is tried."""
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
@@ -64,6 +66,7 @@ PRESETS = {
         fed_back=16,
         states=9,
         patience=16,
+        sums=4,
         longest=60_000,
         rule="best",
     ),

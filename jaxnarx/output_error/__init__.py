@@ -11,3 +11,5 @@ from jaxnarx.output_error.look import Look as Look
 from jaxnarx.output_error.look import look as look
 from jaxnarx.output_error.search import ClosedForm as ClosedForm
 from jaxnarx.output_error.search import ClosedSearch as ClosedSearch
+from jaxnarx.output_error.sums import Sum as Sum
+from jaxnarx.output_error.sums import best_sum as best_sum

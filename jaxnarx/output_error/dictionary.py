@@ -276,8 +276,19 @@ class Dictionary:
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
         """Sum of squared errors of a group, held within the range of all others."""
-        held = np.clip(run, *self.others(group, MARGIN))
-        return float(np.sum((self.measured[group] - held) ** 2))
+        return float(np.sum(self.error(group, run) ** 2))
+
+    def error(
+        self, group: int, run: Float[np.ndarray, " _"]
+    ) -> Float[np.ndarray, " _"]:
+        """Measured less what a run answers, held within the range of all others."""
+        return self.measured[group] - np.clip(run, *self.others(group, MARGIN))
+
+    def places(self, group: int) -> Int[np.ndarray, " _"]:
+        """Where its samples are among those of all records."""
+        return np.concatenate(
+            [one.first + one.counted[group] for one in self.signals.stretches]
+        )
 
     def others(self, group: int, margin: float) -> tuple[float, float]:
         """Range of the output in all that is not left out with a group, widened."""

@@ -20,6 +20,7 @@ from jaxnarx.output_error.growth import Box, GrownStage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals, signals_of
+from jaxnarx.output_error.sums import Errors, Part, root_mean_square
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.regressors import evaluate
@@ -77,15 +78,28 @@ class ClosedForm:
 
     def one_step(self) -> float:
         """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
-        square = count = 0.0
+        return root_mean_square(self.ahead()[1])
+
+    def ahead(self) -> Errors:
+        """One-step errors of the model of all groups, where samples count."""
         a, order = self.stage.dictionary.a, len(self.stage.dictionary.a) - 1
         driven = self.stage.dictionary.driven(self.coefficients())
+        places, errors = [], []
         for one, raw in zip(self._signals.stretches, driven, strict=True):
             past = np.concatenate([one.before[:order][::-1], one.y])
-            error = np.convolve(past, a, mode="valid") - raw
             at = np.concatenate(one.counted)
-            square, count = square + float(np.sum(error[at] ** 2)), count + len(at)
-        return float(np.sqrt(square / max(count, 1.0)))
+            places.append(one.first + at)
+            errors.append((np.convolve(past, a, mode="valid") - raw)[at])
+        return np.concatenate(places), np.concatenate(errors)
+
+    def left(self) -> list[Errors]:
+        """Free-run errors of every group by the model made without it."""
+        dictionary = self.stage.dictionary
+        runs = self.stage.left_out() if self.left_out is None else self.left_out
+        return [
+            (dictionary.places(g), dictionary.error(g, run))
+            for g, run in enumerate(runs)
+        ]
 
     @property
     def _signals(self) -> RunSignals:
@@ -96,6 +110,12 @@ class ClosedForm:
         y = np.concatenate(self.stage.dictionary.measured)
         margin = MARGIN * (y.max() - y.min())
         return float(y.min() - margin), float(y.max() + margin)
+
+    def part(self, network: Network) -> Part:
+        """What a sum needs of it."""
+        left = [(at, error.astype(np.float32)) for at, error in self.left()]
+        at, error = self.ahead()
+        return Part(self.name, network, left, (at, error.astype(np.float32)))
 
     def _runs(self) -> list[np.ndarray]:
         """Free runs by the model of all groups."""

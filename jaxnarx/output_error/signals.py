@@ -32,7 +32,7 @@ class Stretch:
     counted: tuple[Int[np.ndarray, " _"], ...]
     """Samples that count, part by part: groups, then gaps between them."""
     first: int
-    """Place of the first sample in the record."""
+    """Place of the first sample among those of all records."""
 
     def filtered(
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
@@ -115,7 +115,7 @@ def signals_of(
     shift[0], size[0] = 0.0, 1.0
     middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
     centring = Centring(shift, size, np.array([middle]))
-    stretches = []
+    stretches, before = [], np.cumsum([0, *map(len, data)]).tolist()
     for n, record in enumerate(data):
         s, e = int(masks.start[n]), int(masks.end[n])
         if s >= e:
@@ -134,7 +134,7 @@ def signals_of(
                 (y[n, s:e] - middle) / spread,
                 (y[n, s - history : s][::-1] - middle) / spread,
                 tuple(counted),
-                s,
+                before[n] + s,
             )
         )
     return RunSignals(

@@ -16,7 +16,7 @@ from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod
 from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import Preset
-from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, look
+from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, look
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
 
@@ -215,3 +215,35 @@ def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     assert mean is not None
     run = jnx.simulate(mean, data).value
     assert all(np.all(np.isfinite(y)) for y in run.outputs)
+
+
+def test_a_sum_of_candidates_is_one_of_them(data, seen, few, judged, monkeypatch):
+    """Of those in closed form that are no constant and no ARX model; its network is
+    the sum of theirs."""
+    search = ClosedSearch(data, seen, groups(data))
+    orders = {len(f.stage.dictionary.a) - 1: f for f in search.linear()}
+    members = [*(orders[n] for n in (1, 2)), *few]
+    asked = []
+
+    def best(parts, most):
+        asked.append(([p.name for p in parts], most))
+        return Sum(tuple(parts), tuple(e for _, e in parts[0].left))
+
+    monkeypatch.setattr(module, "best_sum", best)
+    every = lambda self, **limits: iter(members)  # noqa: E731
+    monkeypatch.setattr(module.ClosedSearch, "candidates", every)
+    _, every = tried(data, seen, dataclasses.replace(TINY, sums=4, fed_back=0))
+    assert asked == [([one.name for one in members[:2]], 4)]
+    row, _ = every[-1]
+    assert row.family == "sum" and row.name == "1/2 (order 1) + 1/2 (order 2)"
+    assert row.free_run == pytest.approx(members[0].free_run, rel=1e-6)  # float32
+    assert row.groups == pytest.approx(tuple(members[0].groups()), rel=1e-6)
+    networks = [own for _, own in (*every[:2], every[-1]) if own is not None]
+    one, other, both = (jnx.simulate(n, data).value.outputs[0] for n in networks)
+    late = slice(networks[-1].history, None)
+    middle = (one[late] + other[late]) / 2
+    # Begun later, the first part has another start.
+    error = np.abs(both[late] - middle)[-20:]
+    assert error.max() < 1e-3 * np.ptp(middle)
+    assert row.one_step is not None and 0 < row.one_step < members[0].one_step()
+    assert row.parameters == cost(networks[-1]).parameters

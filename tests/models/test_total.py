@@ -92,8 +92,7 @@ def expected(verb, parts, data, history: int) -> list[np.ndarray]:
         longer = Variables.of([*part.variables.entries, (0, history, None)])
         runs.append(verb(late(part, variables=longer), data).value.outputs)
     return [
-        sum(w * run[n] for w, run in zip(SHARE, runs, strict=True))
-        for n in range(len(data))
+        np.tensordot(SHARE, [run[n] for run in runs], axes=1) for n in range(len(data))
     ]
 
 
