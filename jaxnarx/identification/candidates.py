@@ -59,7 +59,8 @@ class Candidates:
         for found in search.candidates(**limits, grown_roots=self.preset.grown):
             self.passed += 1
             row, network = self._closed(found, time.perf_counter() - begin)
-            if self.preset.sums > 1 and row.eligible and found.family in SUMMED:
+            summed = row.eligible and found.family in SUMMED and self.preset.sums > 1
+            if summed and network is not None:
                 parts.append(found.part(network))
             yield row, network
             if self.late():

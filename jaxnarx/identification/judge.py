@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups, shortened
-from jaxnarx.errors import DataError
+from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification.by_method import by_method
 from jaxnarx.methods import HiddenStates, Identification
 from jaxnarx.models import Network, hold_to_range, ranged
 from jaxnarx.simulation import predict, simulate
-from jaxnarx.states import fit_states
+from jaxnarx.states import fit_states, refit_states
 
 FIRST = 3.0
 """Error in training after the first steps of a start, as a multiple of the best
@@ -61,9 +61,12 @@ def judge(
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
     estimate of these for every sample, and takes longer than the training.
 
-    With hidden states everything trains first: of many samples that says which start is
-    taken, in all trainings, and nothing is left out where the error in training is
-    beyond the best candidate's on what was left out.
+    With hidden states everything trains first, from several starts, and nothing is left
+    out where the error in training is beyond the best candidate's on what was left out.
+    Without a group each network is then trained from where it stands. Candidates in
+    closed form keep their partition and feedback in the same way. Trained from the
+    starts, without a group of a short record they often end elsewhere, which says
+    little of the network that is judged (`experiments/public/README.md`).
     """
     hidden = isinstance(method, HiddenStates)
     one_step = not hidden if one_step is None else one_step
@@ -73,27 +76,29 @@ def judge(
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
         everything = groups.parted(data) if parted else data
-        whole, method = begun(method, everything, rows, best)
-        told = _hopeless(whole, data, spread, best)
-        if told:
-            none = [_Judging(len(groups), one_step) for _ in whole]
-            return [one.judged(None, told) for one in none]
+        whole = begun(method, everything, rows, best)
+        every = [_Judging(len(groups), one_step) for _ in whole]
+        if told := _hopeless(whole, data, spread, best):
+            return [one.judged(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
         train = groups.parted(data, g) if parted else fold.train
-        networks = trained(method, train, rows)
+        if isinstance(method, HiddenStates):
+            tried = zip(method.shrink, whole, every, strict=True)
+            networks = [
+                None if one.told else again(network, method, pull, train, rows)
+                for pull, network, one in tried
+            ]
+        else:
+            networks = trained(method, train, rows)
         every = every or [_Judging(len(groups), one_step) for _ in networks]
         for one, network in zip(every, networks, strict=True):
-            one.look(g, network, fold.left, spread)
-        told = [one.given_up(g, best) for one in every]
-        if all(told):
-            return [
-                one.judged(None, text) for one, text in zip(every, told, strict=True)
-            ]
+            one.look(g, network, fold.left, spread, best)
+        if all(one.told for one in every):
+            return [one.judged(None, one.told) for one in every]
     whole = whole or trained(method, data, rows)
-    pairs = zip(every, whole, strict=True)
     return [
-        one.judged(None, "diverges") if one.diverged else one.judged(network)
-        for one, network in pairs
+        one.judged(None if one.told else network, one.told)
+        for one, network in zip(every, whole, strict=True)
     ]
 
 
@@ -102,10 +107,30 @@ class _Judging:
 
     def __init__(self, groups: int, one_step: bool):
         self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
-        self.ahead, self.diverged = 0.0 if one_step else np.nan, 0
+        self.ahead, self.diverged, self.told = 0.0 if one_step else np.nan, 0, ""
 
-    def look(self, g: int, network: Network, left: Dataset, spread: float) -> None:
-        """Run the network of the group left out; one too short judges nothing."""
+    def look(
+        self,
+        g: int,
+        network: Network | None,
+        left: Dataset,
+        spread: float,
+        best: Float[np.ndarray, " groups"] | None,
+    ) -> None:
+        """Run the network of the group left out, and say whether that is the last.
+
+        One too short judges nothing. Without a network, if it was not given up before,
+        it could not be trained: that counts as one that diverges.
+        """
+        if self.told:
+            return
+        if network is None:
+            self.diverged += 1
+        else:
+            self._run(g, network, left, spread)
+        self.told = self._given_up(g, best)
+
+    def _run(self, g: int, network: Network, left: Dataset, spread: float) -> None:
         try:
             self.losses[g], self.counts[g], bad = score(network, left, spread)
             self.diverged += bad
@@ -115,7 +140,7 @@ class _Judging:
         except DataError:
             return
 
-    def given_up(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
+    def _given_up(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
         """Why no further group is tried, or ""."""
         if self.diverged:
             return "diverges"
@@ -140,19 +165,29 @@ def begun(
     data: Dataset,
     rows: int | None = None,
     best: Float[np.ndarray, " groups"] | None = None,
-) -> tuple[list[Network], HiddenStates]:
-    """Networks trained on everything, and the method, of many samples with the start
-    that was best.
+) -> list[Network]:
+    """Networks trained on everything, one for every pull.
 
-    `DataError` where that is far beyond the `best` candidate after its first steps.
+    `DataError` where all are far beyond the `best` candidate after their first steps.
     """
     limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
-    some = _some(data, rows)
-    fit = fit_states(some, method, hopeless=limit)
-    chosen = method
-    if some.samples > method.first_rows:
-        chosen = dataclasses.replace(method, start=fit.stats["start"])
-    return _held(fit.stats["path"], data, rows), chosen
+    fit = fit_states(_some(data, rows), method, hopeless=limit)
+    return _held(fit.stats["path"], data, rows)
+
+
+def again(
+    network: Network,
+    method: HiddenStates,
+    pull: float,
+    data: Dataset,
+    rows: int | None = None,
+) -> Network | None:
+    """A network trained once more, on these data; None where that fails."""
+    try:
+        one = refit_states(network, _some(data, rows), method, pull)
+    except (JaxnarxError, np.linalg.LinAlgError):
+        return None
+    return _held([one], data, rows)[0]
 
 
 def _hopeless(

@@ -1,7 +1,7 @@
 """Models with hidden states: linear starts, products, training on the free run."""
 
 from jaxnarx.methods import HiddenStates
-from jaxnarx.states.fit import fit_states
+from jaxnarx.states.fit import fit_states, refit_states
 from jaxnarx.states.network import raised, settled, state_network
 from jaxnarx.states.starts import linear_order
 from jaxnarx.texts import document
@@ -11,6 +11,7 @@ __all__ = [
     "fit_states",
     "linear_order",
     "raised",
+    "refit_states",
     "settled",
     "state_network",
 ]

@@ -22,7 +22,7 @@ from jaxnarx.data import Dataset, shortened
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import HiddenStates, SimulationError
-from jaxnarx.models import Network
+from jaxnarx.models import Network, ranged
 from jaxnarx.refinement import refine
 from jaxnarx.simulation import fitting, simulate
 from jaxnarx.solution import Solution
@@ -82,6 +82,20 @@ def fit_states(
     best = min(starts, key=_told)
     stats = {"path": path, "start": best.name, "starts": errors}
     return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
+
+
+def refit_states(
+    network: Network, data: Dataset, method: HiddenStates, shrink: float
+) -> Network:
+    """A network with hidden states trained once more, on these data alone.
+
+    From where it stands: its structure, and which of several minima it is in, stay. It
+    is held to the ranges that these data have. Errors are those of
+    `jaxnarx.refinement.refine`.
+    """
+    network = ranged(network, data)
+    fit = _trained(network, data, method.max_steps, shrink, None)
+    return settled(fit.value, data)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -220,36 +220,51 @@ def test_failed_ones_do_not_count_as_near(closed, asked):
 # judged on groups left out --------------------------------------------------------
 
 
+def measured(data) -> int:
+    """How many outputs."""
+    return sum(int(r.valid[:, -1].sum()) for r in data)
+
+
 @pytest.fixture
 def fits(monkeypatch, closed):
-    """`fit_states` replaced: methods it was asked for, and constants for networks."""
+    """Training replaced: what it was asked for, and constants for networks. Without the
+    second group the last pull fails."""
     from jaxnarx.solution import RESULTS, Solution
 
-    calls: list[tuple[HiddenStates, int]] = []  # with the measured outputs there were
-    network = closed[2].network()
+    calls: dict = {"all": [], "again": []}  # with the measured outputs there were
+    networks = [closed[2].network() for _ in PULLS]
 
     def fit(data, method, hopeless=np.inf):
-        calls.append((method, sum(int(r.valid[:, -1].sum()) for r in data)))
-        stats = {"path": [network] * len(method.shrink), "start": "chain of lags"}
-        return Solution(network, RESULTS.ok, stats)
+        calls["all"].append((method, measured(data)))
+        return Solution(networks[-1], RESULTS.ok, {"path": networks, "start": ""})
+
+    def refit(network, data, method, shrink):
+        calls["again"].append((shrink, measured(data)))
+        if calls["again"][-1] == (PULLS[-1], sum(LENGTHS) - LENGTHS[1]):
+            raise DataError("runs away")
+        return network
 
     monkeypatch.setattr(judging, "fit_states", fit)
+    monkeypatch.setattr(judging, "refit_states", refit)
     return calls
 
 
 METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
 
 
-@pytest.mark.parametrize(("rows", "kept"), [(100, "chain of lags"), (3000, "")])
-def test_of_many_samples_the_start_is_chosen_on_everything(closed, fits, rows, kept):
-    data, method = closed[0], dataclasses.replace(METHOD, first_rows=rows)
-    found = judging.judge(method, data, groups(data), 1.0)
-    assert [method.start for method, _ in fits] == ["", *[kept] * 4]
-    assert fits[0][1] == sum(LENGTHS)
-    assert [sum(LENGTHS) - n for _, n in fits[1:]] == list(LENGTHS)
-    assert len(found) == 3 and all(one.complete for one in found)
+def test_without_a_group_each_network_is_trained_from_where_it_stands(closed, fits):
+    data = closed[0]
+    found = judging.judge(METHOD, data, groups(data), 1.0)
+    assert fits["all"] == [(METHOD, sum(LENGTHS))]
+    rest = [sum(LENGTHS) - n for n in LENGTHS]
+    every = [(pull, n) for n in rest for pull in PULLS]
+    # What cannot be trained without a group is not tried without the others.
+    expected = [c for c in every if c[0] != PULLS[-1] or c[1] in rest[:2]]
+    assert fits["again"] == expected
+    assert [one.complete for one in found] == [True, True, False]
+    assert (found[2].diverged, found[2].detail) == (1, "diverges")
     assert all(
-        one.network is not None and one.network.hold is not None for one in found
+        one.network is not None and one.network.hold is not None for one in found[:2]
     )
 
 
@@ -257,7 +272,7 @@ def test_an_error_in_training_beyond_the_best_leaves_nothing_out(closed, fits):
     data = closed[0]
     best = np.full(4, 1e-4)
     found = judging.judge(METHOD, data, groups(data), 1.0, best)
-    assert len(fits) == 1 and len(found) == 3
+    assert len(fits["all"]) == 1 and not fits["again"] and len(found) == 3
     assert all("error in training" in one.detail for one in found)
     assert not any(one.complete for one in found)
     assert all(np.all(np.isnan(one.losses)) for one in found)
