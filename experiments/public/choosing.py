@@ -1,0 +1,286 @@
+"""How well errors on blocks left out tell what a model with hidden states is worth.
+
+Six plants with hidden states, one record of 700 samples with 1 % noise each, and
+another of 1,500 without noise that says the truth. Every structure is judged twice: as
+`identify` does it, each network trained once more without a block from where it stands,
+and by training from the linear starts without the block.
+
+    python experiments/public/choosing.py [--plants tanks drives] [--seeds 2]
+
+Of each way: the rank correlation of its errors with the truth, over all structures and
+pulls of a plant that it has not vetoed; how many it has vetoed, and of those how many
+do not diverge in truth; and the true error of the one with the smallest error by it, as
+a multiple of the smallest true one. Results:
+`experiments/benchmarks/results/choosing.json`.
+"""
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from common import record, results_folder  # noqa: E402 # pyright: ignore
+
+Signal = np.ndarray
+LENGTH, TEST = 700, 1500
+NOISE = 0.01
+STRUCTURES = (2, 2), (3, 2), (4, 2), (2, 3)
+"""Number of states and degree."""
+PULLS = 0.3, 0.1, 0.03, 0.01, 0.001
+WINDOW, GAP = 20, 25
+WAYS = "refitted", "from starts"
+
+
+# plants ------------------------------------------------------------------------------
+
+
+def stairs(rng: Any, length: int, low: float, high: float, holds: range) -> Signal:
+    """Random levels, each held for a random time."""
+    out: list[float] = []
+    while len(out) < length:
+        hold = int(rng.integers(holds.start, holds.stop))
+        out += [float(rng.uniform(low, high))] * hold
+    return np.array(out[:length])
+
+
+def smooth(rng: Any, length: int, over: int) -> Signal:
+    """White noise, averaged."""
+    noise = rng.normal(size=length + 20)
+    return 4 * np.convolve(noise, np.ones(over) / over, "same")[10 : 10 + length]
+
+
+def tanks(u: Signal) -> Signal:
+    """Two tanks, one above the other; what flows over the upper one falls in part into
+    the lower one. Its level is measured."""
+    upper = lower = 4.0
+    y = []
+    for v in u:
+        for _ in range(4):
+            over = max(0.0, upper - 9) * 2
+            out = 0.525 * math.sqrt(upper)
+            upper = min(max(upper + 0.25 * (0.28 * v - out - over), 0.0), 10.0)
+            gain = out - 0.5 * math.sqrt(lower) + 0.5 * over
+            lower = min(max(lower + 0.25 * gain, 0.0), 10.0)
+        y.append(lower)
+    return np.array(y)
+
+
+def drives(u: Signal) -> Signal:
+    """A belt on a spring; a filter measures its speed without the sign."""
+    speed = rate = seen = 0.0
+    y = []
+    for v in u:
+        for _ in range(5):
+            rate += 0.1 * (1.35 * v - 1.2 * rate - 0.9 * speed)
+            speed += 0.1 * rate
+            seen += 0.07 * (speed - seen)
+        y.append(abs(seen))
+    return np.array(y)
+
+
+def bouc(u: Signal) -> Signal:
+    """A mass on a spring with hysteresis, R. Bouc 1967, Y. Wen 1976."""
+    place = speed = force = 0.0
+    y = []
+    for v in u:
+        for _ in range(10):
+            rise = speed - 0.8 * abs(speed) * force - 0.4 * speed * abs(force)
+            force += 0.05 * rise
+            speed += 0.05 * (v - 0.6 * speed - 0.8 * place - 1.2 * force)
+            place += 0.05 * speed
+        y.append(place)
+    return np.array(y)
+
+
+def duffing(u: Signal) -> Signal:
+    """A mass on a spring that stiffens."""
+    place = speed = 0.0
+    y = []
+    for v in u:
+        for _ in range(10):
+            speed += 0.06 * (v - 0.3 * speed - place - 0.5 * place**3)
+            place += 0.06 * speed
+        y.append(place)
+    return np.array(y)
+
+
+def between(u: Signal) -> Signal:
+    """A saturation between two linear parts (Wiener-Hammerstein)."""
+    before = rate = after = 0.0
+    y = []
+    for v in u:
+        before += 0.3 * (v - before)
+        bent = math.tanh(1.5 * before) + 0.2 * before
+        rate += 0.25 * (bent - after - 0.8 * rate)
+        after += 0.5 * rate
+        y.append(after)
+    return np.array(y)
+
+
+def heat(u: Signal) -> Signal:
+    """A wall heated by a source that weakens as it warms, and a sensor behind it."""
+    wall = sensor = 20.0
+    y = []
+    for v in u:
+        loss = 0.04 * (wall - 20) + 0.15 * (wall - sensor) + 2e-5 * (wall**2 - 400)
+        wall += 0.2 * (3 * v * (1 - 0.01 * wall) - loss)
+        sensor += 0.1 * (wall - sensor) - 0.01 * (sensor - 20)
+        y.append(sensor)
+    return np.array(y)
+
+
+PLANTS: dict[str, tuple[Callable[[Signal], Signal], Callable[[Any, int], Signal]]] = {
+    "tanks": (tanks, lambda rng, n: stairs(rng, n, 1.5, 7.0, range(5, 30))),
+    "drives": (drives, lambda rng, n: stairs(rng, n, -1.5, 1.5, range(10, 40))),
+    "bouc": (bouc, lambda rng, n: smooth(rng, n, 8)),
+    "duffing": (duffing, lambda rng, n: smooth(rng, n, 6)),
+    "between": (between, lambda rng, n: stairs(rng, n, -2.0, 2.0, range(2, 15))),
+    "heat": (heat, lambda rng, n: stairs(rng, n, 0.0, 6.0, range(5, 40))),
+}
+
+
+# estimates and truth -----------------------------------------------------------------
+
+
+def tried(name: str, seed: int, small: bool) -> list[dict[str, Any]]:
+    """Every structure and pull: the truth, and errors on blocks left out both ways."""
+    import jaxnarx as jnx
+    from jaxnarx.data import groups
+    from jaxnarx.errors import JaxnarxError
+    from jaxnarx.identification.judge import judge, score, trained
+    from jaxnarx.methods import HiddenStates
+
+    plant, signal = PLANTS[name]
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    length = 300 if small else LENGTH
+    u, far = signal(rng, length), signal(rng, TEST)
+    clean, truth = plant(u), plant(far)
+    spread = float(clean.std())
+    noisy = clean + NOISE * spread * rng.normal(size=length)
+
+    def data(u, y):
+        about: dict[str, Any] = {"inputs": ["u"], "outputs": ["y"], "sample_time": 1}
+        return jnx.Dataset.from_arrays([u[:, None]], [y[:, None]], **about)
+
+    train, test = data(u, noisy), data(far, truth)
+    blocks, rows = groups(train, gap=GAP), []
+    for states, degree in STRUCTURES[:1] if small else STRUCTURES:
+        method = HiddenStates(
+            states=states, degree=degree, shrink=PULLS, window=WINDOW, max_steps=40
+        )
+        begin = time.perf_counter()
+        try:
+            networks = trained(method, blocks.parted(train))
+        except (JaxnarxError, np.linalg.LinAlgError) as error:
+            print(name, seed, states, degree, error)
+            continue
+        refitted = judge(method, train, blocks, spread)
+        seconds = time.perf_counter() - begin
+        starts = from_starts(method, train, blocks, spread)
+        for n, pull in enumerate(PULLS):
+            error, _, diverged = score(networks[n], test, spread)
+            row: dict[str, Any] = {"states": states, "degree": degree, "pull": pull}
+            row |= {"truth": error**0.5, "diverges": bool(diverged)}
+            one = refitted[n]
+            row["refitted"] = None if not one.complete else pooled(one.losses)
+            row["from starts"] = starts[n]
+            rows.append(row | {"plant": name, "seed": seed})
+            print(row, flush=True)
+        print(f"{time.perf_counter() - begin:.0f} s, {seconds:.0f} of them refitted")
+    return rows
+
+
+def pooled(losses: Any) -> float:
+    """Root of the mean over blocks, which are of one length."""
+    return float(np.sqrt(np.nanmean(losses)))
+
+
+def from_starts(method: Any, train: Any, blocks: Any, spread: float) -> list[Any]:
+    """Errors of every pull, trained from linear models without each block; None where
+    a run diverges or nothing can be trained."""
+    from jaxnarx.errors import JaxnarxError
+    from jaxnarx.identification.judge import score, trained
+
+    losses = np.full((len(PULLS), len(blocks)), np.nan)
+    for g, fold in enumerate(blocks.folds(train, whole=True)):
+        try:
+            networks = trained(method, blocks.parted(train, g))
+        except (JaxnarxError, np.linalg.LinAlgError):
+            return [None] * len(PULLS)
+        for n, network in enumerate(networks):
+            error, _, diverged = score(network, fold.left, spread)
+            losses[n, g] = np.inf if diverged else error
+    return [None if np.isinf(own).any() else pooled(own) for own in losses]
+
+
+def told(rows: list[dict[str, Any]], way: str) -> dict[str, Any]:
+    """How well one way tells the truth, over the rows of one record."""
+    able = [row for row in rows if row[way] is not None]
+    lost = [row for row in rows if row[way] is None]
+    out: dict[str, Any] = {
+        "vetoed": len(lost),
+        "of them sound": sum(not row["diverges"] for row in lost),
+    }
+    if len(able) > 2:
+        ours, truth = ([row[key] for row in able] for key in (way, "truth"))
+        ranked: Any = scipy.stats.spearmanr(ours, truth)
+        out["rank correlation"] = float(ranked.statistic)
+    least = min(row["truth"] for row in rows)
+    if able:
+        chosen = min(able, key=lambda row: row[way])
+        out["chosen over best"] = chosen["truth"] / least
+        out["promised over true"] = chosen[way] / chosen["truth"]
+    return out
+
+
+def main() -> None:
+    """Try, compare, record."""
+    import jax
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
+    parser.add_argument("--seeds", type=int, default=1, help="records of each plant")
+    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
+    parser.add_argument("--smoke", action="store_true", help="one structure, short")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    folder = results_folder(options.results, smoke=options.smoke)
+    path = folder / "choosing.json"
+    cases = json.loads(path.read_text())["figures"]["cases"] if path.exists() else {}
+    for name in options.plants[:1] if options.smoke else options.plants:
+        for seed in range(options.seeds):
+            if f"{name} {seed}" in cases:
+                continue
+            rows = tried(name, seed, options.smoke)
+            if rows:
+                case = {way: told(rows, way) for way in WAYS}
+                cases[f"{name} {seed}"] = case | {"rows": rows}
+            record(
+                "choosing", {"cases": cases, "medians": medians(cases)}, folder=folder
+            )
+    print(json.dumps(medians(cases), indent=1))
+
+
+def medians(cases: dict[str, Any]) -> dict[str, Any]:
+    """Of every figure over the records."""
+    found: dict[str, Any] = {}
+    for way in WAYS:
+        every = [case[way] for case in cases.values()]
+        keys = dict.fromkeys(key for one in every for key in one)
+        found[way] = {
+            key: float(np.median([one[key] for one in every if key in one]))
+            for key in keys
+        }
+    return found
+
+
+if __name__ == "__main__":
+    main()
