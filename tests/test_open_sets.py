@@ -332,6 +332,18 @@ def test_the_table_and_going_on(tmp_path):
     assert json.loads(path.read_text())["figures"] == figures
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sum", "hidden states"])
+def test_what_a_kind_of_candidate_gains(kind, tmp_path):
+    more = ("--results", str(tmp_path), "--runs", str(tmp_path / "runs"))
+    experiment("open_sets/gains.py", kind, "--minutes", "0.5", *more)
+    (rows,) = json.loads((tmp_path / "gains.json").read_text())["figures"][
+        kind
+    ].values()
+    assert rows["rows"][0]["others"]["test"] > 0
+    assert rows["scored"][0]["outputs"] == [rows["rows"][0]["output"]]
+
+
 def test_the_order_takes_what_lowers_errors_most_for_its_seconds():
     from order import ordered, problems  # pyright: ignore[reportMissingImports]
 
