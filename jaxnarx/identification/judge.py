@@ -10,7 +10,7 @@ from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification.by_method import by_method
 from jaxnarx.methods import HiddenStates, Identification
 from jaxnarx.models import Network, hold_to_range, ranged
-from jaxnarx.simulation import predict, simulate
+from jaxnarx.simulation import fitting, predict, simulate
 from jaxnarx.states import fit_states, refit_states
 
 FIRST = 3.0
@@ -57,7 +57,8 @@ def judge(
     A method may end with several networks of a kind (`trained`); each is judged. Given
     up where runs of all of them diverge, or have errors far beyond those of the `best`
     candidate. `spread` is the output's standard deviation. Stretches of up to `rows`
-    samples train; runs go over all samples of a group. The error one step ahead is left
+    samples train; runs go over all samples of a group, held to the ranges of all data,
+    as the network of all is in use. The error one step ahead is left
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
     estimate of these for every sample, and takes longer than the training.
 
@@ -85,11 +86,11 @@ def judge(
         if isinstance(method, HiddenStates):
             tried = zip(method.shrink, whole, every, strict=True)
             networks = [
-                None if one.told else again(network, method, pull, train, rows)
+                None if one.told else again(network, method, pull, train, data, rows)
                 for pull, network, one in tried
             ]
         else:
-            networks = trained(method, train, rows)
+            networks = trained(method, train, rows, known=data)
         every = every or [_Judging(len(groups), one_step) for _ in networks]
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best)
@@ -172,7 +173,7 @@ def begun(
     """
     limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
     fit = fit_states(_some(data, rows), method, hopeless=limit)
-    return _held(fit.stats["path"], data, rows)
+    return _held(fit.stats["path"], data)
 
 
 def again(
@@ -180,14 +181,16 @@ def again(
     method: HiddenStates,
     pull: float,
     data: Dataset,
+    known: Dataset,
     rows: int | None = None,
 ) -> Network | None:
-    """A network trained once more, on these data; None where that fails."""
+    """A network trained once more, on these data, and held to what all that are known
+    say; None where that fails."""
     try:
         one = refit_states(network, _some(data, rows), method, pull)
     except (JaxnarxError, np.linalg.LinAlgError):
         return None
-    return _held([one], data, rows)[0]
+    return _held([one], known)[0]
 
 
 def _hopeless(
@@ -210,14 +213,19 @@ def _hopeless(
 
 
 def trained(
-    method: Identification | HiddenStates, data: Dataset, rows: int | None = None
+    method: Identification | HiddenStates,
+    data: Dataset,
+    rows: int | None = None,
+    *,
+    known: Dataset | None = None,
 ) -> list[Network]:
     """The networks of a method, trained on at most so many samples and held to the
-    range of all: with hidden states one for every pull, else one alone."""
-    some = _some(data, rows)
+    range of all that are known, by default these: with hidden states one for every
+    pull, else one alone."""
+    some, known = _some(data, rows), data if known is None else known
     if isinstance(method, HiddenStates):
-        return _held(fit_states(some, method).stats["path"], data, rows)
-    return _held([by_method(some, method, None, None).value], data, rows)
+        return _held(fit_states(some, method).stats["path"], known)
+    return _held([by_method(some, method, None, None).value], known)
 
 
 def _some(data: Dataset, rows: int | None) -> Dataset:
@@ -226,11 +234,12 @@ def _some(data: Dataset, rows: int | None) -> Dataset:
     return data if rows is None or count <= rows else shortened(data, rows)
 
 
-def _held(networks: list[Network], data: Dataset, rows: int | None) -> list[Network]:
-    """Networks held to the range of all data, whatever part has trained them."""
-    if rows is not None and data.samples > rows:
-        networks = [ranged(network, data) for network in networks]
-    return [hold_to_range(network) for network in networks]
+def _held(networks: list[Network], known: Dataset) -> list[Network]:
+    """Networks held to the range of all that is known, whatever part has trained
+    them."""
+    return [
+        hold_to_range(ranged(network, fitting(network, known))) for network in networks
+    ]
 
 
 def score(

@@ -42,7 +42,7 @@ class Contender:
     diverged: int = 0
     """Runs that diverged; any is a veto. Of candidates that are trained step by step
     these are records left out; of those in closed form, whose errors on groups left out
-    are those of runs held to the range of all others, groups left out and records run
+    are those of runs held to the trained range, groups left out and records run
     by the model of all groups."""
     operations: int | None = None
     """Multiplications, divisions and exponentials at a sample."""

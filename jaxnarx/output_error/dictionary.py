@@ -275,14 +275,18 @@ class Dictionary:
         return self.measured[group] - self.target[group]
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
-        """Sum of squared errors of a group, held within the range of all others."""
+        """Sum of squared errors of a group, held within the trained range."""
         return float(np.sum(self.error(group, run) ** 2))
 
     def error(
         self, group: int, run: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, " _"]:
-        """Measured less what a run answers, held within the range of all others."""
-        return self.measured[group] - np.clip(run, *self.others(group, MARGIN))
+        """Measured less what a run answers, held within the trained range.
+
+        That of all records, as the model of all is held in use: within that of the
+        others a group that goes farther would judge the limits, and nothing else.
+        """
+        return self.measured[group] - np.clip(run, *self.trained_range())
 
     def places(self, group: int) -> Int[np.ndarray, " _"]:
         """Where its samples are among those of all records."""
@@ -290,13 +294,11 @@ class Dictionary:
             [one.first + one.counted[group] for one in self.signals.stretches]
         )
 
-    def others(self, group: int, margin: float) -> tuple[float, float]:
-        """Range of the output in all that is not left out with a group, widened."""
-        apart = self.signals.apart[group]
-        rest = [y for y, out in zip(self.measured, apart, strict=True) if not out]
-        low = min(y.min(initial=np.inf) for y in rest)
-        high = max(y.max(initial=-np.inf) for y in rest)
-        return low - margin * (high - low), high + margin * (high - low)
+    def trained_range(self) -> tuple[float, float]:
+        """Of the output in all that is measured, widened as it is in use."""
+        low = min(y.min(initial=np.inf) for y in self.measured)
+        high = max(y.max(initial=-np.inf) for y in self.measured)
+        return low - MARGIN * (high - low), high + MARGIN * (high - low)
 
     def rows(self) -> list[np.ndarray]:
         """Columns at the samples that count, part by part; not to be written to."""

@@ -125,9 +125,9 @@ def test_a_gate_and_the_other_one_make_one():
     assert Gate(0, 0.0, 1e9)(np.array([[-1e9, 1e9]])).tolist() == pytest.approx([0, 1])
 
 
-def held(run, parts, without: int):
-    """Within the range of the other groups and a margin."""
-    rest = np.concatenate([y for g, (_, _, y) in enumerate(parts) if g != without])
+def held(run, parts):
+    """Within the range of all groups and a margin."""
+    rest = np.concatenate([y for _, _, y in parts])
     margin = MARGIN * (rest.max() - rest.min())
     return np.clip(run, rest.min() - margin, rest.max() + margin)
 
@@ -144,7 +144,7 @@ def refitted(parts, without: int, ridge: float, chosen=None) -> float:
     right = np.concatenate([error, np.zeros(len(at))])
     theta = np.linalg.lstsq(rows, right)[0] / size
     own, start, y = parts[without]
-    return float(np.sum((y - held(theta @ own[at] + start, parts, without)) ** 2))
+    return float(np.sum((y - held(theta @ own[at] + start, parts)) ** 2))
 
 
 def test_groups_left_out_are_judged_by_the_others(found, explicit):
@@ -194,9 +194,9 @@ def test_all_columns_of_a_curve_are_left_out(found):
     )
 
 
-def test_runs_are_judged_within_the_range_of_the_other_groups(found):
+def test_runs_are_judged_within_the_range_of_all_groups(found):
     wild = np.full(len(found.target[0]), 1e6)
-    rest = np.concatenate(found.measured[1:])
+    rest = np.concatenate(found.measured)
     top = rest.max() + MARGIN * (rest.max() - rest.min())
     expected = np.sum((found.measured[0] - top) ** 2)
     np.testing.assert_allclose(found.loss(0, wild), expected, rtol=1e-12)
@@ -236,5 +236,7 @@ def test_samples_that_do_not_count_change_nothing_but_the_sums():
     one, _ = full.signals.stretches[1], full.signals.stretches
     # Group 1 is one record: every third of its samples.
     np.testing.assert_allclose(
-        thin.rows()[1], full.rows()[1][:, : len(one.y) : 3], atol=EXACT
+        thin.rows()[1],
+        full.rows()[1][:, -problems.LONGEST % 3 : len(one.y) : 3],
+        atol=EXACT,
     )

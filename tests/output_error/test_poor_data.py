@@ -97,7 +97,7 @@ def test_every_candidate_is_made(case):
         every.append(one.free_run)
         network = one.network()
         assert np.all(np.isfinite(np.asarray(network.models[0].local.coefficient)))
-    # With what is held to the range of other groups no one does much worse than chance.
+    # With what is held to the trained range no one does much worse than chance.
     assert every[0] <= 1.5 and np.all(np.isfinite(every)) and min(every) <= every[0]
     assert len(names) == len(set(names)) >= 13
     assert network is not None

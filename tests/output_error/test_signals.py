@@ -68,8 +68,15 @@ def test_every_third_sample_counts_in_the_group_of_its_record():
         found = problems.signals(every)
         for one, group in zip(found.stretches, problems.LABELS, strict=True):
             for g, at in enumerate(one.counted):
-                rows = range(0, len(one.y), every) if g == group else []
+                # Of the record, wherever its free run begins.
+                rows = range(-LONGEST % every, len(one.y), every) if g == group else []
                 assert at.tolist() == list(rows)
+
+
+def test_every_stretch_knows_its_place():
+    data, found = problems.records(), problems.signals()
+    before = np.cumsum([0, *map(len, data)])[:-1]
+    assert [one.first for one in found.stretches] == (before + LONGEST).tolist()
 
 
 def made(data: Dataset, labels) -> RunSignals:
