@@ -63,7 +63,9 @@ def nrmse(network: Any, data: Any) -> tuple[float, int]:
     import numpy as np
 
     import jaxnarx as jnx
+    from jaxnarx.data import match_channels
 
+    data = match_channels(data, network.channels.measured)[0]
     run = jnx.simulate(network, data).value
     (o,) = network.modelled
     parts = zip(data, run.outputs, run.scored, strict=True)

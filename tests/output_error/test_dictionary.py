@@ -235,8 +235,5 @@ def test_samples_that_do_not_count_change_nothing_but_the_sums():
     full = nested(1)
     one, _ = full.signals.stretches[1], full.signals.stretches
     # Group 1 is one record: every third of its samples.
-    np.testing.assert_allclose(
-        thin.rows()[1],
-        full.rows()[1][:, -problems.LONGEST % 3 : len(one.y) : 3],
-        atol=EXACT,
-    )
+    rows = full.rows()[1][:, -problems.LONGEST % 3 : len(one.y) : 3]
+    np.testing.assert_allclose(thin.rows()[1], rows, atol=EXACT)
