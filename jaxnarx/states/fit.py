@@ -15,6 +15,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.checks import known_name
@@ -89,13 +90,21 @@ def refit_states(
 ) -> Network:
     """A network with hidden states trained once more, on these data alone.
 
-    From where it stands: its structure, and which of several minima it is in, stay. It
-    is held to the ranges that these data have. Errors are those of
-    `jaxnarx.refinement.refine`.
+    From where it stands: its structure, and which of several minima it is in, stay. Its
+    hidden channels are held to the ranges they had, and to those that they have now.
+    Errors are those of `jaxnarx.refinement.refine`.
     """
-    network = ranged(network, data)
-    fit = _trained(network, data, method.max_steps, shrink, None)
-    return settled(fit.value, data)
+    start = ranged(network, data)
+    fit = _trained(start, data, method.max_steps, shrink, None)
+    found = settled(fit.value, data)
+    least, most = (
+        {key: f(getattr(found, key), getattr(network, key)) for key in keys}
+        for f, keys in (
+            (jnp.minimum, ("low", "lower")),
+            (jnp.maximum, ("high", "upper")),
+        )
+    )
+    return dataclasses.replace(found, **least, **most)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import HiddenStates
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
-from jaxnarx.states import fit_states
+from jaxnarx.states import fit_states, refit_states
 from jaxnarx.states.starts import linear_starts
 
 SHORT = dataclasses.replace(METHOD, shrink=(1e-2,), max_steps=5, first_steps=5)
@@ -97,6 +97,24 @@ def test_a_quadratic_plant_is_found_in_free_run_on_a_fresh_record():
     assert error(fit.value, fresh) < 1e-3 and error(fit.value, data) < 1e-3
     before, after = fit.stats["path"]
     assert error(after, fresh) <= error(before, fresh)
+
+
+def test_trained_once_more_it_is_a_model_of_those_data_with_the_ranges_of_both(linear):
+    fit, _ = linear
+    # Another plant, with a larger signal: it has to move, and farther out.
+    other = records(size=1.5)
+    halved = [dataclasses.replace(r, y=0.5 * r.y) for r in other]
+    again = refit_states(
+        fit.value, dataclasses.replace(other, records=tuple(halved)), METHOD, 1e-4
+    )
+    a, b, c, d = matrices(again)
+    true = plant()
+    response = 0.5 * impulse(true.a, true.b, true.c, true.d)
+    # The pull of 1e-4 to where it stood is a ten thousandth of the way, and the prior.
+    np.testing.assert_allclose(impulse(a, b, c, d), response, atol=1e-3)
+    for key, wider in (("lower", np.less_equal), ("upper", np.greater_equal)):
+        ours, before = (np.asarray(getattr(n, key))[1:] for n in (again, fit.value))
+        assert np.all(wider(ours, before))
 
 
 def test_the_start_of_the_smallest_error_is_taken():
