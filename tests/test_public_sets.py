@@ -162,6 +162,15 @@ def test_the_recurrent_unit_against_its_equations():
 
 
 @pytest.mark.slow
+def test_estimates_beside_the_truth(tmp_path):
+    experiment("public/choosing.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "choosing.json").read_text())["figures"]
+    (case,) = figures["cases"].values()
+    assert len(case["rows"]) == 5 and all(row["truth"] > 0 for row in case["rows"])
+    assert set(figures["medians"]) == {"refitted", "from starts"}
+
+
+@pytest.mark.slow
 def test_the_run_and_going_on(tmp_path, measured):
     if not (measured / "silverbox").is_dir():
         pytest.skip("silverbox is not there")

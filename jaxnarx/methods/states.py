@@ -22,8 +22,9 @@ class HiddenStates:
     degree: Count = 2
     """Most factors of a product."""
     shrink: Sequence[float] = (0.1, 0.01, 0.001)
-    """Pull of the coefficients towards the linear model, see `SimulationError`; the
-    training goes through these values one after another."""
+    """Pull of the coefficients, see `SimulationError`: at first towards the linear
+    model, then towards where the last value has led. The training goes through these
+    values one after another."""
     window: Count = 50
     """Measured samples that a run's first states are estimated from."""
     start: str = ""

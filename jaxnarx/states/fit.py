@@ -1,8 +1,8 @@
 """Models with hidden states, from a linear start to products, on the free run.
 
 Every start (`jaxnarx.states.starts`) is trained as a linear model, given products of
-states and inputs degree by degree, and trained with a strong pull towards the linear
-model, which then falls. Taken is at every pull the one whose free run of the training
+states and inputs degree by degree, and trained with a strong pull towards where it
+stands, which then falls. Taken is at every pull the one whose free run of the training
 records, begun as in use, has the smallest error; of many samples the one that has it
 after the first steps goes on alone. A hidden state that leaves the range it had in
 training is held in the end.
