@@ -13,7 +13,10 @@ MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 """Number of states and degree, in the order they are tried."""
 FEW = 2
 """Inputs up to which they are tried unasked, products of three factors first."""
-PULLS = (0.1, 0.01, 0.001)
+PULLS = 0.1, 0.01, 0.001
+SHORT, SHORT_PULLS = 2000, (0.3, *PULLS)
+"""Samples up to which a training begins with a stronger one: of the cascaded tanks'
+1,024 it makes the best model with hidden states."""
 LARGEST = 600
 """Coefficients of a candidate: of 840 (Wiener-Hammerstein, six states, degree three) it
 took longer than all others together."""
@@ -45,12 +48,13 @@ def with_states(
         count = (states + 1) * math.comb(states + inputs + degree, degree)
         if count > min(LARGEST, data.samples / SAMPLES):
             continue
-        names = [f"{states} states, degree {degree}, pull {p:g}" for p in PULLS]
+        pulls = SHORT_PULLS if data.samples <= SHORT else PULLS
+        names = [f"{states} states, degree {degree}, pull {p:g}" for p in pulls]
         method = HiddenStates(
             outputs=(output,),
             states=states,
             degree=degree,
-            shrink=PULLS,
+            shrink=pulls,
             window=window,
             max_steps=STEPS,
         )

@@ -26,6 +26,8 @@ from jaxnarx.identification.with_states import (
     ORDERS,
     PULLS,
     SAMPLES,
+    SHORT,
+    SHORT_PULLS,
     WINDOW,
     with_states,
 )
@@ -56,13 +58,15 @@ def test_a_method_has_a_name_for_every_pull():
     data, seen = plant(2), []
     for family, names, method in with_states(data, "y", TINY):
         assert family == FAMILY and method.outputs == ("y",)
-        assert len(names) == len(method.shrink) == len(PULLS)
+        assert len(names) == len(method.shrink) and method.shrink == SHORT_PULLS
         for name, pull in zip(names, method.shrink, strict=True):
             assert name == (
                 f"{method.states} states, degree {method.degree}, pull {pull:g}"
             )
         seen += names
     assert len(set(seen)) == len(seen) >= 6
+    _, _, long = next(with_states(wide(1, SHORT + 1), "y", TINY))
+    assert long.shrink == PULLS
 
 
 def test_orders_that_are_asked_for_are_the_only_ones():
@@ -179,32 +183,33 @@ def tried(closed, **more) -> list[Contender]:
 
 
 def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
-    asked["results"] = [outcome(closed, 0.3, 0.2, None), outcome(closed, 0.5, 0.6, 0.4)]
+    first, second = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8)
+    asked["results"] = [outcome(closed, *first), outcome(closed, *second)]
     rows = tried(closed)
-    assert [row.free_run for row in rows] == pytest.approx(
-        [0.3, 0.2, None, 0.5, 0.6, 0.4]
-    )
-    assert [row.status for row in rows] == ["ok", "ok", "skipped", "ok", "ok", "ok"]
+    assert [row.free_run for row in rows] == pytest.approx([*first, *second])
+    assert [row.status for row in rows] == [
+        "skipped" if error is None else "ok" for error in (*first, *second)
+    ]
     assert {row.family for row in rows} == {FAMILY}
     expected = [n for _, names, _ in with_states(closed[0], "y", TINY) for n in names]
-    assert [row.name for row in rows] == expected[:6]
+    assert [row.name for row in rows] == expected[:8]
     assert [m.states for m in asked["asked"]] == [m for m, _ in sizes(closed[0])[:2]]
     assert all(row.seconds is not None for row in rows)
 
 
 def test_a_search_that_goes_on_does_not_try_them_again(closed, asked):
-    first = outcome(closed, 0.3, 0.2, None)
+    first = outcome(closed, 0.3, 0.2, None, 0.7)
     asked["results"] = [first, DataError("no start of 3 hidden states")]
     rows = tried(closed)
     # Of a method that cannot be trained there is one row, under its first name.
-    assert [row.status for row in rows] == ["ok", "ok", "skipped", "failed"]
+    assert [row.status for row in rows] == ["ok", "ok", "skipped", "ok", "failed"]
     assert len(asked["asked"]) == 2
     again = tried(closed, known=rows)
     assert not again and len(asked["asked"]) == 2, "nothing was left to be tried"
     # Cut short between the candidates of one method: that method is trained again.
     asked["results"] = [first]
-    part = tried(closed, known=[rows[0], rows[3]])
-    assert [row.name for row in part] == [row.name for row in rows[:3]]
+    part = tried(closed, known=[rows[0], rows[4]])
+    assert [row.name for row in part] == [row.name for row in rows[:4]]
     assert len(asked["asked"]) == 3
 
 
