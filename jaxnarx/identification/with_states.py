@@ -10,7 +10,9 @@ from jaxnarx.states import linear_order
 FAMILY = "hidden states"
 FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8, 2))
 MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
-"""Number of states and degree, in the order they are tried."""
+FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
+"""Number of states and degree, in the order they are tried: of one or two inputs, of
+more, and of short records."""
 FEW = 2
 """Inputs up to which they are tried unasked, products of three factors first."""
 PULLS = 0.1, 0.01, 0.001
@@ -69,11 +71,12 @@ def _structures(
     if not (few or preset.orders or preset.rule == "best"):
         # On virtual engines none came near the closed form, at minutes for each.
         return
-    degrees = (3, 2) if few else (2, 3)
+    short = data.samples <= SHORT
+    degrees = (3, 2) if few and not short else (2, 3)
     if preset.orders:
         yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
         return
-    usual = FEW_INPUTS if degrees[0] == 3 else MANY_INPUTS
+    usual = FEW_SAMPLES if short else FEW_INPUTS if few else MANY_INPUTS
     n = linear_order(shortened(data, ROWS), output, ORDERS)
     own = () if n is None else ((n, degree) for degree in degrees)
     yield from dict.fromkeys([*own, *usual])

@@ -94,6 +94,13 @@ def test_a_linear_model_says_how_many_states_are_tried_first():
     assert sizes(made([u], [y]))[:2] == [(3, 3), (3, 2)]
 
 
+def test_short_records_begin_with_products_of_two():
+    found = sizes(wide(1, SHORT))
+    assert found.index((2, 2)) < found.index((2, 3)) and found.index((3, 2)) < 4
+    long = sizes(wide(1, SHORT + 1))
+    assert long.index((2, 3)) < long.index((2, 2))
+
+
 @pytest.mark.parametrize(("inputs", "rows"), [(1, 600), (1, 5000), (2, 10_000)])
 def test_there_are_samples_enough_for_the_coefficients(inputs, rows):
     def count(states, degree):
