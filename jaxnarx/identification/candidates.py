@@ -13,7 +13,7 @@ from jaxnarx.evaluation import cost
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.identification.with_states import with_states
+from jaxnarx.identification.with_states import SHORT, with_states
 from jaxnarx.methods import HiddenStates, Identification, Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, best_sum
@@ -75,8 +75,12 @@ class Candidates:
         self.spread = search.spread
         del search, parts
         hidden = with_states(self.data, self.look.output, self.preset)
-        yield from self._trained(hidden, self.preset.states)
-        yield from self._trained(fed_back(self.data, self.look), self.preset.fed_back)
+        # Of short records one takes seconds, and the next may be the first to run.
+        few = self.data.samples <= SHORT
+        patience = self.preset.states if few else self.preset.patience
+        yield from self._trained(hidden, self.preset.states, patience)
+        fed = fed_back(self.data, self.look)
+        yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
 
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
         """The losses of the best so far."""
@@ -111,7 +115,9 @@ class Candidates:
         )
         return _with_error(row, found.losses()), network
 
-    def _trained(self, methods: Iterator[Trial], most: int) -> Iterator[Tried]:
+    def _trained(
+        self, methods: Iterator[Trial], most: int, patience: int
+    ) -> Iterator[Tried]:
         """Those that are trained step by step, so many methods of a kind at most.
 
         A method whose networks are all known is not tried again, nor one that failed:
@@ -121,7 +127,7 @@ class Candidates:
         for n, (family, names, method) in enumerate(methods):
             if n >= most or self.late():
                 return
-            if n >= self.preset.patience and not promising:
+            if n >= patience and not promising:
                 return
             self.passed += 1
             rows = [self.known.get((family, name)) for name in names]

@@ -23,7 +23,7 @@ class Preset:
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
     patience: int = 3
     """After so many methods of a kind, none of which came near the best, the kind is
-    given up."""
+    given up; not those with hidden states of short records."""
     sums: int = 0
     """Most candidates in closed form whose sum is tried."""
     longest: int = 20_000
