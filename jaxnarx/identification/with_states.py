@@ -14,7 +14,8 @@ FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
 """Number of states and degree, in the order they are tried: of one or two inputs, of
 more, and of short records."""
 FEW = 2
-"""Inputs up to which they are tried unasked, products of three factors first."""
+"""Inputs up to which they are tried unasked on long records, products of three factors
+first; on short ones they always are."""
 PULLS = 0.1, 0.01, 0.001
 SHORT, SHORT_PULLS = 2000, (0.3, *PULLS)
 """Samples up to which a training begins with a stronger one: of the cascaded tanks'
@@ -67,11 +68,10 @@ def _structures(
     data: Dataset, output: str, preset: Preset
 ) -> Iterator[tuple[int, int]]:
     """Number of states and degree; nothing is looked at before the first is wanted."""
-    few = len(data.channels.inputs) <= FEW
-    if not (few or preset.orders or preset.rule == "best"):
+    few, short = len(data.channels.inputs) <= FEW, data.samples <= SHORT
+    if not (few or short or preset.orders or preset.rule == "best"):
         # On virtual engines none came near the closed form, at minutes for each.
         return
-    short = data.samples <= SHORT
     degrees = (3, 2) if few and not short else (2, 3)
     if preset.orders:
         yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
