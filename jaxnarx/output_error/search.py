@@ -37,6 +37,8 @@ SERVES = 0.995
 """Share of the error that must be left at most for another round."""
 WILD = 1e30
 """Stands for numbers beyond all numbers [standard deviations]."""
+NEARLY = 1.1
+"""Error of a partition, over that of the best, with which its gates are moved too."""
 GROWN = 2
 """How many of the polynomials are grown."""
 
@@ -343,8 +345,9 @@ class ClosedSearch:
                 for stage in stages[1 : best + 1]:
                     if len(stage.leaves) % 2 == 0 or stage is stages[best]:
                         yield self.divided(root, stage)
-                end = self.retuned(stages[best], gates=True, most=3)
-                if end is not stages[best]:
+            for stage in _to_move(stages, best):
+                end = self.retuned(stage, gates=True, most=3)
+                if end is not stage:
                     yield self.divided(root, end, ", gates moved")
 
     def divided(
@@ -404,6 +407,13 @@ def _to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
     both = (_distinct(ranked, lambda one: one[0]) for ranked in (coarse, fine))
     turns = [one for pair in zip(*both, strict=True) for one in pair]
     return [one[2] for one in _distinct(turns, lambda one: one[:2])]
+
+
+def _to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
+    """The best, and the one with the most regions that is nearly as good: halvings may
+    gain little before their gates have moved."""
+    near = [n for n, s in enumerate(stages) if s.score <= NEARLY * stages[best].score]
+    return [stages[n] for n in dict.fromkeys((best, max(near))) if n]
 
 
 def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
