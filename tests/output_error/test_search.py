@@ -10,7 +10,7 @@ import jaxnarx as jnx
 from jaxnarx.data import groups
 from jaxnarx.output_error import ClosedForm, ClosedSearch, look
 from jaxnarx.output_error.denominator import is_stable
-from jaxnarx.output_error.search import equation_error
+from jaxnarx.output_error.search import _to_move, equation_error
 
 FAMILIES = ("constant", "ARX", "OE", "filtered inputs", "OE with filtered inputs")
 FAMILIES += ("polynomial", "shared feedback")
@@ -191,3 +191,27 @@ def test_numbers_beyond_all_numbers(data, found):
         assert wild.diverged() == len(problems.LENGTHS)
         assert np.isfinite(wild.one_step())
         assert jnx.simulate(wild.network(), data).status_name == "diverged"
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ([0.5, 0.4, 0.3, 0.32, 0.34], [2, 3]),
+        ([0.5, 0.4, 0.3], [2]),
+        ([0.5, 0.6, 0.54, 0.7], [2]),  # the root has no gates
+        ([0.5, 0.6], []),
+    ],
+)
+def test_gates_move_in_the_best_and_in_the_largest_that_is_nearly_as_good(
+    search, scores, expected
+):
+    stage = search.constant().stage
+    count = stage.dictionary.equations.judged.sum()
+    stages = [
+        dataclasses.replace(stage, losses=np.array([score**2 * count]))
+        for score in scores
+    ]
+    np.testing.assert_allclose([one.score for one in stages], scores)
+    best = int(np.argmin(scores))
+    found = _to_move(stages, best)
+    assert [stages.index(one) for one in found] == expected
