@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
 from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
@@ -115,7 +116,7 @@ def _tree(network: Network, model: OutputModel, validity: SigmoidTree) -> dict:
         names, np.asarray(model.offset), np.asarray(model.span)
     )
     shut = np.exp(np.asarray(validity.log_steepness)) * np.asarray(validity.border)
-    share = 1 / (1 + np.exp(shut[used]))
+    share = expit(-shut[used])
     gates = [
         gate or {"share": {"above": float(part)}}
         for gate, part in zip(gates, share, strict=True)

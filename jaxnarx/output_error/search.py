@@ -20,7 +20,7 @@ from jaxnarx.output_error.growth import Box, GrownStage, grown, sized
 from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals, signals_of
-from jaxnarx.output_error.sums import Errors, Part, root_mean_square
+from jaxnarx.output_error.sums import Errors, Summand, root_mean_square
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned
 from jaxnarx.regressors import evaluate
@@ -113,11 +113,11 @@ class ClosedForm:
         margin = MARGIN * (y.max() - y.min())
         return float(y.min() - margin), float(y.max() + margin)
 
-    def part(self, network: Network) -> Part:
+    def part(self, network: Network) -> Summand:
         """What a sum needs of it."""
         left = [(at, error.astype(np.float32)) for at, error in self.left()]
         at, error = self.ahead()
-        return Part(self.name, network, left, (at, error.astype(np.float32)))
+        return Summand(self.name, network, left, (at, error.astype(np.float32)))
 
     def _runs(self) -> list[np.ndarray]:
         """Free runs by the model of all groups."""

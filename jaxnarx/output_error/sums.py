@@ -18,7 +18,7 @@ GAIN = 1.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Part:
+class Summand:
     """A candidate of which a sum may be made."""
 
     name: str
@@ -38,7 +38,7 @@ class Sum:
     2004, how its parts are chosen: one after the other, each the one that helps most.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[Summand, ...]
     left: tuple[Float[np.ndarray, " _"], ...]
     """Errors of every group, where all candidates have some."""
 
@@ -70,7 +70,7 @@ class Sum:
         return total([own[n] for n in counts], [float(n) for n in counts.values()])
 
 
-def best_sum(parts: Sequence[Part], most: int) -> Sum | None:
+def best_sum(parts: Sequence[Summand], most: int) -> Sum | None:
     """The mean of up to so many candidates that has the smallest error on groups left
     out; None where none gains more than a standard error on the best alone.
 

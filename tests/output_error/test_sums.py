@@ -6,15 +6,15 @@ import common
 import numpy as np
 import pytest
 
-from jaxnarx.output_error.sums import Part, aligned, best_sum
+from jaxnarx.output_error.sums import Summand, aligned, best_sum
 
 GROUPS = 4
 AT = tuple(np.arange(200) + 1000 * g for g in range(GROUPS))
 
 
-def part(name: str, errors: list[np.ndarray], at=AT) -> Part:
+def part(name: str, errors: list[np.ndarray], at=AT) -> Summand:
     left = list(zip(at, errors, strict=True))
-    return Part(name, common.named("by inputs"), left, left[0])
+    return Summand(name, common.named("by inputs"), left, left[0])
 
 
 def noise(seed: int, size: float) -> list[np.ndarray]:
@@ -22,7 +22,7 @@ def noise(seed: int, size: float) -> list[np.ndarray]:
     return [size * rng.normal(size=len(at)) for at in AT]
 
 
-def plain_best(parts: list[Part], most: int) -> tuple[float, tuple[str, ...]]:
+def plain_best(parts: list[Summand], most: int) -> tuple[float, tuple[str, ...]]:
     """The smallest error of a mean of `most` parts, one after the other."""
     errors = [np.concatenate([e for _, e in p.left]) for p in parts]
     taken = [int(np.argmin([np.sum(e**2) for e in errors]))]
