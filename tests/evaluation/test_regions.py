@@ -153,6 +153,21 @@ def test_a_tree_tells_its_gates_and_paths(network):
     assert got["gates"] == gates
 
 
+def test_a_gate_without_direction_tells_the_share_of_its_part(network):
+    """As in a sum of networks: 30 % of the output to the leaves on its open side."""
+    tree = SigmoidTree(
+        jnp.array([[0.0, 0.0], [1.0, 0.0], [0.3, 0.1]]),
+        jnp.array([np.log(0.7 / 0.3), 0.5, 0.0]),
+        jnp.array([0.0, 9.0, 9.0]),
+        PATH,
+    )
+    got = describe_partition(three(network, tree))["NOx"]["after"]
+    share, gate = got["gates"]
+    assert share == {"share": {"above": pytest.approx(0.3)}}
+    assert gate == {"speed[t-1]": {"above": 2000.0}}
+    np.testing.assert_allclose(got["weights"][0], 0.7, rtol=1e-12)
+
+
 def test_oblique_gates_open_to_their_side(network):
     """3 - 4 r in scaled variables: opens where NOx is small."""
     tree = SigmoidTree(

@@ -207,3 +207,15 @@ def test_save_writes_whole_files(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "a.svg"]
     with pytest.raises(ValueError, match="saved as"):
         figures.save(trace(), tmp_path / "a.pdf")
+
+
+def test_branches_of_a_sum_tell_shares():
+    gates = [{"share": {"above": 0.25}}, {"speed[t]": {"above": 2000.0}}]
+    rows = branches(gates, np.array([[-1, 0], [1, -1], [1, 1]]))
+    told = [(row.text, row.depth, row.leaf) for row in rows]
+    assert told == [
+        ("75% of the sum", 0, 0),
+        ("25% of the sum", 0, -1),
+        ("speed[t] < 2000", 1, 1),
+        ("speed[t] > 2000", 1, 2),
+    ]
