@@ -88,7 +88,7 @@ def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
             value = np.zeros(len(phi))
             for m in range(len(phi)):
                 seen = shared.copy()
-                for g in np.flatnonzero(np.asarray(table)[:, m]):
+                for g in np.flatnonzero(np.asarray(table)[:, m]).tolist():
                     seen[:, s] = alone[o, g][:, s]
                 v = [1.0, *(seen[t - d, c] / gain[c] for c, d in net.variables.rows)]
                 factor = np.asarray(model.local.factor)
@@ -287,7 +287,9 @@ def test_a_file_with_groups_that_cannot_be_is_damaged(own, tmp_path):
 def test_a_list_of_local_models_in_a_file_of_format_four_is_read(tmp_path):
     net = network("by inputs")
     save(net, tmp_path / "m.safetensors")
-    flat = eqx.tree_at(lambda n: n.models[0].own, net, jnp.diag(net.models[0].own))
+    flat = eqx.tree_at(
+        lambda n: n.models[0].own, net, jnp.diag(jnp.asarray(net.models[0].own))
+    )
     save(flat, tmp_path / "m.safetensors")
     assert eqx.tree_equal(net, load(tmp_path / "m.safetensors"))
 

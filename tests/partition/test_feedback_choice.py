@@ -111,4 +111,7 @@ def test_without_feedback_there_is_nothing_to_choose():
     first = grow(static, records, dataclasses.replace(GRID, feedback="own"))
     assert first.value.models[0].own is None and not first.stats["own"][0].any()
     given = grow(pool(records), records, Given(first.value, feedback="own"))
-    assert np.all(np.diag(given.value.models[0].own)) and given.stats["own"][0].all()
+    assert (
+        np.all(np.diag(np.asarray(given.value.models[0].own)))
+        and given.stats["own"][0].all()
+    )
