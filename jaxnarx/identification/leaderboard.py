@@ -20,7 +20,8 @@ class Contender:
 
     Errors are NRMSE: root mean square over the standard deviation of the output, pooled
     over the samples that count. `free_run` is that of models each of which runs freely
-    over records that it has not seen.
+    over records that it was not trained on. Models with hidden states are trained on
+    all records first, then once more without those, from where they stand.
     """
 
     output: str

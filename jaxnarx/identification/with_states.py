@@ -71,7 +71,7 @@ def _structures(
     few, short = len(data.channels.inputs) <= FEW, data.samples <= SHORT
     if not (few or preset.orders or preset.rule == "best"):
         # On virtual engines none came near the closed form, at minutes for each; on the
-        # 1,600 samples of the Bouc-Wen damper blocks left out promised too much.
+        # 1,600 samples of the Bouc-Wen damper blocks left out promised half the error.
         return
     degrees = (3, 2) if few and not short else (2, 3)
     if preset.orders:
