@@ -64,10 +64,12 @@ def judge(
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
-    Without a group each network is then trained from where it stands. Candidates in
-    closed form keep their partition and feedback in the same way. Trained from the
-    starts, without a group of a short record they often end elsewhere, which says
-    little of the network that is judged (`experiments/public/README.md`).
+    Without a group that of the strongest pull is then trained from where it stands, and
+    the others one from the other: what a pull holds on to has not seen the group since
+    the strongest. Candidates in closed form keep their partition and feedback in the
+    same way. Trained from the starts, without a group of a short record they often end
+    elsewhere, which says little of the network that is judged
+    (`experiments/public/README.md`).
     """
     hidden = isinstance(method, HiddenStates)
     one_step = not hidden if one_step is None else one_step
@@ -84,11 +86,9 @@ def judge(
     for g, fold in enumerate(groups.folds(data, whole=True)):
         train = groups.parted(data, g) if parted else fold.train
         if isinstance(method, HiddenStates):
-            tried = zip(method.shrink, whole, every, strict=True)
-            networks = [
-                None if one.told else again(network, method, pull, train, data, rows)
-                for pull, network, one in tried
-            ]
+            last = max(n for n, one in enumerate(every, 1) if not one.told)
+            networks = along(whole[:last], method, train, data, rows)
+            networks += [None] * (len(whole) - last)
         else:
             networks = trained(method, train, rows, known=data)
         every = every or [_Judging(len(groups), one_step) for _ in networks]
@@ -174,6 +174,24 @@ def begun(
     limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
     fit = fit_states(_some(data, rows), method, hopeless=limit)
     return _held(fit.stats["path"], data)
+
+
+def along(
+    whole: list[Network],
+    method: HiddenStates,
+    data: Dataset,
+    known: Dataset,
+    rows: int | None = None,
+) -> list[Network | None]:
+    """The networks of all pulls trained once more, on these data: the first from where
+    it stands, each other from the one before it; from where it stands itself if that
+    fails."""
+    found: list[Network | None] = []
+    before = None
+    for pull, network in zip(method.shrink, whole, strict=False):
+        before = again(before or network, method, pull, data, known, rows)
+        found.append(before)
+    return found
 
 
 def again(

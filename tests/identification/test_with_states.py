@@ -244,8 +244,11 @@ def fits(monkeypatch, closed):
     second group the last pull fails."""
     from jaxnarx.solution import RESULTS, Solution
 
-    calls: dict = {"all": [], "again": []}  # with the measured outputs there were
-    networks = [closed[2].network() for _ in PULLS]
+    # With the measured outputs there were, and from how many trainings it came.
+    calls: dict = {"all": [], "again": [], "from": []}
+    networks = [
+        dataclasses.replace(closed[2].network(), window=n) for n in range(len(PULLS))
+    ]
 
     def fit(data, method, hopeless=np.inf):
         calls["all"].append((method, measured(data)))
@@ -253,9 +256,10 @@ def fits(monkeypatch, closed):
 
     def refit(network, data, method, shrink):
         calls["again"].append((shrink, measured(data)))
+        calls["from"].append(network.window)
         if calls["again"][-1] == (PULLS[-1], sum(LENGTHS) - LENGTHS[1]):
             raise DataError("runs away")
-        return network
+        return dataclasses.replace(network, window=network.window + 10)
 
     monkeypatch.setattr(judging, "fit_states", fit)
     monkeypatch.setattr(judging, "refit_states", refit)
@@ -265,7 +269,7 @@ def fits(monkeypatch, closed):
 METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
 
 
-def test_without_a_group_each_network_is_trained_from_where_it_stands(closed, fits):
+def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed, fits):
     data = closed[0]
     found = judging.judge(METHOD, data, groups(data), 1.0)
     assert fits["all"] == [(METHOD, sum(LENGTHS))]
@@ -274,11 +278,29 @@ def test_without_a_group_each_network_is_trained_from_where_it_stands(closed, fi
     # What cannot be trained without a group is not tried without the others.
     expected = [c for c in every if c[0] != PULLS[-1] or c[1] in rest[:2]]
     assert fits["again"] == expected
+    # The network of the strongest pull, then what has come of it without the group.
+    assert fits["from"] == [0, 10, 20, 0, 10, 20, 0, 10, 0, 10][: len(expected)]
     assert [one.complete for one in found] == [True, True, False]
     assert (found[2].diverged, found[2].detail) == (1, "diverges")
     assert all(
         one.network is not None and one.network.hold is not None for one in found[:2]
     )
+
+
+def test_behind_a_training_that_fails_the_next_starts_from_where_it_stands(
+    monkeypatch, closed
+):
+    asked = []
+
+    def again(network, method, pull, *data):
+        asked.append(network)
+        return None if pull == PULLS[0] else network
+
+    monkeypatch.setattr(judging, "again", again)
+    networks, data = [closed[2].network() for _ in PULLS], closed[0]
+    found = judging.along(networks, METHOD, data, data)
+    assert asked == [networks[0], networks[1], networks[1]]
+    assert found == [None, networks[1], networks[1]]
 
 
 def test_an_error_in_training_beyond_the_best_leaves_nothing_out(closed, fits):
