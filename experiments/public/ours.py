@@ -102,17 +102,24 @@ def losses(rows: list[Row]) -> list[float] | None:
     return [float("nan") if e is None else e**2 for e in found["groups"]]
 
 
-def finished(method: Any, row: Row, open_set: OpenSet, steps: int = FINAL) -> Any:
+def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     """The chosen structure trained on all training samples, and the seconds of it.
 
-    The training goes through the pulls down to the one that was chosen.
+    The training goes through the pulls down to the one that was chosen. Of up to `rows`
+    samples that is the network that was judged; longer ones have trained it in
+    stretches, and now do as a whole, with more steps.
     """
-    from jaxnarx.identification.judge import trained
+    from jaxnarx.identification.judge import begun
 
+    train = open_set.train
     pulls = tuple(p for p in method.shrink if p >= row["pull"])
-    method = dataclasses.replace(method, shrink=pulls, max_steps=steps)
+    method = dataclasses.replace(method, shrink=pulls)
+    if train.samples <= rows:
+        data = groups_of(open_set).parted(train)
+    else:
+        data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()
-    network = trained(method, open_set.train)[-1]
+    network = begun(method, data)[-1]
     return network, round(time.perf_counter() - begin, 1)
 
 

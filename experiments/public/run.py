@@ -47,7 +47,7 @@ from packed import told  # noqa: E402 # pyright: ignore
 from published import PUBLISHED  # noqa: E402 # pyright: ignore
 from sets import READERS, OpenSet  # noqa: E402 # pyright: ignore
 from show import NOTES, draw, show, with_best  # noqa: E402 # pyright: ignore
-from structures import FINAL, methods, named  # noqa: E402 # pyright: ignore
+from structures import methods, named  # noqa: E402 # pyright: ignore
 
 HIDDEN, NOT_HELD = "hidden states", "hidden states, not held"
 COLUMNS = (HIDDEN, NOT_HELD, "identify", "GRU", *PEERS)
@@ -163,8 +163,7 @@ def hidden_states(
         return
     size = row["states"], row["degree"]
     method = next(m for m in tried if (m.states, m.degree) == size)
-    steps = method.max_steps if chosen.smoke else FINAL
-    network, seconds = finished(method, row, open_set, steps)
+    network, seconds = finished(method, row, open_set, chosen.rows)
     for name in columns:
         model = hold_to_range(network, None) if name == NOT_HELD else network
         found = column(model, row, seconds, open_set)

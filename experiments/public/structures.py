@@ -16,7 +16,7 @@ MANY = (0.1, 0.01, 0.001, 1e-4, 1e-5)
 SHARE = 5
 """Samples for every coefficient, at least."""
 STEPS, FINAL = 40, 100
-"""Accepted steps at every pull, while it is judged and for the model that is scored."""
+"""Accepted steps at every pull, and on the whole of long records in the end."""
 
 STRUCTURES: dict[str, tuple[tuple[int, int], ...]] = {
     "cascaded_tanks": ((3, 2), (2, 2), (2, 3), (4, 2), (3, 1), (1, 2), (5, 2)),
