@@ -5,26 +5,22 @@ normal equations of the simulation error give without another pass over the data
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.models import Network
-from jaxnarx.models.assemble import MARGIN
+from jaxnarx.output_error.closed_form import ClosedForm, tame
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
+from jaxnarx.output_error.equation_error import equation_error
 from jaxnarx.output_error.growth import Box, GrownStage, grown, sized
 from jaxnarx.output_error.look import Look
-from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals, signals_of
-from jaxnarx.output_error.sums import Errors, Summand, root_mean_square
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned
-from jaxnarx.regressors import evaluate
-from jaxnarx.simulation import has_diverged
 
 ORDERS = 4
 """Largest order of A(q)."""
@@ -35,113 +31,10 @@ SCALES = 5
 """Scales of lags and filters that are tried, each twice the last one."""
 SERVES = 0.995
 """Share of the error that must be left at most for another round."""
-WILD = 1e30
-"""Stands for numbers beyond all numbers [standard deviations]."""
 NEARLY = 1.1
 """Error of a partition, over that of the best, with which its gates are moved too."""
 GROWN = 2
 """How many of the polynomials are grown."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ClosedForm:
-    """A candidate: its structure, its errors, and the network of all records."""
-
-    family: str
-    name: str
-    stage: GrownStage
-    data: Dataset
-    given: Float[np.ndarray, " columns"] | None = None
-    """Coefficients that are not those of least squares of the free run ..."""
-    left_out: Sequence[Float[np.ndarray, " _"]] | None = None
-    """... and what such models answer over every group made without it."""
-
-    @property
-    def free_run(self) -> float:
-        """NRMSE over the groups left out."""
-        return self.stage.score
-
-    def losses(self) -> Float[np.ndarray, " groups"]:
-        """Mean squared error of every group; NaN where no sample of it counts."""
-        count = self.stage.dictionary.equations.judged
-        return self.stage.losses / np.where(count > 0, count, np.nan)
-
-    def diverged(self) -> int:
-        """Runs that would leave the bounds of the feedback, far beyond the trained
-        range more than now and then: records run by the model of all groups, and groups
-        by the models made without them."""
-        low, high = self._bounds
-        left = self.stage.left_out() if self.left_out is None else self.left_out
-        return sum(
-            bool(has_diverged((run < low) | (run > high)))
-            for run in (*self._runs(), *map(_tame, left))
-            if len(run)
-        )
-
-    def one_step(self) -> float:
-        """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
-        return root_mean_square(self.ahead()[1])
-
-    def ahead(self) -> Errors:
-        """One-step errors of the model of all groups, where samples count."""
-        a, order = self.stage.dictionary.a, len(self.stage.dictionary.a) - 1
-        driven = self.stage.dictionary.driven(self.coefficients())
-        places, errors = [], []
-        for one, raw in zip(self._signals.stretches, driven, strict=True):
-            past = np.concatenate([one.before[:order][::-1], one.y])
-            at = np.concatenate(one.counted)
-            places.append(one.first + at)
-            errors.append((np.convolve(past, a, mode="valid") - raw)[at])
-        return np.concatenate(places), np.concatenate(errors)
-
-    def left(self) -> list[Errors]:
-        """Free-run errors of every group by the model made without it."""
-        dictionary = self.stage.dictionary
-        runs = self.stage.left_out() if self.left_out is None else self.left_out
-        return [
-            (dictionary.places(g), dictionary.error(g, run))
-            for g, run in enumerate(runs)
-        ]
-
-    @property
-    def _signals(self) -> RunSignals:
-        return self.stage.dictionary.signals
-
-    @property
-    def _bounds(self) -> tuple[float, float]:
-        y = np.concatenate(self.stage.dictionary.measured)
-        margin = MARGIN * (y.max() - y.min())
-        return float(y.min() - margin), float(y.max() + margin)
-
-    def part(self, network: Network) -> Summand:
-        """What a sum needs of it."""
-        left = [(at, error.astype(np.float32)) for at, error in self.left()]
-        at, error = self.ahead()
-        return Summand(self.name, network, left, (at, error.astype(np.float32)))
-
-    def _runs(self) -> list[np.ndarray]:
-        """Free runs by the model of all groups."""
-        with np.errstate(all="ignore"):
-            runs = self.stage.dictionary.runs(self.coefficients())
-        return list(map(_tame, runs))
-
-    def groups(self) -> Float[np.ndarray, " groups"]:
-        """The same of every group."""
-        return np.sqrt(self.losses())
-
-    def coefficients(self) -> Float[np.ndarray, " columns"]:
-        """Of all columns, from all groups; zero where a column is not chosen."""
-        if self.given is not None:
-            return self.given
-        at, theta = self.stage.chosen()
-        full = np.zeros(self.stage.dictionary.equations.columns)
-        full[at] = theta
-        return full
-
-    def network(self) -> Network:
-        """Trained on all records."""
-        leaves = tuple(leaf.region for leaf in self.stage.leaves)
-        return network_of(self.stage.dictionary, leaves, self.coefficients(), self.data)
 
 
 Root = tuple[int, int, ClosedForm]
@@ -376,18 +269,13 @@ class ClosedSearch:
             for g in range(len(self.groups)):
                 a, theta = equation_error(signals, order, without=g)
                 bare = _bare(signals, a)
-                left.append(_tame(_of_group(signals, bare.runs(theta), g)))
+                left.append(tame(_of_group(signals, bare.runs(theta), g)))
                 losses.append(bare.loss(g, left[-1]))
             a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
         return ClosedForm("ARX", f"order {order}", stage, self.data, theta, left)
-
-
-def _tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
-    """Numbers beyond all numbers are very large ones."""
-    return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)
 
 
 def _ranked(every: list[Root]) -> list[Root]:
@@ -432,25 +320,3 @@ def _of_group(signals: RunSignals, runs: list[np.ndarray], group: int) -> np.nda
     """Where a group's samples count."""
     parts = zip(signals.stretches, runs, strict=True)
     return np.concatenate([run[one.counted[group]] for one, run in parts])
-
-
-def equation_error(
-    signals: RunSignals, order: int, *, without: int | None = None
-) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, " columns"]]:
-    """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
-    size = order + len(signals.factor)
-    gram, right = np.zeros((size, size)), np.zeros(size)
-    parts = signals.apart.shape[1]
-    trains = np.full(parts, True) if without is None else ~signals.apart[without]
-    for one in signals.stretches:
-        past = np.concatenate([one.before[:order][::-1], one.y])
-        lags = [past[order - i : order - i + len(one.y)] for i in range(1, order + 1)]
-        at = np.concatenate([c for c, t in zip(one.counted, trains, strict=True) if t])
-        terms = np.asarray(evaluate(signals.factor, one.z[:, at]))
-        rows = np.concatenate([-np.stack(lags)[:, at], terms])
-        gram += rows @ rows.T
-        right += rows @ one.y[at]
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    system = gram / np.outer(scale, scale) + 1e-9 * np.eye(size)
-    found = np.linalg.solve(system, right / scale) / scale
-    return np.concatenate([[1.0], found[:order]]), found[order:]

@@ -10,7 +10,8 @@ import jaxnarx as jnx
 from jaxnarx.data import groups
 from jaxnarx.output_error import ClosedForm, ClosedSearch, look
 from jaxnarx.output_error.denominator import is_stable
-from jaxnarx.output_error.search import _to_move, equation_error
+from jaxnarx.output_error.equation_error import equation_error
+from jaxnarx.output_error.search import _to_move
 
 FAMILIES = ("constant", "ARX", "OE", "filtered inputs", "OE with filtered inputs")
 FAMILIES += ("polynomial", "shared feedback")

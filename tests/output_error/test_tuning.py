@@ -7,7 +7,7 @@ from nested_problems import coefficients, nested
 
 from jaxnarx.output_error.denominator import is_stable
 from jaxnarx.output_error.dictionary import Dictionary, Gate, weight
-from jaxnarx.output_error.search import equation_error
+from jaxnarx.output_error.equation_error import equation_error
 from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.output_error.tuning import (
     _step,
