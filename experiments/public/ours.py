@@ -47,10 +47,10 @@ def judged(method: Any, open_set: OpenSet, best: Any, rows: int) -> list[Row]:
             *(method, train, groups_of(open_set), spread, own, rows), one_step=False
         )
     except (JaxnarxError, np.linalg.LinAlgError) as error:
-        return [_row(method, method.shrink[0], begin, 1) | {"failed": str(error)}]
+        return [_row(method, method.stages[0], begin, 1) | {"failed": str(error)}]
     found = []
-    for pull, one in zip(method.shrink, every, strict=True):
-        row = _row(method, pull, begin, len(every))
+    for stage, one in zip(method.stages, every, strict=True):
+        row = _row(method, stage, begin, len(every))
         row["groups"] = [
             digits(e**0.5) if e == e else None for e in map(float, one.losses)
         ]
@@ -63,10 +63,12 @@ def judged(method: Any, open_set: OpenSet, best: Any, rows: int) -> list[Row]:
     return found
 
 
-def _row(method: Any, pull: float, begin: float, count: int) -> Row:
-    seconds = round((time.perf_counter() - begin) / count, 1)
-    size = {"states": method.states, "degree": method.degree, "pull": pull}
-    return {"name": f"{named(method)}, pull {pull:g}", "seconds": seconds} | size
+def _row(method: Any, stage: tuple[int, float], begin: float, count: int) -> Row:
+    seconds, (regions, pull) = round((time.perf_counter() - begin) / count, 1), stage
+    size = {"states": method.states, "degree": method.degree}
+    size |= {"regions": regions, "pull": pull}
+    name = f"{named(method, regions)}, pull {pull:g}"
+    return {"name": name, "seconds": seconds} | size
 
 
 def best_of(rows: list[Row]) -> Row | None:
@@ -86,12 +88,18 @@ def taken(rows: list[Row]) -> Row | None:
             *("", n, "hidden states", row["name"]),
             free_run=row["free_run"],
             groups=tuple(row["groups"]),
-            operations=(row["states"] + 1) * row["states"] ** row["degree"],
+            operations=_size(row),
         )
         for n, row in enumerate(able)
     ]
     found = Leaderboard(tuple(contenders)).chosen("")
     return None if found is None else able[found.number]
+
+
+def _size(row: Row) -> int:
+    """What stands for the operations of a structure."""
+    regions = row.get("regions", 1)
+    return (row["states"] + 1) * row["states"] ** row["degree"] * regions
 
 
 def losses(rows: list[Row]) -> list[float] | None:
@@ -105,21 +113,19 @@ def losses(rows: list[Row]) -> list[float] | None:
 def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     """The chosen structure trained on all training samples, and the seconds of it.
 
-    The training goes through the pulls down to the one that was chosen. Of up to `rows`
-    samples that is the network that was judged; longer ones have trained it in
-    stretches, and now do as a whole, with more steps.
+    Of up to `rows` samples that is the network that was judged; longer ones have
+    trained it in stretches, and now do as a whole, with more steps.
     """
     from jaxnarx.identification.judge import begun
 
     train = open_set.train
-    pulls = tuple(p for p in method.shrink if p >= row["pull"])
-    method = dataclasses.replace(method, shrink=pulls)
+    at = method.stages.index((row.get("regions", 1), row["pull"]))
     if train.samples <= rows:
         data = groups_of(open_set).parted(train)
     else:
         data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()
-    network = begun(method, data)[-1]
+    network = begun(method, data)[at]
     return network, round(time.perf_counter() - begin, 1)
 
 

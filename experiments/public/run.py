@@ -148,9 +148,11 @@ def hidden_states(
     board: list[Row] = held.setdefault(output, [])
     tried = list(methods(open_set.name, open_set.train, output, window(open_set)))
     if chosen.smoke:
-        tried = [replace(m, shrink=m.shrink[:1]) for m in tried if m.degree == 1][:1]
+        linear = (m for m in tried if (m.degree, m.regions) == (1, 1))
+        tried = [replace(m, shrink=m.shrink[:1]) for m in linear][:1]
     for method in tried:
-        if any(row["name"].startswith(named(method) + ",") for row in board):
+        first = named(method, method.stages[0][0])
+        if any(row["name"].startswith(first + ",") for row in board):
             continue
         rows = judged(method, open_set, losses(board), chosen.rows)
         board.extend(rows)
@@ -161,8 +163,8 @@ def hidden_states(
     row = taken(board)
     if chosen.chosen_only or row is None:
         return
-    size = row["states"], row["degree"]
-    method = next(m for m in tried if (m.states, m.degree) == size)
+    size = row["states"], row["degree"], row.get("regions", 1) > 1
+    method = next(m for m in tried if (m.states, m.degree, m.regions > 1) == size)
     network, seconds = finished(method, row, open_set, chosen.rows)
     for name in columns:
         model = hold_to_range(network, None) if name == NOT_HELD else network
@@ -192,12 +194,14 @@ def _identified(table: Table, asked: Row, chosen: Any) -> None:
 
 
 def _more(peer: str, table: Table, name: str, output: str) -> Row:
-    """What else a peer is told: the set, or the structure that ours has."""
+    """What else a peer is told: the set, or the structure that ours has; with products
+    of two in place of regions."""
     if peer == "GRU":
         return {"name": name}
     board = table.sets[name].get("candidates", {}).get(output, [])
     row = taken(board) or {"states": 2, "degree": 2}
-    return {"states": row["states"], "degree": row["degree"]}
+    degree = row["degree"] if row.get("regions", 1) == 1 else 2
+    return {"states": row["states"], "degree": degree}
 
 
 def _peers(python: str | None, table: Table) -> dict[str, str]:

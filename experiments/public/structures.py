@@ -1,4 +1,4 @@
-"""What is tried on every set: number of states, degree, and pulls.
+"""What is tried on every set: number of states, degree, regions, and pulls.
 
 A short list for each set, likely ones first, since a structure far behind the best is
 given up early. Chosen from the training records: of the linear models of one to six
@@ -27,6 +27,14 @@ STRUCTURES: dict[str, tuple[tuple[int, int], ...]] = {
     "wiener_hammerstein": ((6, 2), (6, 3)),
 }
 """Number of states and degree."""
+IN_REGIONS: dict[str, tuple[int, ...]] = {
+    "cascaded_tanks": (3, 2, 4),
+    "ced_coupled_drives": (3, 4, 2),
+    "bouc_wen_sysidentpy": (3, 2, 4),
+}
+"""Numbers of states tried in two and three regions, of short sets."""
+REGIONS, FALLING = 3, (0.1, 0.01, 0.001)
+"""Most regions, and the pulls with them."""
 
 
 def methods(name: str, train: Any, output: str, window: int) -> Iterator[Any]:
@@ -46,8 +54,24 @@ def methods(name: str, train: Any, output: str, window: int) -> Iterator[Any]:
             window=window,
             max_steps=STEPS,
         )
+    for states in IN_REGIONS.get(name, ()):
+        count = (states + 1) * (states + inputs + 1)
+        regions = min(REGIONS, train.samples // SHARE // count)
+        if regions < 2:
+            continue
+        yield HiddenStates(
+            outputs=(output,),
+            states=states,
+            degree=1,
+            regions=regions,
+            shrink=FALLING,
+            window=window,
+            max_steps=STEPS,
+        )
 
 
-def named(method: Any) -> str:
-    """`2 states, degree 3`."""
-    return f"{method.states} states, degree {method.degree}"
+def named(method: Any, regions: int | None = None) -> str:
+    """`2 states, degree 3`, or `3 states, 2 regions`."""
+    regions = method.regions if regions is None else regions
+    size = f"degree {method.degree}" if regions == 1 else f"{regions} regions"
+    return f"{method.states} states, {size}"

@@ -76,9 +76,10 @@ class Candidates:
         del search, parts
         hidden = with_states(self.data, self.look.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
-        few = self.data.samples <= SHORT
-        patience = self.preset.states if few else self.preset.patience
-        yield from self._trained(hidden, self.preset.states, patience)
+        most, patience = self.preset.states, self.preset.patience
+        if self.data.samples <= SHORT:
+            most = patience = 2 * most
+        yield from self._trained(hidden, most, patience)
         fed = fed_back(self.data, self.look)
         yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
 

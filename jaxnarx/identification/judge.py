@@ -167,7 +167,7 @@ def begun(
     rows: int | None = None,
     best: Float[np.ndarray, " groups"] | None = None,
 ) -> list[Network]:
-    """Networks trained on everything, one for every pull.
+    """Networks trained on everything, one for every stage of the method.
 
     `DataError` where all are far beyond the `best` candidate after their first steps.
     """
@@ -185,10 +185,11 @@ def along(
 ) -> list[Network | None]:
     """The networks of all pulls trained once more, on these data: the first from where
     it stands, each other from the one before it; from where it stands itself if that
-    fails."""
+    fails, or has fewer regions."""
     found: list[Network | None] = []
-    before = None
-    for pull, network in zip(method.shrink, whole, strict=False):
+    before, size = None, 0
+    for (regions, pull), network in zip(method.stages, whole, strict=False):
+        before, size = before if regions == size else None, regions
         before = again(before or network, method, pull, data, known, rows)
         found.append(before)
     return found
@@ -239,7 +240,7 @@ def trained(
 ) -> list[Network]:
     """The networks of a method, trained on at most so many samples and held to the
     range of all that are known, by default these: with hidden states one for every
-    pull, else one alone."""
+    stage, else one alone."""
     some, known = _some(data, rows), data if known is None else known
     if isinstance(method, HiddenStates):
         return _held(fit_states(some, method).stats["path"], known)

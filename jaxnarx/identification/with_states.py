@@ -13,6 +13,9 @@ MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
 """Number of states and degree, in the order they are tried: of one or two inputs, of
 more, and of short records."""
+IN_REGIONS, REGIONS = (3, 2, 4), 3
+"""Numbers of states tried in up to so many regions, on short records, in turn with
+products: a training step takes several times as long."""
 FEW = 2
 """Inputs up to which they are tried unasked, on long records products of three factors
 first."""
@@ -42,32 +45,56 @@ def with_states(
     """(family, names, method), those that pay most often first.
 
     The first has as many states as a linear model asks for. One method makes a
-    candidate for every pull towards the linear model.
+    candidate for every pull towards the linear model, and for every number of regions.
     """
     low, high = WINDOW
     window = min(max(min(map(len, data)) // SHARE, low), high)
-    inputs = len(data.channels.inputs)
-    for states, degree in _structures(data, output, preset):
-        count = (states + 1) * math.comb(states + inputs + degree, degree)
-        if count > min(LARGEST, data.samples / SAMPLES):
-            continue
-        pulls = SHORT_PULLS if data.samples <= SHORT else PULLS
-        names = [f"{states} states, degree {degree}, pull {p:g}" for p in pulls]
+    for states, degree, regions in _structures(data, output, preset):
+        short = data.samples <= SHORT and regions == 1
         method = HiddenStates(
             outputs=(output,),
             states=states,
             degree=degree,
-            shrink=pulls,
+            regions=regions,
+            shrink=SHORT_PULLS if short else PULLS,
             window=window,
             max_steps=STEPS,
         )
+        names = [
+            f"{states} states, "
+            + (f"degree {degree}" if r == 1 else f"{r} regions")
+            + f", pull {pull:g}"
+            for r, pull in method.stages
+        ]
         yield FAMILY, names, method
 
 
 def _structures(
     data: Dataset, output: str, preset: Preset
-) -> Iterator[tuple[int, int]]:
-    """Number of states and degree; nothing is looked at before the first is wanted."""
+) -> Iterator[tuple[int, int, int]]:
+    """Number of states, degree, most regions; nothing is looked at before the first is
+    wanted."""
+    most, inputs = min(LARGEST, data.samples / SAMPLES), len(data.channels.inputs)
+
+    def borne(states: int, degree: int) -> int:
+        """Regions that the data bear."""
+        count = (states + 1) * math.comb(states + inputs + degree, degree)
+        return int(most / count)
+
+    states = preset.orders or IN_REGIONS
+    sizes = ((n, min(borne(n, 1), REGIONS)) for n in states)
+    in_regions = (size for size in sizes if size[1] > 1)
+    for n, degree in _products(data, output, preset):
+        if not borne(n, degree):
+            continue
+        yield n, degree, 1
+        size = next(in_regions, None) if data.samples <= SHORT else None
+        if size is not None:
+            yield size[0], 1, size[1]
+
+
+def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int, int]]:
+    """Number of states and degree."""
     few, short = len(data.channels.inputs) <= FEW, data.samples <= SHORT
     if not (few or preset.orders or preset.rule == "best"):
         # On virtual engines none came near the closed form, at minutes for each; on the

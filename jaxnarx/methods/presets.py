@@ -18,7 +18,8 @@ class Preset:
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
     states: int = 5
-    """How many structures with hidden states are tried."""
+    """How many structures with hidden states are tried; of short records twice as
+    many."""
     orders: tuple[int, ...] = ()
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
     patience: int = 3

@@ -8,11 +8,11 @@ from jaxnarx.methods.fields import Count, Steps, settings
 
 @settings
 class HiddenStates:
-    """A state-space model with polynomials of states and inputs, trained on the free
-    run.
+    """A state-space model with polynomials of states and inputs, or with local models
+    in regions of them, trained on the free run.
 
     Linear models by subspace identification and a chain of first-order lags are its
-    starts; products come with coefficients of zero.
+    starts; products come with coefficients of zero, regions by division.
     """
 
     outputs: Sequence[str] = ()
@@ -21,6 +21,9 @@ class HiddenStates:
     """Number of hidden states."""
     degree: Count = 2
     """Most factors of a product."""
+    regions: Count = 1
+    """Most regions, in each of which everything has local models; with degree one they
+    are linear. Every number from two on is trained."""
     shrink: Sequence[float] = (0.1, 0.01, 0.001)
     """Pull of the coefficients, see `SimulationError`: at first towards the linear
     model, then towards where the last value has led. The training goes through these
@@ -45,3 +48,9 @@ class HiddenStates:
             "shrink",
             f"shrink must fall, and not below zero, got {tuple(self.shrink)}",
         )
+
+    @property
+    def stages(self) -> tuple[tuple[int, float], ...]:
+        """Number of regions and pull of every network that the training ends with."""
+        counts = range(min(self.regions, 2), self.regions + 1)
+        return tuple((count, pull) for count in counts for pull in self.shrink)

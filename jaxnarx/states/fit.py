@@ -5,7 +5,8 @@ states and inputs degree by degree, and trained with a strong pull towards where
 stands, which then falls. Taken is at every pull the one whose free run of the training
 records, begun as in use, has the smallest error; of many samples the one that has it
 after the first steps goes on alone. A hidden state that leaves the range it had in
-training is held in the end.
+training is held in the end. Regions are divided off one after another, the best starts
+only, each with the strongest pull (`jaxnarx.states.regions`).
 
 Polynomial nonlinear state-space models: J. Paduart et al., Identification of nonlinear
 systems using Polynomial Nonlinear State Space models, Automatica 46 (2010) 647-656.
@@ -28,11 +29,18 @@ from jaxnarx.refinement import refine
 from jaxnarx.simulation import fitting, simulate
 from jaxnarx.solution import Solution
 from jaxnarx.states.network import raised, settled, state_network
+from jaxnarx.states.regions import divisions, roomy, trimmed
 from jaxnarx.states.starts import linear_starts
 
 Tell = Callable[[dict[str, Any]], None]
 TOLERANCE = 5e-4
 """Relative decrease, twice in a row, at which a value of the pull has done its work."""
+GROWN = 2
+"""How many of the starts are divided into regions."""
+TRIED = 6
+"""Steps that a division is given before the best of them is taken."""
+HELD = 1e-4
+"""Ridge of what has gates."""
 
 
 @guarded
@@ -49,13 +57,13 @@ def fit_states(
         data: Records to be trained on.
         method: Number of states, degree and pull; see `HiddenStates`.
         hopeless: Error in training (NRMSE) beyond which no start goes on after its
-            first steps: a DataError then.
+            first steps, or with two regions: a DataError then.
         progress: Called on the host after every accepted step.
 
     Returns:
-        `value` is the network at the last value of `shrink`, `stats["path"]` that at
-        every value, `stats["start"]` names the linear model it began from. Statuses are
-        those of `refine` for the last value. `DataError` where no start can be made:
+        `value` is the network of the last of `method.stages`, `stats["path"]` that of
+        every one, `stats["start"]` names the linear model it began from. Statuses are
+        those of `refine` for the last one. `DataError` where no start can be made:
         records too short for so many states, say.
 
     Example:
@@ -71,16 +79,26 @@ def fit_states(
     starts = _starts(few, data, places, method, progress)
     if few is not data:
         starts = [min(starts, key=_told)]
-    if not (least := min(start.error for start in starts)) <= hopeless**2:
-        raise DataError(
-            f"an error in training of {least**0.5:.3g} after the first steps"
-        )
     path: list[Network] = []
+    ends: list[_Start] = []
     errors = {start.name: start.error for start in starts}
-    for shrink in method.shrink:
-        starts = [_gone_on(s, data, method, shrink, progress) for s in starts]
-        path.append(min(starts, key=_told).settled)
-    best = min(starts, key=_told)
+    if method.regions > 1:
+        starts = sorted(starts, key=_told)[:GROWN]
+        starts = [_roomy(start, method.regions) for start in starts]
+    for regions, shrink in method.stages:
+        if shrink == method.shrink[0]:
+            if regions > 1:
+                starts = [_divided(s, few, method, progress) for s in starts]
+            ends = starts
+        if not path and regions == 1:
+            _require_hope(ends, hopeless)
+        ends = [_gone_on(s, data, method, shrink, progress) for s in ends]
+        if len(path) + 1 == len(method.shrink) and regions == 2:
+            _require_hope(ends, hopeless)  # first steps of a division tell little
+        path.append(trimmed(min(ends, key=_told).settled))
+        if shrink == method.shrink[0]:
+            starts = ends
+    best = min(ends, key=_told)
     stats = {"path": path, "start": best.name, "starts": errors}
     return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
 
@@ -143,6 +161,37 @@ def _gone_on(
     return _Start(start.name, fit, network, error)
 
 
+def _require_hope(starts: list[_Start], hopeless: float) -> None:
+    least = min(start.error for start in starts)
+    if not least <= hopeless**2:
+        raise DataError(
+            f"an error in training of {least**0.5:.3g} after the first stage"
+        )
+
+
+def _roomy(start: _Start, regions: int) -> _Start:
+    """With a place for so many regions of what it has visited."""
+    low, high = start.settled.low, start.settled.high
+    network = roomy(dataclasses.replace(start.fit.value, low=low, high=high), regions)
+    return dataclasses.replace(start, fit=dataclasses.replace(start.fit, value=network))
+
+
+def _divided(
+    start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
+) -> _Start:
+    """With one region more, divided where the first steps lead to the smallest error;
+    as it is where no division can be trained."""
+    found = []
+    for network in divisions(start.fit.value, data):
+        try:
+            fit = _trained(network, data, TRIED, method.shrink[0], progress)
+        except (JaxnarxError, np.linalg.LinAlgError):
+            continue
+        network = settled(fit.value, data)
+        found.append(_Start(start.name, fit, network, _error(network, data)))
+    return min(found, key=_told) if found else start
+
+
 def _starts(
     few: Dataset,
     data: Dataset,
@@ -192,7 +241,13 @@ def _trained(
     shrink: float,
     progress: Tell | None,
 ) -> Solution[Network]:
+    gated = len(network.models[0].active) > 1
     method = SimulationError(
-        max_steps=steps, ridge=0, shrink=shrink, tolerance=TOLERANCE, patience=steps + 1
+        max_steps=steps,
+        train="joint" if gated else "staged",
+        ridge=HELD if gated else 0,
+        shrink=shrink,
+        tolerance=TOLERANCE,
+        patience=steps + 1,
     )
     return refine(network, data, method, progress=progress)

@@ -21,6 +21,7 @@ from jaxnarx.identification.with_states import (
     FAMILY,
     FEW,
     FEW_INPUTS,
+    IN_REGIONS,
     LARGEST,
     MANY_INPUTS,
     ORDERS,
@@ -34,7 +35,8 @@ from jaxnarx.identification.with_states import (
 from jaxnarx.methods import PRESETS, HiddenStates, Preset
 from jaxnarx.output_error import ClosedSearch, look
 
-TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=2)
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=1)
+"""One structure, of short records two."""
 
 
 def wide(inputs: int, rows: int) -> Dataset:
@@ -46,23 +48,22 @@ def wide(inputs: int, rows: int) -> Dataset:
 
 
 def sizes(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
-    """Number of states and degree of what is tried."""
-    found = list(with_states(data, "y", preset))
-    return [(method.states, method.degree) for _, _, method in found]
+    """Number of states and degree of what is tried without regions."""
+    found = [method for *_, method in with_states(data, "y", preset)]
+    return [(method.states, method.degree) for method in found if method.regions == 1]
 
 
 # what is tried --------------------------------------------------------------------
 
 
-def test_a_method_has_a_name_for_every_pull():
+def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
     data, seen = plant(2), []
     for family, names, method in with_states(data, "y", TINY):
         assert family == FAMILY and method.outputs == ("y",)
-        assert len(names) == len(method.shrink) and method.shrink == SHORT_PULLS
-        for name, pull in zip(names, method.shrink, strict=True):
-            assert name == (
-                f"{method.states} states, degree {method.degree}, pull {pull:g}"
-            )
+        assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS)
+        for name, (regions, pull) in zip(names, method.stages, strict=True):
+            kind = f"degree {method.degree}" if regions == 1 else f"{regions} regions"
+            assert name == f"{method.states} states, {kind}, pull {pull:g}"
         seen += names
     assert len(set(seen)) == len(seen) >= 6
     _, _, long = next(with_states(wide(1, SHORT + 1), "y", TINY))
@@ -99,6 +100,26 @@ def test_short_records_begin_with_products_of_two():
     assert found.index((2, 2)) < found.index((2, 3)) < found.index((3, 2)) < 5
     long = sizes(wide(1, SHORT + 1))
     assert long.index((2, 3)) < long.index((2, 2))
+
+
+def regional(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
+    """Where in the list regions are tried, and of how many states."""
+    every = [method for *_, method in with_states(data, "y", preset)]
+    assert all(m.degree == 1 for m in every if m.regions > 1)
+    return [(n, m.states) for n, m in enumerate(every) if m.regions > 1]
+
+
+def test_short_records_try_regions_in_turn_with_products():
+    assert regional(wide(1, SHORT)) == [
+        (1 + 2 * n, s) for n, s in enumerate(IN_REGIONS)
+    ]
+    assert not regional(wide(1, SHORT + 1)) and not regional(wide(FEW + 1, SHORT))
+    asked = dataclasses.replace(TINY, orders=(1, 5))
+    assert [states for _, states in regional(wide(1, SHORT), asked)] == [1, 5]
+    # 200 samples bear 33 coefficients: of two states twelve a region, but no two of
+    # three or four states, of 20 and 30.
+    found = [m for *_, m in with_states(wide(1, 200), "y", TINY) if m.regions > 1]
+    assert [(m.states, m.regions) for m in found] == [(2, 2)]
 
 
 @pytest.mark.parametrize(("inputs", "rows"), [(1, 600), (1, 5000), (2, 10_000)])
@@ -190,7 +211,9 @@ def tried(closed, **more) -> list[Contender]:
 
 
 def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
-    first, second = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8)
+    expected = [names for _, names, _ in with_states(closed[0], "y", TINY)][:2]
+    first, second = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8, 0.9, 0.45)
+    assert [len(first), len(second)] == [len(names) for names in expected]
     asked["results"] = [outcome(closed, *first), outcome(closed, *second)]
     rows = tried(closed)
     assert [row.free_run for row in rows] == pytest.approx([*first, *second])
@@ -198,9 +221,8 @@ def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
         "skipped" if error is None else "ok" for error in (*first, *second)
     ]
     assert {row.family for row in rows} == {FAMILY}
-    expected = [n for _, names, _ in with_states(closed[0], "y", TINY) for n in names]
-    assert [row.name for row in rows] == expected[:8]
-    assert [m.states for m in asked["asked"]] == [m for m, _ in sizes(closed[0])[:2]]
+    assert [row.name for row in rows] == sum(expected, [])
+    assert [m.regions for m in asked["asked"]] == [1, 3]
     assert all(row.seconds is not None for row in rows)
 
 
@@ -221,9 +243,9 @@ def test_a_search_that_goes_on_does_not_try_them_again(closed, asked):
 
 
 def test_failed_ones_do_not_count_as_near(closed, asked, monkeypatch):
-    monkeypatch.setattr(module, "SHORT", 0)  # of short records all are tried
     asked["results"] = [DataError("too short"), DataError("too short")]
     rows = tried(closed)
+    monkeypatch.setattr(module, "SHORT", 0)  # of short records all are tried
     impatient = dataclasses.replace(TINY, states=3, patience=2)
     data, seen, _ = closed
     found = Candidates(data, seen, groups(data), impatient, known=rows)
