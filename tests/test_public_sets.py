@@ -173,6 +173,14 @@ def test_estimates_beside_the_truth(tmp_path):
 
 
 @pytest.mark.slow
+def test_kinds_beside_the_truth(tmp_path):
+    experiment("public/kinds.py", "--results", str(tmp_path))
+    (case,) = json.loads((tmp_path / "kinds.json").read_text())["figures"].values()
+    best = case["best"]["closed form"]
+    assert best["true"] > 0 and best["promised"] <= case["chosen"]["promised"]
+
+
+@pytest.mark.slow
 def test_the_run_and_going_on(tmp_path, measured):
     if not (measured / "silverbox").is_dir():
         pytest.skip("silverbox is not there")
