@@ -65,10 +65,10 @@ def judge(
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
     Without a group that of the strongest pull is then trained from where it stands, and
-    the others one from the other: what a pull holds on to has not seen the group since
-    the strongest. Candidates in closed form keep their partition and feedback in the
-    same way. Trained from the starts, without a group of a short record they often end
-    elsewhere, which says little of the network that is judged
+    again from there, the others one from the other: what a pull holds on to has been
+    trained without the group. Candidates in closed form keep their partition and
+    feedback in the same way. Trained from the starts, without a group of a short record
+    they often end elsewhere, which says little of the network that is judged
     (`experiments/public/README.md`).
     """
     hidden = isinstance(method, HiddenStates)
@@ -183,14 +183,19 @@ def along(
     known: Dataset,
     rows: int | None = None,
 ) -> list[Network | None]:
-    """The networks of all pulls trained once more, on these data: the first from where
-    it stands, each other from the one before it; from where it stands itself if that
-    fails, or has fewer regions."""
+    """The networks of all stages trained once more, on these data.
+
+    Of every number of regions the first is trained twice from where it stands, for it
+    is pulled towards what it was, and that has seen other data; each other from the one
+    before it, or twice where that fails.
+    """
     found: list[Network | None] = []
     before, size = None, 0
     for (regions, pull), network in zip(method.stages, whole, strict=False):
-        before, size = before if regions == size else None, regions
-        before = again(before or network, method, pull, data, known, rows)
+        if before is None or regions != size:
+            before, size = again(network, method, pull, data, known, rows), regions
+        if before is not None:
+            before = again(before, method, pull, data, known, rows)
         found.append(before)
     return found
 

@@ -296,12 +296,12 @@ def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed,
     found = judging.judge(METHOD, data, groups(data), 1.0)
     assert fits["all"] == [(METHOD, sum(LENGTHS))]
     rest = [sum(LENGTHS) - n for n in LENGTHS]
-    every = [(pull, n) for n in rest for pull in PULLS]
+    every = [(pull, n) for n in rest for pull in (PULLS[0], *PULLS)]
     # What cannot be trained without a group is not tried without the others.
     expected = [c for c in every if c[0] != PULLS[-1] or c[1] in rest[:2]]
     assert fits["again"] == expected
     # The network of the strongest pull, then what has come of it without the group.
-    assert fits["from"] == [0, 10, 20, 0, 10, 20, 0, 10, 0, 10][: len(expected)]
+    assert fits["from"] == [0, 10, 20, 30, 0, 10, 20, 30, 0, 10, 20, 0, 10, 20]
     assert [one.complete for one in found] == [True, True, False]
     assert (found[2].diverged, found[2].detail) == (1, "diverges")
     assert all(
@@ -321,8 +321,23 @@ def test_behind_a_training_that_fails_the_next_starts_from_where_it_stands(
     monkeypatch.setattr(judging, "again", again)
     networks, data = [closed[2].network() for _ in PULLS], closed[0]
     found = judging.along(networks, METHOD, data, data)
-    assert asked == [networks[0], networks[1], networks[1]]
+    assert asked == [networks[0], networks[1], networks[1], networks[1]]
     assert found == [None, networks[1], networks[1]]
+
+
+def test_every_number_of_regions_starts_from_where_it_stands(monkeypatch, closed):
+    asked = []
+
+    def again(network, method, pull, *data):
+        asked.append((network, pull))
+        return network
+
+    monkeypatch.setattr(judging, "again", again)
+    method = dataclasses.replace(METHOD, degree=1, regions=3, shrink=(0.1, 0.01))
+    networks, data = [closed[2].network() for _ in method.stages], closed[0]
+    found = judging.along(networks, method, data, data)
+    assert asked == [(networks[at], pull) for at in (0, 2) for pull in (0.1, 0.1, 0.01)]
+    assert found == [networks[0], networks[0], networks[2], networks[2]]
 
 
 def test_an_error_in_training_beyond_the_best_leaves_nothing_out(closed, fits):
