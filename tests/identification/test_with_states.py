@@ -385,7 +385,7 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
     asked = []
 
     def judge(method, *args):
-        asked.append((method.states, method.degree))
+        asked.append((method.states, method.degree, method.regions))
         return judging.judge(method, *args)
 
     monkeypatch.setattr(module, "judge", judge)
@@ -396,9 +396,11 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
 
     folder = tmp_path / "run"
     cut = jnx.identify(plant(), preset="tiny", folder=folder, progress=stop)
-    assert cut.status_name == "budget_spent" and asked == [(1, 2)]
+    assert cut.status_name == "budget_spent" and asked == [(1, 2, 1)]
     done = jnx.identify(plant(), preset="tiny", folder=folder)
-    assert done.is_okay and asked == [(1, 2), (1, 3)]
+    assert done.is_okay and asked == [(1, 2, 1), (1, 1, 3)]
     rows = [row for row in done.stats["leaderboard"] if row.family == FAMILY]
-    assert len({row.number for row in rows}) == len(rows) == 2 * len(SHORT_PULLS)
+    names = [names for _, names, _ in with_states(plant(), "y", few)][:2]
+    assert [row.name for row in rows] == sum(names, [])
+    assert len({row.number for row in rows}) == len(rows)
     assert all(row.status in ("ok", "skipped", "diverged") for row in rows)
