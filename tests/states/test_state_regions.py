@@ -83,6 +83,7 @@ def test_the_worst_region_is_divided_next(linear):
     twice = next(divisions(dataclasses.replace(once, models=tuple(models)), data))
     for model in twice.models:
         assert model.active.all()
+        assert isinstance(model.validity, SigmoidTree)
         path = np.asarray(model.validity.path).tolist()
         assert path == [[-1, 0], [1, -1], [1, 1]]
         leaves = np.asarray(model.local.coefficient)
