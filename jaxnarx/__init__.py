@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from jaxnarx import selection as selection
     from jaxnarx import states as states
     from jaxnarx import sweep as sweep
+    from jaxnarx import trust as trust
     from jaxnarx.data import Channel as Channel
     from jaxnarx.data import Channels as Channels
     from jaxnarx.data import Dataset as Dataset
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
     from jaxnarx.sweep import IdentificationWork as IdentificationWork
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
+    from jaxnarx.trust import domain as domain
 
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
@@ -101,6 +103,7 @@ _HOME = {
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
     "sweep": "Fleet IdentificationWork read_sweep run_sweep",
+    "trust": "domain",
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
 
@@ -108,7 +111,7 @@ _ROOMS = {
     name: f"jaxnarx.{name}"
     for name in (
         "data design engines evaluation excitation inverse linear methods models "
-        "partition refinement regressors selection states sweep"
+        "partition refinement regressors selection states sweep trust"
     ).split()
 }
 

@@ -46,7 +46,7 @@ HOUSE = [
     # Floor 3, in the order of the design.
     ["simulation"],
     ["evaluation.metrics"],
-    ["refinement"],
+    ["refinement", "trust"],
     ["selection"],
     ["partition"],
     ["linear", "inverse", "design", "evaluation", "output_error"],

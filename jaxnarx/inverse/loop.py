@@ -27,7 +27,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
 from jaxnarx.methods.inverse import ActuatorLimits
-from jaxnarx.models import Network, advance, depth, widened
+from jaxnarx.models import HOLD, Network, advance, depth, widened
 
 
 class Loop(eqx.Module):
@@ -125,8 +125,12 @@ def _filled(
     rows, sources, lags = _columns(places[0])
     if len(rows):
         signal = network.variables.signal[rows]
-        fresh = network.within(values[sources, lags - first], signal)
+        given = values[sources, lags - first]
+        fresh = network.within(given, signal)
         v = v.at[rows + 1].set(fresh / network.gain[signal])
+        beyond = len(network.variables) + 1
+        if v.shape[0] > beyond:
+            v = v.at[rows + beyond].set((given - fresh) / network.gain[signal])
     out = []
     for x_o, model, own in zip(x, network.models, places[1:], strict=True):
         rows, sources, lags = _columns(own)
@@ -148,9 +152,9 @@ def connect(
     """The cascade of two networks; channels are matched by name.
 
     Commands are bounded by `limits` and, in any case, by the bounds that the inverse's
-    feedback has had in training; by the forward network's trained range too, if it has
-    limits (`jaxnarx.models.limits`), as it would not see them go beyond. `SpecError`
-    where the two do not fit, see `wire`, or where a limit leaves no room.
+    feedback has had in training; by the forward network's trained range too, if it
+    holds them there (`jaxnarx.models.limits`), as it would not see them go beyond.
+    `SpecError` where the two do not fit, see `wire`, or where a limit leaves no room.
     """
     limits = ActuatorLimits() if limits is None else limits
     wiring, names = wire(inverse, forward), inverse.output_names
@@ -158,7 +162,7 @@ def connect(
         _require_named(getattr(limits, field), names, field)
     gain = np.asarray(inverse.gain)[np.array(inverse.signals)]
     low, high = np.asarray(inverse.lower) * gain, np.asarray(inverse.upper) * gain
-    if forward.hold is not None:
+    if forward.outside == HOLD:
         at = [forward.channels.signal(name) for name in names]
         low = np.maximum(low, np.asarray(forward.low)[at])
         high = np.minimum(high, np.asarray(forward.high)[at])

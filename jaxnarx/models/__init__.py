@@ -5,6 +5,8 @@ from jaxnarx.models.assemble import global_model as global_model
 from jaxnarx.models.assemble import local_models as local_models
 from jaxnarx.models.assemble import output_model as output_model
 from jaxnarx.models.assemble import ranged as ranged
+from jaxnarx.models.domain import LAYERS as LAYERS
+from jaxnarx.models.domain import Domain as Domain
 from jaxnarx.models.feedback import advance as advance
 from jaxnarx.models.feedback import collapse as collapse
 from jaxnarx.models.feedback import collapsed_step as collapsed_step
@@ -18,6 +20,7 @@ from jaxnarx.models.feedback import places as places
 from jaxnarx.models.feedback import respond as respond
 from jaxnarx.models.feedback import shares as shares
 from jaxnarx.models.feedback import sources as sources
+from jaxnarx.models.feedback import term_values as term_values
 from jaxnarx.models.feedback import widened as widened
 from jaxnarx.models.feedback import with_history as with_history
 from jaxnarx.models.feedback import with_own as with_own
@@ -28,6 +31,9 @@ from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.merge import hidden_names as hidden_names
 from jaxnarx.models.merge import merged as merged
 from jaxnarx.models.narrow import narrowed as narrowed
+from jaxnarx.models.network import FLAG as FLAG
+from jaxnarx.models.network import HOLD as HOLD
+from jaxnarx.models.network import LINEAR as LINEAR
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel

@@ -76,11 +76,46 @@ def _collapse_one(
     weight = jnp.einsum("smr,mk->skr", _by_state(model, phi), model.local.dense())
     own = jnp.asarray(lookup)[factor]
     inputs_only = evaluate(jnp.where(own > 0, 0, factor), v)
+    beyond = _beyond(factor, len(lookup), v)
+    if beyond is not None:
+        inputs_only += jnp.where((own == 0).all(axis=1)[:, None], beyond, 0.0)
     own = jnp.sort(own, axis=1)
     pad = table.shape[1] - own.shape[1]
     own = jnp.pad(own, ((0, 0), (pad, 0)))
     match = jnp.all(own[:, None] == table[None], axis=2).astype(v.dtype)
     return jnp.einsum("ka,skr->sar", match, weight * inputs_only[None])
+
+
+def _beyond(
+    factor: Int[Array, "terms degree"], rows: int, v: Float[Array, "vars *rows"]
+) -> Float[Array, "terms *rows"] | None:
+    """What the terms gain beyond the ranges of the inputs, to first order: their slope
+    times how far the variables, so many with the leading one, are beyond them. None
+    where `v` does not tell."""
+    if v.shape[0] == rows:
+        return None
+    far = v[rows:]
+    along = jnp.concatenate([jnp.zeros_like(far[:1]), far])
+    return jax.jvp(lambda v: evaluate(factor, v), (v[:rows],), (along,))[1]
+
+
+def term_values(
+    network: Network, model: OutputModel, v: Float[Array, "vars *rows"]
+) -> Float[Array, "terms *rows"]:
+    """The terms, fed-back variables in `v` as they are.
+
+    Where `v` tells how far inputs are beyond their ranges, terms of inputs alone go on
+    from the edge to first order. Products with fed-back variables stay as they are
+    there, and so do poles.
+    """
+    factor = model.local.factor
+    terms = evaluate(factor, v)
+    beyond = _beyond(factor, len(network.variables) + 1, v)
+    if beyond is None:
+        return terms
+    rows = [row + 1 for row, *_ in fed_back(network.variables, network.signals)]
+    fed = jnp.isin(factor, jnp.asarray(rows, factor.dtype)).any(axis=1)
+    return terms + jnp.where(fed[(...,) + (None,) * (terms.ndim - 1)], 0.0, beyond)
 
 
 def _by_state(
@@ -176,7 +211,7 @@ def respond(
     """Scaled outputs from lagged and scheduling variables as they are."""
     return jnp.stack(
         [
-            model(v, scheduling_values(model, x_o))
+            model.blend(term_values(network, model, v), scheduling_values(model, x_o))
             for model, x_o in zip(network.models, x, strict=True)
         ]
     )
@@ -271,9 +306,9 @@ def advance(
     for o, (model, x_o, at) in enumerate(parts):
         z = scheduling_values(model, x_o)
         if model.own is None:
-            outputs.append(model(v, z))
+            outputs.append(model.blend(term_values(network, model, v), z))
             continue
-        terms = jax.vmap(partial(evaluate, model.local.factor))(
+        terms = jax.vmap(partial(term_values, network, model))(
             with_own(network, o, v, history[at])
         )
         local = jax.vmap(lambda a, b: jnp.tensordot(a, b, axes=1))(

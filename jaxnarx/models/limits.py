@@ -1,15 +1,23 @@
-"""Limits that cost nothing: a network held to the ranges it was trained on.
+"""Limits that cost nothing: a network at the edge of the ranges it was trained on.
 
-Outside of them polynomials say anything. A network that is held sees every input no
-farther than at the edge of its trained range, and what is reported of an output stays
-within that output's range, widened by the margin m on either side:
+Outside of them polynomials say anything. What inputs do there is the network's
+`outside`:
+
+- `"flag"`: nothing, they are as they are, and the samples are marked;
+- `"hold"`: they stay at the edge of their trained range;
+- `"linear"`: validity functions and products stay as they are at the edge, and from
+  there terms of inputs alone go on to first order, so that gains and poles are those of
+  the edge.
+
+Inputs are held before anything is computed from them, in runs, training and linearised
+networks alike (`Network.within`). What is reported of an output stays within that
+output's range, widened by the margin m on either side:
 
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
 
-Inputs are held before anything is computed from them, in runs, training and linearised
-networks alike (`Network.within`). Outputs are held when all is computed. What is fed
-back is as it was, so that neither derivatives nor the judgement of divergence, which
-rest on the feedback bound, depend on the margin.
+Outputs are held when all is computed. What is fed back is as it was, so that neither
+derivatives nor the judgement of divergence, which rest on the feedback bound, depend on
+the margin.
 
 Held to their range, inputs that take two values stay what they are. An input or output
 that was constant in training is held at that constant.
@@ -24,29 +32,37 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import not_negative
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
-from jaxnarx.models.network import Network
+from jaxnarx.models.network import FLAG, HOLD, Network
 
 WIDER = 0.02
 """Reported outputs may leave the training range by this share of it on either side."""
 
 
 @guarded
-def hold_to_range(network: Network, margin: float | int | None = WIDER) -> Network:
+def hold_to_range(
+    network: Network, margin: float | int | None = WIDER, *, outside: str | None = None
+) -> Network:
     """The network with its inputs and reported outputs held to their trained ranges.
 
     `margin` is the share of its range by which a reported output may leave it; with
-    None the network is held no more. Held samples are marked in `held` of a run,
-    samples with an input outside its range in `extrapolated`, as ever. `SpecError` for
-    a negative margin, or one that is not finite.
+    None outputs are not held. `outside` says what inputs do beyond their ranges, see
+    the module: by default they are held with a margin, and flagged without. Held
+    samples are marked in `held` of a run, samples with an input outside its range in
+    `extrapolated`, as ever. `SpecError` for a negative margin, or one that is not
+    finite, and for an unknown `outside`.
 
     Example:
         held = jnx.models.hold_to_range(network)
         free = jnx.models.hold_to_range(held, None)
+        straight = jnx.models.hold_to_range(network, outside="linear")
     """
-    if margin is None:
-        return dataclasses.replace(network, hold=None)
-    share = np.asarray(not_negative(margin, "margin"), network.gain.dtype)
-    return dataclasses.replace(network, hold=jax.device_put(share))
+    if outside is None:
+        outside = FLAG if margin is None else HOLD
+    share = None
+    if margin is not None:
+        share = np.asarray(not_negative(margin, "margin"), network.gain.dtype)
+        share = jax.device_put(share)
+    return dataclasses.replace(network, hold=share, outside=outside)
 
 
 def reported_range(
@@ -76,7 +92,7 @@ def reported(
 
 def held_inputs(network: Network, batch: Batch) -> Batch:
     """The records as the network sees them: `Network.within` on the host."""
-    if network.hold is None:
+    if network.outside == FLAG:
         return batch
     signals, inputs = np.array(batch.signals), len(network.channels.inputs)
     low, high = (np.asarray(a)[:inputs] for a in (network.low, network.high))

@@ -17,15 +17,16 @@ def merged(networks: Sequence[Network]) -> Network:
     """All outputs of several networks of the same channels, computed side by side.
 
     A free run of the result is that of the parts, from the longest of their histories
-    and windows. Hidden channels are numbered through. `SpecError` where channels,
-    sample times or holds differ or an output comes twice.
+    and windows. Hidden channels are numbered through; a domain is to be learnt anew.
+    `SpecError` where channels, sample times or holds differ or an output comes twice.
     """
     first = networks[0]
     modelled = tuple(o for n in networks for o in n.modelled)
     known = first.channels.measured
     for one in networks[1:]:
         same = one.channels.measured == known and one.sample_time == first.sample_time
-        if not same or one.hold != first.hold:
+        limits = one.hold == first.hold and one.outside == first.outside
+        if not same or not limits:
             raise SpecError(
                 "networks to be merged must have the same channels, sample time and "
                 "limits",
@@ -82,6 +83,7 @@ def merged(networks: Sequence[Network]) -> Network:
         first.sample_time,
         first.hold,
         window=max(n.window for n in networks),
+        outside=first.outside,
     )
 
 

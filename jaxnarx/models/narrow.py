@@ -46,4 +46,6 @@ def narrowed(network: Network) -> Network:
         sample_time=network.sample_time,
         hold=network.hold,
         window=network.window,
+        outside=network.outside,
+        domain=network.domain,
     )

@@ -20,6 +20,7 @@ from jaxnarx.arrays.programs import twin
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.channels import numbered
 from jaxnarx.errors import SpecError
+from jaxnarx.models.domain import Domain
 from jaxnarx.models.validity import AbstractValidity, weights_of
 from jaxnarx.regressors import (
     Variables,
@@ -30,6 +31,9 @@ from jaxnarx.regressors import (
     variable_names,
 )
 
+FLAG, HOLD, LINEAR = "flag", "hold", "linear"
+"""What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
+go on from the edge to first order."""
 SHOWN = 6
 """Terms of a local model that `print` shows; `equations` has them all."""
 
@@ -79,7 +83,12 @@ class OutputModel(eqx.Module):
         self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
     ) -> Float[Array, "*rows"]:
         """Scaled output at one sample or at many (trailing axes)."""
-        terms = evaluate(self.local.factor, v)
+        return self.blend(evaluate(self.local.factor, v), z)
+
+    def blend(
+        self, terms: Float[Array, "terms *rows"], z: Float[Array, "dims *rows"]
+    ) -> Float[Array, "*rows"]:
+        """The same from the values of the terms."""
         local = jnp.tensordot(self.local.dense(), terms, axes=1)
         return jnp.sum(self.validity(z, self.active) * local, axis=0)
 
@@ -91,10 +100,11 @@ class Network(eqx.Module):
     of the modelled outputs among `channels.outputs`. `models` computes these and, after
     them, all hidden channels. `gain` brings signals to unit size. `lower` and `upper`
     bound what is simulated (scaled); `low` and `high` are the training ranges in
-    physical units, to which inputs and reported outputs are held if there is a `hold`:
-    the share of its range by which an output may leave it, see
-    `jaxnarx.models.limits`. A free run starts from `history` measured samples, those of
-    local models with their own feedback too; hidden channels start from what the
+    physical units. `outside` says what inputs beyond theirs do, "flag", "hold" or
+    "linear" (`jaxnarx.models.limits`), `hold`, if any, by which share of its range a
+    reported output may leave it. `domain` is what the network knows of its training
+    (`jaxnarx.models.domain`). A free run starts from `history` measured samples, those
+    of local models with their own feedback too; hidden channels start from what the
     outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
     """
 
@@ -110,8 +120,16 @@ class Network(eqx.Module):
     sample_time: Float[Array, ""]
     hold: Float[Array, ""] | None = None
     window: int = eqx.field(static=True, default=0, kw_only=True)
+    outside: str = eqx.field(static=True, default=FLAG, kw_only=True)
+    domain: Domain | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
+        if self.outside not in (FLAG, HOLD, LINEAR):
+            raise SpecError(
+                f"outside must be {FLAG!r}, {HOLD!r} or {LINEAR!r}, got "
+                f"{self.outside!r}",
+                field="outside",
+            )
         if len(self.models) != len(self.modelled) + len(self.channels.hidden):
             raise ValueError(
                 f"{len(self.modelled)} modelled outputs and "
@@ -128,11 +146,8 @@ class Network(eqx.Module):
             f"history: {', '.join(self.channels.input_names)} -> "
             + ", ".join(self.output_names)
         ]
-        if self.hold is not None:
-            lines.append(
-                "inputs held within their trained ranges, reported outputs within "
-                f"theirs widened by {100 * float(self.hold):g} %"
-            )
+        if self.outside != FLAG or self.hold is not None:
+            lines.append(self.limits)
         names = self.variable_names
         for o, (name, model) in enumerate(
             zip(self.computed_names, self.models, strict=True)
@@ -161,11 +176,26 @@ class Network(eqx.Module):
         return "\n".join(lines)
 
     @property
+    def limits(self) -> str:
+        """What inputs and reported outputs do beyond their trained ranges."""
+        words = {
+            FLAG: "inputs beyond their trained ranges as they are",
+            HOLD: "inputs held within their trained ranges",
+            LINEAR: "beyond the trained ranges of the inputs on to first order",
+        }
+        text = words[self.outside]
+        if self.hold is not None:
+            share = 100 * float(self.hold)
+            text += f", reported outputs within theirs widened by {share:g} %"
+        return text
+
+    @property
     def nameless(self) -> "Network":
-        """The same with channels that have numbers for names, for programs."""
+        """The same with channels that have numbers for names and without a domain, for
+        programs."""
         own = self.channels
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
-        return twin(self, channels=numbered(*counts))
+        return twin(self, channels=numbered(*counts), domain=None)
 
     @property
     def history(self) -> int:
@@ -250,12 +280,13 @@ class Network(eqx.Module):
         values: Float[Array, "*rows columns"],
         signal: Int[np.ndarray, " columns"] | None = None,
     ) -> Float[Array, "*rows columns"]:
-        """Signals as the network sees them: with `hold`, inputs in their trained range.
+        """Signals as the network sees them: inputs in their trained range, unless they
+        are but flagged.
 
         `signal` tells which signals the columns are, by default all in order; physical
         units. The slope by an input is one up to and at the edge, and zero beyond.
         """
-        if self.hold is None:
+        if self.outside == FLAG:
             return values
         at = np.arange(values.shape[-1]) if signal is None else signal
         given, lead = at < len(self.channels.inputs), (1,) * (values.ndim - 1)
@@ -272,11 +303,13 @@ class Network(eqx.Module):
         """Lagged variables of one record, known before the run, at every sample.
 
         The scaled ones of the terms behind a leading one, and per output those of the
-        scheduling in physical units, of inputs held `within` their ranges. Filters
+        scheduling in physical units, of inputs held `within` their ranges. A network
+        that goes on to first order (`outside`) has another row for every variable
+        behind them: how far it is beyond what is held. Filters
         begin at rest at the first valid sample (without `valid`: the first); see
         `jaxnarx.regressors.record_columns`. Hidden channels are zeros.
         """
-        signals = self.complete(self.within(signals))
+        given, signals = self.complete(signals), self.complete(self.within(signals))
         valid = None if valid is None else self.complete(valid)
         at = jnp.arange(signals.shape[0])
         ones = jnp.ones((1, at.shape[0]), signals.dtype)
@@ -284,9 +317,11 @@ class Network(eqx.Module):
         def table(values, variables):
             return record_columns(values, valid, at, variables, self.sample_time)
 
-        scaled = table(signals / self.gain[None], self.variables)
+        scaled = [table(signals / self.gain[None], self.variables)]
+        if self.outside == LINEAR:
+            scaled.append(table((given - signals) / self.gain[None], self.variables))
         x = tuple(table(signals, m.scheduling) for m in self.models)
-        return jnp.concatenate([ones, scaled]), x
+        return jnp.concatenate([ones, *scaled]), x
 
     def equations(self, *, style: str = "text") -> list[dict]:
         """Every local model's equation in physical units, host only.

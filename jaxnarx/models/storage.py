@@ -6,7 +6,8 @@ of a newer format, a foreign or a damaged one is a `ModelFileError`. A network w
 filtered variables is written as format 2, one with other validity functions than
 Gaussians as format 3, one that is held to its trained ranges as format 5, one with
 hidden channels as format 6, one with groups of local models that have feedback of their
-own as format 7, so that older programs say what they lack; any other is still written
+own as format 7, one with a domain, or with inputs that are not held where its outputs
+are, as format 8, so that older programs say what they lack; any other is still written
 as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a group is a
 local model alone.
 """
@@ -15,6 +16,7 @@ import dataclasses
 import importlib.metadata
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +30,18 @@ from jaxnarx.data.batch import check_precision
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.guard import guarded
-from jaxnarx.models.network import LocalModels, Network, OutputModel
+from jaxnarx.models.consistent import LONGEST, require_consistent
+from jaxnarx.models.domain import Domain
+from jaxnarx.models.network import FLAG, HOLD, LocalModels, Network, OutputModel
 from jaxnarx.models.validity import KINDS, Gaussians
 from jaxnarx.regressors import (
     Variables,
     filter_from_dict,
     filter_to_dict,
-    require_sampled,
 )
 
-FORMAT = 7
+FORMAT = 8
 """Newest format read."""
-DEGREE = 8
-"""Largest degree read; the recursion's tables grow without bound with it."""
-LONGEST = 10**6
-"""Largest lag read [samples]."""
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
@@ -54,6 +53,7 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
         "outputs": [[c.name, c.unit] for c in network.channels.outputs],
         "modelled": list(network.modelled),
         **_hidden(network),
+        **_edge(network),
         **_described("variables", network.variables),
         "models": [
             {
@@ -74,8 +74,25 @@ def _hidden(network: Network) -> dict[str, Any]:
     return {"hidden": channels, "window": network.window}
 
 
+def _edge(network: Network) -> dict[str, Any]:
+    """What inputs do beyond their ranges, and the features of the domain."""
+    out: dict[str, Any] = {}
+    if network.outside != _usual(network.hold):
+        out["outside"] = network.outside
+    if network.domain is not None:
+        out["domain"] = _described("features", network.domain.features)
+    return out
+
+
+def _usual(hold: object) -> str:
+    """Where nothing is said: inputs are held if outputs are."""
+    return FLAG if hold is None else HOLD
+
+
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if _edge(network):
+        return 8
     if network.parallel:
         return 7
     if network.hidden:
@@ -329,6 +346,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
                 _groups(get(f"{lead}.own", "b")) if f"{lead}.own" in tensors else None,
             )
         )
+    hold = get(".hold") if ".hold" in tensors else None
     network = Network(
         channels,
         tuple(int(o) for o in header["modelled"]),
@@ -338,111 +356,24 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             get(f".{f}")
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
-        hold=get(".hold") if ".hold" in tensors else None,
+        hold=hold,
         window=_whole(header["window"]) if channels.hidden else 0,
+        outside=_text(header.get("outside", _usual(hold))),
+        domain=_domain(header, get),
     )
-    _check(network)
+    require_consistent(network)
     return network
+
+
+def _domain(header: dict[str, Any], get: Callable[..., jax.Array]) -> Domain | None:
+    """The domain, if there is one."""
+    if "domain" not in header:
+        return None
+    features = _variables(header["domain"], "features", len(header["inputs"]))
+    names = [f.name for f in dataclasses.fields(Domain) if f.name != "features"]
+    return Domain(features, *(get(f".domain.{name}") for name in names))
 
 
 def _groups(own: jax.Array) -> jax.Array:
     """Of format 4 a list of the local models that are groups by themselves."""
     return jnp.diag(own) if own.ndim == 1 else own
-
-
-def _require(holds: Any, otherwise: str) -> None:
-    if not holds:
-        raise ValueError(otherwise)
-
-
-def _check(network: Network) -> None:
-    """Sizes, kinds and indices that belong together; a wrong one is a ValueError."""
-    signals, outputs = (len(network.channels.all),), (len(network.models),)
-    for name in ("gain", "low", "high"):
-        shape = getattr(network, name).shape
-        _require(shape == signals, f"{name} has not one entry per channel")
-    for name in ("lower", "upper"):
-        shape = getattr(network, name).shape
-        _require(shape == outputs, f"{name} has not one entry per output")
-    _require(network.sample_time.shape == (), "the sample time is not one number")
-    _require(network.sample_time > 0, "the sample time is not positive")
-    hold = network.hold
-    _require(hold is None or hold.shape == (), "the margin of limits is not one number")
-    _require(hold is None or hold >= 0, "the margin of limits is negative")
-    _require(np.all(np.asarray(network.gain) > 0), "a gain is not positive")
-    _require(network.modelled, "no output is modelled")
-    _require(
-        len(set(network.modelled)) == len(network.modelled)
-        and all(0 <= o < len(network.channels.outputs) for o in network.modelled),
-        "a modelled output is not among the channels, or is twice",
-    )
-    _check_magnitudes(network)
-    _require(0 <= network.window <= LONGEST, "the window of hidden channels")
-    own = network.signals
-    tables = [network.variables, *(m.scheduling for m in network.models)]
-    _require(
-        all(d > 0 for table in tables for s, d in table if s in own),
-        "a modelled output is used before it is computed",
-    )
-    for table in tables:
-        require_sampled(table.filters, float(network.sample_time))
-    for model in network.models:
-        _check_model(model, len(network.variables) + 1)
-
-
-def _check_magnitudes(network: Network) -> None:
-    """Numbers that a run multiplies and divides by stay within those there are."""
-    arrays = network.gain, network.low, network.high, network.lower, network.upper
-    gain, low, high, lower, upper = map(np.asarray, arrays)
-    with np.errstate(all="ignore"):
-        sizes = [1 / gain, high - low, (upper - lower) * gain[list(network.signals)]]
-        sizes += [1 / np.asarray(m.span) for m in network.models]
-    _require(
-        all(np.all(np.isfinite(size)) for size in sizes)
-        and np.all(lower <= upper)
-        and np.all(low <= high),
-        "a gain, range or bound is beyond all measurements",
-    )
-
-
-def _check_model(model: OutputModel, limit: int) -> None:
-    """One output's model; terms are rows of indices below `limit`."""
-    local, dims = model.local, (len(model.scheduling),)
-    models = model.active.shape
-    _require(len(models) == 1, "the mask of local models is no list")
-    _require(
-        model.offset.shape == dims == model.span.shape, "scaling of the scheduling"
-    )
-    _require(np.all(np.asarray(model.span) > 0), "a scheduling range is empty")
-    model.validity.check(models[0], dims[0])
-    _check_groups(model)
-    _require(np.any(np.asarray(model.active)), "no local model is active")
-    _require(
-        local.index.shape == local.used.shape == local.coefficient.shape,
-        "coefficients, indices and masks differ in shape",
-    )
-    _require(local.index.shape[:1] == models, "local models and validities differ")
-    _require(local.index.ndim == local.factor.ndim == 2, "a table of terms has no rows")
-    _require(1 <= local.factor.shape[1] <= DEGREE, "the degree of the terms")
-    for table, top in ((local.factor, limit), (local.index, len(local.factor))):
-        entries = np.asarray(table)
-        _require(
-            not entries.size or (entries.min() >= 0 and entries.max() < top),
-            "a term points outside its table",
-        )
-
-
-def _check_groups(model: OutputModel) -> None:
-    """Local models that have feedback of their own, by groups."""
-    if model.own is None:
-        return
-    own, models = np.asarray(model.own), len(model.active)
-    _require(
-        own.ndim == 2 and own.shape[1] == models,
-        "local models and their kinds of feedback differ in number",
-    )
-    _require(np.all(own.sum(axis=0) <= 1), "a local model has two kinds of feedback")
-    _require(
-        len(own) != models or np.array_equal(own, np.diag(np.diag(own))),
-        "as many kinds of feedback as local models, and they share some",
-    )

@@ -16,7 +16,7 @@ from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.validity import SigmoidTree
 from jaxnarx.regressors import Variables
 
-SAME = "gain", "lower", "upper", "low", "high", "sample_time", "hold"
+SAME = "gain lower upper low high sample_time hold outside".split()
 """Fields that networks which are added have in common: they are made of one dataset."""
 
 
@@ -57,7 +57,7 @@ def total(networks: Sequence[Network], weights: Sequence[float]) -> Network:
             own = np.concatenate([own, row[None]])
     if len(own):
         model = dataclasses.replace(model, own=jax.device_put(own))
-    return dataclasses.replace(first, variables=variables, models=(model,))
+    return dataclasses.replace(first, variables=variables, models=(model,), domain=None)
 
 
 class _Part(NamedTuple):

@@ -23,17 +23,16 @@ from jaxnarx.arrays.recurrence import (
 )
 from jaxnarx.models import (
     Network,
-    OutputModel,
     depth,
     places,
     scheduling_values,
     shares,
+    term_values,
     widened,
     with_history,
     with_own,
 )
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import RunInputs, recursion
 
 SAMPLES = 4096
@@ -47,23 +46,24 @@ Direct = Callable[[Any, Any, Any, Any], Float[Array, "rows states columns"]]
 
 
 def output_gradient(
-    model: OutputModel,
+    network: Network,
+    output: int,
     v: Float[Array, "vars rows"] | Float[Array, "models vars rows"],
     x: Float[Array, "dims rows"],
 ) -> tuple[list[Float[Array, "*shape rows"]], list[Float[Array, "groups *shape rows"]]]:
-    """Derivative of the output by coefficients and by every trained field of validity.
+    """Derivative of an output by coefficients and by every trained field of validity.
 
     At fixed lagged variables, all local models' or each one's own; samples are the
     trailing axis. Beside it those of the outputs of groups with feedback of their own.
     """
-    z = scheduling_values(model, x)
-    every = jax.vmap(partial(evaluate, model.local.factor))
+    model = network.models[output]
+    z, values = scheduling_values(model, x), partial(term_values, network, model)
     if v.ndim == 2:
-        terms = evaluate(model.local.factor, v)
+        terms = values(v)
         local = jnp.tensordot(model.local.dense(), terms, axes=1)
         mine = terms[model.local.index]
     else:
-        terms = every(v)
+        terms = jax.vmap(values)(v)
         local = jnp.einsum("mk,mkr->mr", model.local.dense(), terms)
         mine = jnp.take_along_axis(terms, model.local.index[..., None], axis=1)
     phi = model.validity(z, model.active)
@@ -111,7 +111,7 @@ def direct_tangents(
         seen = v
         if model.own is not None:
             seen = with_own(network, o, v, jnp.moveaxis(history[:, at], 0, -1))
-        leaves, by_group = output_gradient(model, seen, x[o])
+        leaves, by_group = output_gradient(network, o, seen, x[o])
 
         def flat(leaves, keep=keep, o=o, start=start, stop=stop):
             leaves = [layout.by_vector(o, leaves[0]), *leaves[1:]]

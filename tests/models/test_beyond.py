@@ -1,0 +1,170 @@
+"""What a network answers beyond the trained ranges of its inputs, by plain loops."""
+
+import dataclasses
+from functools import partial
+
+import common
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from common import A, B
+
+import jaxnarx as jnx
+from jaxnarx.data.batch import stack
+from jaxnarx.errors import SpecError
+from jaxnarx.models import (
+    FLAG,
+    HOLD,
+    LINEAR,
+    advance,
+    fed_back,
+    hold_to_range,
+    scheduling_values,
+)
+from jaxnarx.simulation.masks import first_anchor, make_masks
+from jaxnarx.simulation.runs import make_drive, run_record
+
+LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
+"""Trained ranges that about a third of the inputs leave."""
+
+
+def ranged(kind: str, outside: str):
+    ends = dict(zip(("low", "high"), jax.device_put((LOW, HIGH)), strict=True))
+    net = dataclasses.replace(common.named(kind), **ends)
+    return hold_to_range(net, None, outside=outside)
+
+
+def by_hand(net, rows, outside):
+    """Free run of one record: every term by itself, and its slope where it is pure."""
+    gain, own = np.asarray(net.gain), list(net.signals)
+    seen = np.array(rows)
+    if outside != FLAG:
+        seen[:, [A, B]] = np.clip(rows[:, [A, B]], LOW[:2], HIGH[:2])
+    lower, upper = np.asarray(net.lower), np.asarray(net.upper)
+    fed = {row for row, *_ in fed_back(net.variables, net.signals)}
+    y = np.array(rows[:, own] / gain[own])
+    for t in range(net.history, len(rows)):
+        now = []
+        for model in net.models:
+            x, far = [1.0], [0.0]
+            for s, lag in net.variables:
+                told = y[t - lag, own.index(s)] if s in own else None
+                x.append(seen[t - lag, s] / gain[s] if told is None else told)
+                beyond = (rows[t - lag, s] - seen[t - lag, s]) / gain[s]
+                far.append(beyond if outside == LINEAR and s not in own else 0.0)
+            z = [
+                y[t - lag, own.index(s)] * gain[s] if s in own else seen[t - lag, s]
+                for s, lag in model.scheduling
+            ]
+            z = np.asarray(scheduling_values(model, jnp.asarray(z)))
+            phi = np.asarray(model.validity(jnp.asarray(z), model.active))
+            total = 0.0
+            dense = np.asarray(model.local.dense())
+            for k, row in enumerate(np.asarray(model.local.factor).tolist()):
+                value = np.prod([x[i] for i in row])
+                if not any(i - 1 in fed for i in row if i):
+                    for n, i in enumerate(row):
+                        rest = [x[j] for m, j in enumerate(row) if m != n]
+                        value += far[i] * np.prod(rest)
+                total += float(phi @ dense[:, k]) * value
+            now.append(total)
+        y[t] = np.clip(now, lower, upper)
+    return y * gain[own]
+
+
+@pytest.mark.parametrize("outside", [FLAG, HOLD, LINEAR])
+@pytest.mark.parametrize("kind", ["by inputs", "coupled", "coupled, by own output"])
+def test_a_run_beyond_the_ranges_is_that_of_a_loop(kind, outside):
+    net, data = ranged(kind, outside), common.dataset()
+    run = jnx.simulate(net, data).value
+    for n, made in enumerate(run.outputs):
+        if len(made) > net.history:
+            known = by_hand(net, common.rows_of(data, n), outside)
+            # sums in another order
+            np.testing.assert_allclose(made, known, rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_linear_in_its_inputs_goes_on_as_if_there_were_no_range():
+    terms = [((0, 0), 0.1), ((0, 1), 0.5), ((0, 2), -0.4), ((0, 3), 0.6)]
+    ends = dict(zip(("low", "high"), jax.device_put((LOW, HIGH)), strict=True))
+    net = common.network([common.Part([terms])], variables=common.VARIABLES[:4])
+    net, data = dataclasses.replace(net, **ends), common.dataset()
+    free, on, held = (
+        jnx.simulate(hold_to_range(net, None, outside=o), data).value.outputs
+        for o in (FLAG, LINEAR, HOLD)
+    )
+    for a, b, c in zip(free, on, held, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+        assert len(a) < 10 or np.abs(a - c).max() > 0.1
+
+
+def test_inside_of_the_ranges_all_are_the_same():
+    data = common.dataset()
+    wide = [dataclasses.replace(common.named("coupled")) for _ in range(3)]
+    runs = [
+        jnx.simulate(hold_to_range(net, None, outside=o), data).value.outputs
+        for net, o in zip(wide, (FLAG, HOLD, LINEAR), strict=True)
+    ]
+    for a, b, c in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a, b)
+        np.testing.assert_allclose(a, c, rtol=1e-14)
+
+
+def test_one_step_is_a_step_of_the_run():
+    net, data = ranged("coupled", LINEAR), common.dataset()
+    batch = stack(data)
+    drive = make_drive(net, batch)
+    v, x, past = drive.v[0], tuple(one[0] for one in drive.x), drive.measured[0]
+    masks = make_masks(net, batch, net.window)
+    y = run_record(net, v, x, past, jnp.asarray(first_anchor(masks))[0])
+    lags = max(d for _, _, d in fed_back(net.variables, net.signals)) + 1
+    for t in (20, 40):
+        history = jnp.stack([y[t - 1 - d] for d in range(lags)], axis=1)
+        one = advance(net, v[:, t], tuple(a[:, t] for a in x), history)
+        np.testing.assert_allclose(one, y[t], rtol=1e-12)
+
+
+def test_the_slope_by_inputs_is_that_of_differences():
+    net, rows = ranged("coupled", LINEAR), common.signals(30)
+    anchor = jnp.arange(30) == net.history
+
+    def run(rows):
+        v, x = net.columns(rows)
+        own = np.array(net.signals)
+        past = rows[:, own] / net.gain[own][None]
+        return run_record(net, v, x, past, anchor)[-1].sum()
+
+    run = jax.jit(run)
+    slope = np.asarray(jax.grad(run)(jnp.asarray(rows)))
+    beyond = np.argwhere((rows[:, :2] < LOW[:2]) | (rows[:, :2] > HIGH[:2]))
+    beyond = beyond[beyond[:, 0] > 22]
+    assert len(beyond) > 2
+    for t, s in beyond.tolist():
+        ends = []
+        for step in (1e-5, -1e-5):
+            moved = np.array(rows)
+            moved[t, s] += step
+            ends.append(float(run(jnp.asarray(moved))))
+        # central differences of 1e-5 are good to 1e-10, of sums of order one
+        assert abs((ends[0] - ends[1]) / 2e-5 - slope[t, s]) < 1e-6
+
+
+def test_a_file_keeps_what_inputs_do(tmp_path):
+    for margin, outside in ((None, FLAG), (0.1, HOLD), (0.1, LINEAR), (None, LINEAR)):
+        net = hold_to_range(ranged("coupled", FLAG), margin, outside=outside)
+        jnx.save(net, tmp_path / "model.safetensors")
+        again = jnx.load(tmp_path / "model.safetensors")
+        assert again.outside == outside
+        assert (again.hold is None) == (margin is None)
+
+
+def test_another_word_is_refused():
+    refused = partial(hold_to_range, ranged("coupled", FLAG), outside="nowhere")
+    with pytest.raises(SpecError, match="'flag', 'hold' or 'linear'"):
+        refused()
+
+
+def test_it_is_told_in_print():
+    assert "on to first order" in str(ranged("coupled", LINEAR))
+    assert "inputs held" in str(ranged("coupled", HOLD))
