@@ -27,7 +27,7 @@ def plain(kind: str, bound: float = 50.0):
 
 
 def held(kind: str, bound: float = 50.0, margin: float = MARGIN):
-    return hold_to_range(plain(kind, bound), margin)
+    return hold_to_range(plain(kind, bound), margin, outside="hold")
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
-from jaxnarx.models import Network
+from jaxnarx.models import FLAG, HOLD, LINEAR, Network
 
 NOTICEABLE = 0.01
 """Share of samples outside from which a report says so."""
@@ -71,11 +71,11 @@ def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
 
 
 def range_notes(
-    rows: Iterable[Row], found: Iterable[Outside], *, held: bool = False
+    rows: Iterable[Row], found: Iterable[Outside], *, outside: str = FLAG
 ) -> list[str]:
     """Parts with at least 1 % of their samples outside the trained range, how far.
 
-    `held` tells that the network's inputs are held at the edge of their range.
+    `outside` is what the network's inputs do there.
     """
     share: dict[str, float] = {}
     for row in rows:
@@ -83,9 +83,11 @@ def range_notes(
             here = row.extrapolated / row.samples
             share[row.part] = max(share.get(row.part, 0.0), here)
     how_far = {part: [o for o in found if o.part == part] for part in share}
-    what = "where the model extrapolates"
-    if held:
-        what = "at whose edge the model's limits hold its inputs"
+    what = {
+        FLAG: "where the model extrapolates",
+        HOLD: "at whose edge the model's limits hold its inputs",
+        LINEAR: "from whose edge the model goes on to first order",
+    }[outside]
     return [
         f"{100 * value:.3g} % of the {part} samples lie outside the range of the "
         f"training data, {what}"

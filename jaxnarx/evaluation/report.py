@@ -39,7 +39,7 @@ from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.guard import guarded
-from jaxnarx.models import HOLD, Network
+from jaxnarx.models import FLAG, Network
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -251,8 +251,8 @@ def report(
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
     strayed = outside(network, parts)
     limits = _limits(network)
-    held = isinstance(network, Network) and network.outside == HOLD
-    notes += range_notes(rows, strayed, held=held) + held_notes(rows)
+    beyond = network.outside if isinstance(network, Network) else FLAG
+    notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
     notes += reactivation_notes(network, parts[main])
     if stability is True:
         stability = assess(network, parts[main], free[main])

@@ -27,7 +27,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
 from jaxnarx.methods.inverse import ActuatorLimits
-from jaxnarx.models import HOLD, Network, advance, depth, widened
+from jaxnarx.models import FLAG, Network, advance, depth, widened
 
 
 class Loop(eqx.Module):
@@ -152,8 +152,8 @@ def connect(
     """The cascade of two networks; channels are matched by name.
 
     Commands are bounded by `limits` and, in any case, by the bounds that the inverse's
-    feedback has had in training; by the forward network's trained range too, if it
-    holds them there (`jaxnarx.models.limits`), as it would not see them go beyond.
+    feedback has had in training; by the forward network's trained range too, if
+    it has limits (`jaxnarx.models.limits`): beyond it holds them, or bends.
     `SpecError` where the two do not fit, see `wire`, or where a limit leaves no room.
     """
     limits = ActuatorLimits() if limits is None else limits
@@ -162,7 +162,7 @@ def connect(
         _require_named(getattr(limits, field), names, field)
     gain = np.asarray(inverse.gain)[np.array(inverse.signals)]
     low, high = np.asarray(inverse.lower) * gain, np.asarray(inverse.upper) * gain
-    if forward.outside == HOLD:
+    if forward.outside != FLAG:
         at = [forward.channels.signal(name) for name in names]
         low = np.maximum(low, np.asarray(forward.low)[at])
         high = np.minimum(high, np.asarray(forward.high)[at])

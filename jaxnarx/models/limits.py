@@ -15,9 +15,11 @@ output's range, widened by the margin m on either side:
 
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
 
-Outputs are held when all is computed. What is fed back is as it was, so that neither
-derivatives nor the judgement of divergence, which rest on the feedback bound, depend on
-the margin.
+Where inputs are beyond their ranges outputs may be, too: unless inputs are held, the
+farthest that one of them has been beyond its own so far, as a share of its width, adds
+to m. Outputs are held when all is computed. What is fed back is as it was, so that
+neither derivatives nor the judgement of divergence, which rest on the feedback bound,
+depend on the margin.
 
 Held to their range, inputs that take two values stay what they are. An input or output
 that was constant in training is held at that constant.
@@ -32,7 +34,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import not_negative
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
-from jaxnarx.models.network import FLAG, HOLD, Network
+from jaxnarx.models.network import FLAG, HOLD, LINEAR, Network
 
 WIDER = 0.02
 """Reported outputs may leave the training range by this share of it on either side."""
@@ -46,7 +48,9 @@ def hold_to_range(
 
     `margin` is the share of its range by which a reported output may leave it; with
     None outputs are not held. `outside` says what inputs do beyond their ranges, see
-    the module: by default they are held with a margin, and flagged without. Held
+    the module. By default they go on to first order with a margin, and are flagged
+    without: on six outputs of four virtual engines, driven up to two and a half times
+    the trained ranges, held inputs had twice to forty times the error of either. Held
     samples are marked in `held` of a run, samples with an input outside its range in
     `extrapolated`, as ever. `SpecError` for a negative margin, or one that is not
     finite, and for an unknown `outside`.
@@ -54,10 +58,10 @@ def hold_to_range(
     Example:
         held = jnx.models.hold_to_range(network)
         free = jnx.models.hold_to_range(held, None)
-        straight = jnx.models.hold_to_range(network, outside="linear")
+        stays = jnx.models.hold_to_range(network, outside="hold")
     """
     if outside is None:
-        outside = FLAG if margin is None else HOLD
+        outside = FLAG if margin is None else LINEAR
     share = None
     if margin is not None:
         share = np.asarray(not_negative(margin, "margin"), network.gain.dtype)
@@ -68,7 +72,8 @@ def hold_to_range(
 def reported_range(
     network: Network,
 ) -> tuple[Float[np.ndarray, " outputs"], Float[np.ndarray, " outputs"]]:
-    """Least and largest value reported of every modelled output, physical units.
+    """Least and largest value reported of every modelled output while inputs are in
+    their ranges, physical units.
 
     Infinite where the network is not held; host only.
     """
@@ -80,18 +85,47 @@ def reported_range(
     return low - wider, high + wider
 
 
+def overshoot(
+    network: Network, inputs: Float[np.ndarray, "*rows time inputs"]
+) -> Float[np.ndarray, "*rows time"]:
+    """How far an input has been beyond its range so far, in widths of that range.
+
+    Zero where inputs are held, and of inputs that were constant in training.
+    """
+    count = inputs.shape[-1]
+    low, high = (np.asarray(a)[:count] for a in (network.low, network.high))
+    if network.outside == HOLD or not np.any(high > low):
+        return np.zeros(inputs.shape[:-1], inputs.dtype)
+    moved = high > low
+    low, high, inputs = low[moved], high[moved], inputs[..., moved]
+    beyond = np.maximum(low - inputs, inputs - high) / (high - low)
+    return np.maximum.accumulate(np.maximum(beyond.max(axis=-1), 0.0), axis=-1)
+
+
 def reported(
-    network: Network, outputs: Float[np.ndarray, "*rows outputs"]
-) -> tuple[Float[np.ndarray, "*rows outputs"], Bool[np.ndarray, "*rows outputs"]]:
-    """What is reported of computed outputs (physical units), and where it was held."""
+    network: Network,
+    outputs: Float[np.ndarray, "*rows time outputs"],
+    inputs: Float[np.ndarray, "*rows time inputs"] | None = None,
+) -> tuple[
+    Float[np.ndarray, "*rows time outputs"], Bool[np.ndarray, "*rows time outputs"]
+]:
+    """What is reported of computed outputs (physical units), and where it was held.
+
+    Without `inputs` as if they were in their ranges.
+    """
     if network.hold is None:
         return outputs, np.zeros(outputs.shape, bool)
     low, high = reported_range(network)
+    if inputs is not None:
+        own = np.array(network.signals)[: len(network.modelled)]
+        width = (np.asarray(network.high) - np.asarray(network.low))[own]
+        wider = overshoot(network, inputs)[..., None] * width
+        low, high = low - wider, high + wider
     return np.clip(outputs, low, high), (outputs < low) | (outputs > high)
 
 
 def held_inputs(network: Network, batch: Batch) -> Batch:
-    """The records as the network sees them: `Network.within` on the host."""
+    """The records as the network sees them, on the host: see `Network.within`."""
     if network.outside == FLAG:
         return batch
     signals, inputs = np.array(batch.signals), len(network.channels.inputs)

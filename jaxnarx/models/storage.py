@@ -85,7 +85,8 @@ def _edge(network: Network) -> dict[str, Any]:
 
 
 def _usual(hold: object) -> str:
-    """Where nothing is said: inputs are held if outputs are."""
+    """Where nothing is said, as in files up to format 7: inputs are held if outputs
+    are."""
     return FLAG if hold is None else HOLD
 
 

@@ -184,7 +184,7 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
         who = acting[n, :length].copy()
         who[:first] = -1
         bad = np.asarray(has_diverged(hold[first:].T))
-        edge, held = _reported(networks, y, who)
+        edge, held = _reported(networks, y, record.u, who)
         nothing = np.zeros(length, bool)
         parts = (edge, y, scored[n, :length], hold, held, nothing, bad, who)
         for column, part in zip(columns, parts, strict=True):
@@ -206,10 +206,12 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
 def _reported(
     networks: Sequence[Network],
     y: Float[np.ndarray, "time outputs"],
+    u: Float[np.ndarray, "time inputs"],
     who: Int[np.ndarray, " time"],
 ) -> tuple[Float[np.ndarray, "time outputs"], Bool[np.ndarray, "time outputs"]]:
     """What is reported of each network's samples, and where it is held."""
     edge, held = y.copy(), np.zeros(y.shape, bool)
     for n, network in enumerate(networks):
-        edge[who == n], held[who == n] = reported(network, y[who == n])
+        own, at_edge = reported(network, y, u)
+        edge[who == n], held[who == n] = own[who == n], at_edge[who == n]
     return edge, held

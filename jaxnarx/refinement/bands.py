@@ -106,7 +106,11 @@ def bands(
         jnp.asarray(masks.start),
         jnp.asarray(root(uncertainty).astype(network.gain.dtype)),
     )
-    value = _bands(network, uncertainty, simulated.value, scaled, masks.start, level)
+    inputs = [record.u for record in data]
+    value = _bands(
+        *(network, uncertainty, simulated.value),
+        *(inputs, scaled, masks.start, level),
+    )
     return Solution(value, simulated.status, simulated.stats, simulated.detail)
 
 
@@ -150,13 +154,16 @@ def root(uncertainty: Uncertainty) -> Float[np.ndarray, "columns rank"]:
     return found
 
 
-def _bands(network, uncertainty: Uncertainty, run, scaled, start, level) -> Bands:
+def _bands(
+    network, uncertainty: Uncertainty, run, inputs, scaled, start, level
+) -> Bands:
     gain = np.asarray(network.gain)[list(network.signals)]
     low, high = np.asarray(network.lower) * gain, np.asarray(network.upper) * gain
     reach = scipy.special.stdtrit(uncertainty.freedom, 0.5 + level / 2)
     before = np.sqrt(np.diagonal(uncertainty.start).reshape(len(gain), -1)[:, 0]) * gain
     columns: tuple[list, ...] = ([], [], [], [], [])
-    for n, (y, free) in enumerate(zip(run.outputs, run.computed, strict=True)):
+    parts = zip(run.outputs, run.computed, inputs, strict=True)
+    for n, (y, free, u) in enumerate(parts):
         deviation = np.sqrt(np.asarray(scaled[n, : len(y)], float)) * gain
         first = min(int(start[n]), len(y))
         deviation[:first] = before
@@ -168,7 +175,7 @@ def _bands(network, uncertainty: Uncertainty, run, scaled, start, level) -> Band
         inner = np.maximum(free - half, np.minimum(low, free))
         outer = np.minimum(free + half, np.maximum(high, free))
         for end in (inner, outer):
-            end[first:] = reported(network, end[first:])[0]
+            end[first:] = reported(network, end, u)[0][first:]
         parts = (inner, outer, y - noisy, y + noisy, deviation)
         for column, part in zip(columns, parts, strict=True):
             column.append(part)

@@ -127,7 +127,8 @@ def make_trajectories(
         computed[..., count:],
         scored[..., :count],
     )
-    edge, at_edge = reported(network, outputs)
+    inputs = np.asarray(batch.signals)[..., : len(network.channels.inputs)]
+    edge, at_edge = reported(network, outputs, inputs)
     columns: tuple[list, ...] = ([], [], [], [], [], [], [])
     for n, record in enumerate(data):
         length = len(record)

@@ -98,7 +98,7 @@ def test_data_outside_the_trained_range_are_told_once_a_part_and_how_far():
     assert note.startswith("20 % of the test samples lie outside the range")
     assert "a -29" in note and "trained on -20 to 20" in note
     assert range_notes([dataclasses.replace(row("test", 0), samples=0)], found) == []
-    (note,) = range_notes(rows, found, held=True)
+    (note,) = range_notes(rows, found, outside="hold")
     assert "at whose edge the model's limits hold its inputs" in note
 
 
@@ -124,7 +124,7 @@ def test_a_report_tells_what_the_limits_of_a_model_hold():
         report(hold_to_range(net, margin), data, stability=False, diagnostics=False)
         for net, margin in ((narrow, 0.1), (narrow, None))
     )
-    run = simulate(hold_to_range(narrow, 0.1), data)
+    run = simulate(hold_to_range(narrow, 0.1, outside="hold"), data)
     own = found.pooled("y")
     assert own.held == run.stats["held"].sum() > 0 == free.pooled("y").held
     assert found.limits == pytest.approx(0.1) and free.limits is None

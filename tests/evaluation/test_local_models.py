@@ -73,7 +73,7 @@ def test_a_network_with_limits_is_looked_at_where_it_sees_its_inputs(data):
     """Beyond the range the slopes are those at its edge."""
     net = two_models()
     low, high = jnp.array([-0.4, -0.3, -9, -9]), jnp.array([0.5, 0.6, 9, 9])
-    held = hold_to_range(dataclasses.replace(net, low=low, high=high))
+    held = hold_to_range(dataclasses.replace(net, low=low, high=high), outside="hold")
     pairs = [(r.u.copy(), r.y) for r in data]
     for u, _ in pairs:
         u[:] = np.clip(u, [-0.4, -0.3], [0.5, 0.6])

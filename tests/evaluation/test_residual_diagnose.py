@@ -94,7 +94,9 @@ def test_residuals_are_measurement_less_prediction_gaps_left_out(found, linear, 
 def test_limits_on_what_is_reported_change_no_residual(found, linear, data):
     """Inputs are in their range here, outputs are cut at the middle of theirs."""
     low, high = linear.low.at[2].multiply(0.3), linear.high.at[2].multiply(0.3)
-    held = hold_to_range(dataclasses.replace(linear, low=low, high=high))
+    held = hold_to_range(
+        dataclasses.replace(linear, low=low, high=high), outside="hold"
+    )
     assert predict(held, data).stats["held"].sum() > 50
     again = diagnose(held, data).value["y"]
     assert again.estimated == found.estimated == "global"

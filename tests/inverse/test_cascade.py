@@ -96,7 +96,7 @@ def test_a_forward_network_with_limits_sees_what_it_was_trained_on(
     ones before the start, and the other input, are held where they go beyond."""
     ends = jnp.array([-0.5, -0.4, -0.5]), jnp.array([0.6, 0.3, 0.6])
     narrow = dataclasses.replace(forward, low=ends[0], high=ends[1])
-    solution = cascade(inverse, hold_to_range(narrow, 0.1), clean)
+    solution = cascade(inverse, hold_to_range(narrow, 0.1, outside="hold"), clean)
     value, first = solution.value, forward.history
     assert max(abs(record.u[:first, 0]).max() for record in clean) > 0.6
     for n, record in enumerate(clean):
@@ -117,7 +117,7 @@ def test_an_inverse_with_limits_sees_what_it_was_trained_on(clean, forward, inve
     """The reference seen ahead, and d; its own past commands are outputs."""
     ends = jnp.array([-0.5, -0.4, -9.0]), jnp.array([0.6, 0.3, 9.0])
     narrow = dataclasses.replace(inverse, low=ends[0], high=ends[1])
-    found = cascade(hold_to_range(narrow), forward, clean).value
+    found = cascade(hold_to_range(narrow, outside="hold"), forward, clean).value
     u, y = [r.u.copy() for r in clean], [r.y.copy() for r in clean]
     for v, r in zip(u, y, strict=True):
         v[:, 1] = np.clip(v[:, 1], -0.4, 0.3)

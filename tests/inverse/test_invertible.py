@@ -178,7 +178,7 @@ def test_a_model_with_limits_is_linearised_where_it_sees_its_inputs(curved):
     forward, data = curved
     ends = jnp.array([-0.5, -0.4, -2.0]), jnp.array([0.6, 0.3, 2.0])
     narrow = dataclasses.replace(forward, low=ends[0], high=ends[1])
-    held = hold_to_range(narrow)
+    held = hold_to_range(narrow, outside="hold")
     records = tuple(
         dataclasses.replace(r, u=np.clip(r.u, [-0.5, -0.4], [0.6, 0.3])) for r in data
     )

@@ -20,8 +20,10 @@ from jaxnarx.models import (
     advance,
     fed_back,
     hold_to_range,
+    reported,
     scheduling_values,
 )
+from jaxnarx.models.limits import overshoot
 from jaxnarx.simulation.masks import first_anchor, make_masks
 from jaxnarx.simulation.runs import make_drive, run_record
 
@@ -148,6 +150,28 @@ def test_the_slope_by_inputs_is_that_of_differences():
             ends.append(float(run(jnp.asarray(moved))))
         # central differences of 1e-5 are good to 1e-10, of sums of order one
         assert abs((ends[0] - ends[1]) / 2e-5 - slope[t, s]) < 1e-6
+
+
+def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
+    inputs = np.array([[0.0, 0.0], [1.25, 0.0], [0.0, 0.0], [0.0, -1.7], [2.0, 0.0]])
+    # widths are 2.5 and 0.7: beyond by 0.1, then 2.0, then 0.4 of them
+    farthest = np.array([0.0, 0.1, 0.1, 2.0, 2.0])
+    net = ranged("coupled", FLAG)
+    np.testing.assert_allclose(overshoot(net, inputs), farthest, atol=1e-12)
+    assert np.all(overshoot(ranged("coupled", HOLD), inputs) == 0)
+    net, y = hold_to_range(net, 0.1), np.tile([100.0, -100.0], (5, 1))
+    width = np.array([9.0, 3.0])
+    edge = np.array([5.0, -1.0]) + np.array([1, -1]) * width * (0.1 + farthest)[:, None]
+    value, mask = reported(net, y, inputs)
+    np.testing.assert_allclose(value, edge, atol=1e-12)
+    assert mask.all()
+    np.testing.assert_allclose(reported(net, y)[0], edge[:1].repeat(5, axis=0))
+
+
+def test_of_constant_inputs_nothing_is_beyond():
+    net = ranged("coupled", FLAG)
+    net = dataclasses.replace(net, low=net.high)
+    assert np.all(overshoot(net, np.full((3, 4, 2), 9.0)) == 0)
 
 
 def test_a_file_keeps_what_inputs_do(tmp_path):

@@ -20,7 +20,8 @@ LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
 
 def ranged(kind: str = "coupled", margin: float | None = 0.1):
     ends = dict(zip(("low", "high"), jax.device_put((LOW, HIGH)), strict=True))
-    return hold_to_range(dataclasses.replace(common.named(kind), **ends), margin)
+    net = dataclasses.replace(common.named(kind), **ends)
+    return hold_to_range(net, margin, outside=None if margin is None else "hold")
 
 
 def clipped(rows):
@@ -32,7 +33,7 @@ def clipped(rows):
 
 def test_a_network_is_held_or_not_and_nothing_else_of_it_changes():
     plain = ranged(margin=None)
-    held = hold_to_range(plain)
+    held = hold_to_range(plain, outside="hold")
     assert plain.hold is None and held.hold is not None
     assert np.asarray(held.hold) == 0.02 and held.hold.dtype == held.gain.dtype
     pairs = zip(jax.tree.leaves(plain), jax.tree.leaves(held)[:-1], strict=True)

@@ -90,7 +90,7 @@ def test_a_network_comes_back_bit_by_bit(tmp_path, kind, spare):
 
 
 def test_limits_come_back_and_need_the_newest_format(tmp_path):
-    network = hold_to_range(build("coupled, by own output"), 0.07)
+    network = hold_to_range(build("coupled, by own output"), 0.07, outside="hold")
     save(network, tmp_path / "m")
     again = load(tmp_path / "m")
     assert jax.tree.structure(again) == jax.tree.structure(network)
@@ -105,7 +105,7 @@ def test_files_without_limits_are_those_of_before(tmp_path):
     """An older file has no margin: it is that of the network that is not held."""
     plain = build("by inputs")
     save(plain, tmp_path / "plain")
-    save(hold_to_range(plain), tmp_path / "held")
+    save(hold_to_range(plain, outside="hold"), tmp_path / "held")
     tensors, header = contents(tmp_path / "held")
     del tensors[".hold"]
     write(tmp_path / "old", tensors, header | {"format": 1})
@@ -124,7 +124,9 @@ def test_hidden_channels_come_back_with_their_window_in_the_newest_format(tmp_pa
         network.channels.outputs,
         (Channel("wall temperature", "K"), Channel("x2")),
     )
-    network = hold_to_range(dataclasses.replace(network, channels=named))
+    network = hold_to_range(
+        dataclasses.replace(network, channels=named), outside="hold"
+    )
     save(network, tmp_path / "m")
     again = load(tmp_path / "m")
     assert jax.tree.structure(again) == jax.tree.structure(network)
@@ -184,7 +186,7 @@ def test_numbers_of_hidden_channels_must_be_there(tmp_path, name):
 @pytest.mark.parametrize("bad", [np.array(-0.1), np.array([0.1, 0.1]), np.array(3)])
 def test_a_margin_that_is_none_is_refused(tmp_path, bad):
     path = tmp_path / "m"
-    save(hold_to_range(build("by inputs")), path)
+    save(hold_to_range(build("by inputs"), outside="hold"), path)
     tensors, header = contents(path)
     write(path, tensors | {".hold": bad}, header)
     refused(path, "hold" if bad.dtype.kind == "i" else "margin of limits")

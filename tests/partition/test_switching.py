@@ -91,7 +91,7 @@ def test_the_limits_of_the_model_that_acts_hold():
     low = dataclasses.replace(
         model("low"), low=jnp.array([0.4, 1.0]), high=jnp.array([0.7, 1.5])
     )
-    limited = jnx.models.hold_to_range(low, 0.1)
+    limited = jnx.models.hold_to_range(low, 0.1, outside="hold")
     regions = [{"u": (-1.0, 1.0)}, None]
     pair = [limited, model("high")]
     found = jnx.partition.switch(pair, data, regions=regions).value

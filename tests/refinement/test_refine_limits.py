@@ -31,7 +31,7 @@ def plain():
 
 @cache
 def held():
-    return hold_to_range(plain(), 0.05)
+    return hold_to_range(plain(), 0.05, outside="hold")
 
 
 @cache

@@ -700,7 +700,7 @@ def held(both) -> str:
     low[2], high[2] = middle - half, middle + half
     ends = jax.device_put((low, high))
     network = dataclasses.replace(network, low=ends[0], high=ends[1])
-    save(hold_to_range(network, 0.1), "held.safetensors")
+    save(hold_to_range(network, 0.1, outside="hold"), "held.safetensors")
     return "held.safetensors"
 
 
