@@ -46,7 +46,8 @@ HOUSE = [
     # Floor 3, in the order of the design.
     ["simulation"],
     ["evaluation.metrics"],
-    ["refinement", "trust"],
+    ["refinement"],
+    ["trust"],
     ["selection"],
     ["partition"],
     ["linear", "inverse", "design", "evaluation", "output_error"],

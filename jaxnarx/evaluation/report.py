@@ -12,6 +12,11 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
+from jaxnarx.evaluation.domain_errors import (
+    DomainErrors,
+    domain_errors,
+    domain_notes,
+)
 from jaxnarx.evaluation.error_map import ErrorMap, error_maps
 from jaxnarx.evaluation.notes import (
     assess,
@@ -51,9 +56,10 @@ class Report:
     up what the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
 
     `outside` tells which inputs leave their trained range, and how far; `regions` which
-    local model carries the free-run error of the main part; `beside` holds the pooled
-    free-run rows of other models by their name, among them a linear model of the same
-    lags where training data are at hand. `limits` is the margin by which
+    local model carries the free-run error of the main part, `domain` how often the
+    parts leave what the network knows and how its error grows there; `beside` holds the
+    pooled free-run rows of other models by their name, among them a linear model of the
+    same lags where training data are at hand. `limits` is the margin by which
     reported outputs may leave their trained range, None where nothing holds them.
 
     Optional, shown when present; attach them with the arguments of `report` or with
@@ -96,6 +102,7 @@ class Report:
     maps: tuple[ErrorMap, ...] = ()
     regions: tuple[RegionError, ...] = ()
     leaderboard: Mapping[str, Any] | None = None
+    domain: DomainErrors | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -253,6 +260,8 @@ def report(
     limits = _limits(network)
     beyond = network.outside if isinstance(network, Network) else FLAG
     notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
+    known = domain_errors(network, parts, main, outputs, runs[main][FREE_RUN])
+    notes += domain_notes(known, main)
     notes += reactivation_notes(network, parts[main])
     if stability is True:
         stability = assess(network, parts[main], free[main])
@@ -281,6 +290,7 @@ def report(
         maps=error_maps(network, parts[main], runs[main][FREE_RUN]),
         regions=region_errors(network, parts[main], runs[main][FREE_RUN]),
         leaderboard=leaderboard,
+        domain=known,
         beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
     )
 

@@ -23,6 +23,7 @@ from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, merged
 from jaxnarx.output_error import look
 from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.trust import knowing
 
 Tell = Callable[[dict[str, Any]], None]
 SHARE = 1000
@@ -85,7 +86,8 @@ def search(
                 raise
             stopped = True
         facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
-        return _solution(race.store, list(outputs), stopped, facts)
+        found = _solution(race.store, list(outputs), stopped, facts)
+        return dataclasses.replace(found, value=knowing(found.value, data, groups))
 
 
 class Race:

@@ -16,6 +16,7 @@ from jaxnarx.identification.by_method import Events, by_method
 from jaxnarx.methods import PRESETS, Identification
 from jaxnarx.models import Network
 from jaxnarx.solution import Solution
+from jaxnarx.trust import knowing
 
 VALIDATION = "validation"
 """The group of the records that are for validation."""
@@ -50,7 +51,8 @@ def identify(
 
     With a method the verbs `select`, `grow` and `refine` follow one another, and what
     they raise passes as it is. Outputs that are neither modelled nor scheduled on are
-    left out of the network's channels.
+    left out of the network's channels. Either way the network knows its domain
+    (`jaxnarx.domain`).
 
     Args:
         data: Records to be trained on.
@@ -102,7 +104,8 @@ def identify(
             f"{changed[0]} belongs to a search; with a method there is none",
             field=changed[0],
         )
-    return by_method(data, method, validation, progress)
+    found = by_method(data, method, validation, progress)
+    return dataclasses.replace(found, value=knowing(found.value, data))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -52,6 +52,9 @@ def require_consistent(network: Network) -> None:
         require_sampled(table.filters, float(network.sample_time))
     for model in network.models:
         _check_model(model, len(network.variables) + 1)
+    if network.certificate is not None:
+        size = network.certificate.shape
+        _require(len(size) == 2 and size[0] == size[1], "the certificate is no norm")
     if network.domain is not None:
         _check_domain(network.domain)
 

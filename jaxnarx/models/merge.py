@@ -17,7 +17,8 @@ def merged(networks: Sequence[Network]) -> Network:
     """All outputs of several networks of the same channels, computed side by side.
 
     A free run of the result is that of the parts, from the longest of their histories
-    and windows. Hidden channels are numbered through; a domain is to be learnt anew.
+    and windows. Hidden channels are numbered through; a domain is to be learnt
+    anew, and so is a certificate.
     `SpecError` where channels, sample times or holds differ or an output comes twice.
     """
     first = networks[0]

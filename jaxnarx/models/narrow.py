@@ -48,4 +48,5 @@ def narrowed(network: Network) -> Network:
         window=network.window,
         outside=network.outside,
         domain=network.domain,
+        certificate=network.certificate,
     )

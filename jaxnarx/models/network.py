@@ -103,8 +103,10 @@ class Network(eqx.Module):
     physical units. `outside` says what inputs beyond theirs do, "flag", "hold" or
     "linear" (`jaxnarx.models.limits`), `hold`, if any, by which share of its range a
     reported output may leave it. `domain` is what the network knows of its training
-    (`jaxnarx.models.domain`). A free run starts from `history` measured samples, those
-    of local models with their own feedback too; hidden channels start from what the
+    (`jaxnarx.models.domain`), `certificate` a norm of the past outputs, newest first,
+    in which it contracts (`jaxnarx.refinement.stability.certificate`). A free run
+    starts from `history` measured samples, those of local models with their own
+    feedback too; hidden channels start from what the
     outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
     """
 
@@ -122,6 +124,9 @@ class Network(eqx.Module):
     window: int = eqx.field(static=True, default=0, kw_only=True)
     outside: str = eqx.field(static=True, default=FLAG, kw_only=True)
     domain: Domain | None = eqx.field(default=None, kw_only=True)
+    certificate: Float[Array, "states states"] | None = eqx.field(
+        default=None, kw_only=True
+    )
 
     def __check_init__(self):
         if self.outside not in (FLAG, HOLD, LINEAR):
@@ -191,11 +196,11 @@ class Network(eqx.Module):
 
     @property
     def nameless(self) -> "Network":
-        """The same with channels that have numbers for names and without a domain, for
-        programs."""
+        """The same with channels that have numbers for names, and without what no run
+        needs, for programs."""
         own = self.channels
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
-        return twin(self, channels=numbered(*counts), domain=None)
+        return twin(self, channels=numbered(*counts), domain=None, certificate=None)
 
     @property
     def history(self) -> int:

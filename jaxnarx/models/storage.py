@@ -6,10 +6,10 @@ of a newer format, a foreign or a damaged one is a `ModelFileError`. A network w
 filtered variables is written as format 2, one with other validity functions than
 Gaussians as format 3, one that is held to its trained ranges as format 5, one with
 hidden channels as format 6, one with groups of local models that have feedback of their
-own as format 7, one with a domain, or with inputs that are not held where its outputs
-are, as format 8, so that older programs say what they lack; any other is still written
-as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a group is a
-local model alone.
+own as format 7, one with a domain, a certificate, or inputs that are not held where its
+outputs are, as format 8, so that older programs say what they lack; any other is still
+written as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a
+group is a local model alone.
 """
 
 import dataclasses
@@ -92,7 +92,7 @@ def _usual(hold: object) -> str:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
-    if _edge(network):
+    if _edge(network) or network.certificate is not None:
         return 8
     if network.parallel:
         return 7
@@ -361,6 +361,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
         window=_whole(header["window"]) if channels.hidden else 0,
         outside=_text(header.get("outside", _usual(hold))),
         domain=_domain(header, get),
+        certificate=get(".certificate") if ".certificate" in tensors else None,
     )
     require_consistent(network)
     return network

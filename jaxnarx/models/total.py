@@ -57,7 +57,8 @@ def total(networks: Sequence[Network], weights: Sequence[float]) -> Network:
             own = np.concatenate([own, row[None]])
     if len(own):
         model = dataclasses.replace(model, own=jax.device_put(own))
-    return dataclasses.replace(first, variables=variables, models=(model,), domain=None)
+    whole = dataclasses.replace(first, variables=variables, models=(model,))
+    return dataclasses.replace(whole, domain=None, certificate=None)
 
 
 class _Part(NamedTuple):

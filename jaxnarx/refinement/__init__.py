@@ -6,12 +6,20 @@ from jaxnarx.refinement.guard import Guard, Judged
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.refinement.refine import refine
-from jaxnarx.refinement.stability import Stability, stability
+from jaxnarx.refinement.stability import (
+    Certificate,
+    Stability,
+    certificate,
+    certified,
+    rate_of,
+    stability,
+)
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.uncertainty import Uncertainty, uncertainty
 
 __all__ = [
     "Bands",
+    "Certificate",
     "Guard",
     "Judged",
     "Layout",
@@ -20,8 +28,11 @@ __all__ = [
     "Stage",
     "Uncertainty",
     "bands",
+    "certificate",
+    "certified",
     "freeze",
     "make_layout",
+    "rate_of",
     "refine",
     "squares",
     "stability",

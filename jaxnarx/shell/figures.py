@@ -154,6 +154,28 @@ def error_map(value: Any) -> Figure:
     return figure
 
 
+def error_by_index(value: Any, edges: Sequence[float]) -> Figure:
+    """Free-run error over the index of the domain; the line is its border.
+
+    `value` is an `ErrorByIndex`, `edges` are the borders of its bins, the last without
+    an end.
+    """
+    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    ends = [*edges[:-1], 2 * edges[-2]]
+    with styled():
+        figure, (left, right) = canvas(9.0, 2.8, columns=2)
+        left.stairs(np.nan_to_num(value.rms), ends, fill=True, color=BLUE, alpha=0.75)
+        right.stairs(value.samples, ends, fill=True, color=BLUE, alpha=0.75)
+        seen = np.flatnonzero(value.samples)
+        last = ends[int(seen[-1]) + 1] if len(seen) else ends[-1]
+        for ax, label in ((left, "RMSE" + unit), (right, "samples")):
+            ax.axvline(1.0, color=INK, lw=0.8)
+            ax.set(xlabel="index, one at the border", ylabel=label)
+            ax.set_xlim(0, max(last, 1.5))
+        right.set_yscale("symlog", linthresh=10)
+    return figure
+
+
 def agreement(
     measured: Float[np.ndarray, " pairs"],
     simulated: Float[np.ndarray, " pairs"],

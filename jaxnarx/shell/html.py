@@ -18,6 +18,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import Report, Row, region_sentence
+from jaxnarx.evaluation.domain_errors import EDGES
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
 from jaxnarx.files import write_whole
 from jaxnarx.shell import figures, residual_figure
@@ -189,6 +190,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
             for c in report.outputs
             for own in [[t for t in report.traces if t.output.name == c.name]]
             if len(own) > 1
+        ],
+        "domain": [
+            (e.output, figures.error_by_index(e, EDGES))
+            for e in (report.domain.errors if report.domain else ())
         ],
         "maps": [(m.output, figures.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],

@@ -1,6 +1,12 @@
 """Stability of a network: poles, a contraction bound, and a penalty made of it."""
 
 from jaxnarx.refinement.stability.bound import Bound, Place
+from jaxnarx.refinement.stability.certificate import (
+    Certificate,
+    certificate,
+    certified,
+    rate_of,
+)
 from jaxnarx.refinement.stability.check import Stability, stability
 from jaxnarx.refinement.stability.penalty import (
     Metric,
@@ -14,16 +20,20 @@ from jaxnarx.refinement.stability.poles import Poles, first_horizon, slowest
 
 __all__ = [
     "Bound",
+    "Certificate",
     "Metric",
     "Place",
     "Points",
     "Poles",
     "Stability",
+    "certificate",
+    "certified",
     "find_metric",
     "first_horizon",
     "penalty",
     "penalty_points",
     "penalty_residuals",
+    "rate_of",
     "slowest",
     "stability",
 ]

@@ -1,0 +1,133 @@
+"""How the error of a free run grows with the distance from what the network knows."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnarx.data import Channel, Dataset
+from jaxnarx.evaluation.outside import NOTICEABLE
+from jaxnarx.evaluation.rows import ScoredSamples
+from jaxnarx.evaluation.table import number
+from jaxnarx.models import Network
+from jaxnarx.trust import Excursion, domain
+
+EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
+"""Borders of the bins of the index."""
+BORDER = EDGES.index(1.0)
+FEWEST = 20
+"""Samples of the smallest bin that has an error."""
+WORST = 10
+"""Stretches of time that are told."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ErrorByIndex:
+    """Free-run error of one output by bins of the index, in its unit; NaN where a bin
+    has fewer than 20 samples."""
+
+    output: str
+    unit: str
+    rms: Float[np.ndarray, " bins"]
+    samples: Int[np.ndarray, " bins"]
+
+    def over(self, first: int, stop: int) -> float | None:
+        """Over several bins together; None where they have too few samples."""
+        count = self.samples[first:stop]
+        if count.sum() < FEWEST:
+            return None
+        # Of a bin with few samples nothing is told, and little would be changed by it.
+        square = np.where(np.isnan(self.rms), 0.0, self.rms)[first:stop] ** 2
+        known = np.where(np.isnan(self.rms[first:stop]), 0, count)
+        return float(np.sqrt(known @ square / max(known.sum(), 1)))
+
+    @property
+    def inside(self) -> float | None:
+        """Up to the border."""
+        return self.over(0, BORDER)
+
+    @property
+    def outside(self) -> float | None:
+        """Beyond it."""
+        return self.over(BORDER, len(self.rms))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DomainErrors:
+    """Where a report's parts leave the domain of the network, and what that costs.
+
+    `outside` is the share of the samples of every part; `excursions` are the farthest
+    stretches of the main part, and `errors` its free-run error by the index.
+    """
+
+    outside: Mapping[str, float]
+    excursions: tuple[Excursion, ...]
+    errors: tuple[ErrorByIndex, ...]
+
+
+def domain_errors(
+    network: Any,
+    parts: Mapping[str, Dataset],
+    main: str,
+    outputs: tuple[Channel, ...],
+    free: list[list[ScoredSamples]],
+) -> DomainErrors | None:
+    """Of a network that knows its domain; `free` is the free run of the main part."""
+    if not isinstance(network, Network) or network.domain is None:
+        return None
+    found = {part: domain(network, data).value for part, data in parts.items()}
+    index = found[main].index
+    errors = []
+    for channel, samples in zip(outputs, free, strict=True):
+        pairs = [
+            (one.measured - one.predicted, one.scored, value)
+            for one, value in zip(samples, index, strict=True)
+            if not one.diverged
+        ]
+        if not pairs:
+            continue
+        error = np.concatenate([e[s] for e, s, _ in pairs])
+        value = np.concatenate([i[s[:, 0]] for _, s, i in pairs])
+        errors.append(_binned(channel, error, value))
+    share = {part: value.outside for part, value in found.items()}
+    return DomainErrors(share, found[main].excursions[:WORST], tuple(errors))
+
+
+def _binned(
+    channel: Channel,
+    error: Float[np.ndarray, " samples"],
+    index: Float[np.ndarray, " samples"],
+) -> ErrorByIndex:
+    at = np.clip(np.searchsorted(EDGES, index, side="left") - 1, 0, len(EDGES) - 2)
+    count = np.bincount(at, minlength=len(EDGES) - 1)
+    scale = float(np.max(np.abs(error), initial=0.0)) or 1.0
+    square = np.bincount(at, (error / scale) ** 2, minlength=len(count))
+    enough = count >= FEWEST
+    mean = square / np.where(enough, count, 1)
+    rms = np.where(enough, scale * np.sqrt(mean), np.nan)
+    return ErrorByIndex(channel.name, channel.unit, rms, count)
+
+
+def domain_notes(found: DomainErrors | None, main: str) -> list[str]:
+    """Parts with at least 1 % of their samples outside of the domain, what the error of
+    the main one is there, and where it is farthest."""
+    notes = []
+    for part, share in () if found is None else found.outside.items():
+        if share < NOTICEABLE:
+            continue
+        text = f"{100 * share:.3g} % of the {part} samples are outside of the domain "
+        text += "that the model knows (index above 1)"
+        if part == main and found is not None:
+            told = [
+                f"{e.output} {number(e.outside)} there and {number(e.inside)} inside"
+                for e in found.errors
+                if e.outside is not None and e.inside is not None
+            ]
+            if told:
+                text += f"; free-run error: {', '.join(told[:4])}"
+            if found.excursions:
+                text += f"; farthest: {found.excursions[0]}"
+        notes.append(f"{text}.")
+    return notes

@@ -1,0 +1,137 @@
+"""Certificates of contraction: by products of matrices, and by pairs of runs."""
+
+import dataclasses
+
+import common
+import jax
+import numpy as np
+import pytest
+from common import A
+
+import jaxnarx as jnx
+from jaxnarx.data import Dataset
+from jaxnarx.models import FLAG, HOLD, LINEAR, hold_to_range
+from jaxnarx.refinement import certificate, certified, rate_of
+from jaxnarx.refinement.stability.certificate import _blocks
+from jaxnarx.trust import knowing
+
+LOW, HIGH = np.array([-1.0, -1.0, -5.0, -2.0]), np.array([1.0, 1.0, 5.0, 2.0])
+
+
+def local(a1: float, a2: float, more: tuple = ()):
+    """y = a1 y1 + a2 y2 + u, and further terms."""
+    return [((0, 3), a1), ((0, 4), a2), ((0, 1), 1.0), *more]
+
+
+VARIABLES = ((A, 0), (A, 1), (2, 1), (2, 2))
+"""a(t), a(t-1), y(t-1), y(t-2) as x_1 ... x_4."""
+
+
+def network(models, outside=LINEAR, scheduling=((A, 0),)):
+    part = common.Part(
+        models,
+        scheduling=scheduling,
+        offset=(-4.0,) * len(scheduling),
+        span=(8.0,) * len(scheduling),
+        centre=[(0.2 + 0.5 * m,) * len(scheduling) for m in range(len(models))],
+        width=[(0.2,) * len(scheduling)] * len(models),
+    )
+    net = common.network([part], variables=VARIABLES)
+    low, high = jax.device_put((LOW, HIGH))
+    net = dataclasses.replace(net, low=low, high=high)
+    return hold_to_range(net, None, outside=outside)
+
+
+def test_a_network_that_shares_its_feedback_has_one():
+    net = network([local(1.2, -0.5)] * 2)
+    found = certificate(net)
+    assert found is not None
+    modulus = np.abs(np.roots([1, -1.2, 0.5])).max()
+    assert modulus <= found.rate < 1.05 * modulus
+
+
+def test_every_product_of_mixtures_shrinks_as_it_says():
+    net = network([local(1.2, -0.5), local(0.4, 0.3)])
+    found = certificate(net)
+    assert found is not None and found.rate < 1
+    ((_, matrices),) = _blocks(net)
+    rng = np.random.default_rng(0)
+    inverse = np.linalg.inv(found.factor)
+    for _ in range(200):
+        whole = np.eye(2)
+        for k in range(1, 12):
+            share = rng.dirichlet(np.ones(len(matrices)))
+            whole = np.einsum("m,mij->ij", share, matrices) @ whole
+            size = np.linalg.norm(found.factor @ whole @ inverse, 2)
+            assert size <= found.rate**k * (1 + 1e-9)
+    assert found.overshoot == pytest.approx(np.linalg.cond(found.factor))
+
+
+def test_two_that_are_stable_alone_and_not_in_turn_have_none():
+    one, other = local(1.8, -0.9), local(-1.8, -0.9)
+    for models in ([one], [other]):
+        assert certificate(network([models[0]] * 2)) is not None
+    a, b = (np.array([[s * 1.8, -0.9], [1, 0]]) for s in (1, -1))
+    assert np.abs(np.linalg.eigvals(a @ b)).max() > 1
+    assert certificate(network([one, other])) is None
+
+
+def test_none_is_told_where_the_past_decides():
+    square = local(0.5, 0.1, more=(((3, 3), 0.01),))
+    assert certificate(network([square])) is None
+    own = network([local(0.5, 0.1)] * 2, scheduling=((2, 1),))
+    assert certificate(own) is None
+    unstable = network([local(1.01, 0.0)])
+    assert certificate(unstable) is None
+
+
+@pytest.mark.parametrize(("slope", "there"), [(0.15, True), (0.35, False)])
+def test_past_outputs_times_inputs_are_followed_to_the_ends_of_the_range(slope, there):
+    # gain of a is 2: scaled inputs reach from -1/2 to 1/2
+    times_input = local(0.8, 0.0, more=(((1, 3), 2 * slope),))
+    for outside in (HOLD, LINEAR):
+        found = certificate(network([times_input], outside))
+        assert (found is not None) == there
+        if found is not None:
+            assert found.rate == pytest.approx(0.8 + slope, rel=1e-6)
+    assert certificate(network([times_input], FLAG)) is None
+
+
+def test_runs_meet_at_least_as_fast_whatever_the_inputs():
+    product = local(0.5, 0.2, more=(((1, 3), 0.4), ((1, 1), 0.3)))
+    net = certified(network([local(1.0, -0.3), product], LINEAR))
+    rate = rate_of(net)
+    assert rate < 1
+    factor = np.asarray(net.certificate)
+    rng = np.random.default_rng(1)
+    u = 3 * rng.uniform(-1, 1, (60, 2))
+    names = {"inputs": ["a", "b"], "outputs": ["y", "w"], "sample_time": 0.1}
+    runs = []
+    for start in (-4.0, 4.0):
+        y = np.full((60, 2), start)
+        data = Dataset.from_arrays(u, y, **names)
+        runs.append(jnx.simulate(net, data).value.outputs[0][:, 0])
+    gap = (runs[0] - runs[1]) / float(np.asarray(net.gain)[2])
+    state = np.stack([gap[1:], gap[:-1]])
+    size = np.linalg.norm(factor @ state, axis=0)
+    assert np.all(size[1:] <= rate * size[:-1] + 1e-12)
+
+
+def test_a_file_keeps_it_and_a_merged_network_has_none(tmp_path):
+    net = certified(network([local(1.2, -0.5), local(0.4, 0.3)]))
+    jnx.save(net, tmp_path / "model.safetensors")
+    again = jnx.load(tmp_path / "model.safetensors")
+    assert rate_of(again) == rate_of(net) < 1
+    assert rate_of(network([local(1.2, -0.5)])) == np.inf
+
+
+def test_what_has_one_may_follow_its_inputs_far_beyond():
+    data = common.from_rows([common.signals(200, seed) for seed in range(3)])
+    net = network([local(0.5, 0.1)] * 2)
+    found = knowing(net, data)
+    assert found.certificate is not None and found.domain is not None
+    assert float(found.upper[0]) > 50 * float(net.high[2]) / float(net.gain[2])
+    own = network([local(0.5, 0.1)] * 2, scheduling=((2, 1),))
+    found = knowing(own, data)
+    assert found.certificate is None
+    np.testing.assert_array_equal(found.upper, own.upper)
