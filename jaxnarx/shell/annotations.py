@@ -1,6 +1,6 @@
 """Kinds of arguments that several commands have, as the parser shows them."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
@@ -18,4 +18,7 @@ Names = Annotated[tuple[str, ...], optional("NAME [NAME ...]")]
 Needed = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 Whole = Annotated[int | None, optional("INT")]
+Outside = Annotated[
+    Literal["flag", "hold", "linear"] | None, optional("{flag,hold,linear}")
+]
 Percent = Annotated[float | None, optional("PERCENT")]

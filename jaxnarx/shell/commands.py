@@ -25,6 +25,7 @@ from jaxnarx.shell.annotations import (
     Model,
     Names,
     Needed,
+    Outside,
     Percent,
     Whole,
     optional,
@@ -126,6 +127,9 @@ class Simulate:
     """Prepare raw files first as the model's training records were prepared."""
     no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
+    outside: Outside = None
+    """What inputs do beyond their trained ranges: nothing, stay at the edge, or go on
+    from there to first order; default: as MODEL says."""
     force: Flag = False
     """Overwrite files of an earlier run."""
 
@@ -207,6 +211,9 @@ class Report:
     """Other models to compare with on the same records, in free run."""
     no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
+    outside: Outside = None
+    """What inputs do beyond their trained ranges: nothing, stay at the edge, or go on
+    from there to first order; default: as MODEL says."""
     force: Flag = False
     """Overwrite an earlier report."""
     require_fit: Percent = None
@@ -222,6 +229,7 @@ class Check:
 
     Example:
         jaxnarx check engine.toml
+        jaxnarx check new_records.toml --model runs/demo/model.safetensors
 
     The smallest description, engine.toml:
         [data]
@@ -239,6 +247,8 @@ class Check:
     """TOML description of the records."""
     root: Folder = None
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
+    model: Annotated[str | None, optional("MODEL")] = None
+    """Tell instead how far the records leave what this model knows, and where."""
     json: Flag = False
     """Print the findings as JSON."""
 

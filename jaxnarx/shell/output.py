@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataFileError, SpecError
@@ -153,9 +154,15 @@ def file_names(names: Sequence[str]) -> list[str]:
     return files
 
 
-def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> str:
+def trajectory_csv(
+    value: "Trajectories",
+    data: Dataset,
+    n: int,
+    kind: str,
+    index: Float[np.ndarray, " time"] | None = None,
+) -> str:
     """Record `n` as CSV: time, computed and measured outputs, limited, held,
-    extrapolated.
+    extrapolated, and the index of the model's domain where there is one.
 
     `kind` heads the computed outputs, `"simulated"`; missing measurements are empty.
     """
@@ -171,6 +178,9 @@ def trajectory_csv(value: "Trajectories", data: Dataset, n: int, kind: str) -> s
         columns += [c.tolist() for c in (value.outputs[n][:, o], measured, *masks)]
     header.append("extrapolated")
     columns.append(value.extrapolated[n].astype(int).tolist())
+    if index is not None:
+        header.append("index")
+        columns.append(index.tolist())
     return _csv(header, columns)
 
 

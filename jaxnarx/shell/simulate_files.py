@@ -15,6 +15,7 @@ from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
 from jaxnarx.simulation import Trajectories, predict, simulate
+from jaxnarx.trust import domain
 
 
 def simulate_files(command: Simulate) -> int:
@@ -24,7 +25,9 @@ def simulate_files(command: Simulate) -> int:
         raise SpecError("give data files or one TOML description")
     if steps is not None and steps < 1:
         raise SpecError(f"--steps must be at least 1, got {steps}")
-    network = loaded(command.model, no_limits=command.no_limits)
+    network = loaded(
+        command.model, no_limits=command.no_limits, outside=command.outside
+    )
     data = _new_data(command, network)
     if steps is not None and steps + network.history > max(map(len, data)):
         raise SpecError(
@@ -39,13 +42,20 @@ def simulate_files(command: Simulate) -> int:
             else:
                 solution = predict(network, data, steps)
         kind = "simulated" if steps is None else "predicted"
+        known = None if network.domain is None else domain(network, data).value
         with output.written_together(folder) as place:
             for n, file in enumerate(files):
-                text = output.trajectory_csv(solution.value, data, n, kind)
+                index = None if known is None else known.index[n]
+                text = output.trajectory_csv(solution.value, data, n, kind, index)
                 output.write_text(place / file, text)
     for file in files:
         say(f"wrote {folder / file}")
     _tell_held(solution.value)
+    if known is not None and known.outside > 0:
+        say(
+            f"{100 * known.outside:.3g} % of the samples are outside of the model's "
+            f"domain (index above 1); farthest: {known.excursions[0]}"
+        )
     if solution.detail:
         warn(f"{solution.status_name}: {solution.detail}")
     next_command(
@@ -60,7 +70,10 @@ def follow(command: Simulate, through: str) -> int:
         if given:
             raise SpecError(f"{option} and --through do not go together")
     models = command.model, through
-    inverse, forward = (loaded(path, no_limits=command.no_limits) for path in models)
+    inverse, forward = (
+        loaded(path, no_limits=command.no_limits, outside=command.outside)
+        for path in models
+    )
     data = _records(command, forward.channels, float(forward.sample_time), inverse)
     files = output.file_names(data.names)
     with output.run_folder(command.out, "", force=command.force, marks=files) as folder:

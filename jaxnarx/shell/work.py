@@ -73,6 +73,8 @@ def _check(command: commands.Check) -> int:
     from jaxnarx.data import check, suggest_lags
 
     split = read_description(command.description, command.root)
+    if command.model is not None:
+        return _check_against(command.model, split.all, json=command.json)
     data = split.train if split.train is not None else split.all
     findings, lags = check(data), suggest_lags(data)
     status = 0 if findings.is_okay else 3
@@ -93,6 +95,28 @@ def _check(command: commands.Check) -> int:
     one = ("--output", names[0]) if len(names) > 1 else ()
     next_command("jaxnarx", "identify", command.description, *root, *one)
     return status
+
+
+def _check_against(model: str, data: "Dataset", *, json: bool) -> int:
+    """How far all records leave the domain of a model."""
+    _configure()
+    import dataclasses
+    from json import dumps
+
+    from jaxnarx.data import match_channels
+    from jaxnarx.models import load
+    from jaxnarx.trust import domain
+
+    network = load(model)
+    known = match_channels(data, network.channels.measured)[0]
+    with about(model):
+        found = domain(network, known).value
+    if json:
+        told = [dataclasses.asdict(one) for one in found.excursions]
+        say(dumps({"outside": found.outside, "excursions": told}, indent=1))
+        return 0
+    say(f"{size(known)}\n{found}")
+    return 0
 
 
 def _prepare(command: commands.Prepare) -> int:
@@ -292,7 +316,7 @@ def _report(command: commands.Report, typed: str) -> int:
 
     require_finite("require_fit", command.require_fit)
     bare = command.no_limits
-    network = loaded(command.model, no_limits=bare)
+    network = loaded(command.model, no_limits=bare, outside=command.outside)
     split = read_description(command.description, command.root)
     named = {"train": split.train, "validate": split.validate, "test": split.test}
     parts = {k: v for k, v in named.items() if v is not None} or {"data": split.all}
