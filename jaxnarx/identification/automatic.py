@@ -23,7 +23,7 @@ from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, merged
 from jaxnarx.output_error import look
 from jaxnarx.solution import RESULTS, Solution
-from jaxnarx.trust import knowing
+from jaxnarx.trust import knowing, released
 
 Tell = Callable[[dict[str, Any]], None]
 SHARE = 1000
@@ -87,7 +87,8 @@ def search(
             stopped = True
         facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
         found = _solution(race.store, list(outputs), stopped, facts)
-        return dataclasses.replace(found, value=knowing(found.value, data, groups))
+        network = knowing(released(found.value), data, groups)
+        return dataclasses.replace(found, value=network)
 
 
 class Race:

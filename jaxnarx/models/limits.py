@@ -49,11 +49,9 @@ def hold_to_range(
     `margin` is the share of its range by which a reported output may leave it; with
     None outputs are not held. `outside` says what inputs do beyond their ranges, see
     the module. By default they go on to first order with a margin, and are flagged
-    without: on six outputs of four virtual engines, driven up to two and a half times
-    the trained ranges, held inputs had twice to forty times the error of either. Held
-    samples are marked in `held` of a run, samples with an input outside its range in
-    `extrapolated`, as ever. `SpecError` for a negative margin, or one that is not
-    finite, and for an unknown `outside`.
+    without. Held samples are marked in `held` of a run, samples with an input outside
+    its range in `extrapolated`, as ever. `SpecError` for a negative margin, or one that
+    is not finite, and for an unknown `outside`.
 
     Example:
         held = jnx.models.hold_to_range(network)

@@ -27,7 +27,7 @@ from jaxnarx.shell.search_run import (
     training,
     write_run,
 )
-from jaxnarx.trust import knowing
+from jaxnarx.trust import knowing, released
 
 
 def show(command: Leaderboard) -> int:
@@ -62,7 +62,7 @@ def take(command: Take, typed: str) -> int:
     with run_folder(out, "", force=command.force, marks=RUN) as folder:
         train, validation = training(split)
         parts = scored_parts(train, validation, split.test, network)
-        network = knowing(network, parts["train"])
+        network = knowing(released(network), parts["train"])
         taken = {row.output: row.number for row in rows}
         result = scored(network, parts, found.leaderboard, taken, told)
         files = write_run(folder, network, result, about)

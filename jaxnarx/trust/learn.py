@@ -11,10 +11,9 @@ from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.data import groups as make_groups
 from jaxnarx.data.batch import stack
-from jaxnarx.errors import DataError, JaxnarxError, SpecError
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Domain, Network
-from jaxnarx.refinement import certified
 from jaxnarx.regressors import LowPass, Variables, row_columns
 from jaxnarx.simulation import fitting, simulate
 
@@ -26,8 +25,6 @@ SOME = 20_000
 """Samples on which the free run is asked what it follows."""
 MANY = 20_000
 """Samples that points are chosen from."""
-WIDE = 100.0
-"""Bounds of the feedback of a network with a certificate, in widths of the range."""
 CUTS = (0.25, 0.5, 0.75)
 """Where in a record inputs become what they were, to see how long a run remembers."""
 SPREAD = 1e-9
@@ -48,30 +45,6 @@ class InputRows:
     def at(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
         """These samples alone."""
         return InputRows(self.x[:, some], self.step[:, some], self.group[some])
-
-
-def knowing(network: Network, data: Dataset, groups: Groups | None = None) -> Network:
-    """The network with its domain, where it has inputs and the records can be run, and
-    with its certificate, where there is one.
-
-    What is stable for every input needs no bound of its feedback: the bounds of a
-    network with a certificate are so wide that a run may follow inputs far beyond their
-    ranges.
-    """
-    network = certified(network)
-    if network.certificate is not None:
-        own = list(network.signals)
-        ranges = network.low, network.high, network.gain
-        low, high, gain = (np.asarray(a)[own] for a in ranges)
-        wide = WIDE * (high - low)
-        lower = np.minimum((low - wide) / gain, np.asarray(network.lower))
-        upper = np.maximum((high + wide) / gain, np.asarray(network.upper))
-        lower, upper = jax.device_put((lower, upper))
-        network = dataclasses.replace(network, lower=lower, upper=upper)
-    try:
-        return learn_domain(network, data, groups=groups)
-    except JaxnarxError:
-        return network
 
 
 @guarded

@@ -13,7 +13,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.models import FLAG, HOLD, LINEAR, hold_to_range
 from jaxnarx.refinement import certificate, certified, rate_of
 from jaxnarx.refinement.stability.certificate import _blocks
-from jaxnarx.trust import knowing
+from jaxnarx.trust import knowing, released
 
 LOW, HIGH = np.array([-1.0, -1.0, -5.0, -2.0]), np.array([1.0, 1.0, 5.0, 2.0])
 
@@ -128,10 +128,11 @@ def test_a_file_keeps_it_and_a_merged_network_has_none(tmp_path):
 def test_what_has_one_may_follow_its_inputs_far_beyond():
     data = common.from_rows([common.signals(200, seed) for seed in range(3)])
     net = network([local(0.5, 0.1)] * 2)
-    found = knowing(net, data)
+    found = knowing(released(net), data)
     assert found.certificate is not None and found.domain is not None
+    assert found.outside == FLAG
     assert float(found.upper[0]) > 50 * float(net.high[2]) / float(net.gain[2])
     own = network([local(0.5, 0.1)] * 2, scheduling=((2, 1),))
-    found = knowing(own, data)
-    assert found.certificate is None
+    found = knowing(released(own), data)
+    assert found.certificate is None and found.outside == LINEAR
     np.testing.assert_array_equal(found.upper, own.upper)
