@@ -26,7 +26,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-install_import_hook("jaxnarx", "beartype.beartype")
+# The slow tests of CI do without: see .ci/run.
+if not os.environ.get("JAXTYPING_DISABLE"):
+    install_import_hook("jaxnarx", "beartype.beartype")
 
 QUICK = "--xla_cpu_use_fusion_emitters=false"
 """XLA's older code generator: programs compile in a third of the time."""
