@@ -370,3 +370,16 @@ def test_the_order_takes_what_lowers_errors_most_for_its_seconds():
     assert [one[1] for one in found] == [2, 1, 1]
     np.testing.assert_allclose([one[2] for one in found], np.log([2, 2, 1]), rtol=1e-12)
     assert [one[3] for one in found] == [20.0, 100.0, 1.0]
+
+
+@pytest.mark.slow
+def test_networks_at_the_edge(tmp_path):
+    experiment("edge/run.py", "--results", str(tmp_path))
+    (bed,) = json.loads((tmp_path / "edge.json").read_text())["figures"].values()
+    (found,) = bed["outputs"].values()
+    for policy in ("flag", "hold", "linear"):
+        assert found[policy]["wild"]["not finite"] == 0
+        assert len(found[policy]["nrmse"]) == len(found["outside"]) == 5
+    # more and more of the samples are outside, the farther the inputs reach
+    assert found["outside"] == sorted(found["outside"])
+    assert -1 <= bed["pooled"]["spearman"] <= 1
