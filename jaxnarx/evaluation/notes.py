@@ -228,6 +228,7 @@ def stability_values(value: Any) -> dict[str, Any] | None:
         return None
     return {
         "contracts": value.contracts,
+        "certified": value.certificate is not None,
         "time_constant": value.time_constant,
         "summary": value.summary,
         "poles": value.poles,

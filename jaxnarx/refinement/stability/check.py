@@ -11,6 +11,7 @@ from jaxnarx.data.batch import stack
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.refinement.stability.bound import Bound, bounds
+from jaxnarx.refinement.stability.certificate import Certificate, certificate
 from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
 from jaxnarx.simulation import (
@@ -37,12 +38,14 @@ class Stability:
     """Poles of every local model and of the network, and the bounds that were tried.
 
     `bounds` go from the strongest claim to the weakest and end with the first that
-    holds; claims that an unstable pole refutes are left out. `sample_time` in s.
+    holds; claims that an unstable pole refutes are left out. `sample_time` in s. A
+    `certificate` holds for every input, beyond these data too.
     """
 
     poles: tuple[Poles, ...]
     bounds: tuple[Bound, ...]
     sample_time: float
+    certificate: Certificate | None = None
 
     @property
     def bound(self) -> Bound:
@@ -63,6 +66,15 @@ class Stability:
     def summary(self) -> str:
         """What was found, in one or two sentences."""
         bound = self.bound
+        if self.certificate is not None:
+            rate = self.certificate.rate
+            constant = time_constant(rate) * self.sample_time
+            return (
+                "Contracts whatever the inputs, proven by one norm for all local "
+                "models: two runs with the same inputs approach each other with a time "
+                f"constant of {_figure(constant)} s or less (rate {rate:.4f} a sample, "
+                f"overshoot up to {_figure(self.certificate.overshoot)})."
+            )
         seen = f"{bound.samples} samples"
         if bound.samples < bound.of:
             seen += f" of {bound.of}"
@@ -170,8 +182,8 @@ def stability(
         simulated: The free run of `data` where it is at hand.
 
     Returns:
-        `value` holds `poles` and `bounds`; `stats` has `contracts`, `rate`, `fails`,
-        `time_constant`.
+        `value` holds `poles`, `bounds` and the `certificate`, if there is one; `stats`
+        has `contracts`, `rate`, `fails`, `time_constant`, `certified`.
     """
     run = simulate(network, data) if simulated is None else simulated
     matched = fitting(network, data)
@@ -188,12 +200,14 @@ def stability(
     )
     total = int(masks.anchors.sum())
     found = bounds(network, visited, list(matched.names), data.sample_time, total)
-    value = Stability(poles, found, float(data.sample_time))
+    proven = certificate(network)
+    value = Stability(poles, found, float(data.sample_time), proven)
     stats = {
         "contracts": value.contracts,
         "rate": value.bound.rate,
         "fails": value.bound.fails,
         "time_constant": value.time_constant,
+        "certified": proven is not None,
     }
     diverged = any(np.any(bad) for bad in run.value.diverged)
     if diverged:
