@@ -146,10 +146,17 @@ def ran_wild(network: Any, data: Any) -> dict[str, Any]:
     }
 
 
+def correlation(index: Any, error: Any) -> float:
+    """Of ranks (Spearman)."""
+    from scipy.stats import spearmanr
+
+    value: Any = spearmanr(index, error)
+    return round(float(value.statistic), 3)
+
+
 def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str, Any]:
     """All figures of one output."""
     import numpy as np
-    from scipy.stats import spearmanr
 
     import jaxnarx as jnx
     from jaxnarx.models import hold_to_range
@@ -176,6 +183,7 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
         every = [scored(held, data, output, spread) for data in tests]
         error, index = (np.concatenate([e[k] for e in every]) for k in (0, 1))
         at = np.digitize(index, EDGES) - 1
+        outside = [round(float(np.mean(i > 1)), 3) for _, i, _ in every]
         figures[policy] = {
             "nrmse": [round(float(np.sqrt(np.mean(e**2))), 4) for e, _, _ in every],
             "diverged": [bad for *_, bad in every],
@@ -185,13 +193,13 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
                 else None
                 for k in range(len(EDGES))
             ],
-            "spearman": round(float(spearmanr(index, error)[0]), 3),
+            "spearman": correlation(index, error),
             "wild": ran_wild(held, strange),
         }
         if policy == "linear":
             inside = float(np.sqrt(np.mean(error[index <= 1] ** 2)))
             figures["pool"] = {"index": index, "error": error, "inside": inside}
-    figures["outside"] = [round(float(np.mean(i > 1)), 3) for _, i, _ in every]
+            figures["outside"] = outside
     return figures
 
 
@@ -199,7 +207,6 @@ def pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Rank correlation over all outputs, errors in standard deviations of the training
     and in the error of the same network inside of its domain; thinned."""
     import numpy as np
-    from scipy.stats import spearmanr
 
     pools = [row.pop("pool") for row in rows if "pool" in row]
     if not pools:
@@ -208,10 +215,8 @@ def pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
     plain = np.concatenate([p["error"] for p in pools])
     scaled = np.concatenate([p["error"] / p["inside"] for p in pools])
     return {
-        "spearman": round(float(spearmanr(index, plain)[0]), 3),
-        "spearman, errors in those inside": round(
-            float(spearmanr(index, scaled)[0]), 3
-        ),
+        "spearman": correlation(index, plain),
+        "spearman, errors in those inside": correlation(index, scaled),
         "samples": len(index),
     }
 

@@ -96,7 +96,7 @@ def _beyond(
         return None
     far = v[rows:]
     along = jnp.concatenate([jnp.zeros_like(far[:1]), far])
-    return jax.jvp(lambda v: evaluate(factor, v), (v[:rows],), (along,))[1]
+    return jax.jvp(lambda v: jnp.asarray(evaluate(factor, v)), (v[:rows],), (along,))[1]
 
 
 def term_values(
@@ -109,7 +109,7 @@ def term_values(
     there, and so do poles.
     """
     factor = model.local.factor
-    terms = evaluate(factor, v)
+    terms = jnp.asarray(evaluate(factor, v))
     beyond = _beyond(factor, len(network.variables) + 1, v)
     if beyond is None:
         return terms

@@ -83,7 +83,7 @@ class OutputModel(eqx.Module):
         self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
     ) -> Float[Array, "*rows"]:
         """Scaled output at one sample or at many (trailing axes)."""
-        return self.blend(evaluate(self.local.factor, v), z)
+        return self.blend(jnp.asarray(evaluate(self.local.factor, v)), z)
 
     def blend(
         self, terms: Float[Array, "terms *rows"], z: Float[Array, "dims *rows"]

@@ -76,9 +76,9 @@ def output_gradient(
 
     by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
     by_fields = by_validity(model.validity.parameters, z, local)
-    output = [coefficient, *by_fields]
+    by_output = [coefficient, *by_fields]
     if model.own is None:
-        return output, []
+        return by_output, []
     weight = shares(model, phi)
 
     def group(parameters, z, local):
@@ -91,7 +91,7 @@ def output_gradient(
     else:
         by_group = jax.vmap(jax.jacrev(group), in_axes=(None, 1, 1), out_axes=-1)
         by_fields = by_group(model.validity.parameters, z, local)
-    return output, [weight[:, :, None] * alone[None], *by_fields]
+    return by_output, [weight[:, :, None] * alone[None], *by_fields]
 
 
 def direct_tangents(

@@ -49,10 +49,13 @@ def by_hand(net, rows, outside):
     for t in range(net.history, len(rows)):
         now = []
         for model in net.models:
-            x, far = [1.0], [0.0]
+            x: list[float] = [1.0]
+            far: list[float] = [0.0]
             for s, lag in net.variables:
-                told = y[t - lag, own.index(s)] if s in own else None
-                x.append(seen[t - lag, s] / gain[s] if told is None else told)
+                fed_back_one = s in own
+                value = y[t - lag, own.index(s)] if fed_back_one else 0.0
+                value = value if fed_back_one else seen[t - lag, s] / gain[s]
+                x.append(float(value))
                 beyond = (rows[t - lag, s] - seen[t - lag, s]) / gain[s]
                 far.append(beyond if outside == LINEAR and s not in own else 0.0)
             z = [

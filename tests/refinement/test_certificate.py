@@ -54,7 +54,9 @@ def test_every_product_of_mixtures_shrinks_as_it_says():
     net = network([local(1.2, -0.5), local(0.4, 0.3)])
     found = certificate(net)
     assert found is not None and found.rate < 1
-    ((_, matrices),) = _blocks(net)
+    blocks = _blocks(net)
+    assert blocks is not None and len(blocks) == 1
+    _, matrices = blocks[0]
     rng = np.random.default_rng(0)
     inverse = np.linalg.inv(found.factor)
     for _ in range(200):

@@ -161,8 +161,9 @@ def _corners(
             fixed += part
     if 2.0 ** len(moving) * len(fixed) > CORNERS:
         return None
-    ends = [_range(network, others) for others in moving]
-    if any(end is None for end in ends):
+    known = [_range(network, others) for others in moving]
+    ends = [end for end in known if end is not None]
+    if len(ends) < len(known):
         return None
     every = [
         fixed + sum(e * part for e, part in zip(chosen, moving.values(), strict=True))
