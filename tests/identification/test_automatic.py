@@ -19,6 +19,7 @@ from jaxnarx.evaluation import cost
 from jaxnarx.identification import Leaderboard, automatic, read_search
 from jaxnarx.methods import PRESETS, Preset
 from jaxnarx.output_error import ClosedForm
+from jaxnarx.refinement import rate_of
 from jaxnarx.solution import Solution
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=0)
@@ -95,6 +96,17 @@ def test_the_choice_is_the_best_by_the_rule(whole):
         strict=True,
     ):
         np.testing.assert_array_equal(a, b)
+
+
+def test_the_model_knows_where_it_has_been_and_that_it_is_stable(whole):
+    network = whole[1].value
+    index = jnx.domain(network, plant()).value
+    assert index.outside < 0.1
+    assert network.certificate is not None and rate_of(network) < 1
+    # as they are: what is stable for every input needs no narrow bound
+    assert network.outside == "flag"
+    reach = np.asarray(network.high - network.low)[network.signals[0]]
+    assert float(network.upper[0] * network.gain[network.signals[0]]) > 50 * reach
 
 
 def test_what_it_tells_of_records_left_out_is_about_so_on_new_ones(whole):
