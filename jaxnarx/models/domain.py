@@ -61,6 +61,21 @@ class Domain(eqx.Module):
         """The inputs in use, by their place among the channels."""
         return tuple(dict.fromkeys(s for s, _ in self.features))
 
+    @property
+    def operations(self) -> int:
+        """Multiplications, additions and comparisons of one sample's index.
+
+        Constants are folded; a filter takes three, a range and a rate three each of
+        every input, the ellipsoid and each point one product and one sum or two by
+        feature.
+        """
+        points, features = self.points.shape
+        used = len(self.inputs)
+        ellipsoid = 2 * features**2 + 2 * features
+        return (
+            3 * (features - used) + 8 * used + ellipsoid + points * (3 * features + 1)
+        )
+
     def layers(
         self, x: Float[Array, "features time"], step: Float[Array, "used time"]
     ) -> tuple[Float[Array, "time layers"], Int[Array, "time layers"]]:
