@@ -41,6 +41,8 @@ BED = "pfi-dyno"
 RECORDS, LENGTH, FEW = 4, 2500, 500
 """Records of the virtual engine, samples of each, and where candidates are counted."""
 SAMPLES, COLUMNS, HUNDRED = 248_000, 400, 100
+SMOKED = 4
+"""Candidates of every search of a smoke run."""
 QUICK, ENGINE, MEGABYTES = 60.0, {"quick": 180.0, "good": 480.0}, 4000.0
 HALF, CANDIDATES = 0.5, 180.0
 """Aims: seconds of `quick`, of both presets and memory on the engine, share of the
@@ -112,9 +114,14 @@ def quick(chosen: Any, space: Path) -> dict[str, Any]:
     preset, cache = "linear" if chosen.smoke else "quick", str(space / "quick")
     found: dict[str, Any] = {"engine": BED}
     for name in ("cold", "warm"):
-        run = call("identify", BED, sizes, preset, cache, chosen.smoke)
+        run = call("identify", BED, sizes, preset, cache, *limited(chosen))
         found[name] = run | aim(run, "seconds", QUICK)
     return found
+
+
+def limited(chosen: Any) -> tuple[bool, int | None]:
+    """Whether records are cut, and most candidates."""
+    return chosen.smoke, SMOKED if chosen.smoke else None
 
 
 def engine(chosen: Any, space: Path) -> dict[str, Any]:
@@ -126,7 +133,8 @@ def engine(chosen: Any, space: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for preset, limit in ENGINE.items():
         name = "linear" if chosen.smoke else preset
-        run = call("identify", "gengine1", [], name, str(space / preset), chosen.smoke)
+        cache = str(space / name)
+        run = call("identify", "gengine1", [], name, cache, *limited(chosen))
         found[preset] = run | aim(run, "seconds", limit)
         if "peak_mb" in run:
             found[preset]["peak_mb_aim"] = target(run["peak_mb"], MEGABYTES)
@@ -189,7 +197,7 @@ def equations(chosen: Any, space: Path) -> dict[str, Any]:
 
 def candidates(chosen: Any, space: Path) -> dict[str, Any]:
     """Twice the same search; the second has all programs."""
-    preset, most = ("linear", 4) if chosen.smoke else ("best", HUNDRED)
+    preset, most = ("linear", SMOKED) if chosen.smoke else ("best", HUNDRED)
     sizes = [RECORDS, SMALL if chosen.smoke else FEW]
     found: dict[str, Any] = {"engine": BED, "asked_for": most}
     for name in ("cold", "warm"):

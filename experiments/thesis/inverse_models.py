@@ -75,7 +75,9 @@ def inverse_of(
     """The direct inverse: its tree as grown, and with its borders optimised."""
     data = turned(train)
     pool = inverse_pool(data.channels)
-    method = jnx.ForwardOLS(max_terms=TERMS + len(forced), forced=forced)
+    # Small ones are of one size, so that direct and forced share their programs.
+    count = TERMS if brief else TERMS + len(forced)
+    method = jnx.ForwardOLS(max_terms=count, forced=forced)
     terms = jnx.select(pool, data, method).value
     tree = jnx.SigmoidTree(
         SCHEDULING, max_models=REGIONS, oblique=False, criterion="none"
