@@ -36,6 +36,8 @@ SAMPLES, ROUNDS = 10_000, 5
 STATES, DEGREE = 3, 2
 STEP = 1e-6
 """Of the central differences."""
+SMALL = 200
+"""Samples of a smoke run, the same everywhere: what one part compiles another loads."""
 AIMS = {"derivatives": 1e-6, "price": 4.0, "cold": 40.0, "compiled": 10.0}
 
 
@@ -114,7 +116,7 @@ def derivatives(smoke: bool) -> dict[str, Any]:
 
     from jaxnarx.refinement.normal import loss, normal_equations
 
-    data = plant(200 if smoke else 600)
+    data = plant(SMALL if smoke else 600)
     task, layout, u = prepared(trained(data), data)
     u = u + 0.01 * np.random.default_rng(1).normal(size=u.size)
     at = task.drive, task.anchors(None), task.weight
@@ -146,7 +148,7 @@ def price(smoke: bool) -> dict[str, Any]:
     from jaxnarx.evaluation import cost
     from jaxnarx.refinement.normal import loss, normal_equations
 
-    data = plant(400 if smoke else SAMPLES)
+    data = plant(SMALL if smoke else SAMPLES)
     with_states = trained(data)
     terms = cost(with_states).parameters
     networks = {"hidden states": with_states, "without": lagged(data, terms)}

@@ -40,6 +40,8 @@ KINDS: dict[str, dict[str, Any]] = {
     "hidden states": {"preset": "good", "states": 2},
 }
 """What `identify` is asked for."""
+SMALL = {"preset": "quick", "states": 1}
+"""What a smoke run asks for in place of hidden states."""
 
 
 def records(name: str, *, small: bool) -> tuple[Any, Any]:
@@ -86,10 +88,11 @@ def compared(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     outputs = outputs[:1] if options.smoke else outputs
     kind = options.kind
     folder = options.runs / "-".join((*kind.split(), name, *options.outputs))
+    asked = KINDS[kind] if kind == "sum" or not options.smoke else SMALL
     pairs = -(-len(outputs) // min(len(outputs), 2))
     fit = jnx.identify(
         train,
-        **KINDS[kind],
+        **asked,
         outputs=outputs,
         budget=60 * options.minutes * pairs,
         folder=folder,
