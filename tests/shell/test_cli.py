@@ -708,26 +708,27 @@ def test_records_beyond_what_a_model_knows_are_told(capsys, both):
     new = columns()
     write("same.csv", new)
     low, high = float(np.min(new["load"])), float(np.max(new["load"]))
-    new["load"][100:160] = high + 2 * (high - low)
+    # so shortly that the outputs stay within the bounds of their feedback
+    new["load"][100:108] = high + 0.5 * (high - low)
     write("new.csv", new)
     text = passes(capsys, ["simulate", both, "same.csv", "new.csv", "--out", "out"])
     assert "of the samples are outside of the model's domain" in text
     assert "farthest: new" in text and "of load" in text
     index = np.array(table("out/new.csv")["index"], float)
-    assert index[100:160].min() > 1 > np.median(index)
+    assert index[100:108].min() > 1 > np.median(index)
     straight, still = (
         passes(capsys, ["simulate", both, "new.csv", "--out", name, "--outside", name])
         and table(f"{name}/new.csv")["NOx simulated"]
         for name in ("linear", "hold")
     )
-    assert straight[:100] == still[:100] and straight[130] != still[130]
+    assert straight[:100] == still[:100] and straight[107] != still[107]
     describe("beyond.toml", 'train = ["new.csv"]')
     told = passes(capsys, ["check", "beyond.toml", "--model", both])
     assert "outside the domain" in told and "of load" in told
     found = json.loads(
         passes(capsys, ["check", "beyond.toml", "--model", both, "--json"])
     )
-    assert 0.1 < found["outside"] < 0.9
+    assert 0.01 < found["outside"] < 0.5
     assert found["excursions"][0]["channel"] == "load"
 
 
