@@ -1,6 +1,7 @@
 """The error of a free run by the index of the domain, in the report."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_a_report_says_how_often_and_how_much(data, tmp_path):
     terms = jnx.select(pool, train, jnx.ForwardOLS(max_terms=3)).value
     net = jnx.grow(terms, train, jnx.Global()).value
     parts = {"train": train, "test": test}
-    plain = {"stability": False, "diagnostics": False}
+    plain: dict[str, Any] = {"stability": False, "diagnostics": False}
     assert jnx.report(net, parts, **plain).domain is None
     net = jnx.trust.learn_domain(net, train)
     # the truth leaves the trained range: that is no divergence here
