@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +63,12 @@ WORKERS = {f.__name__: f for f in (select_terms, simulate, grow, sweep)}
 def measure(before: Path, rounds: int, smoke: bool) -> dict[str, Any]:
     """Best seconds of every figure with either package, and their ratio."""
     versions, best = {"before": before, "after": ROOT}, {}
+    # Small ones in one process: its start takes longer than they do.
+    parts = [tuple(WORKERS)] if smoke else [(name,) for name in WORKERS]
     for n in range(rounds):
-        for name in WORKERS:
+        for names in parts:
             for version in sorted(versions, reverse=bool(n % 2)):
-                found = call(name, versions[version], smoke)
+                found = call(names, versions[version], smoke)
                 print(f"round {n + 1}, {version}: {found}", flush=True)
                 for figure, seconds in found.items():
                     row = best.setdefault(figure, {})
@@ -76,16 +79,16 @@ def measure(before: Path, rounds: int, smoke: bool) -> dict[str, Any]:
     }
 
 
-def call(name: str, checkout: Path, smoke: bool) -> dict[str, float]:
-    """One worker of that checkout in a fresh process, with its package."""
+def call(names: Sequence[str], checkout: Path, smoke: bool) -> dict[str, float]:
+    """Workers of that checkout in a fresh process, with its package."""
     own = checkout / Path(__file__).resolve().relative_to(ROOT)
-    arguments = [sys.executable, str(own), "--worker", name]
+    arguments = [sys.executable, str(own), "--worker", *names]
     path = os.pathsep.join(filter(None, (str(checkout), os.environ.get("PYTHONPATH"))))
     done = child(
         arguments + ["--smoke"] * smoke, environment={"PYTHONPATH": path}, cwd=checkout
     )
     if done.code:
-        raise SystemExit(f"{name} failed in {checkout.name}:\n{done.stderr}")
+        raise SystemExit(f"{names} failed in {checkout.name}:\n{done.stderr}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -96,10 +99,13 @@ def main() -> None:
     parser.add_argument("--smoke", action="store_true", help="everything small, once")
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     parser.add_argument("--note", default="", help="a remark kept with the figures")
-    parser.add_argument("--worker", choices=WORKERS)
+    parser.add_argument("--worker", nargs="+", choices=WORKERS)
     options = parser.parse_args()
     if options.worker:
-        print(json.dumps(WORKERS[options.worker](options.smoke)))
+        found = {}
+        for name in options.worker:
+            found |= WORKERS[name](options.smoke)
+        print(json.dumps(found))
         return
     before = Path(options.before or ROOT).resolve()
     rounds = 1 if options.smoke else options.rounds

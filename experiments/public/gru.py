@@ -46,7 +46,7 @@ def fit_gru(name: str, path: str, output: str, small: bool) -> dict[str, Any]:
     units, seeds = (4, SEEDS[:1]) if small else (UNITS[name], SEEDS)
     tests, lowest, steps = [], [], []
     for seed in seeds:
-        params, error, count = train(scaled, units, seed, 5.0 if small else SECONDS)
+        params, error, count = train(scaled, units, seed, 1.0 if small else SECONDS)
         tests.append(judged(task, lambda part, p=params: scaled.runs(p, part)))
         lowest.append(digits(error))
         steps.append(count)

@@ -149,7 +149,8 @@ def hidden_states(
     tried = list(methods(open_set.name, open_set.train, output, window(open_set)))
     if chosen.smoke:
         linear = (m for m in tried if (m.degree, m.regions) == (1, 1))
-        tried = [replace(m, shrink=m.shrink[:1]) for m in linear][:1]
+        few = {"start": "subspace", "max_steps": 2, "first_steps": 2}
+        tried = [replace(m, shrink=m.shrink[:1], **few) for m in linear][:1]
     for method in tried:
         first = named(method, method.stages[0][0])
         if any(row["name"].startswith(first + ",") for row in board):

@@ -14,6 +14,7 @@ from jaxnarx.errors import DataError
 from jaxnarx.identification import automatic
 from jaxnarx.identification import candidates as module
 from jaxnarx.identification import judge as judging
+from jaxnarx.identification import with_states as module_of_methods
 from jaxnarx.identification.candidates import Candidates
 from jaxnarx.identification.judge import JudgedMethod
 from jaxnarx.identification.leaderboard import Contender
@@ -382,6 +383,8 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
     few = dataclasses.replace(TINY, orders=(1,), patience=9, rule="best")
     monkeypatch.setitem(PRESETS, "tiny", few)
     monkeypatch.setattr(automatic, "cores", lambda: 1)
+    for name, pulls in (("SHORT_PULLS", (0.3, 0.001)), ("PULLS", (0.1, 0.001))):
+        monkeypatch.setattr(module_of_methods, name, pulls)
     asked = []
 
     def judge(method, *args):
