@@ -12,11 +12,7 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
-from jaxnarx.evaluation.domain_errors import (
-    DomainErrors,
-    domain_errors,
-    domain_notes,
-)
+from jaxnarx.evaluation.domain_errors import DomainErrors, domain_errors, domain_notes
 from jaxnarx.evaluation.error_map import ErrorMap, error_maps
 from jaxnarx.evaluation.notes import (
     assess,
