@@ -9,6 +9,7 @@ import pytest
 from smoke import ROOT, experiment
 
 import jaxnarx as jnx
+from jaxnarx.identification import read_search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "open_sets"))
 from own import best_linear, chosen  # noqa: E402 # pyright: ignore
@@ -343,6 +344,9 @@ def test_what_a_kind_of_candidate_gains(kind, tmp_path):
         kind
     ].values()
     assert rows["rows"][0]["others"]["test"] > 0
+    (board,) = (tmp_path / "runs").iterdir()
+    tried = {row.family for row in read_search(board).leaderboard.rows}
+    assert kind in tried
     assert rows["scored"][0]["outputs"] == [rows["rows"][0]["output"]]
 
 

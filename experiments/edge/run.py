@@ -205,7 +205,7 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
 
 def pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Rank correlation over all outputs, errors in standard deviations of the training
-    and in the error of the same network inside of its domain; thinned."""
+    and in the error of the same network inside of its domain."""
     import numpy as np
 
     pools = [row.pop("pool") for row in rows if "pool" in row]

@@ -153,7 +153,7 @@ def connect(
 
     Commands are bounded by `limits` and, in any case, by the bounds that the inverse's
     feedback has had in training; by the forward network's trained range too, if
-    it has limits (`jaxnarx.models.limits`): beyond it holds them, or bends.
+    it has limits (`jaxnarx.models.limits`): commands do not go where it only guesses.
     `SpecError` where the two do not fit, see `wire`, or where a limit leaves no room.
     """
     limits = ActuatorLimits() if limits is None else limits
@@ -162,7 +162,7 @@ def connect(
         _require_named(getattr(limits, field), names, field)
     gain = np.asarray(inverse.gain)[np.array(inverse.signals)]
     low, high = np.asarray(inverse.lower) * gain, np.asarray(inverse.upper) * gain
-    if forward.outside != FLAG:
+    if forward.hold is not None or forward.outside != FLAG:
         at = [forward.channels.signal(name) for name in names]
         low = np.maximum(low, np.asarray(forward.low)[at])
         high = np.minimum(high, np.asarray(forward.high)[at])

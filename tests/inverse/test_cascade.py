@@ -19,6 +19,7 @@ from inverse_problems import (
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse import cascade, inverse_data
+from jaxnarx.inverse.loop import connect
 from jaxnarx.methods import Global, Lolimot
 from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network, hold_to_range
@@ -111,6 +112,18 @@ def test_a_forward_network_with_limits_sees_what_it_was_trained_on(
         solution.stats["held"], [m.sum(axis=0) for m in value.held]
     )
     assert solution.stats["held"].sum() > 0
+
+
+@pytest.mark.parametrize("outside", ["flag", "linear"])
+def test_commands_keep_to_the_range_of_a_network_with_limits_of_any_kind(
+    clean, forward, inverse, outside
+):
+    ends = jnp.array([-0.5, -9.0, -9.0]), jnp.array([0.6, 9.0, 9.0])
+    narrow = dataclasses.replace(forward, low=ends[0], high=ends[1])
+    found = connect(inverse, hold_to_range(narrow, 0.1, outside=outside))
+    free = connect(inverse, narrow)
+    assert found.low[0] == -0.5 and found.high[0] == 0.6
+    assert free.low[0] < -0.5 and free.high[0] > 0.6
 
 
 def test_an_inverse_with_limits_sees_what_it_was_trained_on(clean, forward, inverse):

@@ -151,7 +151,5 @@ def test_interrupts(battery, place, name):
             completed(line)
             assert not leftovers() and require_sound(name, 0)
 
-    # Two processes take twice as long, and most of what happens to one happens there.
-    share = 100 if "--workers" in line else 60
-    small = type(battery)(battery.seed, -(-battery.cases // share), battery.first)
+    small = type(battery)(battery.seed, -(-battery.cases // 60), battery.first)
     small.run(attempt, seconds=2 * LIMIT, megabytes=2000)

@@ -10,7 +10,8 @@ the same holds for every mean, whatever the inputs: S. Boyd, L. El Ghaoui, E. Fe
 Balakrishnan, Linear Matrix Inequalities in System and Control Theory, SIAM 1994,
 section 5.1. A past output that is multiplied by inputs makes A_i an interval, which
 inputs held at the edge of their ranges (`jaxnarx.models.limits`) cannot leave; its
-corners decide.
+corners decide. It is said of runs that stay inside their feedback bounds, and of the
+network it was found for: `rate_of` tells what it proves of one that was changed since.
 """
 
 import dataclasses

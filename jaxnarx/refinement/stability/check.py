@@ -70,10 +70,11 @@ class Stability:
             rate = self.certificate.rate
             constant = time_constant(rate) * self.sample_time
             return (
-                "Contracts whatever the inputs, proven by one norm for all local "
-                "models: two runs with the same inputs approach each other with a time "
-                f"constant of {_figure(constant)} s or less (rate {rate:.4f} a sample, "
-                f"overshoot up to {_figure(self.certificate.overshoot)})."
+                "Contracts whatever the inputs, while no bound holds its outputs: "
+                "proven by one norm for all local models; two runs with the same "
+                "inputs approach each other with a time constant of "
+                f"{_figure(constant)} s or less (rate {rate:.4f} a sample, overshoot "
+                f"up to {_figure(self.certificate.overshoot)})."
             )
         seen = f"{bound.samples} samples"
         if bound.samples < bound.of:
