@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
-from jaxnarx.models import FLAG, HOLD, LINEAR, Network
+from jaxnarx.models import FLAG, HOLD, LINEAR, NAN, Network
 
 NOTICEABLE = 0.01
 """Share of samples outside from which a report says so."""
@@ -87,6 +87,7 @@ def range_notes(
         FLAG: "where the model extrapolates",
         HOLD: "at whose edge the model's limits hold its inputs",
         LINEAR: "from whose edge the model goes on to first order",
+        NAN: "of which the model says nothing",
     }[outside]
     return [
         f"{100 * value:.3g} % of the {part} samples lie outside the range of the "

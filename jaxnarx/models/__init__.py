@@ -34,6 +34,8 @@ from jaxnarx.models.narrow import narrowed as narrowed
 from jaxnarx.models.network import FLAG as FLAG
 from jaxnarx.models.network import HOLD as HOLD
 from jaxnarx.models.network import LINEAR as LINEAR
+from jaxnarx.models.network import NAN as NAN
+from jaxnarx.models.network import OUTSIDE as OUTSIDE
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel

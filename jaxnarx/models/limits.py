@@ -7,7 +7,8 @@ Outside of them polynomials say anything. What inputs do there is the network's
 - `"hold"`: they stay at the edge of their trained range;
 - `"linear"`: validity functions and products stay as they are at the edge, and from
   there terms of inputs alone go on to first order, so that gains and poles are those of
-  the edge.
+  the edge;
+- `"nan"`: as `"flag"`, and nothing is reported of such samples: they are not a number.
 
 Inputs are held before anything is computed from them, in runs, training and linearised
 networks alike (`Network.within`). What is reported of an output stays within that
@@ -124,7 +125,7 @@ def reported(
 
 def held_inputs(network: Network, batch: Batch) -> Batch:
     """The records as the network sees them, on the host: see `Network.within`."""
-    if network.outside == FLAG:
+    if network.plain:
         return batch
     signals, inputs = np.array(batch.signals), len(network.channels.inputs)
     low, high = (np.asarray(a)[:inputs] for a in (network.low, network.high))

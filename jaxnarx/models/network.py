@@ -31,7 +31,7 @@ from jaxnarx.regressors import (
     variable_names,
 )
 
-FLAG, HOLD, LINEAR = "flag", "hold", "linear"
+FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
 """What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
 go on from the edge to first order."""
 SHOWN = 6
@@ -100,12 +100,12 @@ class Network(eqx.Module):
     of the modelled outputs among `channels.outputs`. `models` computes these and, after
     them, all hidden channels. `gain` brings signals to unit size. `lower` and `upper`
     bound what is simulated (scaled); `low` and `high` are the training ranges in
-    physical units. `outside` says what inputs beyond theirs do, "flag", "hold" or
-    "linear" (`jaxnarx.models.limits`), `hold`, if any, by which share of its range a
-    reported output may leave it. `domain` is what the network knows of its training
-    (`jaxnarx.models.domain`), `certificate` a norm of the past outputs, newest first,
-    in which it contracts (`jaxnarx.refinement.stability.certificate`). A free run
-    starts from `history` measured samples, those of local models with their own
+    physical units. `outside` says what inputs beyond theirs do, "flag", "hold",
+    "linear" or "nan" (`jaxnarx.models.limits`), `hold`, if any, by which share of its
+    range a reported output may leave it. `domain` is what the network knows of its
+    training (`jaxnarx.models.domain`), `certificate` a norm of the past outputs, newest
+    first, in which it contracts (`jaxnarx.refinement.stability.certificate`). A free
+    run starts from `history` measured samples, those of local models with their own
     feedback too; hidden channels start from what the
     outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
     """
@@ -129,10 +129,9 @@ class Network(eqx.Module):
     )
 
     def __check_init__(self):
-        if self.outside not in (FLAG, HOLD, LINEAR):
+        if self.outside not in OUTSIDE:
             raise SpecError(
-                f"outside must be {FLAG!r}, {HOLD!r} or {LINEAR!r}, got "
-                f"{self.outside!r}",
+                f"outside must be one of {', '.join(OUTSIDE)}, got {self.outside!r}",
                 field="outside",
             )
         if len(self.models) != len(self.modelled) + len(self.channels.hidden):
@@ -187,6 +186,7 @@ class Network(eqx.Module):
             FLAG: "inputs beyond their trained ranges as they are",
             HOLD: "inputs held within their trained ranges",
             LINEAR: "beyond the trained ranges of the inputs on to first order",
+            NAN: "no number beyond the trained ranges of the inputs",
         }
         text = words[self.outside]
         if self.hold is not None:
@@ -213,6 +213,11 @@ class Network(eqx.Module):
         """Samples needed before the first prediction that counts: the history, and the
         window from which hidden channels are estimated."""
         return self.history + self.window
+
+    @property
+    def plain(self) -> bool:
+        """Whether inputs beyond their ranges are computed with as they are."""
+        return self.outside in (FLAG, NAN)
 
     @property
     def parallel(self) -> bool:
@@ -291,7 +296,7 @@ class Network(eqx.Module):
         `signal` tells which signals the columns are, by default all in order; physical
         units. The slope by an input is one up to and at the edge, and zero beyond.
         """
-        if self.outside == FLAG:
+        if self.plain:
             return values
         at = np.arange(values.shape[-1]) if signal is None else signal
         given, lead = at < len(self.channels.inputs), (1,) * (values.ndim - 1)

@@ -19,6 +19,7 @@ Needed = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 Whole = Annotated[int | None, optional("INT")]
 Outside = Annotated[
-    Literal["flag", "hold", "linear"] | None, optional("{flag,hold,linear}")
+    Literal["flag", "hold", "linear", "nan"] | None,
+    optional("{flag,hold,linear,nan}"),
 ]
 Percent = Annotated[float | None, optional("PERCENT")]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data.batch import Batch
-from jaxnarx.models import Network, reported
+from jaxnarx.models import NAN, Network, reported
 from jaxnarx.simulation.masks import tables
 
 SHARE = 0.05
@@ -23,7 +23,8 @@ IN_A_ROW = 50
 class Trajectories:
     """Outputs of a run, one array per record, in physical units.
 
-    Samples before the first prediction repeat the measurement. `scored` marks predicted
+    Samples before the first prediction repeat the measurement; those of which a network
+    says nothing (`outside="nan"`) are NaN, and not scored. `scored` marks predicted
     samples whose measurement is valid, `limited` those held by the feedback bound (of a
     k-step prediction: those that the bound held on the way, for k = 1 none; or that are
     beyond all numbers), `held` those of a network with limits whose output is at the
@@ -115,6 +116,9 @@ def make_trajectories(
     lost = ~np.isfinite(computed)
     computed = np.where(lost, lower * gain, computed)
     extrapolated = _extrapolated(network, batch, ahead and ahead[0])
+    silent = np.zeros_like(extrapolated)
+    if network.outside == NAN:
+        silent = _extrapolated(network, batch, None)
     if ahead is None:
         limited = lost | (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
     else:
@@ -129,6 +133,8 @@ def make_trajectories(
     )
     inputs = np.asarray(batch.signals)[..., : len(network.channels.inputs)]
     edge, at_edge = reported(network, outputs, inputs)
+    edge = np.where(silent[..., None], np.nan, edge)
+    scored = np.asarray(scored) & ~silent[..., None]
     columns: tuple[list, ...] = ([], [], [], [], [], [], [])
     for n, record in enumerate(data):
         length = len(record)

@@ -17,6 +17,7 @@ from jaxnarx.models import (
     FLAG,
     HOLD,
     LINEAR,
+    NAN,
     advance,
     fed_back,
     hold_to_range,
@@ -188,10 +189,28 @@ def test_a_file_keeps_what_inputs_do(tmp_path):
 
 def test_another_word_is_refused():
     refused = partial(hold_to_range, ranged("coupled", FLAG), outside="nowhere")
-    with pytest.raises(SpecError, match="'flag', 'hold' or 'linear'"):
+    with pytest.raises(SpecError, match="flag, hold, linear, nan"):
         refused()
 
 
 def test_it_is_told_in_print():
     assert "on to first order" in str(ranged("coupled", LINEAR))
     assert "inputs held" in str(ranged("coupled", HOLD))
+
+
+def test_a_network_may_say_nothing_beyond_its_ranges():
+    net, data = ranged("coupled", FLAG), common.dataset()
+    free = jnx.simulate(net, data).value
+    silent = jnx.simulate(hold_to_range(net, None, outside=NAN), data).value
+    gone = 0
+    for n, y in enumerate(silent.outputs):
+        out = free.extrapolated[n].copy()
+        out[: net.history] = False
+        assert np.all(np.isnan(y) == out[:, None])
+        np.testing.assert_array_equal(y[~out], free.outputs[n][~out])
+        np.testing.assert_array_equal(silent.scored[n], free.scored[n] & ~out[:, None])
+        np.testing.assert_array_equal(silent.computed[n], free.outputs[n])
+        gone += out.sum()
+    assert gone > 20
+    for a, b in zip(silent.diverged, free.diverged, strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -21,7 +21,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import FLAG, Network, OutputModel, depth, fed_back
+from jaxnarx.models import Network, OutputModel, depth, fed_back
 from jaxnarx.refinement.stability.norm import contracting_norm, norms
 from jaxnarx.refinement.stability.points import companion, groups_of
 from jaxnarx.regressors import LowPass
@@ -176,7 +176,7 @@ def _corners(
 def _range(network: Network, variables: tuple[int, ...]) -> tuple[float, float] | None:
     """Ends of a product of scaled inputs held in their ranges; None where they are not
     held, or leave their ranges by a filter."""
-    if network.outside == FLAG:
+    if network.plain:
         return None
     low, high = 1.0, 1.0
     for variable in variables:
