@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
     from jaxnarx.trust import domain as domain
+    from jaxnarx.trust import intervals as intervals
 
 _HOME = {
     "data": "Channel Channels Dataset check read read_split suggest_lags",
@@ -103,7 +104,7 @@ _HOME = {
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
     "sweep": "Fleet IdentificationWork read_sweep run_sweep",
-    "trust": "domain",
+    "trust": "domain intervals",
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
 

@@ -12,6 +12,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
@@ -87,7 +90,8 @@ def search(
             stopped = True
         facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
         found = _solution(race.store, list(outputs), stopped, facts)
-        network = knowing(released(found.value), data, groups)
+        left = _left_out(race.store.leaderboard, found.value, data)
+        network = knowing(released(found.value), data, groups, left)
         return dataclasses.replace(found, value=network)
 
 
@@ -181,6 +185,23 @@ class Race:
         finally:
             for side in running.values():
                 side.close()
+
+
+def _left_out(
+    board: Leaderboard, network: Network, data: Dataset
+) -> Float[np.ndarray, "outputs groups"] | None:
+    """Free-run RMSE of every group left out, in the outputs' units; None where no
+    candidate was fit to be chosen."""
+    found = []
+    for name in network.output_names:
+        row, o = board.chosen(name), data.channels.output_names.index(name)
+        if row is None:
+            return None
+        seen = [r.valid[:, len(data.channels.inputs) + o] for r in data]
+        y = [r.y[s, o] for r, s in zip(data, seen, strict=True)]
+        errors = [np.nan if error is None else error for error in row.groups]
+        found.append(np.array(errors) * np.concatenate(y).std())
+    return np.stack(found)
 
 
 def _solution(

@@ -87,6 +87,9 @@ class SimulationError:
     none."""
     contraction: Positive = 1.0
     """Norm of a step's linearisation above which the penalty acts."""
+    stable: bool = False
+    """Keep the certificate of the start: the result contracts for every input there is
+    (`jaxnarx.refinement.certificate`)."""
     batch: Count = 32
     """Windows in one update of the solver `"windows"`."""
     learning_rate: Positive = 0.01

@@ -7,6 +7,9 @@ from jaxnarx.models.assemble import output_model as output_model
 from jaxnarx.models.assemble import ranged as ranged
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain
+from jaxnarx.models.error_model import GROWTH as GROWTH
+from jaxnarx.models.error_model import LEVELS as LEVELS
+from jaxnarx.models.error_model import ErrorModel as ErrorModel
 from jaxnarx.models.feedback import advance as advance
 from jaxnarx.models.feedback import collapse as collapse
 from jaxnarx.models.feedback import collapsed_step as collapsed_step

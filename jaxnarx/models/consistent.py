@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.models.domain import LAYERS, Domain
+from jaxnarx.models.error_model import LEVELS, ErrorModel
 from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.regressors import require_sampled
 
@@ -57,6 +58,28 @@ def require_consistent(network: Network) -> None:
         _require(len(size) == 2 and size[0] == size[1], "the certificate is no norm")
     if network.domain is not None:
         _check_domain(network.domain)
+    if network.errors is not None:
+        _require(network.domain is not None, "errors are told by a domain")
+        _check_errors(network.errors, network)
+
+
+def _check_errors(errors: ErrorModel, network: Network) -> None:
+    """What belongs to an error model, output by output."""
+    outputs, domain = len(network.modelled), network.domain
+    variables = 0 if domain is None else len(domain.features) + len(domain.inputs) + 3
+    shape = errors.knots.shape
+    _require(
+        shape[:2] == (outputs, variables) and shape[2:] >= (2,), "knots of the errors"
+    )
+    _require(errors.height.shape == shape, "heights of the errors")
+    _require(errors.constant.shape == (outputs,), "sizes of the errors")
+    _require(errors.quantile.shape == (outputs, len(LEVELS)), "quantiles of the errors")
+    _require(np.all(np.diff(errors.knots) > 0), "knots of the errors do not rise")
+    _require(
+        np.all(np.asarray(errors.quantile) >= 0)
+        and np.all(np.diff(errors.quantile) >= 0),
+        "quantiles of the errors do not rise",
+    )
 
 
 def _check_domain(domain: Domain) -> None:

@@ -49,4 +49,5 @@ def narrowed(network: Network) -> Network:
         outside=network.outside,
         domain=network.domain,
         certificate=network.certificate,
+        errors=network.errors,
     )

@@ -21,6 +21,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.data.channels import numbered
 from jaxnarx.errors import SpecError
 from jaxnarx.models.domain import Domain
+from jaxnarx.models.error_model import ErrorModel
 from jaxnarx.models.validity import AbstractValidity, weights_of
 from jaxnarx.regressors import (
     Variables,
@@ -104,7 +105,8 @@ class Network(eqx.Module):
     "linear" or "nan" (`jaxnarx.models.limits`), `hold`, if any, by which share of its
     range a reported output may leave it. `domain` is what the network knows of its
     training (`jaxnarx.models.domain`), `certificate` a norm of the past outputs, newest
-    first, in which it contracts (`jaxnarx.refinement.stability.certificate`). A free
+    first, in which it contracts (`jaxnarx.refinement.stability.certificate`), `errors`
+    how far measurements lie from its free run (`jaxnarx.models.error_model`). A free
     run starts from `history` measured samples, those of local models with their own
     feedback too; hidden channels start from what the
     outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
@@ -127,6 +129,7 @@ class Network(eqx.Module):
     certificate: Float[Array, "states states"] | None = eqx.field(
         default=None, kw_only=True
     )
+    errors: ErrorModel | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         if self.outside not in OUTSIDE:
@@ -200,7 +203,8 @@ class Network(eqx.Module):
         needs, for programs."""
         own = self.channels
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
-        return twin(self, channels=numbered(*counts), domain=None, certificate=None)
+        bare = dict(domain=None, certificate=None, errors=None)
+        return twin(self, channels=numbered(*counts), **bare)
 
     @property
     def history(self) -> int:

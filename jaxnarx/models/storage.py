@@ -7,7 +7,8 @@ filtered variables is written as format 2, one with other validity functions tha
 Gaussians as format 3, one that is held to its trained ranges as format 5, one with
 hidden channels as format 6, one with groups of local models that have feedback of their
 own as format 7, one with a domain, a certificate, or inputs that are not held where its
-outputs are, as format 8, so that older programs say what they lack; any other is still
+outputs are, as format 8, one with prediction intervals, or that says nothing beyond its
+ranges, as format 9, so that older programs say what they lack; any other is still
 written as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a
 group is a local model alone.
 """
@@ -32,7 +33,15 @@ from jaxnarx.files import write_whole
 from jaxnarx.guard import guarded
 from jaxnarx.models.consistent import LONGEST, require_consistent
 from jaxnarx.models.domain import Domain
-from jaxnarx.models.network import FLAG, HOLD, LocalModels, Network, OutputModel
+from jaxnarx.models.error_model import ErrorModel
+from jaxnarx.models.network import (
+    FLAG,
+    HOLD,
+    NAN,
+    LocalModels,
+    Network,
+    OutputModel,
+)
 from jaxnarx.models.validity import KINDS, Gaussians
 from jaxnarx.regressors import (
     Variables,
@@ -40,7 +49,7 @@ from jaxnarx.regressors import (
     filter_to_dict,
 )
 
-FORMAT = 8
+FORMAT = 9
 """Newest format read."""
 
 
@@ -92,6 +101,8 @@ def _usual(hold: object) -> str:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if network.errors is not None or network.outside == NAN:
+        return 9
     if _edge(network) or network.certificate is not None:
         return 8
     if network.parallel:
@@ -362,6 +373,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
         outside=_text(header.get("outside", _usual(hold))),
         domain=_domain(header, get),
         certificate=get(".certificate") if ".certificate" in tensors else None,
+        errors=_errors(get) if ".errors.knots" in tensors else None,
     )
     require_consistent(network)
     return network
@@ -374,6 +386,13 @@ def _domain(header: dict[str, Any], get: Callable[..., jax.Array]) -> Domain | N
     features = _variables(header["domain"], "features", len(header["inputs"]))
     names = [f.name for f in dataclasses.fields(Domain) if f.name != "features"]
     return Domain(features, *(get(f".domain.{name}") for name in names))
+
+
+def _errors(get: Callable[..., jax.Array]) -> ErrorModel:
+    """The error model."""
+    return ErrorModel(
+        *(get(f".errors.{field.name}") for field in dataclasses.fields(ErrorModel))
+    )
 
 
 def _groups(own: jax.Array) -> jax.Array:

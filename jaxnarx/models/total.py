@@ -58,7 +58,7 @@ def total(networks: Sequence[Network], weights: Sequence[float]) -> Network:
     if len(own):
         model = dataclasses.replace(model, own=jax.device_put(own))
     whole = dataclasses.replace(first, variables=variables, models=(model,))
-    return dataclasses.replace(whole, domain=None, certificate=None)
+    return dataclasses.replace(whole, domain=None, certificate=None, errors=None)
 
 
 class _Part(NamedTuple):

@@ -18,6 +18,7 @@ from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
 from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.stability import first_horizon
+from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
@@ -88,6 +89,19 @@ def refine(
     """
     method = SimulationError() if method is None else method
     data = fitting(network, data)
+    if isinstance(method, SimulationError) and method.stable:
+        bare = dataclasses.replace(method, stable=False)
+        given = {"trainable": trainable, "weights": weights, "progress": progress}
+
+        def again(start: Network, deviations: Network | None) -> Solution[Network]:
+            given["deviations"] = deviations
+            return refine(start, data, bare, validation=validation, **given)
+
+        _require_free(deviations)
+        judge = data if validation is None else fitting(network, validation)
+        return refine_stable(network, judge, again)
+    # Of a network that changes they say nothing any more.
+    network = dataclasses.replace(network, certificate=None, errors=None)
     settings = {}
     if isinstance(method, SimulationError):
         settings = {"loss": method.loss, "box_cox": method.box_cox}
@@ -178,6 +192,15 @@ def refine_task(
     solution.stats["cross_validation"] = scores
     solution.stats["limit"] = limit
     return solution
+
+
+def _require_free(deviations: Network | None) -> None:
+    """SpecError for a prior beside a certificate."""
+    if deviations is not None:
+        raise SpecError(
+            "stable and deviations do not go together; leave one out",
+            field="deviations",
+        )
 
 
 def _require_outputs(

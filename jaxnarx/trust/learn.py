@@ -36,16 +36,19 @@ SPREAD = 1e-9
 class InputRows:
     """Features and input steps of samples, all that a domain looks at; physical units.
 
-    `group` is what each is left out with, -1 where it is in no group.
+    `group` is what each is left out with, -1 where it is in no group; `at_sample` its
+    place among all samples, record after record.
     """
 
     x: Float[np.ndarray, "features time"]
     step: Float[np.ndarray, "used time"]
     group: Int[np.ndarray, " time"]
+    at_sample: Int[np.ndarray, " time"]
 
     def at(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
         """These samples alone."""
-        return InputRows(self.x[:, some], self.step[:, some], self.group[some])
+        parts = self.x[:, some], self.step[:, some], self.group[some]
+        return InputRows(*parts, self.at_sample[some])
 
 
 @guarded
@@ -91,7 +94,7 @@ def learn_domain(
     rows = feature_rows(features, data, groups)
     weight = np.tile(weight, 2)
     found = _made(features, rows, weight, points)
-    border = jax.device_put(_border(found, rows, points))
+    border = jax.device_put(_border(found, rows))
     domain = dataclasses.replace(found, border=border)
     return dataclasses.replace(network, domain=domain)
 
@@ -126,7 +129,9 @@ def feature_rows(
     if groups is not None:
         for n, label in enumerate(groups.labels):
             group[n, : len(label)] = label
-    return InputRows(x, step, group.reshape(-1)[at])
+    there = np.arange(length)[None] < np.array([len(r) for r in data])[:, None]
+    place = np.cumsum(there.reshape(-1)) - 1
+    return InputRows(x, step, group.reshape(-1)[at], place[at])
 
 
 def followed(
@@ -270,22 +275,29 @@ def _spread_out(
     return rows[chosen]
 
 
-def _border(
-    domain: Domain, rows: InputRows, points: int
-) -> Float[np.ndarray, " layers"]:
-    """Where every layer has its border, so that of the samples left out 95 % are
-    inside of all. Without groups, where the training itself reaches."""
-    weight, seen = np.asarray(domain.weight), []
+def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time layers"]:
+    """Layers of all samples, of every group by a domain of the others, with the borders
+    of this one; of samples that are in no group, by this one."""
+    weight, points = np.asarray(domain.weight), len(domain.points)
+    values = layers_of(domain, rows)[0].copy()
     for g in range(rows.group.max(initial=-1) + 1):
         out = rows.group == g
         train = rows.at(~out & (rows.group >= 0))
         if out.any() and len(train.group):
             fold = _made(domain.features, train, weight, points)
-            seen.append(layers_of(fold, rows.at(out))[0])
-    if not seen:
-        reach = layers_of(domain, rows)[0].max(axis=0)
+            fold = dataclasses.replace(fold, border=domain.border)
+            values[out] = layers_of(fold, rows.at(out))[0]
+    return values
+
+
+def _border(domain: Domain, rows: InputRows) -> Float[np.ndarray, " layers"]:
+    """Where every layer has its border, so that of the samples left out 95 % are
+    inside of all. Without groups, where the training itself reaches."""
+    values = fold_layers(domain, rows)
+    if rows.group.max(initial=-1) < 1:
+        reach = values.max(axis=0)
         return np.where(reach > 0, reach, 1.0)
-    values = np.concatenate(seen)
+    values = values[rows.group >= 0]
     each = np.quantile(values, 1 - ALARMS, axis=0)
     # Ranges and steps of the training itself are known, however seldom they are met.
     own = np.isin(LAYERS, ("range", "rate"))

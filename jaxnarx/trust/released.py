@@ -4,25 +4,36 @@ import dataclasses
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.models import FLAG, LINEAR, Network, hold_to_range
 from jaxnarx.refinement import certified
+from jaxnarx.trust.errors import learn_errors
 from jaxnarx.trust.learn import learn_domain
 
 WIDE = 100.0
 """Bounds of the feedback of a network with a certificate, in widths of the range."""
 
 
-def knowing(network: Network, data: Dataset, groups: Groups | None = None) -> Network:
-    """The network with its domain, where it has inputs and the records can be run, and
-    with its certificate, where there is one."""
+def knowing(
+    network: Network,
+    data: Dataset,
+    groups: Groups | None = None,
+    left_out: Float[np.ndarray, "outputs groups"] | None = None,
+) -> Network:
+    """The network with its domain, where it has inputs and the records can be run, with
+    its certificate, where there is one, and, where the errors of groups left out are
+    known, with prediction intervals."""
     network = certified(network)
     try:
-        return learn_domain(network, data, groups=groups)
+        network = learn_domain(network, data, groups=groups)
     except JaxnarxError:
         return network
+    if left_out is None:
+        return network
+    return learn_errors(network, data, groups=groups, left_out=left_out)
 
 
 def released(network: Network) -> Network:

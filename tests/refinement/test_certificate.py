@@ -10,6 +10,7 @@ from common import A
 
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
 from jaxnarx.models import FLAG, HOLD, LINEAR, hold_to_range
 from jaxnarx.refinement import certificate, certified, rate_of
 from jaxnarx.refinement.stability.certificate import _blocks
@@ -138,3 +139,41 @@ def test_what_has_one_may_follow_its_inputs_far_beyond():
     found = knowing(released(own), data)
     assert found.certificate is None and found.outside == LINEAR
     np.testing.assert_array_equal(found.upper, own.upper)
+
+
+def answered(net, noise: float = 0.0) -> Dataset:
+    """Records of what a network answers to steps within its ranges."""
+    rng = np.random.default_rng(4)
+    names = {"inputs": ["a", "b"], "outputs": ["y", "w"], "sample_time": 0.1}
+    u = [np.repeat(rng.uniform(-1, 1, (15, 2)), 20, axis=0) for _ in range(2)]
+    still = [np.zeros((300, 2)) for _ in u]
+    run = jnx.simulate(net, Dataset.from_arrays(u, still, **names)).value.outputs
+    y = [np.concatenate([one, one], axis=1) for one in run]
+    y = [one + noise * rng.normal(size=one.shape) for one in y]
+    return Dataset.from_arrays(u, y, **names)
+
+
+def test_refinement_keeps_a_certificate_that_it_would_lose():
+    truth = network([local(1.2, -0.6), local(-1.2, -0.6)])
+    start = certified(network([local(0.5, -0.2), local(-0.5, -0.2)]))
+    assert start.certificate is not None and certificate(truth) is None
+    data = answered(truth, noise=0.01)
+    few = dict(horizons=(10,), max_steps=6, window_steps=4)
+    free = jnx.refine(start, data, jnx.SimulationError(**few)).value
+    assert certificate(free) is None and free.certificate is None
+    kept = jnx.refine(start, data, jnx.SimulationError(**few, stable=True))
+    assert rate_of(kept.value) < 1
+    errors = [
+        sum(
+            float(np.sum((r.y[:, :1] - y)[s] ** 2))
+            for r, y, s in zip(data, run.outputs, run.scored, strict=True)
+        )
+        for run in (jnx.simulate(n, data).value for n in (start, kept.value, free))
+    ]
+    assert errors[2] < errors[1] < errors[0]
+
+
+def test_a_start_without_a_certificate_cannot_keep_one():
+    bare = network([local(1.8, -0.9), local(-1.8, -0.9)])
+    with pytest.raises(SpecError, match="no certificate to keep"):
+        jnx.refine(bare, answered(bare), jnx.SimulationError(stable=True))

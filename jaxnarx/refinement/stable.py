@@ -1,0 +1,127 @@
+"""Refinement that keeps a certificate (`jaxnarx.refinement.stability.certificate`).
+
+All is refined freely. Where that loses the certificate, the coefficients of past
+outputs go back towards those of the start, as far as they must: with the norm of the
+start as constraint the set of them that is certified is convex, so that there is a way.
+What is left is then refined once more around them.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.models import Network, OutputModel, fed_back
+from jaxnarx.refinement.stability import certificate, certified
+from jaxnarx.simulation import simulate
+from jaxnarx.solution import RESULTS, Solution
+
+HALVINGS = 10
+"""Of the way back to the start."""
+STILL = 1e-6
+"""Standard deviation of a coefficient that stays, in shares of its size."""
+
+Refine = Callable[[Network, Network | None], Solution[Network]]
+"""From a start, with standard deviations of a prior around it."""
+
+
+def refine_stable(
+    network: Network, judge: Dataset, refine: Refine
+) -> Solution[Network]:
+    """The best of the start and of what `refine` makes of it that has a certificate.
+
+    `judge` are records whose free run decides. `SpecError` where the start has none.
+    """
+    if certificate(network) is None:
+        raise SpecError(
+            "stable: the network has no certificate to keep. One whose local models "
+            "share their feedback, or are close to doing so, has one: see "
+            'jaxnarx.refinement.certificate, and identify with preset="ecu"',
+            field="stable",
+        )
+    found = refine(network, None)
+    if certificate(found.value) is not None:
+        return dataclasses.replace(found, value=certified(found.value))
+    back = _pulled(network, found.value)
+    again = refine(back, _only_feedback_still(back))
+    every = [network, back, _pulled(back, again.value)]
+    errors = [_error(one, judge) for one in every]
+    best = int(np.argmin(errors))
+    detail = (
+        f"{again.detail}; feedback held back to keep the certificate "
+        f"({np.sqrt(_error(found.value, judge)):.4g} without)"
+    )
+    status = again.status if best else RESULTS.no_improvement
+    value = certified(every[best])
+    return dataclasses.replace(again, value=value, status=status, detail=detail)
+
+
+def _pulled(start: Network, end: Network) -> Network:
+    """The end, with past outputs' coefficients as near to it as has a certificate."""
+
+    def between(share: float) -> Network:
+        models = [
+            eqx.tree_at(
+                lambda model: model.local.coefficient,
+                new,
+                jnp.where(
+                    _of_past(end, new),
+                    old.local.coefficient
+                    + share * (new.local.coefficient - old.local.coefficient),
+                    new.local.coefficient,
+                ),
+            )
+            for old, new in zip(start.models, end.models, strict=True)
+        ]
+        return dataclasses.replace(end, models=tuple(models))
+
+    if certificate(between(1.0)) is not None:
+        return between(1.0)
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if certificate(between(middle)) is None:
+            high = middle
+        else:
+            low = middle
+    return between(low)
+
+
+def _of_past(network: Network, model: OutputModel) -> Bool[np.ndarray, "models slots"]:
+    """Coefficients of terms that hold a past output."""
+    fed = {row + 1 for row, *_ in fed_back(network.variables, network.signals)}
+    terms = np.isin(np.asarray(model.local.factor), list(fed)).any(axis=1)
+    return terms[np.asarray(model.local.index)]
+
+
+def _only_feedback_still(network: Network) -> Network:
+    """A prior that holds the coefficients of past outputs, and nothing else."""
+    free = jax.tree.map(lambda leaf: jnp.full(jnp.shape(leaf), jnp.inf), network)
+    models = []
+    for own, model in zip(network.models, free.models, strict=True):
+        value = jnp.abs(own.local.coefficient)
+        size = STILL * jnp.maximum(value, STILL)
+        still = jnp.where(_of_past(network, own), size, jnp.inf)
+        models.append(eqx.tree_at(lambda m: m.local.coefficient, model, still))
+    return dataclasses.replace(free, models=tuple(models))
+
+
+def _error(network: Network, data: Dataset) -> float:
+    """Mean squared error of the free run in the outputs' variances."""
+    run = simulate(network, data).value
+    if any(d.any() for d in run.diverged):
+        return np.inf
+    own = list(network.modelled)
+    parts = list(zip(data, run.outputs, run.scored, strict=True))
+    total = []
+    for k, o in enumerate(own):
+        y = np.concatenate([r.y[s[:, k], o] for r, _, s in parts])
+        error = y - np.concatenate([run[s[:, k], k] for _, run, s in parts])
+        total.append(np.mean(error**2) / max(float(np.var(y)), 1e-300))
+    return float(np.mean(total))

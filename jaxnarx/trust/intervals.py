@@ -1,0 +1,104 @@
+"""The verb `intervals`: where measurements lie around a free run."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
+from jaxnarx.models import LEVELS, Network
+from jaxnarx.simulation import Trajectories, fitting, simulate
+from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.trust.errors import told_by
+from jaxnarx.trust.learn import feature_rows, layers_of
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Intervals:
+    """Prediction intervals of a free run, one array per record, in physical units.
+
+    A measurement lies from `lower` to `upper` with probability `level`. `run` is the
+    free run they belong to. Where an input is not valid, they are as wide as all
+    numbers.
+    """
+
+    run: Trajectories
+    lower: tuple[Float[np.ndarray, "_ outputs"], ...]
+    upper: tuple[Float[np.ndarray, "_ outputs"], ...]
+    level: float
+
+    def __len__(self) -> int:
+        return len(self.lower)
+
+    @property
+    def scored(self) -> tuple[Bool[np.ndarray, "_ outputs"], ...]:
+        """Predicted samples whose measurement is valid."""
+        return self.run.scored
+
+
+@guarded
+def intervals(
+    network: Network,
+    data: Dataset,
+    *,
+    level: float | int = 0.9,
+    run: Trajectories | None = None,
+) -> Solution[Intervals]:
+    """Free run of every record with intervals that hold a share `level` of what is
+    measured.
+
+    They come from records left out when the network was made, and widen where the
+    domain of the network ends (`jaxnarx.models.error_model`). How well they hold on
+    records that took no part is told by a report. `jnx.bands` answers another question:
+    how sure the parameters are, if the structure is right.
+
+    Args:
+        network: A network that knows its errors: one of a search, or of
+            `jnx.trust.learn_errors`.
+        data: Records with its channels, at its sample time.
+        level: Probability, from .5 to .99.
+        run: The free run on `data` where it is at hand.
+
+    Returns:
+        `value` holds by record, in physical units, `lower` and `upper`, and the `run`.
+        Status as of `simulate`.
+
+    Example:
+        known = jnx.trust.learn_errors(network, data)
+        found = jnx.intervals(known, data, level=0.9).value
+        print(found.lower[0][-1], found.upper[0][-1])
+    """
+    if not LEVELS[0] <= level <= LEVELS[-1]:
+        raise SpecError(
+            f"level must lie from {LEVELS[0]} to {LEVELS[-1]}, got {level}",
+            field="level",
+        )
+    known, domain = network.errors, network.domain
+    if known is None or domain is None:
+        raise SpecError(
+            "the network does not know its errors: jnx.trust.learn_errors(network, "
+            "data) learns them from records that took no part in its training",
+            field="network",
+        )
+    simulated = None if run is not None else simulate(network, data)
+    value = run if simulated is None else simulated.value
+    data = fitting(network, data)
+    rows = feature_rows(domain.features, data, None)
+    index = layers_of(domain, rows)[0].max(axis=1)
+    half = np.full((sum(len(r) for r in data), len(network.modelled)), np.inf)
+    for o in range(len(network.modelled)):
+        z = told_by(value, rows, index, o)
+        half[rows.at_sample, o] = known.reach(o, level) * known.size(o, z)
+    edges = np.cumsum([len(r) for r in data])[:-1]
+    pairs = list(zip(value.outputs, np.split(half, edges), strict=True))
+    found = Intervals(
+        value,
+        tuple(y - h for y, h in pairs),
+        tuple(y + h for y, h in pairs),
+        float(level),
+    )
+    if simulated is None:
+        return Solution(found, RESULTS.ok, {})
+    return Solution(found, simulated.status, simulated.stats, simulated.detail)
