@@ -75,9 +75,7 @@ def tested(network: Any, data: Any, training: Any) -> dict[str, Any]:
             "error": round(float(np.sqrt(np.mean(error**2)) / spread), 4),
             "by third of the output": thirds(run[s], inside),
             "by third of an input": {
-                channel: thirds(
-                    u[s, network.channels.input_names.index(channel)], inside
-                )
+                channel: thirds(u[s, names.index(channel)], inside)
                 for channel in known.channel_names
             },
             "by record": [
