@@ -11,7 +11,7 @@ from jaxnarx.evaluation.region_errors import region_errors as region_errors
 from jaxnarx.evaluation.region_errors import region_sentence as region_sentence
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.report import Report as Report
-from jaxnarx.evaluation.report import report as report
+from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.rows import Row as Row

@@ -12,7 +12,7 @@ from jaxnarx.evaluation.outside import NOTICEABLE
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
-from jaxnarx.trust import Excursion, domain
+from jaxnarx.trust import DomainIndex, Excursion, domain
 
 EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Borders of the bins of the index."""
@@ -67,17 +67,24 @@ class DomainErrors:
     errors: tuple[ErrorByIndex, ...]
 
 
+def domain_indices(
+    network: Any, parts: Mapping[str, Dataset]
+) -> dict[str, DomainIndex]:
+    """By part; empty of a network that knows no domain."""
+    if not isinstance(network, Network) or network.domain is None:
+        return {}
+    return {part: domain(network, data).value for part, data in parts.items()}
+
+
 def domain_errors(
-    network: Any,
-    parts: Mapping[str, Dataset],
+    found: Mapping[str, DomainIndex],
     main: str,
     outputs: tuple[Channel, ...],
     free: list[list[ScoredSamples]],
 ) -> DomainErrors | None:
-    """Of a network that knows its domain; `free` is the free run of the main part."""
-    if not isinstance(network, Network) or network.domain is None:
+    """None where nothing was found; `free` is the free run of the main part."""
+    if not found:
         return None
-    found = {part: domain(network, data).value for part, data in parts.items()}
     index = found[main].index
     errors = []
     for channel, samples in zip(outputs, free, strict=True):

@@ -1,83 +1,133 @@
 """Where in the operating range the free run errs: its error over two variables."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from jaxnarx.arrays.windows import usable
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
+from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
-from jaxnarx.regressors import Variables, row_columns, variable_names
+from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.simulation import fitting
 
 CELLS = 12
 """Cells along each variable."""
+THIN = 20
+"""Samples of a cell below which its error says little."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ErrorMap:
     """Free-run error of one output in cells over two variables, physical units.
 
-    `rms` is the root mean square of measured minus simulated, NaN in empty cells;
-    `edges` the borders of the cells along each of `variables`. Records that diverged
-    are left out.
+    `rms` is the root mean square of measured minus simulated, `bias` its mean and
+    `spread` its standard deviation, NaN in empty cells; `edges` the borders of the
+    cells along each of `variables`. Records that diverged are left out.
     """
 
     output: str
     unit: str
     variables: tuple[str, str]
     edges: tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"]]
-    rms: Float[np.ndarray, "x y"]
+    bias: Float[np.ndarray, "x y"]
+    spread: Float[np.ndarray, "x y"]
     samples: Int[np.ndarray, "x y"]
+
+    @property
+    def rms(self) -> Float[np.ndarray, "x y"]:
+        """Root mean square."""
+        return np.hypot(self.bias, self.spread)
+
+    @property
+    def thin(self) -> Bool[np.ndarray, "x y"]:
+        """Cells with fewer than 20 samples, or none."""
+        return self.samples < THIN
 
 
 def error_maps(
-    network: Any, data: Dataset, free: list[list[ScoredSamples]]
+    network: Any,
+    data: Dataset,
+    free: list[list[ScoredSamples]],
+    over: Sequence[str] | None = None,
 ) -> tuple[ErrorMap, ...]:
     """A map per output, over its first two scheduling variables.
 
     Where it has fewer, the inputs that say most about the output fill up: those whose
-    bins explain most of its variance.
+    bins explain most of its variance. `over` names two channels, or lagged variables,
+    instead.
     """
     if not isinstance(network, Network):
         return ()
     data = fitting(network, data)
+    chosen = None if over is None else _named(network, over)
     batch = stack(data)
     length = batch.valid.shape[1]
     maps = []
     for o, samples in enumerate(free):
-        at = [
-            n * length + np.flatnonzero(one.scored[:, 0])
-            for n, one in enumerate(samples)
-            if not one.diverged
-        ]
+        calm = [(n, one) for n, one in enumerate(samples) if not one.diverged]
+        table = _candidates(network, o) if chosen is None else chosen
+        known = usable(batch.valid, table.rows, table.longest).reshape(-1)
+        at = [n * length + np.flatnonzero(one.scored[:, 0]) for n, one in calm]
         at = np.concatenate(at) if at else np.zeros(0, int)
-        calm = [one for one in samples if not one.diverged]
-        if len(at) < 2 * CELLS:
+        good = known[at]
+        if good.sum() < 2 * CELLS:
             continue
-        y = np.concatenate([one.measured[one.scored] for one in calm])
-        error = y - np.concatenate([one.predicted[one.scored] for one in calm])
-        table = _candidates(network, o)
-        x = row_columns(batch, at, table, float(network.sample_time)).astype(float)
-        given = network.models[o].scheduling
-        given = len(given) if network.tells(given) else 0
-        telling = [-np.inf if i < given else -_share(v, y) for i, v in enumerate(x)]
-        order = np.argsort(telling, kind="stable")
+        y = np.concatenate([one.measured[one.scored] for _, one in calm])[good]
+        simulated = np.concatenate([one.predicted[one.scored] for _, one in calm])[good]
+        x = row_columns(batch, at[good], table, float(network.sample_time))
+        x = x.astype(float)
+        names = variable_names(network.channels, table)
+        order = range(2) if chosen else _most_telling(network, o, x, y)
         varied = [int(i) for i in order if np.ptp(x[i]) > 0][:2]
         if len(varied) == 2:
-            names = variable_names(network.channels, table)
             channel = network.output_channels[o]
-            pair = names[varied[0]], names[varied[1]]
+            first, second = varied
             maps.append(
                 _map(
-                    channel.name, channel.unit, pair, x[varied[0]], x[varied[1]], error
+                    *(channel.name, channel.unit, (names[first], names[second])),
+                    *(x[first], x[second], y - simulated),
                 )
             )
     return tuple(maps)
+
+
+def _named(network: Network, over: Sequence[str]) -> Variables:
+    """Two channels without delay, or lagged variables."""
+    channels = network.channels
+    if len(over) != 2 or over[0] == over[1]:
+        raise SpecError(
+            "over must name two channels, or lagged variables such as 'speed[t-1]', "
+            f"got {', '.join(over) or 'none'}",
+            field="over",
+        )
+    return Variables.of(
+        [
+            (channels.names.index(name), 0, None)
+            if name in channels.names
+            else parse_variable(channels, name if "[" in name else f"{name}[t]")
+            for name in over
+        ]
+    )
+
+
+def _most_telling(
+    network: Network,
+    o: int,
+    x: Float[np.ndarray, "variables samples"],
+    y: Float[np.ndarray, " samples"],
+) -> Int[np.ndarray, " variables"]:
+    """Scheduling variables in their order, then inputs by what they say of `y`."""
+    given = network.models[o].scheduling
+    given = len(given) if network.tells(given) else 0
+    telling = [-np.inf if i < given else -_share(v, y) for i, v in enumerate(x)]
+    return np.argsort(telling, kind="stable")
 
 
 def _candidates(network: Network, o: int) -> Variables:
@@ -115,10 +165,18 @@ def _map(
 ) -> ErrorMap:
     samples, *edges = np.histogram2d(x, z, CELLS)
     scale = float(np.max(np.abs(error))) or 1.0
-    square, *_ = np.histogram2d(x, z, edges, weights=(error / scale) ** 2)
     seen = samples > 0
-    mean = square / np.where(seen, samples, 1)
-    rms = np.where(seen, scale * np.sqrt(mean), np.nan)
+    count = np.where(seen, samples, np.nan)
+    error = error / scale
+    bias = np.histogram2d(x, z, edges, weights=error)[0] / count
+    # Of deviations from the mean of the cell, not of squares: no digits are lost.
+    at = [
+        np.clip(np.searchsorted(e, v, side="right") - 1, 0, CELLS - 1)
+        for e, v in zip(edges, (x, z), strict=True)
+    ]
+    apart = (error - bias[at[0], at[1]]) ** 2
+    spread = np.sqrt(np.histogram2d(x, z, edges, weights=apart)[0] / count)
     return ErrorMap(
-        output, unit, variables, (edges[0], edges[1]), rms, samples.astype(int)
+        *(output, unit, variables, (edges[0], edges[1])),
+        *(scale * bias, scale * spread, samples.astype(int)),
     )

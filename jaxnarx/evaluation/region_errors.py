@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import Batch, stack
 from jaxnarx.evaluation.rows import ScoredSamples
-from jaxnarx.models import Network, OutputModel, scaled_points, weights_of
+from jaxnarx.models import Network, scaled_points, weights_of
 from jaxnarx.regressors import row_columns
 from jaxnarx.simulation import fitting
 
@@ -48,12 +48,9 @@ def region_errors(
         return ()
     batch, found = stack(fitting(network, data)), []
     length = batch.valid.shape[1]
-    models = network.models[: len(network.modelled)]
-    for o, (model, samples) in enumerate(zip(models, free, strict=True)):
+    for o, samples in enumerate(free):
         calm = [(n, one) for n, one in enumerate(samples) if not one.diverged]
-        if not calm or not len(model.scheduling) or np.asarray(model.active).sum() < 2:
-            continue
-        if not network.tells(model.scheduling):
+        if not calm:
             continue
         at = [n * length + np.flatnonzero(one.scored[:, 0]) for n, one in calm]
         error = [(one.measured - one.predicted)[one.scored] for _, one in calm]
@@ -62,16 +59,29 @@ def region_errors(
             continue
         step = max(1, -(-len(at) // POINTS))
         at, error = at[::step], error[::step]
-        x = row_columns(batch, at, model.scheduling, float(network.sample_time))
-        lead = _leading(model, x.T.astype(float))
-        found += _shares(network, o, lead, error)
+        lead = leading_at(network, batch, o, at)
+        if lead is not None:
+            found += _shares(network, o, lead, error)
     return tuple(found)
 
 
-def _leading(
-    model: OutputModel, x: Float[np.ndarray, "points dims"]
-) -> Int[np.ndarray, " points"]:
-    """The local model of the largest weight at each point."""
+def _divided(network: Network, output: int) -> bool:
+    """Whether it has several regions, told by what is measured."""
+    model = network.models[output]
+    several = len(model.scheduling) > 0 and np.asarray(model.active).sum() > 1
+    return bool(several and network.tells(model.scheduling))
+
+
+def leading_at(
+    network: Network, batch: Batch, output: int, at: Int[np.ndarray, " points"]
+) -> Int[np.ndarray, " points"] | None:
+    """The local model of the largest weight at up to 4,096 rows of a batch; None where
+    an output has one alone, or regions of hidden channels."""
+    if not _divided(network, output):
+        return None
+    model = network.models[output]
+    x = row_columns(batch, at, model.scheduling, float(network.sample_time))
+    x = x.T.astype(float)
     padded = np.concatenate([x, np.repeat(x[:1], POINTS - len(x), axis=0)])
     active = np.asarray(model.active)
     phi = weights_of(model.validity, scaled_points(model, padded).T, active)

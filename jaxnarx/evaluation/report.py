@@ -1,46 +1,26 @@
-"""The report: one-step, k-step and free-run figures of a network, side by side."""
+"""What a report holds: one-step, k-step and free-run figures of a network, and where
+it can be trusted."""
 
 import dataclasses
-import importlib.metadata
 import os
-import platform
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from jaxnarx.data import Channel, Dataset
+from jaxnarx.data import Channel
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.baseline import NAME, linear_runs
-from jaxnarx.evaluation.cost import cost
-from jaxnarx.evaluation.domain_errors import DomainErrors, domain_errors, domain_notes
-from jaxnarx.evaluation.error_map import ErrorMap, error_maps
-from jaxnarx.evaluation.notes import (
-    assess,
-    data_hash,
-    data_notes,
-    score_notes,
-    stability_notes,
-    stability_values,
-)
-from jaxnarx.evaluation.outside import Outside, held_notes, outside, range_notes
-from jaxnarx.evaluation.reactivation import reactivation_notes
-from jaxnarx.evaluation.region_errors import RegionError, region_errors
-from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
-from jaxnarx.evaluation.rows import (
-    FREE_RUN,
-    POOLED,
-    Row,
-    ScoredSamples,
-    collect,
-    mode_name,
-    score,
-)
+from jaxnarx.evaluation.coverage import IntervalCoverage
+from jaxnarx.evaluation.domain_errors import DomainErrors
+from jaxnarx.evaluation.error_map import ErrorMap
+from jaxnarx.evaluation.notes import stability_values
+from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.region_errors import RegionError
+from jaxnarx.evaluation.residual_tests import Diagnostics
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
-from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
+from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
-from jaxnarx.guard import guarded
-from jaxnarx.models import FLAG, Network
+from jaxnarx.evaluation.worst import ErrorStretch
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,10 +33,12 @@ class Report:
 
     `outside` tells which inputs leave their trained range, and how far; `regions` which
     local model carries the free-run error of the main part, `domain` how often the
-    parts leave what the network knows and how its error grows there; `beside` holds the
-    pooled free-run rows of other models by their name, among them a linear model of the
-    same lags where training data are at hand. `limits` is the margin by which
-    reported outputs may leave their trained range, None where nothing holds them.
+    parts leave what the network knows and how its error grows there, `worst` where in
+    time the main part's error is largest and what was unusual there, `coverage` what
+    prediction intervals hold of every part; `beside` holds the pooled free-run rows of
+    other models by their name, among them a linear model of the same lags where
+    training data are at hand. `limits` is the margin by which reported outputs may
+    leave their trained range, None where nothing holds them.
 
     Optional, shown when present; attach them with the arguments of `report` or with
     `dataclasses.replace(report, history=...)`:
@@ -99,6 +81,8 @@ class Report:
     regions: tuple[RegionError, ...] = ()
     leaderboard: Mapping[str, Any] | None = None
     domain: DomainErrors | None = None
+    worst: tuple[ErrorStretch, ...] = ()
+    coverage: tuple[IntervalCoverage, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -170,270 +154,6 @@ class Report:
         from jaxnarx.shell.html import write_report
 
         write_report(self, path)
-
-
-@runtime_checkable
-class Reportable(Protocol):
-    """What a report is made of: a `Network`, or what can be run and shown as one."""
-
-    @property
-    def channels(self) -> Any: ...
-    @property
-    def models(self) -> Any: ...
-    @property
-    def output_channels(self) -> Any: ...
-    @property
-    def equations(self) -> Any: ...
-
-
-@guarded
-def report(
-    network: Reportable,
-    data: Dataset | Mapping[str, Dataset],
-    *,
-    horizons: Sequence[int] = (1, 10),
-    simulated: Any = None,
-    selection: Mapping[str, Any] | None = None,
-    history: Sequence[Mapping[str, Any]] | None = None,
-    partition: Mapping[str, Any] | None = None,
-    stability: Any = True,
-    diagnostics: Diagnostics | bool = True,
-    beside: Mapping[str, Any] | None = None,
-    leaderboard: Mapping[str, Any] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-) -> Report:
-    """Score `network` on `data`: k-step prediction for each horizon, and free run.
-
-    Every figure is in physical units over the samples that are valid and have enough
-    history. Divergence is reported as a status, never as a number. A record that is in
-    two parts is noted loudly.
-
-    Args:
-        network: The model.
-        data: One dataset, or several by the name of their part: `"train"`,
-            `"validate"`, `"test"`.
-        horizons: Numbers of steps ahead to predict.
-        simulated: The free run where it is at hand: what `simulate` returned, or a dict
-            of that by part.
-        selection: Stored in the form that `Report` tells, as is `history`.
-        history: The steps of the refinement.
-        partition: Shown instead of the network's own; that of
-            `describe_partition(network, start=before)` also shows the network before
-            refinement.
-        stability: True assesses up to 2000 samples of the main part, False leaves it
-            out; a `Stability` at hand is shown as it is.
-        diagnostics: Likewise the tests of the one-step residuals of the main part.
-        beside: Other networks by name, whose free run on the main part is scored as
-            well.
-        leaderboard: Stored in the form that `Report` tells; the verdict knows it.
-        provenance: Stored beside the versions and data hashes.
-
-    Returns:
-        A `Report`: `print` shows its table, `verdict` what the model is good for.
-
-    Example:
-        report = jnx.report(network, data, stability=False, diagnostics=False)
-        print(report)
-        print(report.verdict)
-    """
-    parts = dict(data) if isinstance(data, Mapping) else {"data": data}
-    _check(parts, horizons)
-    outputs = tuple(network.output_channels)
-    known = simulated if isinstance(simulated, Mapping) else {}
-    if simulated is not None and not isinstance(simulated, Mapping):
-        known = dict.fromkeys(list(parts)[:1], simulated)
-    free = {part: _free_run(network, parts[part], known.get(part)) for part in parts}
-    runs = {
-        part: _runs(network, part_data, outputs, horizons, free[part])
-        for part, part_data in parts.items()
-    }
-    rows = tuple(row for part in parts for row in _rows(part, outputs, runs[part]))
-    main = "test" if "test" in parts else list(parts)[-1]
-    traces, errors = _pictures(outputs, runs[main], parts[main].sample_time)
-    modelled = [channel.name for channel in outputs]
-    notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
-    strayed = outside(network, parts)
-    limits = _limits(network)
-    beyond = network.outside if isinstance(network, Network) else FLAG
-    notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
-    known = domain_errors(network, parts, main, outputs, runs[main][FREE_RUN])
-    notes += domain_notes(known, main)
-    notes += reactivation_notes(network, parts[main])
-    if stability is True:
-        stability = assess(network, parts[main], free[main])
-    notes += stability_notes(stability or None, main)
-    tested, sentences = _diagnostics(network, parts[main], diagnostics, selection)
-    notes += [f"One-step residuals on {main}: {text}" for text in sentences]
-    if partition is None:
-        partition = describe_partition(network, data=parts[main])
-    return Report(
-        outputs=outputs,
-        main=main,
-        rows=rows,
-        notes=tuple(notes),
-        traces=traces,
-        residuals=errors,
-        equations=_equations(network),
-        selection=selection,
-        history=history,
-        partition=partition or None,
-        cost=cost(network).to_dict() if isinstance(network, Network) else None,
-        stability=stability or None,
-        diagnostics=tested,
-        provenance=_provenance(parts) | dict(provenance or {}),
-        outside=strayed,
-        limits=limits,
-        maps=error_maps(network, parts[main], runs[main][FREE_RUN]),
-        regions=region_errors(network, parts[main], runs[main][FREE_RUN]),
-        leaderboard=leaderboard,
-        domain=known,
-        beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
-    )
-
-
-def _limits(network: Any) -> float | None:
-    """The margin of the network's limits, None where it has none."""
-    hold = network.hold if isinstance(network, Network) else None
-    return None if hold is None else float(hold)
-
-
-def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:
-    empty = [name for name, data in parts.items() if len(data) == 0]
-    if not parts or empty:
-        raise SpecError(
-            f"nothing to report on: {empty[0] if empty else 'data'!r} has no records",
-            field="data",
-        )
-    if any(k != int(k) or k < 1 for k in horizons):
-        raise SpecError(
-            f"horizons are whole numbers of steps >= 1, got {tuple(horizons)}",
-            field="horizons",
-        )
-
-
-def _diagnostics(
-    network: Any,
-    data: Dataset,
-    chosen: Diagnostics | bool,
-    selection: Mapping[str, Any] | None,
-) -> tuple[Diagnostics | None, list[str]]:
-    """The residual analysis a report shows, and what it says in sentences.
-
-    None where it is not wanted, and for what is no `Network`.
-    """
-    if isinstance(chosen, Diagnostics):
-        return chosen, list(chosen.summary)
-    if not chosen or not isinstance(network, Network):
-        return None, []
-    if network.hidden:
-        return None, [
-            "Residuals of one step were not tested: hidden states are estimated from "
-            "the very measurements they would be compared with."
-        ]
-    found = diagnose(network, data, selection=selection)
-    more = [] if found.status_name == "ok" else [found.detail + "."]
-    return found.value, [*found.value.summary, *more]
-
-
-def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:
-    from jaxnarx.simulation import simulate
-
-    return simulate(network, data) if simulated is None else simulated
-
-
-def _runs(
-    network: Any,
-    data: Dataset,
-    outputs: tuple[Channel, ...],
-    horizons: Sequence[int],
-    free: Any,
-) -> dict[str, list[list[ScoredSamples]]]:
-    """Samples by output and record, for every mode; the free run comes last."""
-    from jaxnarx.simulation import predict
-
-    runs = {
-        mode_name(int(k)): predict(network, data, k=int(k))
-        for k in dict.fromkeys(horizons)
-    }
-    runs[FREE_RUN] = free
-    return {
-        mode: collect(data, outputs, getattr(run, "value", run))
-        for mode, run in runs.items()
-    }
-
-
-def _beside(
-    network: Any,
-    parts: Mapping[str, Dataset],
-    main: str,
-    free: list[list[ScoredSamples]],
-    others: Mapping[str, Any],
-) -> dict[str, tuple[Row, ...]]:
-    """Pooled free-run rows of the linear model and of `others` on the main part."""
-    runs: dict[str, tuple[tuple[Channel, ...], list[list[ScoredSamples]]]] = {}
-    # Without lags of outputs a linear model of the same lags is no match for states.
-    if isinstance(network, Network) and not network.hidden and "train" in parts:
-        linear = linear_runs(network, parts["train"], parts[main], free)
-        runs[NAME] = tuple(network.output_channels), linear
-    for name, other in others.items():
-        channels = tuple(other.output_channels)
-        run = _free_run(other, parts[main], None)
-        runs[name] = channels, collect(parts[main], channels, run.value)
-    return {
-        name: tuple(
-            score(main, FREE_RUN, channel, samples)[0]
-            for channel, samples in zip(channels, found, strict=True)
-        )
-        for name, (channels, found) in runs.items()
-    }
-
-
-def _rows(
-    part: str, outputs: tuple[Channel, ...], runs: dict[str, list[list[ScoredSamples]]]
-) -> list[Row]:
-    """By output, then record, then mode, so that modes stand beside one another."""
-    rows = []
-    for o, channel in enumerate(outputs):
-        by_mode = [score(part, mode, channel, run[o]) for mode, run in runs.items()]
-        rows += [row for record in zip(*by_mode, strict=True) for row in record]
-    return rows
-
-
-def _pictures(
-    outputs: tuple[Channel, ...],
-    runs: dict[str, list[list[ScoredSamples]]],
-    sample_time: float,
-) -> tuple[tuple[Trace, ...], tuple[Residuals, ...]]:
-    free, one = runs[FREE_RUN], runs.get(mode_name(1))
-    traces = [
-        choose(channel, free[o], one[o] if one else None, sample_time)
-        for o, channel in enumerate(outputs)
-    ]
-    errors = [residuals(channel, free[o]) for o, channel in enumerate(outputs)]
-    return tuple(t for group in traces for t in group), tuple(errors)
-
-
-def _equations(network: Any) -> tuple[dict[str, Any], ...]:
-    """The text form of each local model with its LaTeX beside it."""
-    plain, latex = network.equations(style="text"), network.equations(style="latex")
-    return tuple(
-        {**one, "latex": two["latex"]} for one, two in zip(plain, latex, strict=True)
-    )
-
-
-def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
-    versions = {"python": platform.python_version()}
-    for package in ("jaxnarx", "jax", "numpy"):
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:  # run from a source folder
-            versions[package] = "not installed"
-    described = {
-        f"{part} data": f"{len(data)} records, {data.samples} samples at "
-        f"{data.sample_time:g} s, sha256 {data_hash(data)}"
-        for part, data in parts.items()
-    }
-    return {"versions": versions} | described
 
 
 def _without_points(partition: Mapping[str, Any] | None) -> Any:

@@ -18,7 +18,8 @@ class Trace:
     """One output of one record, measured and simulated. `time` [s] starts at zero.
 
     `rank` is `"worst"`, `"median"` or `"best"` by free-run RMSE, empty for the others;
-    a diverged record is worse than any other and has no `rmse`.
+    a diverged record is worse than any other and has no `rmse`. `lower` and `upper`
+    are its prediction intervals, where the network knows its errors.
     """
 
     output: Channel
@@ -31,6 +32,8 @@ class Trace:
     one_step: Float[np.ndarray, " time"] | None
     limited: Bool[np.ndarray, " time"]
     scored: Bool[np.ndarray, " time"]
+    lower: Float[np.ndarray, " time"] | None = None
+    upper: Float[np.ndarray, " time"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,10 +59,12 @@ def choose(
     free: list[ScoredSamples],
     one_step: list[ScoredSamples] | None,
     sample_time: float,
+    edges: list[tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> tuple[Trace, ...]:
     """The worst, the median and the best record, then the others in their order.
 
-    Records without any counted sample are passed over.
+    Records without any counted sample are passed over. `edges` are the lower and the
+    upper end of the intervals of every record.
     """
     counted = [i for i, s in enumerate(free) if s.scored.any()]
     order = sorted(counted, key=lambda i: _rmse(free[i]), reverse=True)
@@ -69,7 +74,7 @@ def choose(
     ranked = {order[p]: r for p, r in sorted(picks.items()) if 0 <= p < len(order)}
     ranked |= {i: "" for i in counted if i not in ranked}
     return tuple(
-        _trace(channel, free[i], rank, sample_time, one_step, i)
+        _trace(channel, free[i], rank, sample_time, one_step, i, edges)
         for i, rank in ranked.items()
     )
 
@@ -116,7 +121,9 @@ def _trace(
     sample_time: float,
     one_step: list[ScoredSamples] | None,
     index: int,
+    edges: list[tuple[np.ndarray, np.ndarray]] | None,
 ) -> Trace:
+    lower, upper = (None, None) if edges is None else edges[index]
     return Trace(
         output=channel,
         record=free.record,
@@ -128,4 +135,6 @@ def _trace(
         one_step=None if one_step is None else one_step[index].predicted[:, 0],
         limited=free.limited[:, 0],
         scored=free.scored[:, 0],
+        lower=lower,
+        upper=upper,
     )

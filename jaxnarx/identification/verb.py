@@ -72,7 +72,8 @@ def identify(
         groups: What is left out together (`jaxnarx.data.groups`); default as the
             records say, else records that repeat one another's inputs belong together.
             Not beside `validation`.
-        validation: Records that judge growth and refinement of a method. A search
+        validation: Records that judge growth and refinement of a method, and tell how
+            large its errors are (`jnx.intervals`). A search
             counts them among the data, as a group of their own.
         folder: Where the search writes what it has tried, after every candidate. The
             same call goes on there where an earlier one stopped; SpecError where the
@@ -105,7 +106,8 @@ def identify(
             field=changed[0],
         )
     found = by_method(data, method, validation, progress)
-    return dataclasses.replace(found, value=knowing(found.value, data))
+    value = knowing(found.value, data, apart=validation)
+    return dataclasses.replace(found, value=value)
 
 
 @dataclasses.dataclass(frozen=True)

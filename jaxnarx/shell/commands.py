@@ -119,6 +119,9 @@ class Simulate:
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
     """Folder for the CSV files."""
+    level: Annotated[float | None, optional("P")] = None
+    """Add columns with the interval that is to hold this share of what is measured, .5
+    to .99, around each output. For models that know their errors, as of `identify`."""
     through: Annotated[str | None, optional("MODEL")] = None
     """MODEL is an inverse: run this model of the engine under its commands. The columns
     of its outputs are then what they shall be; commands are needed in the first rows
@@ -209,6 +212,9 @@ class Report:
     """Folder for report.html and report.json; default: only print."""
     beside: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
     """Other models to compare with on the same records, in free run."""
+    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    """Two channels over which the error is mapped, lagged ones as 'speed[t-1]';
+    default: the two that schedule most."""
     no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     outside: Outside = None

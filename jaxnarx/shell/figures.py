@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
@@ -72,9 +73,14 @@ def measured_and_simulated(
     one_step: Float[np.ndarray, " time"] | None = None,
     limited: Bool[np.ndarray, " time"] | None = None,
     scored: Bool[np.ndarray, " time"] | None = None,
+    lower: Float[np.ndarray, " time"] | None = None,
+    upper: Float[np.ndarray, " time"] | None = None,
     points: int = POINTS,
 ) -> Figure:
     """Measurement, free run and one-step prediction over time [s], residual below.
+
+    Between `lower` and `upper` lies the interval of the free run, shaded; about the
+    residual too.
 
     The one-step prediction, nearly always right, lies broad and pale behind the
     measurement. Samples that do not count (`scored` False) are left out of the
@@ -83,6 +89,10 @@ def measured_and_simulated(
     gap = measured if scored is None else np.where(scored, measured, np.nan)
     with styled():
         figure, (top, low) = canvas(9.0, 3.4, rows=2, sharex=True, height_ratios=(3, 1))
+        if lower is not None and upper is not None:
+            _interval(top, time, lower, upper, points, label="90 % interval")
+            about = (lower - simulated, upper - simulated)
+            _interval(low, time, *about, points)
         if one_step is not None:
             style = {"color": ORANGE, "lw": 4.0, "alpha": 0.45}
             top.plot(*envelope(time, one_step, points), label="one step", **style)
@@ -100,8 +110,24 @@ def measured_and_simulated(
         low.set(xlabel="time [s]", ylabel="residual")
         low.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 1)
         figure.align_ylabels([top, low])
-        top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.1)
+        top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=5, borderaxespad=0.1)
     return figure
+
+
+def _interval(
+    axes: Axes,
+    time: Float[np.ndarray, " time"],
+    lower: Float[np.ndarray, " time"],
+    upper: Float[np.ndarray, " time"],
+    points: int,
+    **style: Any,
+) -> None:
+    """Shade it; of a long record the least and the largest of each bin."""
+    bins = max(points // 2, 1)
+    step = max(1, -(-len(time) // bins))
+    at = np.arange(0, len(time), step)
+    low, high = np.minimum.reduceat(lower, at), np.maximum.reduceat(upper, at)
+    axes.fill_between(time[at], low, high, color=BLUE, alpha=0.18, lw=0, **style)
 
 
 def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
@@ -136,22 +162,45 @@ def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
 
 
 def error_map(value: Any) -> Figure:
-    """Free-run error and number of samples in cells over two variables.
+    """Free-run error, bias, spread and number of samples in cells over two variables.
 
-    `value` is an `ErrorMap`. The darker, the larger; white cells hold no sample.
+    `value` is an `ErrorMap`. The darker, the larger; of the bias blue where the run is
+    too low and red where it is too high. White cells hold no sample, hatched ones too
+    few to say much.
     """
     unit = f" [{plain(value.unit)}]" if value.unit else ""
     counts = np.where(value.samples > 0, value.samples, np.nan)
+    most = float(np.nanmax(np.abs(value.bias), initial=0.0)) or 1.0
+    panels: tuple[tuple[Any, str, dict[str, Any]], ...] = (
+        (value.rms, "RMSE" + unit, {"cmap": "viridis_r"}),
+        (value.bias, "bias" + unit, {"cmap": "RdBu", "vmin": -most, "vmax": most}),
+        (value.spread, "spread" + unit, {"cmap": "viridis_r"}),
+        (counts, "samples", {"cmap": "viridis_r"}),
+    )
     with styled():
-        figure, axes = canvas(9.0, 3.1, columns=2)
-        for ax, cells, title in zip(
-            axes, (value.rms, counts), ("RMSE" + unit, "samples"), strict=True
-        ):
-            dark = ax.pcolormesh(*value.edges, cells.T, cmap="viridis_r", lw=0)
+        figure, axes = canvas(9.0, 5.6, rows=2, columns=2, sharex=True, sharey=True)
+        for ax, (cells, title, look) in zip(axes, panels, strict=True):
+            dark = ax.pcolormesh(*value.edges, cells.T, lw=0, **look)
             figure.colorbar(dark, ax=ax, label=title)
+            _hatch(ax, value)
             ax.grid(visible=False)
-            ax.set(xlabel=plain(value.variables[0]), ylabel=plain(value.variables[1]))
+        for ax in axes[2:]:
+            ax.set_xlabel(plain(value.variables[0]))
+        for ax in axes[::2]:
+            ax.set_ylabel(plain(value.variables[1]))
     return figure
+
+
+def _hatch(axes: Axes, value: Any) -> None:
+    """Lines across the cells with few samples."""
+    x, y = value.edges
+    few = np.argwhere(value.thin & (value.samples > 0)).tolist()
+    corners = [
+        [(x[i], y[j]), (x[i + 1], y[j]), (x[i + 1], y[j + 1]), (x[i], y[j + 1])]
+        for i, j in few
+    ]
+    style = {"facecolor": "none", "edgecolor": INK, "hatch": "////", "linewidth": 0}
+    axes.add_collection(PolyCollection(corners, **style))
 
 
 def error_by_index(value: Any, edges: Sequence[float]) -> Figure:

@@ -177,7 +177,7 @@ def _words(value: object) -> str:
 def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     """(title, safe SVG text) of every figure by section; a trace holds its title."""
     ranked = [trace for trace in report.traces if trace.rank]
-    lines = 4 * max(len(ranked), 1)
+    lines = (4 if not report.coverage else 6) * max(len(ranked), 1)
     points = min(max(POINT_BUDGET // lines, 200), figures.POINTS)
     drawn: dict[str, list[tuple[str, Figure]]] = {
         "leaderboard": [
@@ -243,6 +243,8 @@ def _trace(trace: Any, points: int) -> Figure:
         one_step=trace.one_step,
         limited=trace.limited,
         scored=trace.scored,
+        lower=trace.lower,
+        upper=trace.upper,
         points=points,
     )
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxnarx.evaluation import Report
     from jaxnarx.inverse import Tracking
     from jaxnarx.simulation import Trajectories
+    from jaxnarx.trust import Intervals
 
 
 RUN = ("model.safetensors", "report.json", "report.html")
@@ -160,9 +161,11 @@ def trajectory_csv(
     n: int,
     kind: str,
     index: Float[np.ndarray, " time"] | None = None,
+    bounds: "Intervals | None" = None,
 ) -> str:
-    """Record `n` as CSV: time, computed and measured outputs, limited, held,
-    extrapolated, and the index of the model's domain where there is one.
+    """Record `n` as CSV: time, computed and measured outputs, their intervals where
+    they are given, limited, held, extrapolated, and the index of the model's domain
+    where there is one.
 
     `kind` heads the computed outputs, `"simulated"`; missing measurements are empty.
     """
@@ -176,6 +179,9 @@ def trajectory_csv(
         measured = np.where(record.valid[:, inputs + at], record.y[:, at], np.nan)
         masks = (mask[n][:, o].astype(int) for mask in (value.limited, value.held))
         columns += [c.tolist() for c in (value.outputs[n][:, o], measured, *masks)]
+        if bounds is not None:
+            header += [f"{name} lower", f"{name} upper"]
+            columns += [e[n][:, o].tolist() for e in (bounds.lower, bounds.upper)]
     header.append("extrapolated")
     columns.append(value.extrapolated[n].astype(int).tolist())
     if index is not None:

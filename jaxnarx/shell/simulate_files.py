@@ -15,7 +15,7 @@ from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
 from jaxnarx.simulation import Trajectories, predict, simulate
-from jaxnarx.trust import domain
+from jaxnarx.trust import domain, intervals
 
 
 def simulate_files(command: Simulate) -> int:
@@ -25,6 +25,8 @@ def simulate_files(command: Simulate) -> int:
         raise SpecError("give data files or one TOML description")
     if steps is not None and steps < 1:
         raise SpecError(f"--steps must be at least 1, got {steps}")
+    if steps is not None and command.level is not None:
+        raise SpecError("--level is for free runs; leave out --steps")
     network = loaded(
         command.model, no_limits=command.no_limits, outside=command.outside
     )
@@ -43,10 +45,16 @@ def simulate_files(command: Simulate) -> int:
                 solution = predict(network, data, steps)
         kind = "simulated" if steps is None else "predicted"
         known = None if network.domain is None else domain(network, data).value
+        bounds = None
+        if command.level is not None:
+            level, run = command.level, solution.value
+            bounds = intervals(network, data, level=level, run=run).value
         with output.written_together(folder) as place:
             for n, file in enumerate(files):
                 index = None if known is None else known.index[n]
-                text = output.trajectory_csv(solution.value, data, n, kind, index)
+                text = output.trajectory_csv(
+                    solution.value, data, n, kind, index, bounds
+                )
                 output.write_text(place / file, text)
     for file in files:
         say(f"wrote {folder / file}")
@@ -66,7 +74,12 @@ def simulate_files(command: Simulate) -> int:
 
 def follow(command: Simulate, through: str) -> int:
     """The cascade of an inverse and a model over files of references."""
-    for option, given in (("--steps", command.steps), ("--prepare", command.prepare)):
+    others = {
+        "--steps": command.steps,
+        "--prepare": command.prepare,
+        "--level": command.level,
+    }
+    for option, given in others.items():
         if given:
             raise SpecError(f"{option} and --through do not go together")
     models = command.model, through

@@ -332,7 +332,8 @@ def _report(command: commands.Report, typed: str) -> int:
             if split.preparation is not None:
                 told["preparation"] = split.preparation.describe()
             others = {path: loaded(path, no_limits=bare) for path in command.beside}
-            result = report(network, parts, beside=others, provenance=told)
+            over = command.over or None
+            result = report(network, parts, beside=others, over=over, provenance=told)
         say(str(result))
         if folder is not None:
             with written_together(folder) as place:

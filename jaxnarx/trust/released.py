@@ -22,15 +22,18 @@ def knowing(
     data: Dataset,
     groups: Groups | None = None,
     left_out: Float[np.ndarray, "outputs groups"] | None = None,
+    apart: Dataset | None = None,
 ) -> Network:
     """The network with its domain, where it has inputs and the records can be run, with
-    its certificate, where there is one, and, where the errors of groups left out are
-    known, with prediction intervals."""
+    its certificate, where there is one, and with prediction intervals, where the errors
+    of groups left out are known, or there are records apart from the training."""
     network = certified(network)
     try:
         network = learn_domain(network, data, groups=groups)
     except JaxnarxError:
         return network
+    if apart is not None:
+        return learn_errors(network, apart)
     if left_out is None:
         return network
     return learn_errors(network, data, groups=groups, left_out=left_out)

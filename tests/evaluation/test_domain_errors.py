@@ -70,6 +70,14 @@ def test_a_report_says_how_often_and_how_much(data, tmp_path):
     assert found.domain.excursions[0].channel == "u"
     (note,) = [n for n in found.notes if "test samples are outside of the domain" in n]
     assert "free-run error: y" in note and "farthest:" in note
+    # the truth bends where the domain ends: the worst stretches are there, and say so
+    worst = found.worst[0]
+    assert (worst.output, worst.record) == ("y", test.records[0].name)
+    assert worst.times > 1.5 and worst.index is not None and worst.index > 1
+    assert "of u" in worst.unusual and "times the usual" in str(worst)
+    assert len(found.worst) <= 10
+    errors = [one.rmse for one in found.worst]
+    assert errors[0] == max(errors)
     assert found.to_dict()["domain"]["outside"]["test"] == found.domain.outside["test"]
     found.to_html(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()

@@ -5,6 +5,7 @@ import pytest
 from common import A, B, Part, network
 
 from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.error_map import error_maps
 
@@ -33,6 +34,14 @@ def test_the_error_lies_where_it_was_made():
     assert square == pytest.approx(row.rmse**2, rel=1e-12)
     low, high = one.rms[:6], one.rms[6:]
     assert np.nanmean(low) < 0.7 and np.nanmin(high) > 0.9
+    # 400 samples in 144 cells: every cell is thin; its bias is the mean of its errors
+    assert one.thin.all()
+    x, y = data.records[0].u[1:], data.records[0].y[1:, 0]  # one sample of history
+    b, a = one.edges
+    own = (x[:, 1] >= b[6]) & (x[:, 1] < b[7]) & (x[:, 0] >= a[2]) & (x[:, 0] < a[3])
+    assert one.samples[6, 2] == own.sum() > 0
+    assert one.bias[6, 2] == pytest.approx(y[own].mean(), rel=1e-12)
+    assert one.spread[6, 2] == pytest.approx(y[own].std(), rel=1e-12)
 
 
 def test_scheduling_variables_come_first_and_what_is_no_network_has_no_map():
@@ -48,4 +57,12 @@ def test_scheduling_variables_come_first_and_what_is_no_network_has_no_map():
         network([part]), dataset(), stability=False, diagnostics=False, horizons=(1,)
     )
     assert found.maps[0].variables == ("a[t]", "b[t-1]")
+    plain = {"stability": False, "diagnostics": False, "horizons": (1,)}
+    for over in (("b", "w"), ("b[t-3]", "a")):
+        told = report(network([part]), dataset(), over=over, **plain).maps[0].variables
+        assert [t.removesuffix("[t]") for t in told] == list(over)
+    with pytest.raises(SpecError, match=r"unknown|no channel|c\[t\]"):
+        report(network([part]), dataset(), over=("b", "c"), **plain)
+    with pytest.raises(SpecError, match="over must name two channels"):
+        report(network([part]), dataset(), over=("b",), **plain)
     assert error_maps(object(), dataset(), []) == ()

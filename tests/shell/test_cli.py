@@ -716,6 +716,16 @@ def test_records_beyond_what_a_model_knows_are_told(capsys, both):
     assert "farthest: new" in text and "of load" in text
     index = np.array(table("out/new.csv")["index"], float)
     assert index[100:108].min() > 1 > np.median(index)
+    assert "NOx lower" not in table("out/new.csv")
+    passes(capsys, ["simulate", both, "new.csv", "--out", "wide", "--level", ".95"])
+    found = table("wide/new.csv")
+    low, y, high = (
+        np.array(found[f"NOx {what}"], float)
+        for what in ("lower", "simulated", "upper")
+    )
+    np.testing.assert_allclose(high - y, y - low, rtol=1e-6)
+    half = (high - low) / 2
+    assert np.median(half[100:108]) > 2 * np.median(half[:100]) > 0
     straight, still = (
         passes(capsys, ["simulate", both, "new.csv", "--out", name, "--outside", name])
         and table(f"{name}/new.csv")["NOx simulated"]
@@ -781,6 +791,8 @@ def new_file(kind: str) -> list[str]:
         "output gap": ["--steps", "3"],
         "far": ["--steps", "500"],
         "zero": ["--steps", "0"],
+        "level": ["--level", "2"],
+        "level and steps": ["--level", ".9", "--steps", "3"],
         "folder": ["--out", "r0.csv"],
         "below a file": ["--out", "r0.csv/x"],
     }
@@ -806,6 +818,8 @@ NEW_FAULTS = {
     "units": (3, "units.toml", "speed", "'1/s'", "'rpm'"),
     "sample time": (3, "time.toml", "0.1 s", "0.2 s"),
     "mixed": (2, "not both"),
+    "level": (2, "level must lie from 0.5 to 0.99, got 2.0"),
+    "level and steps": (2, "--level is for free runs; leave out --steps"),
     "none": (3, "none.csv", "no such file"),
     "folder": (3, "r0.csv: cannot be written", "--out"),
     "below a file": (3, "r0.csv/x: cannot be written", "--out"),

@@ -149,3 +149,26 @@ def test_wrong_calls_are_refused(known):
         jnx.intervals(bare, data)
     with pytest.raises(SpecError, match="no domain"):
         jnx.trust.learn_errors(dataclasses.replace(bare, domain=None), data)
+
+
+def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
+    data = noisy(46, 6)
+    plain = {"stability": False, "diagnostics": False, "horizons": (1,)}
+    found = jnx.report(known, {"train": noisy(20, 2), "test": data}, **plain)
+    inside, half = held(known, data, 0.9)
+    train, test = found.coverage
+    assert (train.part, test.part, test.level) == ("train", "test", 0.9)
+    assert test.samples == len(inside) and test.held == pytest.approx(inside.mean())
+    assert test.half == pytest.approx(half.mean())
+    assert found.to_dict()["coverage"][1]["held"] == test.held
+    assert any("90 % intervals of the free run hold, on test" in n for n in found.notes)
+    for trace in found.traces:
+        at = data.names.index(trace.record)
+        whole = jnx.intervals(known, data[at : at + 1]).value
+        np.testing.assert_allclose(trace.upper, whole.upper[0][:, 0], rtol=1e-12)
+    found.to_html(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "90 % interval" in page and "intervals of the free run" in page
+    errors = dataclasses.replace(known.errors, constant=known.errors.constant - 2.0)
+    short = jnx.report(dataclasses.replace(known, errors=errors), data, **plain)
+    assert any("too narrow on data for" in n for n in short.notes)
