@@ -1,6 +1,7 @@
 """Validity functions, local models and the network that blends them."""
 
 from jaxnarx.models.assemble import assemble as assemble
+from jaxnarx.models.assemble import bounded as bounded
 from jaxnarx.models.assemble import global_model as global_model
 from jaxnarx.models.assemble import local_models as local_models
 from jaxnarx.models.assemble import output_model as output_model

@@ -98,6 +98,16 @@ def ranged(network: Network, data: Dataset) -> Network:
     return dataclasses.replace(network, lower=lower, upper=upper, low=low, high=high)
 
 
+def bounded(network: Network, margin: float = MARGIN) -> Network:
+    """The network with feedback bounds so many widths of the trained ranges beyond."""
+    own = np.array(network.signals)
+    ranges = network.low, network.high, network.gain
+    low, high, gain = (np.asarray(a)[own] for a in ranges)
+    wider = np.asarray(margin * (high - low), low.dtype)
+    lower, upper = jax.device_put(((low - wider) / gain, (high + wider) / gain))
+    return dataclasses.replace(network, lower=lower, upper=upper)
+
+
 def _bounds(data: Dataset, gain: np.ndarray, signal: np.ndarray):
     """Feedback bounds of the outputs at these signals, scaled; ranges of all signals,
     in physical units."""

@@ -11,7 +11,7 @@ from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import PredictionError, SimulationError
-from jaxnarx.models import Network
+from jaxnarx.models import Network, bounded
 from jaxnarx.refinement.folds import best_position, curve, divided
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
@@ -100,7 +100,10 @@ def refine(
         _require_free(deviations)
         judge = data if validation is None else fitting(network, validation)
         return refine_stable(network, judge, again)
-    # Of a network that changes they say nothing any more.
+    # Of a network that changes they say nothing any more, and with the certificate goes
+    # what allowed for bounds so wide that nothing is held.
+    if network.certificate is not None:
+        network = bounded(network)
     network = dataclasses.replace(network, certificate=None, errors=None)
     settings = {}
     if isinstance(method, SimulationError):

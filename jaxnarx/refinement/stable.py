@@ -45,9 +45,11 @@ def refine_stable(
             'jaxnarx.refinement.certificate, and identify with preset="ecu"',
             field="stable",
         )
+    bounds = {"lower": network.lower, "upper": network.upper}
     found = refine(network, None)
     if certificate(found.value) is not None:
-        return dataclasses.replace(found, value=certified(found.value))
+        value = dataclasses.replace(certified(found.value), **bounds)
+        return dataclasses.replace(found, value=value)
     back = _pulled(network, found.value)
     again = refine(back, _only_feedback_still(back))
     every = [network, back, _pulled(back, again.value)]
@@ -58,7 +60,7 @@ def refine_stable(
         f"({np.sqrt(_error(found.value, judge)):.4g} without)"
     )
     status = again.status if best else RESULTS.no_improvement
-    value = certified(every[best])
+    value = dataclasses.replace(certified(every[best]), **bounds)
     return dataclasses.replace(again, value=value, status=status, detail=detail)
 
 

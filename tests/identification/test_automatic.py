@@ -150,6 +150,12 @@ def test_killed_and_gone_on_with_is_the_same_table(whole, tiny, tmp_path, count)
     assert files[0] == files[1]
 
 
+@pytest.mark.slow
+def test_what_is_made_for_a_control_unit_is_certified():
+    found = jnx.identify(plant(), preset="ecu")
+    assert found.value.certificate is not None and found.value.errors is not None
+
+
 def test_a_finished_search_has_nothing_left_to_do(whole, tiny):
     folder, found = whole
     before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}

@@ -135,6 +135,11 @@ def test_what_has_one_may_follow_its_inputs_far_beyond():
     assert found.certificate is not None and found.domain is not None
     assert found.outside == FLAG
     assert float(found.upper[0]) > 50 * float(net.high[2]) / float(net.gain[2])
+    few = dict(horizons=(), window_steps=0, max_steps=1)
+    again = jnx.refine(found, data, jnx.SimulationError(**few)).value
+    width = float(again.high[2] - again.low[2]) / float(again.gain[2])
+    assert again.certificate is None
+    assert float(again.upper[0] - again.lower[0]) == pytest.approx(1.5 * width)
     own = network([local(0.5, 0.1)] * 2, scheduling=((2, 1),))
     found = knowing(released(own), data)
     assert found.certificate is None and found.outside == LINEAR
@@ -163,6 +168,7 @@ def test_refinement_keeps_a_certificate_that_it_would_lose():
     assert certificate(free) is None and free.certificate is None
     kept = jnx.refine(start, data, jnx.SimulationError(**few, stable=True))
     assert rate_of(kept.value) < 1
+    assert kept.value.upper == start.upper
     errors = [
         sum(
             float(np.sum((r.y[:, :1] - y)[s] ** 2))
