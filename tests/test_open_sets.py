@@ -389,3 +389,17 @@ def test_networks_at_the_edge(tmp_path):
     # more and more of the samples are outside, the farther the inputs reach
     assert found["outside"] == sorted(found["outside"])
     assert -1 <= bed["pooled"]["spearman"] <= 1
+    assert 0.8 < found["intervals"]["held"] <= 1
+
+
+@pytest.mark.slow
+def test_a_measured_engine_at_the_edge(tmp_path, measured):
+    if not (measured / "gengine1").is_dir():
+        pytest.skip("gengine1 is not there")
+    experiment("edge/measured.py", "--results", str(tmp_path))
+    path = tmp_path / "edge_measured.json"
+    (found,) = json.loads(path.read_text())["figures"].values()
+    assert 0.5 < found["test"]["held"] <= 1 and found["certificate"]["sequences"] == 10
+    assert found["certificate"]["counterexamples"] == 0
+    assert all(w["diverged"] == 0 for w in found["wild"].values())
+    assert [set(one) >= {"date"} for one in found["scored"]] == [True]

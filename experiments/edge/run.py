@@ -7,7 +7,9 @@ Then it runs over noise-free records at 40, 50, 60, 80 and 100 % of them, that i
 2.5 times the trained ranges, with inputs beyond theirs flagged, held, or going on to
 first order: error by policy and by the index of the network's domain, rank correlation
 of the index with the absolute error, alarms at 40 %. And it runs over records that no
-engine would be given: steps, ramps and noise up to three times the trained ranges.
+engine would be given: steps, ramps and noise up to three times the trained ranges. Six
+more noisy records within the trained ranges tell what 90 % intervals hold, in the whole
+and by thirds of the output and of every input in use.
 
     python experiments/edge/run.py [--beds gtdi vct] [--wild 1000]
 
@@ -25,20 +27,27 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "benchmarks"))
+sys.path.insert(0, str(HERE))
 from common import code, record, results_folder  # noqa: E402 # pyright: ignore
+from figures import (  # noqa: E402 # pyright: ignore[reportMissingImports]
+    SEED,
+    SETTLED,
+    correlation,
+    ran_wild,
+    tested,
+    wild,
+)
 
 BEDS = "gtdi", "diesel", "vct", "pfi-dyno"
 INNER, SHARES = 0.4, (0.4, 0.5, 0.6, 0.8, 1.0)
 """Share of the usual ranges in training, and in the records that are scored."""
 RECORDS, LENGTH, SCORED, ROWS = 4, 2500, 2, 1500
 """Records and samples for training, and of every share that is scored."""
-NOISE, SEED = 0.02, 21
+FRESH = 6
+"""Noisy records within the trained ranges, of which intervals are to hold 90 %."""
+NOISE = 0.02
 POLICIES = "flag", "hold", "linear"
-SETTLED = 60
-"""Samples after which a run counts: it starts from the truth."""
 EDGES = 0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0
-WILD = 3.0
-"""Reach of wild records, in trained half widths around the middle."""
 WILD_ROWS = 600
 
 
@@ -98,63 +107,7 @@ def scored(network: Any, data: Any, output: str, spread: float) -> tuple[Any, An
     return np.concatenate(errors), far, sum(bool(d.any()) for d in run.diverged)
 
 
-def wild(network: Any, like: Any, count: int, rows: int) -> Any:
-    """Records of steps, ramps and noise, alone and mixed, up to `WILD` times the
-    trained ranges."""
-    import numpy as np
-
-    random = np.random.default_rng(SEED)
-    inputs = len(network.channels.inputs)
-    low, high = (np.asarray(a, float)[:inputs] for a in (network.low, network.high))
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    made = []
-    for n in range(count):
-        first = like.records[n % len(like)]
-        pace = random.integers(5, 120, inputs)
-        steps = np.stack(
-            [
-                np.repeat(random.uniform(-WILD, WILD, rows // p + 1), p)[:rows]
-                for p in pace
-            ],
-            axis=1,
-        )
-        knots = random.uniform(-WILD, WILD, (7, inputs))
-        at = np.linspace(0, 6, rows)
-        ramps = np.stack([np.interp(at, range(7), k) for k in knots.T], axis=1)
-        noise = random.uniform(-WILD, WILD, (rows, inputs))
-        unit = (steps, ramps, noise, (steps + ramps + noise) / 3)[n % 4]
-        u = middle[None] + half[None] * unit
-        u[:SETTLED] = first.u[:SETTLED]
-        y = np.tile(first.y[:1], (rows, 1))
-        y[:SETTLED] = first.y[:SETTLED]
-        valid = np.ones((rows, u.shape[1] + y.shape[1]), bool)
-        made.append(dataclasses.replace(first, u=u, y=y, valid=valid, name=f"wild {n}"))
-    return dataclasses.replace(like, records=tuple(made))
-
-
-def ran_wild(network: Any, data: Any) -> dict[str, Any]:
-    """What free runs of these records did."""
-    import numpy as np
-
-    import jaxnarx as jnx
-
-    run = jnx.simulate(network, data).value
-    return {
-        "records": len(data),
-        "not finite": int(sum(not np.all(np.isfinite(y)) for y in run.outputs)),
-        "diverged": int(sum(bool(d.any()) for d in run.diverged)),
-    }
-
-
-def correlation(index: Any, error: Any) -> float:
-    """Of ranks (Spearman)."""
-    from scipy.stats import spearmanr
-
-    value: Any = spearmanr(index, error)
-    return round(float(value.statistic), 3)
-
-
-def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str, Any]:
+def one(output: str, train: Any, tests: Any, fresh: Any, asked: Any) -> dict[str, Any]:
     """All figures of one output."""
     import numpy as np
 
@@ -164,7 +117,7 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
 
     begin = time.perf_counter()
     fit = jnx.identify(
-        train, preset="quick", outputs=[output], candidates=options.candidates
+        train, preset="quick", outputs=[output], candidates=asked.candidates
     )
     row = fit.stats["leaderboard"].chosen(output)
     network, o = fit.value, train.channels.output_names.index(output)
@@ -177,7 +130,7 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
     }
     if network.domain is None:
         return figures
-    strange = wild(network, train, options.wild, WILD_ROWS)
+    strange = wild(network, train, asked.wild, WILD_ROWS)
     for policy in POLICIES:
         held = hold_to_range(network, outside=policy)
         every = [scored(held, data, output, spread) for data in tests]
@@ -196,10 +149,12 @@ def one(bed: str, output: str, train: Any, tests: Any, options: Any) -> dict[str
             "spearman": correlation(index, error),
             "wild": ran_wild(held, strange),
         }
-        if policy == "linear":
+        if policy == network.outside:
             inside = float(np.sqrt(np.mean(error[index <= 1] ** 2)))
             figures["pool"] = {"index": index, "error": error, "inside": inside}
             figures["outside"] = outside
+    figures["policy"] = network.outside
+    figures["intervals"] = tested(network, fresh, train)["outputs"][output]
     return figures
 
 
@@ -245,10 +200,11 @@ def main() -> None:
         tests = [
             records(bed, share, 100 + n, SCORED, rows) for n, share in enumerate(SHARES)
         ]
+        fresh = noisy(records(bed, INNER, 50, FRESH, rows), 50)
         outputs = train.channels.output_names[: 1 if options.smoke else None]
         found = {}
         for output in outputs:
-            found[output] = one(bed, output, train, tests, options)
+            found[output] = one(output, train, tests, fresh, options)
             told = {k: v for k, v in found[output].items() if k != "pool"}
             print(bed, output, told, flush=True)
         whole = pooled(list(found.values()))
