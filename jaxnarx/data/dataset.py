@@ -14,11 +14,16 @@ from jaxnarx.data.sampling import positive_sample_time
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dataset:
-    """Records that share channels and sample time [s]. Immutable; host memory only."""
+    """Records that share channels and sample time [s]. Immutable; host memory only.
+
+    `notes` tell what reading has done to the samples, such as bringing channels to one
+    raster.
+    """
 
     records: tuple[Record, ...]
     channels: Channels
     sample_time: float
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.records)

@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from jaxnarx.data.channels import Channel, Channels, require_plain
-from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.missing import require_missing
+from jaxnarx.data.readers.columns import Asked, CsvLayout
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
 
@@ -37,10 +37,25 @@ class Description:
     time: str | None
     missing: str
     root: str
-    layout: CsvLayout
+    layout: CsvLayout = CsvLayout()
+    table: str = ""
     preparation: str | None = None
     time_unit: str | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+
+    def require_time(self) -> None:
+        """SpecError where nothing says when rows were taken; for files that do not."""
+        if self.sample_time is None and self.time is None:
+            raise SpecError(
+                "[data] needs sample_time in seconds, or time, the name of a time "
+                "column",
+                field="data.sample_time",
+            )
+
+    @property
+    def asked(self) -> Asked:
+        """What readers are told."""
+        return Asked(self.layout, self.table, self.sample_time)
 
     @property
     def wanted(self) -> list[str]:
@@ -92,6 +107,7 @@ _DATA: dict[str, type] = {
     "encoding": str,
     "skip_rows": int,
     "unit_row": bool,
+    "table": str,
     "preparation": str,
 }
 
@@ -111,11 +127,6 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     data = _section(table, "data")
     _require_keys(data, _DATA, "data")
     settings = {k: _typed(v, _DATA[k], f"data.{k}") for k, v in data.items()}
-    if "sample_time" not in settings and "time" not in settings:
-        raise SpecError(
-            "[data] needs sample_time in seconds, or time, the name of a time column",
-            field="data.sample_time",
-        )
     if "sample_time" in settings:
         positive_sample_time(settings["sample_time"])
     require_missing(settings.get("missing", "refuse"))
@@ -137,6 +148,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         missing=settings.get("missing", "refuse"),
         root=settings.get("root", "."),
         layout=_layout(settings),
+        table=settings.get("table", ""),
         preparation=preparation,
         time_unit=settings.get("time_unit"),
         groups=_groups(records.get("groups", {})),

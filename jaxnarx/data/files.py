@@ -8,16 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.columns import table_source
-from jaxnarx.data.csv_table import CsvLayout
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import alike, assemble
 from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
+from jaxnarx.data.readers import read_table
+from jaxnarx.data.readers.columns import table_source
 from jaxnarx.data.record import Record
-from jaxnarx.data.tables import read_table
 from jaxnarx.errors import DataFileError, SpecError, reading
 from jaxnarx.guard import guarded
 
@@ -120,7 +119,6 @@ def read_files(
         time=None,
         missing=missing,
         root=".",
-        layout=CsvLayout(),
     )
     files = [Path(p) for p in paths]
     for file in files:
@@ -169,11 +167,15 @@ def _assembled(
     files: list[Path], names: list[str], description: Description, max_bytes: float
 ) -> Dataset:
     """The records of `files`, called `names`."""
-    sources, steps = [], []
+    sources, steps, notes = [], [], []
     channels, stated_by = description.channels, {}
     left = max_bytes
     for file, name in zip(files, names, strict=True):
-        table = read_table(file, description.wanted, description.layout, max_bytes=left)
+        asked = dataclasses.replace(description.asked, max_bytes=left)
+        table = read_table(file, description.wanted, asked)
+        if table.time is None:
+            description.require_time()
+        notes += table.notes
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}
         channels = _with_units(channels, units, stated_by, table.place.name)
@@ -192,7 +194,7 @@ def _assembled(
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
     records = assemble(alike(sources), channels, step, description.missing)
-    return Dataset(records, channels, step)
+    return Dataset(records, channels, step, tuple(notes))
 
 
 def _source_name(record: Record, known) -> str:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data.channels import Channels
-from jaxnarx.data.columns import Table, table_source
 from jaxnarx.data.missing import Source, alike
+from jaxnarx.data.readers.columns import Table, table_source
 from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
 from jaxnarx.errors import DataError, SpecError, suggest

@@ -3,10 +3,10 @@
 from typing import TYPE_CHECKING
 
 from jaxnarx.errors import SpecError
-from jaxnarx.shell.messages import about
+from jaxnarx.shell.messages import about, say
 
 if TYPE_CHECKING:
-    from jaxnarx.data import Split
+    from jaxnarx.data import Dataset, Split
 
 
 def read_description(path: str, root: str | None) -> "Split":
@@ -19,4 +19,12 @@ def read_description(path: str, root: str | None) -> "Split":
             "sample time and files; `jaxnarx check --help` shows the smallest."
         )
     with about(path):
-        return read_split(path, root=root)
+        split = read_split(path, root=root)
+    tell_notes(split.all)
+    return split
+
+
+def tell_notes(data: "Dataset") -> None:
+    """What reading did to the samples, beside the output."""
+    for note in data.notes:
+        say(note, aside=True)

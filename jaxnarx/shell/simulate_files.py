@@ -10,7 +10,7 @@ from jaxnarx.inverse import Tracking, cascade
 from jaxnarx.models import Network
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate
-from jaxnarx.shell.description import read_description
+from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
@@ -165,6 +165,7 @@ def _records(
         say(size(data) + (f"; ignored: {', '.join(extra)}" if extra else ""))
         return data
     data = read_files(command.files, channels, sample_time=sample_time, missing="mask")
+    tell_notes(data)
     _require_measured(data, command, inverse)
     whose = "raw" if command.prepare else "model's"
     say(

@@ -51,8 +51,11 @@ def on_grid(
     *,
     step: float | int,
     name: str,
+    start: float | None = None,
 ) -> Samples:
-    """`x`, known at the increasing positions `at`, at at[0], at[0] + step, ...
+    """`x`, known at the increasing positions `at`, at start, start + step, ...
+
+    `start` is not before at[0], the default.
 
     Masked samples are bridged first. A fine grid, of step / m with the least whole m
     that makes it as fine as `at`, is reached by monotone cubic interpolation (Fritsch
@@ -69,7 +72,8 @@ def on_grid(
     # the shortest hundredth may be outliers, and would set the size of everything
     usual = float(np.quantile(spacing, 0.01)) if spacing.size else float(step)
     m = max(1, int(np.ceil(step / usual - 1e-6)))
-    count = int((at[-1] - at[0]) / step * m + 1e-6) + 1
+    first = at[0] if start is None else start
+    count = int((at[-1] - first) / step * m + 1e-6) + 1
     kept = (count - 1) // m + 1
     if kept < LEAST:
         raise DataError(
@@ -82,7 +86,7 @@ def on_grid(
             "longer steps.",
             field="sample_time",
         )
-    fine = at[0] + np.arange(count) * (step / m)
+    fine = first + np.arange(count) * (step / m)
     values, known = _between(at, bridged(x, valid), valid, fine)
     if m == 1:
         return Samples(values, known)

@@ -10,7 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from jaxnarx.data.columns import DECIMAL_COMMA, Table, is_number
+from jaxnarx.data.readers.columns import (
+    DECIMAL_COMMA,
+    Asked,
+    Column,
+    CsvLayout,
+    Table,
+    is_number,
+)
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
 
@@ -22,22 +29,6 @@ _LINE_END = re.compile(r"\r*\n|\r")
 _LINE_ENDS = re.compile(rb"\r*\n|\r")
 _EMPTY_LINE = re.compile(rb"\n[\r\n]|\r\r+(?!\r*\n)")
 _NULLS = ["", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL"]
-
-
-@dataclasses.dataclass(frozen=True)
-class CsvLayout:
-    """How the CSV files of a description are written; `None` and "" are found out.
-
-    `columns` names the columns of files without a header line; `skip_rows` lines stand
-    before the header; `unit_row` says that a line of units follows it.
-    """
-
-    columns: tuple[str, ...] = ()
-    decimal: str = "."
-    delimiter: str = ""
-    encoding: str = "utf-8"
-    skip_rows: int = 0
-    unit_row: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,29 +71,42 @@ class _Head:
         )
 
 
-def read_csv(
-    path: Path, wanted: Sequence[str], layout: CsvLayout, *, max_bytes: float
-) -> Table:
+def contents(path: Path, asked: Asked) -> list[Column]:
+    """Every column of the header, with the unit of a line of units."""
+    head = _inspect(path, [], asked.layout)
+    units = _units(head, asked.layout)
+    with path.open("rb") as file, _mapped(file) as m:
+        rows = sum(_line_ends(m[at : at + _CHUNK]) for at in range(0, len(m), _CHUNK))
+    rows = max(rows - head.first, 0)
+    return [Column(n, units.get(n, ""), rows=rows) for n in head.names if n]
+
+
+def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` columns of a CSV file.
 
     Rows are counted as an editor shows them: the first line of the file is 1, header
     included. Raises DataFileError, with the first lines, where the layout is not as
     `layout` says or cannot be made out.
     """
+    layout = asked.layout
     head = _inspect(path, wanted, layout)
-    _require_size(head, len(wanted), max_bytes)
+    _require_size(head, len(wanted), asked.max_bytes)
     table = _parse(head, wanted, layout)
-    units = {}
-    if layout.unit_row:
-        fields = head.fields(head.first - 1)
-        units = {n: u.strip() for n, u in zip(head.names, fields, strict=False)}
     place = RowSource(
         str(path), head.first + 1, ", counted from 1 with the header line"
     )
     if layout.columns:
         place = dataclasses.replace(place, counting=", counted from 1")
     columns = dict(zip(wanted, table.columns, strict=True))
-    return Table(columns, place, units)
+    return Table(columns, place, _units(head, layout))
+
+
+def _units(head: _Head, layout: CsvLayout) -> dict[str, str]:
+    """By column, where a line of units follows the header."""
+    if not layout.unit_row:
+        return {}
+    fields = head.fields(head.first - 1)
+    return {n: u.strip() for n, u in zip(head.names, fields, strict=False)}
 
 
 def _inspect(path: Path, wanted: Sequence[str], layout: CsvLayout) -> _Head:

@@ -1,80 +1,38 @@
-"""One data file of any kind, checked before it is read."""
+"""Parquet files, checked by their own account of their values before they are read."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxnarx.data.columns import Table, is_readable, is_text
-from jaxnarx.data.csv_table import CsvLayout, read_csv
+from jaxnarx.data.readers.columns import Asked, Column, Table, is_readable, is_text
 from jaxnarx.data.record import RowSource
-from jaxnarx.errors import DataFileError, reading, suggest
-
-_ARCHIVES = {
-    b"PK\x03\x04": "zip",
-    b"\x1f\x8b": "gzip",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\x00": "xz",
-    b"\x28\xb5\x2f\xfd": "zstandard",
-    b"7z\xbc\xaf": "7z",
-    b"\x1f\x9d": "compress",
-    b"\x04\x22\x4d\x18": "lz4",
-}
-
+from jaxnarx.errors import DataFileError, suggest
 
 _FEW, _TIMES = 64e6, 1000
 """A Parquet file that grows to more bytes, and by more times, is taken for a bomb."""
-_SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 
 
-def read_table(
-    path: Path, wanted: Sequence[str], layout: CsvLayout, *, max_bytes: float = 4e9
-) -> Table:
-    """The `wanted` columns of a `.csv`, `.txt` or `.parquet` file.
-
-    Archives and files that would take more than `max_bytes` are refused unread; what
-    cannot be read is a DataFileError.
-    """
-    kind = path.suffix.lower()
-    wanted = list(dict.fromkeys(wanted))
-    with reading(path, "Parquet" if kind == ".parquet" else "CSV"):
-        _require_plain(path)
-        if kind in (".csv", ".txt"):
-            return read_csv(path, wanted, layout, max_bytes=max_bytes)
-        if kind == ".parquet":
-            return _read_parquet(path, wanted, max_bytes=max_bytes)
-        raise DataFileError(
-            f"{path}: files of kind {kind or 'without a suffix'!r} cannot be read; "
-            "known are .csv, .txt and .parquet.",
-            path=path,
-        )
-
-
-def _require_plain(path: Path):
-    with path.open("rb") as file:
-        begin = file.read(64)
-    if not begin:
-        raise DataFileError(f"{path}: the file is empty.", path=path)
-    if path.suffix.lower() in _SPREADSHEETS or b"[Content_Types].xml" in begin:
-        raise DataFileError(
-            f"{path}: this is a spreadsheet. Save each sheet as CSV (in Excel: File, "
-            "Save As, CSV UTF-8), and name the CSV files instead.",
-            path=path,
-        )
-    for mark, name in _ARCHIVES.items():
-        if begin.startswith(mark):
-            raise DataFileError(
-                f"{path}: this is a {name} archive, which is not opened because its "
-                "expanded size is unknown. Unpack it first.",
-                path=path,
-            )
-
-
-def _read_parquet(path: Path, wanted: list[str], *, max_bytes: float) -> Table:
+def contents(path: Path, asked: Asked) -> list[Column]:
+    """Every column that may hold one number, time or text a row."""
     import pyarrow.parquet as parquet
 
     with parquet.ParquetFile(path) as file:
+        rows, schema = file.metadata.num_rows, file.schema_arrow
+    return [
+        Column(name=field.name, rows=rows, text=is_text(field.type))
+        for field in schema
+        if is_readable(field.type)
+    ]
+
+
+def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
+    """The `wanted` columns; more than `asked.max_bytes` are refused unread."""
+    import pyarrow.parquet as parquet
+
+    wanted = list(wanted)
+    with parquet.ParquetFile(path) as file:
         schema = file.schema_arrow
         texts = _require_columns(path, schema, wanted)
-        _require_parquet_size(path, file.metadata, wanted, texts, max_bytes)
+        _require_parquet_size(path, file.metadata, wanted, texts, asked.max_bytes)
     # every text once: repeated ones would take more than the file lets expect
     with parquet.ParquetFile(path, read_dictionary=texts) as file:
         table = file.read(columns=wanted)

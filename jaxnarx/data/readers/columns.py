@@ -14,6 +14,53 @@ from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
 from jaxnarx.errors import DataError
 
+
+@dataclasses.dataclass(frozen=True)
+class CsvLayout:
+    """How the CSV files of a description are written; `None` and "" are found out.
+
+    `columns` names the columns of files without a header line; `skip_rows` lines stand
+    before the header; `unit_row` says that a line of units follows it.
+    """
+
+    columns: tuple[str, ...] = ()
+    decimal: str = "."
+    delimiter: str = ""
+    encoding: str = "utf-8"
+    skip_rows: int = 0
+    unit_row: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What a description says about its files, for every reader.
+
+    `table` names the sheet, variable or group of files that hold several; `sample_time`
+    [s] is wanted of files whose channels have rasters of their own.
+    """
+
+    layout: CsvLayout = CsvLayout()
+    table: str = ""
+    sample_time: float | None = None
+    max_bytes: float = 4e9
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """What a file says of one of its columns or channels, before it is read.
+
+    `table` is where in the file it is, `step` [s] its raster where it has one of its
+    own; `text` marks columns of labels.
+    """
+
+    name: str
+    unit: str = ""
+    rows: int = 0
+    table: str = ""
+    step: float | None = None
+    text: bool = False
+
+
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 
 
@@ -21,12 +68,16 @@ DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 class Table:
     """Wanted columns of one source: arrow arrays by name, and units if it states any.
 
-    Every reader (CSV, Parquet, frames, later MDF) ends here.
+    `time` [s] is that of the rows where the source has one without a column for it;
+    `notes` tell what was done to the columns to bring them there. Every reader ends
+    here.
     """
 
     columns: Mapping[str, Any]
     place: RowSource
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    time: Float[np.ndarray, " time"] | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -46,19 +97,21 @@ def table_source(
     """One record from a table, and its sample time [s].
 
     `columns` maps channel names to column names (the same name where absent). At least
-    one of `time` (a column) and `sample_time` is given.
+    one of `time` (a column), `sample_time` and `table.time` is given.
     """
     parts = [
         numbers(table.columns[columns.get(n, n)], channel=n, place=table.place)
         for n in channels.names
     ]
     cuts: Sequence[int] = ()
+    t, unit = table.time, "s"
     if time is not None:
         unit = time_unit or time_unit_in(table.units.get(time, ""), time)
         t, unit = seconds(table.columns[time], name=time, place=table.place, unit=unit)
+    if t is not None:
         sample_time, cuts = sampling(
             t,
-            column=time,
+            column=time or "of the file",
             place=table.place,
             sample_time=sample_time,
             split=split,

@@ -1,0 +1,110 @@
+"""Data files of any kind: what is in them, and wanted columns of them.
+
+A kind of file is a module with two functions, `contents(path, asked)` and `read(path,
+wanted, asked)`; both may raise whatever comes, which is told as a DataFileError here.
+What they return is in `jaxnarx.data.readers.columns`.
+"""
+
+import dataclasses
+import importlib
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.data.readers.columns import Asked, Column, Table
+from jaxnarx.errors import DataFileError, reading
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """A kind of file: its module, and the extra of jaxnarx that brings `package`."""
+
+    name: str
+    module: str
+    package: str = ""
+    extra: str = ""
+    packed: bool = False
+    """Whether such files are archives by themselves."""
+
+
+_CSV, _PARQUET = Kind("CSV", "csv_file"), Kind("Parquet", "parquet_file")
+_SHEET = Kind("spreadsheet", "spreadsheet", "python_calamine", "excel", packed=True)
+KINDS: dict[str, Kind] = {
+    ".csv": _CSV,
+    ".txt": _CSV,
+    ".parquet": _PARQUET,
+    ".xlsx": _SHEET,
+    ".xlsm": _SHEET,
+    ".xlsb": _SHEET,
+    ".xls": _SHEET,
+    ".ods": _SHEET,
+}
+"""By suffix, lower case."""
+
+_ARCHIVES = {
+    b"PK\x03\x04": "zip",
+    b"\x1f\x8b": "gzip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x28\xb5\x2f\xfd": "zstandard",
+    b"7z\xbc\xaf": "7z",
+    b"\x1f\x9d": "compress",
+    b"\x04\x22\x4d\x18": "lz4",
+}
+
+
+def read_table(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
+    """The `wanted` columns of a file.
+
+    Archives and files that would take more than `asked.max_bytes` are refused unread;
+    what cannot be read is a DataFileError.
+    """
+    wanted = list(dict.fromkeys(wanted))
+    return _guarded(path, lambda module: module.read(path, wanted, asked))
+
+
+def contents(path: Path, asked: Asked) -> list[Column]:
+    """All columns of a file that could be channels."""
+    return _guarded(path, lambda module: module.contents(path, asked))
+
+
+def _guarded(path: Path, use: Any) -> Any:
+    kind = KINDS.get(path.suffix.lower())
+    with reading(path, "CSV" if kind is None else kind.name):
+        _require_plain(path, kind)
+        if kind is None:
+            known = ", ".join(KINDS)
+            raise DataFileError(
+                f"{path}: files of kind {path.suffix.lower() or 'without a suffix'!r} "
+                f"cannot be read; known are {known}.",
+                path=path,
+            )
+        if kind.package and importlib.util.find_spec(kind.package) is None:
+            raise DataFileError(
+                f"{path}: {kind.name} files are read with the package {kind.package}, "
+                f'which is not installed: pip install "jaxnarx[{kind.extra}]".',
+                path=path,
+            )
+        return use(importlib.import_module(f"jaxnarx.data.readers.{kind.module}"))
+
+
+def _require_plain(path: Path, kind: Kind | None):
+    with path.open("rb") as file:
+        begin = file.read(64)
+    if not begin:
+        raise DataFileError(f"{path}: the file is empty.", path=path)
+    if kind is not None and kind.packed:
+        return
+    if b"[Content_Types].xml" in begin:
+        raise DataFileError(
+            f"{path}: this is a spreadsheet. Call it .xlsx, and it is read as one.",
+            path=path,
+        )
+    for mark, name in _ARCHIVES.items():
+        if begin.startswith(mark):
+            raise DataFileError(
+                f"{path}: this is a {name} archive, which is not opened because its "
+                "expanded size is unknown. Unpack it first.",
+                path=path,
+            )
