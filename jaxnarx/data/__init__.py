@@ -25,6 +25,7 @@ from jaxnarx.data.hold_out import hold_out as hold_out
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags
+from jaxnarx.data.match import in_units as in_units
 from jaxnarx.data.match import match_channels as match_channels
 from jaxnarx.data.preparation import Changes as Changes
 from jaxnarx.data.preparation import Decimate as Decimate

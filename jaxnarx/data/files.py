@@ -11,12 +11,13 @@ from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
-from jaxnarx.data.missing import alike, assemble
+from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers import read_table
 from jaxnarx.data.readers.columns import table_source
 from jaxnarx.data.record import Record
+from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, reading
 from jaxnarx.guard import guarded
 
@@ -178,7 +179,7 @@ def _assembled(
         notes += table.notes
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}
-        channels = _with_units(channels, units, stated_by, table.place.name)
+        channels, how = _in_units(channels, units, stated_by, table.place.name)
         with reading(file, "numbers"):
             source, step = table_source(
                 table,
@@ -190,6 +191,8 @@ def _assembled(
                 sample_time=description.sample_time,
                 split=description.missing == "split",
             )
+        source, told = _converted(source, channels, how, units)
+        notes += told
         sources.append(source)
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
@@ -223,30 +226,55 @@ def _root(path: Path, root, description: Description) -> Path:
     return folder
 
 
-def _with_units(
+def _in_units(
     channels: Channels, units: dict[str, str], stated_by: dict[str, str], source: str
-) -> Channels:
-    """The channels, with units that the file `source` states; they may not differ.
+) -> tuple[Channels, dict[str, Conversion]]:
+    """The channels, with units that the file `source` states where they have none, and
+    how values of the file become theirs, by channel.
 
     `stated_by` remembers which file a unit comes from that the description lacks.
     """
+    how: dict[str, Conversion] = {}
 
     def stated(channel: Channel) -> Channel:
-        own = units[channel.name].strip("[]() ")
-        if own and channel.unit and own != channel.unit.strip("[]() "):
-            by = stated_by.get(channel.name, "the description")
-            raise SpecError(
-                f"{source}: {channel.name} is in {own!r}, but in {channel.unit!r} "
-                f"according to {by}. Convert the file, or correct the unit.",
-                field=channel.name,
-            )
+        own = bare(units[channel.name])
+        if own and channel.unit:
+            found = conversion(own, channel.unit)
+            if found is None:
+                by = stated_by.get(channel.name, "the description")
+                raise SpecError(
+                    f"{source}: {channel.name} is in {own!r}, but in {channel.unit!r} "
+                    f"according to {by}. Convert the file, or correct the unit.",
+                    field=channel.name,
+                )
+            if found != (1.0, 0.0):
+                how[channel.name] = found
         if own and not channel.unit:
             stated_by[channel.name] = source
         return Channel(channel.name, channel.unit or own)
 
-    return Channels(
+    found = Channels(
         tuple(map(stated, channels.inputs)), tuple(map(stated, channels.outputs))
     )
+    return found, how
+
+
+def _converted(
+    source: Source, channels: Channels, how: dict[str, Conversion], units: dict
+) -> tuple[Source, tuple[str, ...]]:
+    """The rows in the units of the channels, and what was converted."""
+    if not how:
+        return source, ()
+    x, notes = source.x.copy(), []
+    for name, convert in how.items():
+        s = channels.signal(name)
+        x[:, s] = convert(x[:, s])
+        unit = channels.all[s].unit
+        notes.append(
+            f"{source.place.lead}{name} converted from {bare(units[name])} to {unit}, "
+            f"{convert}"
+        )
+    return dataclasses.replace(source, x=x), tuple(notes)
 
 
 def _record_names(files: list[Path], folder: Path) -> list[str]:

@@ -62,6 +62,7 @@ def data_notes(
             for c in data.channels.all
             if known.get(c.name, c.unit) != c.unit
         ]
+        notes += [f"Of the {part} data: {note}." for note in data.notes]
     return notes
 
 

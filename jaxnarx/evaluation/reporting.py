@@ -5,7 +5,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from jaxnarx.data import Channel, Dataset
+from jaxnarx.data import Channel, Dataset, in_units
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.cost import cost
@@ -113,6 +113,7 @@ def report(
     """
     parts = dict(data) if isinstance(data, Mapping) else {"data": data}
     _check(parts, horizons)
+    parts = {part: in_units(data, network.channels) for part, data in parts.items()}
     outputs = tuple(network.output_channels)
     known = simulated if isinstance(simulated, Mapping) else {}
     if simulated is not None and not isinstance(simulated, Mapping):

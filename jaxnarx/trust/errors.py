@@ -58,7 +58,8 @@ def learn_errors(
         without them where fewer than 200 samples of an output count.
 
     Example:
-        known = jnx.trust.learn_errors(network, data)
+        known = jnx.trust.learn_domain(network, data)
+        known = jnx.trust.learn_errors(known, data)
         print(jnx.intervals(known, data).value.lower[0].shape)
     """
     if network.domain is None:

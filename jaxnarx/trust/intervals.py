@@ -66,7 +66,8 @@ def intervals(
         Status as of `simulate`.
 
     Example:
-        known = jnx.trust.learn_errors(network, data)
+        known = jnx.trust.learn_domain(network, data)
+        known = jnx.trust.learn_errors(known, data)
         found = jnx.intervals(known, data, level=0.9).value
         print(found.lower[0][-1], found.upper[0][-1])
     """

@@ -10,13 +10,13 @@ from jaxnarx.checks import known_name
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.check_samples import spans
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.match import same_unit
 from jaxnarx.data.preparation.codec import decode, decode_fields, decode_step
 from jaxnarx.data.preparation.crank_angle import AtCrankAngle, ToTime
 from jaxnarx.data.preparation.levels import OffsetRemoved, Scaled
 from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.data.units import same_unit
 from jaxnarx.errors import SpecError
 
 

@@ -1,0 +1,118 @@
+"""Units as measurement files write them, and how one becomes another.
+
+Only what cannot be misread is converted: `1/s` may be a speed or a frequency, and stays
+what it is. Everything else must be the same text.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Conversion(NamedTuple):
+    """new = factor * old + offset."""
+
+    factor: float
+    offset: float
+
+    def __call__(self, x: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """The values in the new unit, of the type they have."""
+        if self == (1.0, 0.0):
+            return x
+        return (x * self.factor + self.offset).astype(x.dtype)
+
+    def __str__(self) -> str:
+        offset = f" {self.offset:+.6g}" if self.offset else ""
+        return f"times {self.factor:.6g}{offset}"
+
+
+_SPELT: dict[str, dict[str, tuple[float, float]]] = {
+    "dimensionless": {"-|1": (1.0, 0.0), "%|pct|percent": (0.01, 0.0)},
+    "speed of rotation": {
+        "rpm|1/min|min-1|min^-1|U/min|r/min|rev/min|/min": (1.0, 0.0),
+        "rad/s": (30 / math.pi, 0.0),
+    },
+    "pressure": {
+        "Pa": (1.0, 0.0),
+        "hPa|mbar": (1e2, 0.0),
+        "kPa": (1e3, 0.0),
+        "bar": (1e5, 0.0),
+        "MPa": (1e6, 0.0),
+        "psi": (6894.757293168361, 0.0),
+    },
+    "temperature": {
+        "K|Kelvin": (1.0, 0.0),
+        "degC|°C|C|Cel|deg C|Celsius": (1.0, 273.15),
+        "degF|°F|deg F": (5 / 9, 273.15 - 160 / 9),
+    },
+    "torque": {"Nm|N·m|N*m|N.m": (1.0, 0.0), "kNm": (1e3, 0.0)},
+    "power": {"W": (1.0, 0.0), "kW": (1e3, 0.0), "PS": (735.49875, 0.0)},
+    "mass": {"kg": (1.0, 0.0), "g": (1e-3, 0.0), "mg": (1e-6, 0.0)},
+    "mass flow": {
+        "kg/s": (1.0, 0.0),
+        "g/s": (1e-3, 0.0),
+        "mg/s": (1e-6, 0.0),
+        "kg/h": (1 / 3600, 0.0),
+        "g/h": (1e-3 / 3600, 0.0),
+    },
+    "mass per stroke": {
+        "mg/stroke|mg/str|mg/stk|mg/hub|mg/Hub|mg/H": (1.0, 0.0),
+        "g/stroke": (1e3, 0.0),
+    },
+    "angle": {
+        "deg|°|degCA|°CA|deg CA|degCrk|°KW|°crk": (1.0, 0.0),
+        "rad": (180 / math.pi, 0.0),
+    },
+    "time": {
+        "s|sec": (1.0, 0.0),
+        "ms|msec": (1e-3, 0.0),
+        "us|µs": (1e-6, 0.0),
+        "min": (60.0, 0.0),
+        "h": (3600.0, 0.0),
+    },
+    "velocity": {"m/s": (1.0, 0.0), "km/h|kph": (1 / 3.6, 0.0), "mph": (0.44704, 0.0)},
+    "length": {"m": (1.0, 0.0), "cm": (1e-2, 0.0), "mm": (1e-3, 0.0)},
+    "voltage": {"V": (1.0, 0.0), "mV": (1e-3, 0.0)},
+    "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0)},
+    "share of volume": {
+        "ppm": (1e-6, 0.0),
+        "vol%|Vol%|% vol|Vol.-%|%vol": (1e-2, 0.0),
+    },
+}
+_KNOWN = {
+    name: (dimension, *scale)
+    for dimension, units in _SPELT.items()
+    for names, scale in units.items()
+    for name in names.split("|")
+}
+
+
+def bare(unit: str) -> str:
+    """Without brackets and what else only surrounds it."""
+    text = unit.strip().strip("[]()").strip()
+    return text.replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}")
+
+
+def conversion(old: str, new: str) -> Conversion | None:
+    """From one unit to another; None where they do not measure the same for certain."""
+    old, new = bare(old), bare(new)
+    if old == new:
+        return Conversion(1.0, 0.0)
+    if old not in _KNOWN or new not in _KNOWN:
+        return None
+    (one, factor, offset), (other, scale, shift) = _KNOWN[old], _KNOWN[new]
+    if one != other:
+        return None
+    return Conversion(factor / scale, (offset - shift) / scale)
+
+
+def same_unit(a: str, b: str) -> bool:
+    """Whether two stated units are one, however they are spelt."""
+    return conversion(a, b) == (1.0, 0.0)
+
+
+def is_known(unit: str) -> bool:
+    """Whether it is one of the table."""
+    return bare(unit) in _KNOWN
