@@ -66,7 +66,7 @@ def test_a_verb_explains_its_arguments_and_what_it_returns(name):
 
 @pytest.fixture(scope="module")
 def scope():
-    data = common.dataset()
+    data = common.dataset((150, 150))
     pool = jnx.polynomial_pool(
         data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
     )
