@@ -15,7 +15,8 @@ from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers import read_table
-from jaxnarx.data.readers.columns import table_source
+from jaxnarx.data.readers.columns import CsvLayout, table_source
+from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, reading
@@ -125,9 +126,20 @@ def read_files(
     for file in files:
         if not file.is_file():
             raise DataFileError(f"{file}: there is no such file.", path=file)
+    layouts = [file_layout(file) for file in files]
+    if layouts and all(layout == layouts[0] for layout in layouts):
+        description = dataclasses.replace(description, layout=layouts[0])
     folder = Path(os.path.commonpath([f.resolve().parent for f in files]))
     names = _record_names([f.resolve() for f in files], folder)
     return _assembled(files, names, description, max_bytes)
+
+
+def file_layout(path: Path) -> CsvLayout:
+    """How a CSV file is written, as far as it can be found out."""
+    if path.suffix.lower() not in (".csv", ".txt"):
+        return CsvLayout()
+    with reading(path, "CSV"):
+        return find_layout(path) or CsvLayout()
 
 
 def _preparation(path: Path, description: Description, root) -> Preparation | None:

@@ -6,7 +6,7 @@ reads such files.
 
 DESCRIPTION = """All keys of a description of records:
     [data]
-    sample_time = 0.1            # s
+    sample_time = 0.1            # s; files with several rasters are brought to it
     time = "t"                   # a column, instead or beside it, to have it checked
     time_unit = "s"              # or "ms", "us", "min", "h": of that column's numbers
     missing = "refuse"           # or "mask", "split", "interpolate"
@@ -17,6 +17,7 @@ DESCRIPTION = """All keys of a description of records:
     encoding = "utf-8"           # or "cp1252", ...
     skip_rows = 0                # lines before the header
     unit_row = false             # a line of units follows the header
+    table = "Sheet1"             # of files with several sheets, variables or groups
     preparation = "preparation.json"   # what `jaxnarx prepare` did to these files
     [channels.inputs]            # name = unit, in the order of the dataset's columns
     speed = "rpm"
@@ -28,9 +29,12 @@ DESCRIPTION = """All keys of a description of records:
     # or parts: train = [...], validate = [...], test = [...]
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
 
-Only sample_time or time, one output and [records] are required. Columns that no channel
-names are ignored. Numbers under time that look like milliseconds are refused until
-their unit is stated, here, by a unit row or in the column's name ("t_ms", "time [s]").
+Files are CSV, Parquet, Excel and OpenDocument sheets. One output and [records] are
+required, and where the files do not tell the time themselves sample_time or time. Units
+of the files are converted to those stated here (bar, kPa; degC, K; rad/s, rpm). Columns
+that no channel names are ignored. Numbers under time that look like milliseconds are
+refused until their unit is stated, here, by a unit row or in the column's name ("t_ms",
+"time [s]").
 root is relative to the --root option (the root argument of read), else to the
 environment variable JAXNARX_DATA, and stays inside; else it is relative to the folder
 of the description. The patterns of [records] are relative to root and stay inside. Each

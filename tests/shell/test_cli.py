@@ -199,7 +199,7 @@ def test_help_lists_every_key_of_a_description(capsys, name):
     run([name, "--help"])
     text = capsys.readouterr().out
     begin = text.index("[data]", text.index("All keys of a description"))
-    table = tomllib.loads(text[begin : text.index("Only sample_time")])
+    table = tomllib.loads(text[begin : text.index("Files are CSV")])
     known = parse_description({**table, "data": {"sample_time": 1.0}})
     assert known.channels.names == ["speed", "load", "NOx"]
     # what the parser knows is in help, and nothing else

@@ -177,6 +177,10 @@ def seconds(
         origin = ticks[~missing][:1]
         since = (ticks - origin) * scale if origin.size else ticks * scale
         return np.where(missing, np.nan, since), kind.unit
+    if is_text(kind):
+        moments = _moments(column)
+        if moments is not None:
+            return moments, "s"
     try:
         t = numbers(column, channel=name, place=place).astype(np.float64)
         return t * TIME_UNITS[unit or "s"], unit
@@ -187,6 +191,36 @@ def seconds(
             channel=name,
             row=error.row,
         ) from None
+
+
+_DATES = ("%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S")
+"""How dates and times of day are written that pyarrow does not take by itself."""
+
+
+def _moments(column) -> Float[np.ndarray, " time"] | None:
+    """Seconds from the first row of texts that are all moments in one of these ways,
+    with fractions of a second behind a point or a comma."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    text = pc.utf8_trim_whitespace(column.cast(pa.string()))
+    parts = pc.extract_regex(text, r"^(?P<whole>.*:\d{2})(?:[.,](?P<part>\d+))?$")
+    if parts.null_count > text.null_count or text.null_count == len(text):
+        return None
+    whole, part = (pc.struct_field(parts, k) for k in ("whole", "part"))
+    fraction = pc.if_else(pc.equal(part, ""), "0", part)
+    fraction = pc.cast(pc.binary_join_element_wise("0", fraction, "."), pa.float64())
+    for form in _DATES:
+        ticks = pc.strptime(whole, format=form, unit="s", error_is_null=True)
+        if ticks.null_count > text.null_count:
+            continue
+        t = ticks.cast(pa.int64()).to_numpy(zero_copy_only=False).astype(np.float64)
+        t = t - t[np.isfinite(t)][0] + fraction.to_numpy(zero_copy_only=False)
+        if form == "%H:%M:%S":  # midnight begins the day anew
+            t = t + 86_400 * np.cumsum(np.diff(t, prepend=t[:1]) < -43_200)
+        first = t[np.isfinite(t)][:1]
+        return t - first
+    return None
 
 
 def _plain(column):
