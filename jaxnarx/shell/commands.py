@@ -227,6 +227,37 @@ class Report:
 
 
 @dataclasses.dataclass(frozen=True)
+class Describe:
+    """Look into measurement files and write the description that other commands read.
+
+    FILE is CSV, Parquet or a spreadsheet, or a folder of them. Channels with
+    units and ranges, layout and sample time are found out, inputs and outputs guessed
+    from names and courses with the reason beside each, files that repeat one cycle tied
+    together, and records for training and test proposed.
+
+    Example:
+        jaxnarx describe measurements --outputs NOx T_exhaust
+    """
+
+    files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
+    """Measurement files, or folders of them."""
+    outputs: Names = ()
+    """Channels to be modelled; default: guessed."""
+    inputs: Names = ()
+    """Channels that move the engine; default: guessed."""
+    columns: Names = ()
+    """Names of all columns in order, for CSV files without a header."""
+    table: Annotated[str | None, optional("NAME")] = None
+    """Sheet, variable or group, where files hold several."""
+    sample_time: Annotated[float | None, optional("SECONDS")] = None
+    """Where the files do not tell it, or to bring several rasters to it."""
+    out: Annotated[str, arg(metavar="FILE")] = "engine.toml"
+    """The description to be written."""
+    force: Flag = False
+    """Overwrite it."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Check:
     """Look at data before anything is fitted: what may spoil a model, and which lags.
 
@@ -402,6 +433,7 @@ Command = (
     | Simulate
     | Invert
     | Report
+    | Describe
     | Check
     | Prepare
     | SimulateEngine

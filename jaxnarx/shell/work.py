@@ -19,6 +19,10 @@ def run(command: commands.Command, *, typed: str) -> int:
     """Run one command; returns the exit code. `typed` is what the user wrote."""
     if isinstance(command, commands.Check):
         return _check(command)
+    if isinstance(command, commands.Describe):
+        from jaxnarx.shell.describe import describe
+
+        return describe(command)
     if isinstance(command, commands.Prepare):
         return _prepare(command)
     _configure()
