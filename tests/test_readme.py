@@ -53,11 +53,11 @@ def test_the_two_commands_are_one_line_each():
     assert first[0].endswith("jaxnarx demo") and "pytest" in second[0]
 
 
-def test_the_commandsparse():
+def test_the_commands_parse():
     (console,) = blocks("console")
     commands = [shlex.split(line.removeprefix("$ ")) for line in console.splitlines()]
     assert [words[1] for words in commands] == [
-        *("check", "identify", "leaderboard", "take", "simulate", "report")
+        *("describe", "check", "identify", "leaderboard", "take", "simulate", "report")
     ]
     for words in commands:
         parse(words[1:])
