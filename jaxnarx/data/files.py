@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data.channels import Channel, Channels
+from jaxnarx.data.cuts import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.frames import one_sample_time
@@ -15,7 +16,7 @@ from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers import read_table
-from jaxnarx.data.readers.columns import CsvLayout, table_source
+from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
@@ -131,7 +132,9 @@ def read_files(
         description = dataclasses.replace(description, layout=layouts[0])
     folder = Path(os.path.commonpath([f.resolve().parent for f in files]))
     names = _record_names([f.resolve() for f in files], folder)
-    return _assembled(files, names, description, max_bytes)
+    chosen = [(file, None) for file in files]
+    named = dict(zip(files, names, strict=True))
+    return _assembled(chosen, named, description, max_bytes)[0]
 
 
 def file_layout(path: Path) -> CsvLayout:
@@ -164,28 +167,33 @@ def _read(
         folder = _root(path, root, description)
         found = find_files(description, folder, path)
         groups = find_groups(description, folder, path, found)
-    files = [file for file, _ in found]
-    names = _record_names(files, folder)
-    data = _assembled(files, names, description, max_bytes)
-    place = {name: n for n, name in enumerate(names)}
-    source = [found[place[_source_name(r, place)]] for r in data]
+    files = list(dict.fromkeys(file for file, *_ in found))
+    names = dict(zip(files, _record_names(files, folder), strict=True))
+    chosen = [(file, cut) for file, cut, _ in found]
+    data, origin = _assembled(chosen, names, description, max_bytes)
     records = tuple(
-        dataclasses.replace(record, group=groups.get(file, ""))
-        for record, (file, _) in zip(data, source, strict=True)
+        dataclasses.replace(record, group=groups.get(found[n][0], ""))
+        for record, n in zip(data, origin, strict=True)
     )
-    return dataclasses.replace(data, records=records), [part for _, part in source]
+    return dataclasses.replace(data, records=records), [found[n][2] for n in origin]
 
 
 def _assembled(
-    files: list[Path], names: list[str], description: Description, max_bytes: float
-) -> Dataset:
-    """The records of `files`, called `names`."""
-    sources, steps, notes = [], [], []
+    chosen: list[tuple[Path, Cut | None]],
+    names: dict[Path, str],
+    description: Description,
+    max_bytes: float,
+) -> tuple[Dataset, list[int]]:
+    """The records of files, or of what is cut from them, and which of `chosen` each
+    comes from; `names` are those of the files."""
+    sources: list[list[Source]] = []
+    steps, notes = [], []
     channels, stated_by = description.channels, {}
     left = max_bytes
-    for file, name in zip(files, names, strict=True):
+    wanted = [*description.wanted, *columns_of(cut for _, cut in chosen)]
+    for file, cut in chosen:
         asked = dataclasses.replace(description.asked, max_bytes=left)
-        table = read_table(file, description.wanted, asked)
+        table = read_table(file, wanted, asked)
         if table.time is None:
             description.require_time()
         notes += table.notes
@@ -197,24 +205,34 @@ def _assembled(
                 table,
                 channels,
                 description.columns,
-                name=name,
+                name=names[file],
                 time=description.time,
                 time_unit=description.time_unit,
                 sample_time=description.sample_time,
                 split=description.missing == "split",
             )
-        source, told = _converted(source, channels, how, units)
-        notes += told
-        sources.append(source)
+            pieces = [source] if cut is None else _cut(source, cut, step, table)
+        converted = [_converted(one, channels, how, units) for one in pieces]
+        notes += converted[0][1]
+        sources.append([one for one, _ in converted])
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
-    records = assemble(alike(sources), channels, step, description.missing)
-    return Dataset(records, channels, step, tuple(notes))
+    place = {one.name: n for n, own in enumerate(sources) for one in own}
+    every = alike([one for own in sources for one in own])
+    records = assemble(every, channels, step, description.missing)
+    # pieces of a record that is split are called name#1, ...
+    known = [r.name if r.name in place else r.name.rpartition("#")[0] for r in records]
+    data = Dataset(records, channels, step, tuple(dict.fromkeys(notes)))
+    return data, [place[name] for name in known]
 
 
-def _source_name(record: Record, known) -> str:
-    """The file a record came from; pieces of a split file are called name#1, ..."""
-    return record.name if record.name in known else record.name.rpartition("#")[0]
+def _cut(source: Source, cut: Cut, step: float, table: Table) -> list[Source]:
+    """What is cut from a source, by time or by a column of its table."""
+    trigger = None
+    if cut.column:
+        column = table.columns[cut.column]
+        trigger = numbers(column, channel=cut.column, place=table.place)
+    return cut.pieces(source, step, trigger)
 
 
 def _root(path: Path, root, description: Description) -> Path:

@@ -3,39 +3,42 @@
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
+from jaxnarx.data.cuts import Cut, divided, require_apart
 from jaxnarx.data.description import Description
 from jaxnarx.errors import DataFileError, SpecError
 
 
 def find_files(
     description: Description, folder: Path, path: Path
-) -> list[tuple[Path, str]]:
-    """Every file with its part, in order; a file in two parts is refused."""
-    found: dict[Path, str] = {}
-    for part, patterns in description.patterns.items():
-        for file in _chosen(folder, patterns, part, path):
-            if found.setdefault(file, part) != part:
-                raise SpecError(
-                    f"{path}: {file.name} is in {found[file]} and in {part}. A record "
-                    "may serve one part only.",
-                    field=f"records.{part}",
-                )
-    return list(found.items())
+) -> list[tuple[Path, Cut | None, str]]:
+    """Every file with what is cut from it and its part, in order; rows in two parts are
+    refused."""
+    found = [
+        (file, cut, part)
+        for part, patterns in description.patterns.items()
+        for file, cut in _chosen(folder, patterns, part, path)
+    ]
+    require_apart(found, path)
+    return found
 
 
 def find_groups(
-    description: Description, folder: Path, path: Path, found: list[tuple[Path, str]]
+    description: Description,
+    folder: Path,
+    path: Path,
+    found: list[tuple[Path, Cut | None, str]],
 ) -> dict[Path, str]:
     """The group of every training file that a pattern of the groups matches.
 
     All of the files `found` are training ones where none is stated to be. A pattern
     without any is a DataFileError, a file in two groups a SpecError.
     """
-    training = {file for file, part in found if part == "train"} or dict(found)
+    training = {file for file, _, part in found if part == "train"}
+    training = training or {file for file, *_ in found}
     groups: dict[Path, tuple[str, str]] = {}
     for name, patterns in description.groups.items():
         own = _chosen(folder, patterns, f"groups.{name}", path, among=training)
-        for file, pattern in own.items():
+        for (file, _), pattern in own.items():
             other, first = groups.setdefault(file, (name, pattern))
             if other != name:
                 raise SpecError(
@@ -53,27 +56,29 @@ def _chosen(
     part: str,
     path: Path,
     among: Collection[Path] | None = None,
-) -> dict[Path, str]:
-    """The files of a part: each pattern adds some, or with "!" takes some away.
+) -> dict[tuple[Path, Cut | None], str]:
+    """The files of a part, and what is cut from each: each pattern adds some, or with
+    "!" takes some away.
 
     With each comes the pattern that has chosen it. Others than `among` do not count.
     """
-    chosen: dict[Path, str] = {}
+    chosen: dict[tuple[Path, Cut | None], str] = {}
     for pattern in patterns:
-        files = _glob(folder, pattern.removeprefix("!"), part, path)
+        bare, cut = divided(pattern.removeprefix("!"), f"records.{part}")
+        files = _glob(folder, bare, part, path)
         if among is not None:
             files = _training(files, pattern, among, part, path)
         if not pattern.startswith("!"):
             for file in files:
-                chosen.setdefault(file, pattern)
+                chosen.setdefault((file, cut), pattern)
             continue
-        if chosen.keys().isdisjoint(files):
+        if {file for file, _ in chosen}.isdisjoint(files):
             raise SpecError(
                 f"{path}: {pattern!r} takes away files that no pattern before it has "
                 "chosen. Write it after the patterns that it makes an exception of.",
                 field=f"records.{part}",
             )
-        chosen = {file: by for file, by in chosen.items() if file not in files}
+        chosen = {key: by for key, by in chosen.items() if key[0] not in files}
     if not chosen:
         raise SpecError(
             f"{path}: {part} has no file left, all are taken away by patterns with !.",

@@ -27,6 +27,7 @@ DESCRIPTION = """All keys of a description of records:
     [records]
     files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
     # or parts: train = [...], validate = [...], test = [...]
+    # of a long file: "long.csv @ 0:500" (seconds), "long.csv @ engine_on > 0.5"
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
 
 Files are CSV, Parquet, Excel and OpenDocument sheets. One output and [records] are
@@ -38,8 +39,9 @@ refused until their unit is stated, here, by a unit row or in the column's name 
 root is relative to the --root option (the root argument of read), else to the
 environment variable JAXNARX_DATA, and stays inside; else it is relative to the folder
 of the description. The patterns of [records] are relative to root and stay inside. Each
-pattern's files come in alphabetical order, and each file is one record; a pattern that
-begins with ! takes its files out of those that the patterns before it have chosen.
+pattern's files come in alphabetical order, and each file is one record; behind @ stands
+what of it is one: a span of seconds from its first row, or every stretch in which a
+column is above, or below, a number. A pattern that begins with ! takes its files out of those that the patterns before it have chosen.
 groups names training records that are left out together where models are judged on what
 they were not trained on; a list of lists of patterns serves as well. Records in no
 group are put together where they repeat each other's inputs.
