@@ -41,8 +41,9 @@ environment variable JAXNARX_DATA, and stays inside; else it is relative to the 
 of the description. The patterns of [records] are relative to root and stay inside. Each
 pattern's files come in alphabetical order, and each file is one record; behind @ stands
 what of it is one: a span of seconds from its first row, or every stretch in which a
-column is above, or below, a number. A pattern that begins with ! takes its files out of those that the patterns before it have chosen.
-groups names training records that are left out together where models are judged on what
-they were not trained on; a list of lists of patterns serves as well. Records in no
-group are put together where they repeat each other's inputs.
+column is above, or below, a number. A pattern that begins with ! takes its files out of
+those that the patterns before it have chosen. groups names training records that are
+left out together where models are judged on what they were not trained on; a list of
+lists of patterns serves as well. Records in no group are put together where they repeat
+each other's inputs.
 """
