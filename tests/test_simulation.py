@@ -435,8 +435,8 @@ def test_a_missing_channel_is_named_with_the_nearest():
 
 
 def test_another_unit_is_refused():
-    wrong = arranged([Channel("a", "mV"), "b"], ["y", "w"], [A, B, Y, W])
-    with pytest.raises(SpecError, match="a is in 'mV' in the data.*'V'"):
+    wrong = arranged([Channel("a", "mA"), "b"], ["y", "w"], [A, B, Y, W])
+    with pytest.raises(SpecError, match="a is in 'mA' in the data.*'V'"):
         simulate(common.named("one model"), wrong)
 
 

@@ -99,10 +99,10 @@ class Identify:
 
 @dataclasses.dataclass(frozen=True)
 class Simulate:
-    """Run a model freely on new files and write its outputs as CSV.
+    """Run a model freely on new files and write its outputs.
 
-    FILE is CSV or Parquet with columns named like the model's channels, in any order,
-    at the model's sample time; or one TOML description. Measured outputs are needed in
+    FILE holds columns named like the model's channels, in any order, at the model's
+    sample time; or it is one TOML description. Measured outputs are needed in
     the first rows only, which the run starts from; later cells may be empty.
 
     Example:
@@ -118,10 +118,12 @@ class Simulate:
     root: Folder = None
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
-    """Folder for the CSV files."""
+    """Folder for the files."""
     level: Annotated[float | None, optional("P")] = None
     """Add columns with the interval that is to hold this share of what is measured, .5
     to .99, around each output. For models that know their errors, as of `identify`."""
+    format: Literal["csv", "parquet", "mat", "mf4"] = "csv"
+    """Of the files that are written; with units where the format has them."""
     through: Annotated[str | None, optional("MODEL")] = None
     """MODEL is an inverse: run this model of the engine under its commands. The columns
     of its outputs are then what they shall be; commands are needed in the first rows

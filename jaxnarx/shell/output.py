@@ -1,11 +1,8 @@
 """Files that commands write: whole or not at all, never outside the given folder."""
 
-import csv
 import errno
-import io
 import itertools
 import json
-import math
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -19,6 +16,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.files import unwritable
+from jaxnarx.shell.formats import Values, table_csv, write_text
 from jaxnarx.shell.unfinished import PREFIX, held, unfinished
 
 if TYPE_CHECKING:
@@ -127,11 +125,6 @@ def written_together(folder: Path) -> Iterator[Path]:
         raise unwritable(folder, error) from error
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8, with escapes for what it does not have (odd bytes of file names)."""
-    path.write_bytes(text.encode("utf-8", "backslashreplace"))
-
-
 def write_report(report: "Report", folder: Path) -> None:
     """`report.json` and `report.html`."""
     write_text(
@@ -140,54 +133,49 @@ def write_report(report: "Report", folder: Path) -> None:
     report.to_html(folder / "report.html")
 
 
-def cell(text: str) -> str:
-    """Text that a spreadsheet will not take for a formula."""
-    return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
-
-
-def file_names(names: Sequence[str]) -> list[str]:
-    """A CSV file name for every record; no two alike, even where case is ignored."""
+def file_names(names: Sequence[str], suffix: str = ".csv") -> list[str]:
+    """A file name for every record; no two alike, even where case is ignored."""
     files: list[str] = []
     for name in names:
         stem, taken = slug(name.removesuffix(".csv")), {f.lower() for f in files}
-        tries = (f"{stem}{'' if n == 1 else f'-{n}'}.csv" for n in itertools.count(1))
+        ends = (f"{'' if n == 1 else f'-{n}'}{suffix}" for n in itertools.count(1))
+        tries = (stem + end for end in ends)
         files.append(next(f for f in tries if f.lower() not in taken))
     return files
 
 
-def trajectory_csv(
+def trajectory_columns(
     value: "Trajectories",
     data: Dataset,
     n: int,
     kind: str,
     index: Float[np.ndarray, " time"] | None = None,
     bounds: "Intervals | None" = None,
-) -> str:
-    """Record `n` as CSV: time, computed and measured outputs, their intervals where
-    they are given, limited, held, extrapolated, and the index of the model's domain
+) -> dict[str, Values]:
+    """Record `n` as columns: time, computed and measured outputs, limited, held, their
+    intervals where they are given, extrapolated, and the index of the model's domain
     where there is one.
 
-    `kind` heads the computed outputs, `"simulated"`; missing measurements are empty.
+    `kind` heads the computed outputs, `"simulated"`; missing measurements are NaN.
     """
     record, names = data.records[n], list(value.output_names)
     known, inputs = data.channels.output_names, len(data.channels.inputs)
-    header = ["time [s]"]
-    columns = [(np.arange(len(record)) * data.sample_time).tolist()]
+    found = {"time [s]": Values(np.arange(len(record)) * data.sample_time, "s")}
     for o, name in enumerate(names):
-        header += [f"{name} {what}" for what in (kind, "measured", "limited", "held")]
         at = known.index(name)
+        unit = data.channels.outputs[at].unit
         measured = np.where(record.valid[:, inputs + at], record.y[:, at], np.nan)
-        masks = (mask[n][:, o].astype(int) for mask in (value.limited, value.held))
-        columns += [c.tolist() for c in (value.outputs[n][:, o], measured, *masks)]
+        found[f"{name} {kind}"] = Values(value.outputs[n][:, o], unit)
+        found[f"{name} measured"] = Values(measured, unit)
+        found[f"{name} limited"] = Values(value.limited[n][:, o].astype(int))
+        found[f"{name} held"] = Values(value.held[n][:, o].astype(int))
         if bounds is not None:
-            header += [f"{name} lower", f"{name} upper"]
-            columns += [e[n][:, o].tolist() for e in (bounds.lower, bounds.upper)]
-    header.append("extrapolated")
-    columns.append(value.extrapolated[n].astype(int).tolist())
+            found[f"{name} lower"] = Values(bounds.lower[n][:, o], unit)
+            found[f"{name} upper"] = Values(bounds.upper[n][:, o], unit)
+    found["extrapolated"] = Values(value.extrapolated[n].astype(int))
     if index is not None:
-        header.append("index")
-        columns.append(index.tolist())
-    return _csv(header, columns)
+        found["index"] = Values(index)
+    return found
 
 
 def tracking_csv(value: "Tracking", sample_time: float, n: int) -> str:
@@ -209,19 +197,4 @@ def tracking_csv(value: "Tracking", sample_time: float, n: int) -> str:
         columns.append(value.outputs[n][:, o].tolist())
         columns.append(value.limited[n][:, o].astype(int).tolist())
         columns.append(value.held[n][:, o].astype(int).tolist())
-    return _csv(header, columns)
-
-
-def _csv(header: list[str], columns: list[list]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([cell(h) for h in header])
-    for row in zip(*columns, strict=True):
-        writer.writerow([_number(x) for x in row])
-    return text.getvalue()
-
-
-def _number(x: float | int) -> str:
-    if isinstance(x, int):
-        return str(x)
-    return "" if math.isnan(x) else f"{x:.10g}"
+    return table_csv(header, columns)

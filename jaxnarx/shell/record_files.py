@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
-from jaxnarx.shell.output import cell
+from jaxnarx.shell.formats import cell
 
 
 def record_csv(

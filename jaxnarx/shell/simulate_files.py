@@ -11,6 +11,7 @@ from jaxnarx.models import Network
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate
 from jaxnarx.shell.description import read_description, tell_notes
+from jaxnarx.shell.formats import write_columns
 from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
@@ -36,7 +37,7 @@ def simulate_files(command: Simulate) -> int:
             f"--steps {steps} is beyond the longest record, of "
             f"{count(max(map(len, data)), 'sample')}"
         )
-    files = output.file_names(data.names)
+    files = output.file_names(data.names, f".{command.format}")
     with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
         with about(command.files[0]):
             if steps is None:
@@ -52,10 +53,10 @@ def simulate_files(command: Simulate) -> int:
         with output.written_together(folder) as place:
             for n, file in enumerate(files):
                 index = None if known is None else known.index[n]
-                text = output.trajectory_csv(
+                columns = output.trajectory_columns(
                     solution.value, data, n, kind, index, bounds
                 )
-                output.write_text(place / file, text)
+                write_columns(place / file, columns, float(data.sample_time))
     for file in files:
         say(f"wrote {folder / file}")
     _tell_held(solution.value)
@@ -79,6 +80,8 @@ def follow(command: Simulate, through: str) -> int:
         "--prepare": command.prepare,
         "--level": command.level,
     }
+    if command.format != "csv":
+        raise SpecError("--through writes CSV; leave out --format")
     for option, given in others.items():
         if given:
             raise SpecError(f"{option} and --through do not go together")

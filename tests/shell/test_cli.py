@@ -26,7 +26,8 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import hold_to_range, load, save
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.output import cell, file_names, slug
+from jaxnarx.shell.formats import cell
+from jaxnarx.shell.output import file_names, slug
 
 ROWS = 240
 NAMES = ("speed", "load", "temp", "NOx")
@@ -704,6 +705,27 @@ def held(both) -> str:
     return "held.safetensors"
 
 
+def read_back(path: str, name: str) -> tuple[np.ndarray, str]:
+    """A column and its unit, by another library than ours where there is one."""
+    if path.endswith("parquet"):
+        import pyarrow.parquet as parquet
+
+        found = parquet.read_table(path)
+        return found[name].to_numpy(), found.field(name).metadata[b"unit"].decode()
+    if path.endswith("mat"):
+        from scipy.io import loadmat
+
+        found = loadmat(path)
+        at = [str(n.item()) for n in found["names"][:, 0]].index(name)
+        unit = [str(u.item()) if u.size else "" for u in found["units"][:, 0]][at]
+        return found[name.replace(" ", "_")][:, 0], unit
+    from asammdf import MDF
+
+    with MDF(path) as mdf:
+        signal = mdf.get(name)
+    return np.asarray(signal.samples), signal.unit
+
+
 def test_records_beyond_what_a_model_knows_are_told(capsys, both):
     new = columns()
     write("same.csv", new)
@@ -717,6 +739,15 @@ def test_records_beyond_what_a_model_knows_are_told(capsys, both):
     index = np.array(table("out/new.csv")["index"], float)
     assert index[100:108].min() > 1 > np.median(index)
     assert "NOx lower" not in table("out/new.csv")
+    plain = table("out/new.csv")
+    for kind in ("parquet", "mat", "mf4"):
+        words = ["simulate", both, "new.csv", "--out", kind, "--format", kind]
+        assert f"wrote {kind}/new.{kind}" in passes(capsys, words)
+        y, unit = read_back(f"{kind}/new.{kind}", "NOx simulated")
+        # CSV has ten digits
+        expected = np.array(plain["NOx simulated"], float)
+        np.testing.assert_allclose(y, expected, rtol=1e-9)
+        assert unit == load(both).output_channels[-1].unit
     passes(capsys, ["simulate", both, "new.csv", "--out", "wide", "--level", ".95"])
     found = table("wide/new.csv")
     low, y, high = (
@@ -944,7 +975,7 @@ def test_cells_and_file_names():
 
 
 def test_a_disk_that_fills_up_leaves_nothing(capsys, one, monkeypatch):
-    import jaxnarx.shell.output as output
+    from jaxnarx.shell import formats, output
 
     real = output.write_text
 
@@ -952,7 +983,8 @@ def test_a_disk_that_fills_up_leaves_nothing(capsys, one, monkeypatch):
         real(path, text[:10])
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(output, "write_text", full)
+    for module in (output, formats):
+        monkeypatch.setattr(module, "write_text", full)
     fails(capsys, 3, ["identify", "engine.toml", *PART, "--out", "a/b"], "No space")
     fails(capsys, 3, ["simulate", one, "r3.csv"], "No space")
     before = {f: (one.parent / f).read_bytes() for f in FILES}
