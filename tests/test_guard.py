@@ -105,6 +105,8 @@ def test_a_wrong_object_is_named(verb):
             fits = kind == FITTING[name] or (name, kind) in ALSO
             if verb in ("diagnose", "report") and name == "selection":
                 continue  # a table of another kind
+            if verb == "design.plan" and name == "limits":
+                continue  # numbers by output
             if fits or (kind == "None" and parameters[name].default is None):
                 continue
             with pytest.raises(JaxnarxError) as caught:

@@ -57,7 +57,7 @@ _INPUT = re.compile(
 
 
 @dataclasses.dataclass(frozen=True)
-class Seen:
+class ChannelGuess:
     """A channel that all files hold: its range, and what it is taken for and why.
 
     `role` is `"input"`, `"output"` or `"left out"`; `step` [s] its raster where it has
@@ -88,13 +88,13 @@ class Survey:
     time: str
     time_unit: str
     sample_time: float | None
-    channels: tuple[Seen, ...]
+    channels: tuple[ChannelGuess, ...]
     only_in: Mapping[str, int]
     cycles: tuple[tuple[Path, ...], ...]
     parts: Mapping[str, tuple[Path, ...]]
     remarks: tuple[str, ...] = ()
 
-    def of(self, role: str) -> list[Seen]:
+    def of(self, role: str) -> list[ChannelGuess]:
         """The channels taken for `"input"`, `"output"` or `"left out"`."""
         return [one for one in self.channels if one.role == role]
 
@@ -156,7 +156,9 @@ def survey(
     twins = _twins(seen, looked)
     channels = _roles(seen, twins, looked, outputs, inputs)
     channels += [
-        Seen(n, common[n].unit, np.nan, np.nan, 1.0, "left out", why, common[n].step)
+        ChannelGuess(
+            n, common[n].unit, np.nan, np.nan, 1.0, "left out", why, common[n].step
+        )
         for n, why in reasons.items()
     ]
     tied = _cycles(files, channels, looked)
@@ -314,7 +316,7 @@ def _thinned(table: Table, name: str) -> Float[np.ndarray, " rows"]:
     return np.where(np.isfinite(x), x, np.nan)
 
 
-def _seen(column: Column, values: Sequence[Float[np.ndarray, " rows"]]) -> Seen:
+def _seen(column: Column, values: Sequence[Float[np.ndarray, " rows"]]) -> ChannelGuess:
     """Range and share missing; constants and empty channels are left out."""
     x = np.concatenate(values)
     known = x[np.isfinite(x)]
@@ -329,10 +331,12 @@ def _seen(column: Column, values: Sequence[Float[np.ndarray, " rows"]]) -> Seen:
         role, reason = "left out", "counts its rows"
     elif not high > low:
         role, reason = "left out", f"constant at {low:g}"
-    return Seen(column.name, column.unit, low, high, missing, role, reason, column.step)
+    return ChannelGuess(
+        column.name, column.unit, low, high, missing, role, reason, column.step
+    )
 
 
-def _twins(seen: Sequence[Seen], looked) -> dict[str, str]:
+def _twins(seen: Sequence[ChannelGuess], looked) -> dict[str, str]:
     """Channels that are the same as an earlier one, up to scale and offset."""
     alive = [one.name for one in seen if not one.role]
     if not alive:
@@ -358,15 +362,15 @@ def _twins(seen: Sequence[Seen], looked) -> dict[str, str]:
 
 
 def _roles(
-    seen: Sequence[Seen],
+    seen: Sequence[ChannelGuess],
     twins: Mapping[str, str],
     looked,
     outputs: Sequence[str],
     inputs: Sequence[str],
-) -> list[Seen]:
+) -> list[ChannelGuess]:
     """Every channel with its role and the reason for it."""
 
-    def role(one: Seen) -> tuple[str, str]:
+    def role(one: ChannelGuess) -> tuple[str, str]:
         if one.name in outputs or one.name in inputs:
             return ("output" if one.name in outputs else "input"), "as asked for"
         if one.role:
@@ -399,7 +403,7 @@ def _roles(
 
 
 def _cycles(
-    files: Sequence[Path], channels: Sequence[Seen], looked
+    files: Sequence[Path], channels: Sequence[ChannelGuess], looked
 ) -> tuple[tuple[Path, ...], ...]:
     """Files whose inputs repeat each other; every file is in one."""
     inputs = [c.name for c in channels if c.role == "input"]

@@ -10,11 +10,16 @@ and M^-1 bounds the covariance of any unbiased estimate (Cramer and Rao). `adjus
 the levels of an APRBS plan so that a criterion of M improves, by gradient through the
 model, within the plan's own range and rate limits.
 
+`plan` makes the next test of a network from nothing but the network: stretch by
+stretch, what tells most about its free run and about what it cannot express yet, within
+ranges, rates, forbidden combinations and limits of outputs.
+
 Reference: R. K. Mehra, IEEE Trans. Automatic Control 19, 1974; thesis section 6.2.1.
 """
 
 from jaxnarx.design.adjust import adjust
 from jaxnarx.design.criteria import Criteria, criteria
+from jaxnarx.design.plan import TestPlan, plan
 from jaxnarx.design.sensitivity import (
     AbstractSensitivity,
     NetworkSensitivity,
@@ -30,9 +35,11 @@ __all__ = [
     "NetworkSensitivity",
     "OptimalDesign",
     "ResponseSensitivity",
+    "TestPlan",
     "adjust",
     "criteria",
     "network_sensitivity",
+    "plan",
 ]
 
 document(OptimalDesign)

@@ -102,23 +102,15 @@ class NetworkSensitivity(AbstractSensitivity):
 
     def _run(self, network: Network, inputs: Float[Array, "time inputs"]):
         """Lagged and scheduling variables and scaled outputs of the run."""
-        before = max(self.lead, network.history)
-        u = jnp.concatenate([jnp.tile(inputs[:1], (before, 1)), inputs])
-        middle = ((network.lower + network.upper) / 2)[None]
-        outputs = jnp.zeros((u.shape[0], len(network.channels.outputs)), u.dtype)
+        u = _led(network, inputs, self.lead)
+        y = _from_rest(network, u)
         at = jnp.array(network.modelled)
         gain = network.gain[jnp.array(network.signals)][None]
-        outputs = outputs.at[:, at].set(jnp.tile(middle * gain, (u.shape[0], 1)))
-
-        def drive(outputs):
-            return network.columns(jnp.concatenate([u, outputs], axis=1))
-
-        v, x = drive(outputs)
-        anchor = jnp.arange(u.shape[0]) == network.history
-        y = run_record(network, v, x, outputs[:, at] / gain, anchor)
+        outputs = jnp.zeros((u.shape[0], len(network.channels.outputs)), u.dtype)
         # What the model would have seen had its own run been measured.
-        v, x = drive(outputs.at[:, at].set(y * gain))
-        keep = slice(before, None)
+        outputs = outputs.at[:, at].set(y * gain)
+        v, x = network.columns(jnp.concatenate([u, outputs], axis=1))
+        keep = slice(u.shape[0] - inputs.shape[0], None)
         return v[:, keep], tuple(one[:, keep] for one in x), y[keep]
 
     def _regressors(
@@ -131,6 +123,36 @@ class NetworkSensitivity(AbstractSensitivity):
             return jnp.stack([m(v, scheduling_values(m, one)) for m, one in pairs], 1)
 
         return jax.jacfwd(outputs)(self.parameters)
+
+
+def rest_run(
+    network: Network, inputs: Float[Array, "time inputs"], lead: int
+) -> Float[Array, "time outputs"]:
+    """Scaled outputs of a free run, hidden channels left out.
+
+    `lead` samples of the first inputs bring it to rest before.
+    """
+    y = _from_rest(network, _led(network, inputs, lead))
+    return y[-inputs.shape[0] :, : len(network.modelled)]
+
+
+def _led(
+    network: Network, inputs: Float[Array, "time inputs"], lead: int
+) -> Float[Array, "samples inputs"]:
+    """With the first inputs before them."""
+    before = max(lead, network.history)
+    return jnp.concatenate([jnp.tile(inputs[:1], (before, 1)), inputs])
+
+
+def _from_rest(
+    network: Network, u: Float[Array, "time inputs"]
+) -> Float[Array, "time states"]:
+    """All that a free run computes, begun in the middle of its bounds; scaled."""
+    signals = jnp.pad(u, ((0, 0), (0, len(network.channels.outputs))))
+    v, x = network.columns(signals)
+    middle = ((network.lower + network.upper) / 2)[None]
+    anchor = jnp.arange(u.shape[0]) == network.history
+    return run_record(network, v, x, jnp.tile(middle, (u.shape[0], 1)), anchor)
 
 
 @guarded
@@ -149,6 +171,26 @@ def network_sensitivity(
     hidden channels.
     """
     network.require_measured("The design of experiments")
+    _require_own(network)
+    whole(lead, "lead", 0)
+    at = jnp.array(network.signals)
+    deviation = 0.01 * (network.high - network.low)[at]
+    if noise is not None:
+        deviation = jnp.asarray(_named(noise, network.output_names), deviation.dtype)
+    return NetworkSensitivity(
+        network, deviation, _coefficients(network), one_step, lead
+    )
+
+
+def run_sensitivity(network: Network, lead: int) -> NetworkSensitivity:
+    """That of a free run, also of a network with hidden channels; noise of size one."""
+    _require_own(network)
+    noise = jnp.ones(len(network.models), network.gain.dtype)
+    return NetworkSensitivity(network, noise, _coefficients(network), False, lead)
+
+
+def _require_own(network: Network) -> None:
+    """SpecError where it uses measured outputs that it does not model."""
     own = {*range(len(network.channels.inputs)), *network.signals}
     tables = [network.variables, *(m.scheduling for m in network.models)]
     if any(s not in own for table in tables for s, _ in table):
@@ -157,16 +199,14 @@ def network_sensitivity(
             "be designed through a model that computes all its outputs",
             field="network",
         )
-    whole(lead, "lead", 0)
-    at = jnp.array(network.signals)
-    deviation = 0.01 * (network.high - network.low)[at]
-    if noise is not None:
-        deviation = jnp.asarray(_named(noise, network.output_names), deviation.dtype)
-    used = tuple(
+
+
+def _coefficients(network: Network) -> tuple[tuple[tuple[int, int], ...], ...]:
+    """Model and slot of all coefficients in use, by output."""
+    return tuple(
         tuple((m, s) for m, s in np.argwhere(_in_use(model)).tolist())
         for model in network.models
     )
-    return NetworkSensitivity(network, deviation, used, one_step, lead)
 
 
 def _in_use(model: OutputModel) -> Bool[np.ndarray, "models slots"]:

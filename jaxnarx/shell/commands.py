@@ -293,6 +293,44 @@ class Check:
 
 
 @dataclasses.dataclass(frozen=True)
+class Plan:
+    """Plan the next test: the record that tells most about a model's free run.
+
+    Steps of all inputs, chosen through the model, from the middle of what it knows
+    outwards, within ranges, rates, forbidden combinations and limits of its outputs,
+    which its prediction intervals keep clear of. FOLDER receives plan.csv, one row per
+    sample, plan.toml, which describes it, and predicted.csv, what the model makes of
+    it. Output columns of plan.csv are filled in the first rows only, so that `jaxnarx
+    simulate` can begin; a test bench has no use for them.
+
+    Example:
+        jaxnarx plan runs/engine/model.safetensors --duration 20min
+        --range speed=800:4000 --rate speed=200 --forbid "speed > 3000 & load < 5"
+        --limit T_exhaust=900
+    """
+
+    model: Positional[Model]
+    """Model file; it must know its domain, as what `jaxnarx identify` finds does."""
+    duration: Annotated[str, arg(metavar="TIME")]
+    """Length of the test: 90s, 20min, 1h."""
+    range: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH [...]")] = ()
+    """Ranges of inputs; default: those of the training."""
+    rate: Annotated[tuple[str, ...], optional("NAME=RATE [...]")] = ()
+    """Largest change of inputs, in their unit per second; default: that of the
+    training from sample to sample."""
+    forbid: Annotated[tuple[str, ...], optional("COMPARISONS [...]")] = ()
+    """Combinations of inputs that must not be, each as "speed > 3000 & load < 5"."""
+    limit: Annotated[tuple[str, ...], optional("NAME=HIGHEST [...]")] = ()
+    """Limits of modelled outputs; NAME=LOWEST:HIGHEST for both."""
+    seed: int = 0
+    """Seed of the random stretches that the plan is chosen from."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "plan"
+    """Folder for the files."""
+    force: Flag = False
+    """Overwrite files of an earlier plan."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Prepare:
     """Prepare measured records: outliers, drift, filter, sample time, offset, scale.
 
@@ -437,6 +475,7 @@ Command = (
     | Report
     | Describe
     | Check
+    | Plan
     | Prepare
     | SimulateEngine
     | Sweep

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data import read_split
-from jaxnarx.data.survey import Seen, Survey, measurement_files, survey
+from jaxnarx.data.survey import ChannelGuess, Survey, measurement_files, survey
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe
@@ -166,7 +166,7 @@ def _layout(found: Survey) -> list[str]:
     return lines
 
 
-def _channel(one: Seen) -> str:
+def _channel(one: ChannelGuess) -> str:
     return (
         f"{_text(one.name)} = {_text(one.unit)}  "
         f"# {one.low:.4g} to {one.high:.4g}; {one.reason}"

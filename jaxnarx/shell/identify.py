@@ -34,7 +34,7 @@ from jaxnarx.solution import Solution
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class OneMethod:
     """Everything a run of the path is told."""
 
     method: Identification
@@ -70,23 +70,23 @@ def checked(method: Identification, channels: Channels) -> Identification:
     return changed(method, {"pool.outputs": outputs})
 
 
-def prepared_by(preparation: Preparation | None, plan: Plan) -> Plan:
-    """The plan for records that were prepared so, which the model will tell."""
+def prepared_by(preparation: Preparation | None, task: OneMethod) -> OneMethod:
+    """The task for records that were prepared so, which the model will tell."""
     if preparation is None:
-        return plan
+        return task
     told = preparation.describe()
     say(f"The records are prepared:\n{told}")
-    return dataclasses.replace(plan, preparation=preparation.to_dict(), prepared=told)
+    return dataclasses.replace(task, preparation=preparation.to_dict(), prepared=told)
 
 
-def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
+def identify(task: OneMethod, parts: dict[str, Dataset], folder: Path) -> Report:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
     Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
     none. Returns the report.
     """
     begin = time.perf_counter()
-    method = plan.method
+    method = task.method
     parts = {name: needed(data, method) for name, data in parts.items()}
     history = make_pool(method.pool, parts["train"].channels).variables.longest
     require_rows(parts, history)
@@ -94,11 +94,11 @@ def identify(plan: Plan, parts: dict[str, Dataset], folder: Path) -> Report:
         train, judges = parts["train"], parts["validate"]
         fit = verb(train, method, validation=judges, progress=tell)
     grown = fit.stats["grown"].value
-    result = _report(plan, parts, fit)
+    result = _report(task, parts, fit)
     with written_together(folder) as place:
-        about: dict[str, Any] = {"command": plan.command}
-        if plan.preparation is not None:
-            about["preparation"] = plan.preparation
+        about: dict[str, Any] = {"command": task.command}
+        if task.preparation is not None:
+            about["preparation"] = task.preparation
         save(fit.value, place / "model.safetensors", about=about)
         write_report(result, place)
     say("\n" + _summary(result, grown, parts))
@@ -209,13 +209,15 @@ def _tell(solution: Solution) -> None:
         say(f"  {solution.status_name}: {solution.detail}")
 
 
-def _report(plan: Plan, parts: dict[str, Dataset], fit: Solution[Network]) -> Report:
+def _report(
+    task: OneMethod, parts: dict[str, Dataset], fit: Solution[Network]
+) -> Report:
     refined, grown = fit.stats["refined"], fit.stats["grown"]
-    told = {"command": plan.command}
+    told = {"command": task.command}
     if refined is not None:
-        told["refinement"] = _refined(refined, plan.method)
-    if plan.prepared is not None:
-        told["preparation"] = plan.prepared
+        told["refinement"] = _refined(refined, task.method)
+    if task.prepared is not None:
+        told["preparation"] = task.prepared
     steps = [
         {k: row[k] for k in ("stage", "horizon", "loss", "validation", "damping")}
         | {"iteration": row["step"]}

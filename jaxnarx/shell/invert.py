@@ -27,6 +27,7 @@ from jaxnarx.methods import (
 )
 from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
+from jaxnarx.shell.assigned import assigned
 from jaxnarx.shell.commands import Invert
 from jaxnarx.shell.identify import Teller
 from jaxnarx.shell.messages import count, say
@@ -44,21 +45,10 @@ def limits_of(ranges: Sequence[str], rates: Sequence[str]) -> ActuatorLimits:
     """`THR=4:90` and `THR=200` as limits."""
     found: dict[str, tuple[float, float]] = {}
     for text in ranges:
-        name, low, high = _numbers(text, "--range", "NAME=LOW:HIGH", 2)
+        name, low, high = assigned(text, "--range", "NAME=LOW:HIGH", 2)
         found[name] = low, high
-    speed = {n: x for n, x in (_numbers(t, "--rate", "NAME=RATE", 1) for t in rates)}
+    speed = {n: x for n, x in (assigned(t, "--rate", "NAME=RATE", 1) for t in rates)}
     return ActuatorLimits(range=found, rate=speed)
-
-
-def _numbers(text: str, option: str, form: str, wanted: int) -> tuple[Any, ...]:
-    name, _, values = text.rpartition("=")
-    try:
-        numbers = [float(x) for x in values.split(":")]
-    except ValueError:
-        numbers = []
-    if not name or len(numbers) != wanted or not all(map(math.isfinite, numbers)):
-        raise SpecError(f"{option} must be {form}, got {text!r}")
-    return name, *numbers
 
 
 def check_command(command: Invert, forward: Network) -> tuple[str, ...]:

@@ -38,6 +38,8 @@ def run(command: commands.Command, *, typed: str) -> int:
         return _take(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
+    if isinstance(command, commands.Plan):
+        return _plan(command, typed)
     if isinstance(command, commands.Sweep):
         return _sweep(command)
     if isinstance(command, commands.Simulate):
@@ -172,7 +174,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
 
     from jaxnarx.engines import pfi_siso_records
     from jaxnarx.methods import ForwardOLS, Identification, Lolimot, Polynomial
-    from jaxnarx.shell.identify import Plan, identify
+    from jaxnarx.shell.identify import OneMethod, identify
     from jaxnarx.shell.output import RUN, run_folder
 
     if command.events < 200:
@@ -187,14 +189,14 @@ def _demo(command: commands.Demo, typed: str) -> int:
         select=ForwardOLS(max_terms=10),
         grow=Lolimot(scheduling=("duty[t-3]", "speed[t-1]"), max_models=command.models),
     )
-    plan = Plan(method, typed)
+    task = OneMethod(method, typed)
     with run_folder(command.out, "demo", force=command.force, marks=RUN) as folder:
         say(
             f"Simulating the port-injected engine: 3 records of {command.events} events"
         )
         data = pfi_siso_records(jax.random.key(command.seed), (command.events,) * 3)
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
-        result = identify(plan, parts, folder)
+        result = identify(task, parts, folder)
     say(f"\nOpen {folder / 'report.html'}")
     next_command(
         "jaxnarx", "check", "engine.toml", then="  (a description of your records)"
@@ -223,7 +225,7 @@ def _identify(command: commands.Identify, typed: str) -> int:
 
 
 def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
-    from jaxnarx.shell.identify import Plan, checked, identify, prepared_by
+    from jaxnarx.shell.identify import OneMethod, checked, identify, prepared_by
     from jaxnarx.shell.output import RUN, run_folder
     from jaxnarx.shell.remedies import next_words
 
@@ -232,12 +234,12 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     _require_share(share)
     split = read_description(command.description, command.root)
     method = checked(asked, split.all.channels)
-    plan = prepared_by(split.preparation, Plan(method, typed))
+    task = prepared_by(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, share)
-        result = identify(plan, parts, folder)
+        result = identify(task, parts, folder)
     say(f"\nOpen {folder / 'report.html'}")
     channels = parts["train"].channels
     words, then = next_words(
@@ -276,6 +278,12 @@ def _simulate(command: commands.Simulate) -> int:
     if command.through is None:
         return simulate_files(command)
     return follow(command, command.through)
+
+
+def _plan(command: commands.Plan, typed: str) -> int:
+    from jaxnarx.shell.plan import plan_test
+
+    return plan_test(command, typed)
 
 
 def _invert(command: commands.Invert, typed: str) -> int:

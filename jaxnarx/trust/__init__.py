@@ -1,7 +1,7 @@
 """Where a model may be trusted, and what it does beyond."""
 
 from jaxnarx.trust.domain import DomainIndex, Excursion, domain
-from jaxnarx.trust.errors import learn_errors
+from jaxnarx.trust.errors import error_variables, learn_errors
 from jaxnarx.trust.intervals import Intervals, intervals
 from jaxnarx.trust.learn import learn_domain
 from jaxnarx.trust.released import knowing, released
@@ -11,6 +11,7 @@ __all__ = [
     "Excursion",
     "Intervals",
     "domain",
+    "error_variables",
     "intervals",
     "knowing",
     "learn_domain",

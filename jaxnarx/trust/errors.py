@@ -107,12 +107,21 @@ def told_by(
     output: int,
 ) -> Float[np.ndarray, "variables time"]:
     """The variables of the error model, at the samples of `rows`."""
-    used = len(rows.step)
     y = [one[:, output] for one in run.computed]
     step = [np.abs(np.diff(one, prepend=one[:1])) for one in y]
     own = np.stack([np.concatenate(y), np.concatenate(step)])[:, rows.at_sample]
-    apart = np.abs(rows.x[:used] - rows.x[used:])
-    return np.concatenate([rows.x, apart, own, index[None]])
+    return error_variables(rows.x, own, index)
+
+
+def error_variables(
+    x: Float[np.ndarray, "features time"],
+    own: Float[np.ndarray, "two time"],
+    index: Float[np.ndarray, " time"],
+) -> Float[np.ndarray, "variables time"]:
+    """The same from the features, the run and its steps, and the index."""
+    used = len(x) // 2
+    apart = np.abs(x[:used] - x[used:])
+    return np.concatenate([x, apart, own, index[None]])
 
 
 def _rows(network, data, run, rows, index, output) -> ErrorRows:

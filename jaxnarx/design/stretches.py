@@ -1,0 +1,82 @@
+"""Random stretches of a test, from where it has come to."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.excitation import AprbsPlan, render
+
+HOLDS = 0.25, 4.0
+"""Shortest and longest hold, in memories of the network: long ones show gains, short
+ones dynamics."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Space:
+    """Where inputs may go, how fast by sample, and which have two levels alone."""
+
+    low: Float[np.ndarray, " inputs"]
+    high: Float[np.ndarray, " inputs"]
+    rate: Float[np.ndarray, " inputs"]
+    binary: Bool[np.ndarray, " inputs"]
+
+    def points(
+        self, random: np.random.Generator, *shape: int
+    ) -> Float[np.ndarray, "*shape inputs"]:
+        """Levels distributed as those of a sine: more near the ends, where a polynomial
+        is determined worst."""
+        share = random.uniform(size=(*shape, len(self.low)))
+        share = np.where(self.binary, np.round(share), np.sin(np.pi / 2 * share) ** 2)
+        return np.clip(self.low + share * (self.high - self.low), self.low, self.high)
+
+
+def stretches(
+    random: np.random.Generator,
+    space: Space,
+    begin: Float[np.ndarray, " inputs"],
+    count: int,
+    length: int,
+    memory: float,
+    *,
+    near: int = 0,
+) -> Float[np.ndarray, "tests time inputs"]:
+    """`count` tests of `length` samples behind the sample `begin`; the first of them
+    stays there, and the last `near` of them do not go all the way.
+
+    Every input has holds of its own, as many in every octave of `HOLDS`, and is in the
+    midst of the first of them. Rates hold, at the joint too.
+    """
+    shortest, longest = (max(1, round(h * memory)) for h in HOLDS)
+    shape = count, 2 + -(-length // shortest), len(begin)
+    hold = np.exp(random.uniform(np.log(shortest), np.log(longest + 1), shape))
+    hold = np.maximum(hold.astype(int), 1)
+    hold[:, 0] = np.ceil(random.uniform(size=shape[::2]) * hold[:, 0])
+    level = space.points(random, *shape[:2])
+    way = np.ones(count)
+    way[count - near :] = random.uniform(size=near)
+    part = np.where(space.binary[None], 1.0, way[:, None])[:, None]
+    level = np.where(part < 1.0, begin + part * (level - begin), level)
+    level[:, 0] = level[0] = begin
+    # One sample more: the plan begins with the last of what is there.
+    leaves = level, hold, space.low, space.high, space.rate
+    return np.array(_rendered(*jax.device_put(leaves), length + 1))[:, 1:]
+
+
+@eqx.filter_jit
+def _rendered(
+    level: Float[Array, "tests segments inputs"],
+    hold: Int[Array, "tests segments inputs"],
+    low: Float[Array, " inputs"],
+    high: Float[Array, " inputs"],
+    rate: Float[Array, " inputs"],
+    length: int,
+) -> Float[Array, "tests time inputs"]:
+    names = tuple(map(str, range(low.size)))
+
+    def one(level, hold):
+        return render(AprbsPlan(level, hold, rate, low, high, length, names))
+
+    return jax.vmap(one)(level, hold)

@@ -1,0 +1,80 @@
+"""The next test of a model, as files."""
+
+import numpy as np
+
+from jaxnarx.design import plan
+from jaxnarx.design.plan import TestPlan
+from jaxnarx.errors import SpecError
+from jaxnarx.models import load
+from jaxnarx.shell import output
+from jaxnarx.shell.assigned import assigned, seconds
+from jaxnarx.shell.commands import Plan
+from jaxnarx.shell.formats import table_csv
+from jaxnarx.shell.messages import count, next_command, say, warn
+from jaxnarx.shell.record_files import describe, record_csv
+
+PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"
+FIELDS = {"ranges": "range", "rates": "rate", "forbidden": "forbid", "limits": "limit"}
+"""Arguments of the verb, and the options that they are."""
+
+
+def plan_test(command: Plan, typed: str) -> int:
+    """Plan, write, tell; returns the exit code."""
+    asked = _asked(command)
+    network = load(command.model)
+    marks = [PLAN, DESCRIPTION, PREDICTED]
+    with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
+        try:
+            found = plan(network, **asked)
+        except SpecError as error:
+            if error.field not in FIELDS:
+                raise
+            text = str(error).removeprefix(f"{error.field} ")
+            raise SpecError(f"--{FIELDS[error.field]} {text}") from error
+        data = found.value.data
+        texts = {
+            PLAN: record_csv(data, 0),
+            DESCRIPTION: describe(data, {"files": [PLAN]}, by=typed),
+            PREDICTED: predicted_csv(found.value),
+        }
+        with output.written_together(folder) as place:
+            for name, text in texts.items():
+                output.write_text(place / name, text)
+    say(f"{count(len(data.records[0]), 'sample')} of {data.sample_time:g} s")
+    say(found.detail)
+    for name, room in found.stats["room"].items():
+        say(f"{name}: predicted {room:.4g} or more inside of its limit")
+    if not found.is_okay:
+        warn(f"{found.status_name}: limits leave little to be planned; widen them")
+    say(f"wrote {PLAN}, {DESCRIPTION} and {PREDICTED} to {folder}")
+    next_command(
+        "jaxnarx", "check", str(folder / DESCRIPTION), "--model", command.model
+    )
+    return 0
+
+
+def _asked(command: Plan) -> dict:
+    """The arguments of the verb."""
+    ranges = [assigned(t, "--range", "NAME=LOW:HIGH", 2) for t in command.range]
+    rates = [assigned(t, "--rate", "NAME=RATE", 1) for t in command.rate]
+    form = "NAME=HIGHEST or NAME=LOWEST:HIGHEST"
+    limits = [assigned(t, "--limit", form, 1, 2) for t in command.limit]
+    return {
+        "duration": seconds(command.duration, "--duration"),
+        "ranges": {name: tuple(pair) for name, *pair in ranges},
+        "rates": dict(rates),
+        "forbidden": command.forbid,
+        "limits": {n: x[0] if len(x) == 1 else tuple(x) for n, *x in limits},
+        "seed": command.seed,
+    }
+
+
+def predicted_csv(value: TestPlan) -> str:
+    """Predicted outputs with what a limit is kept clear of by, and the index."""
+    time = np.arange(len(value.index)) * value.data.sample_time
+    header, columns = ["time [s]"], [time]
+    for o, name in enumerate(value.output_names):
+        header += [f"{name} predicted", f"{name} margin"]
+        columns += [value.outputs[:, o], value.margin[:, o]]
+    header.append("index")
+    return table_csv(header, [c.tolist() for c in (*columns, value.index)])
