@@ -58,12 +58,13 @@ def main() -> None:
     split = jnx.read_split(DESCRIPTION)
     assert split.train is not None and split.test is not None
     train, test = split.train, split.test
-    preset, limits = options.preset, {}
+    preset, most = options.preset, None
     if options.smoke:
         train, test = small(train, 4), small(test, 1)
-        preset, limits = "linear", {"candidates": 3}
+        preset, most = "linear", 3
         options.wild, options.sequences = 2, 10
-    network = jnx.identify(train, preset=preset, folder=options.search, **limits).value
+    where = options.search
+    network = jnx.identify(train, preset=preset, candidates=most, folder=where).value
     folder = results_folder(options.results, smoke=options.smoke)
     path = folder / "edge_measured.json"
     figures = json.loads(path.read_text())["figures"] if path.exists() else {}

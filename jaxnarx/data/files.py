@@ -132,7 +132,7 @@ def read_files(
         description = dataclasses.replace(description, layout=layouts[0])
     folder = Path(os.path.commonpath([f.resolve().parent for f in files]))
     names = _record_names([f.resolve() for f in files], folder)
-    chosen = [(file, None) for file in files]
+    chosen: list[tuple[Path, Cut | None]] = [(file, None) for file in files]
     named = dict(zip(files, names, strict=True))
     return _assembled(chosen, named, description, max_bytes)[0]
 

@@ -238,6 +238,7 @@ def _time(
         table = read_table(file, [name], asked)
         known = time_unit_in(table.units.get(name, ""), name)
         for unit in (None, "ms") if name in likely and not known else (known,):
+            t = np.zeros(0)
             try:
                 t, unit_found = seconds(
                     table.columns[name], name=name, place=table.place, unit=unit

@@ -192,7 +192,7 @@ class Maker:
         """Whether predicted outputs keep their limits, with a margin."""
         seen = self.watched(tests)
         room = self.limits.room(seen.y, margins(self.network, seen))
-        return (room[:, self.lead :] > 0).all(axis=(1, 2))
+        return np.all(room[:, self.lead :] > 0, axis=(1, 2))
 
     def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
         """What the network shows of tests, on the host; always of as many."""
@@ -263,7 +263,7 @@ def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outpu
         y = seen.y[..., o]
         step = np.abs(np.diff(y, axis=1, prepend=y[:, :1]))
         own = np.stack([y.ravel(), step.ravel()])
-        z = error_variables(x, own, seen.index.ravel())
+        z = error_variables(x, own, seen.far.ravel())
         half[..., o] = (known.reach(o, LEVEL) * known.size(o, z)).reshape(y.shape)
     return half
 
@@ -274,8 +274,8 @@ def _make(
     """Sizes, spaces, and what the network is asked through."""
     binary = two_levels(network)
     space = Space(limits.low, limits.high, limits.rate, binary)
-    inside = (np.clip(a, limits.low, limits.high) for a in _trained(network))
-    known = Space(*inside, limits.rate, binary)
+    low, high = (np.clip(a, limits.low, limits.high) for a in _trained(network))
+    known = Space(low, high, limits.rate, binary)
     memory = memory_of(network)
     size = min(max(2, round(STRETCH * memory)), max(length, 2))
     lead = math.ceil(LEAD * memory) + network.history
@@ -344,7 +344,7 @@ def _solution(
         )
     )
     margin = margins(network, seen) if limits.bounds_outputs else np.zeros(seen.y.shape)
-    y, margin, index = (a[0][maker.lead :] for a in (seen.y, margin, seen.index))
+    y, margin, index = (a[0][maker.lead :] for a in (seen.y, margin, seen.far))
     names = tuple(network.output_names)
     value = TestPlan(_dataset(network, u, y), y, margin, index, names)
     gain, usual = (np.array([getattr(s, k) for s in steps]) for k in ("gain", "random"))

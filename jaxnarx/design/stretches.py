@@ -62,7 +62,8 @@ def stretches(
     level[:, 0] = level[0] = begin
     # One sample more: the plan begins with the last of what is there.
     leaves = level, hold, space.low, space.high, space.rate
-    return np.array(_rendered(*jax.device_put(leaves), length + 1))[:, 1:]
+    level, hold, low, high, rate = jax.device_put(leaves)
+    return np.array(_rendered(level, hold, low, high, rate, length + 1))[:, 1:]
 
 
 @eqx.filter_jit

@@ -18,7 +18,7 @@ Royal Statistical Society B 63, 2001; designs for both: W. J. Welch, Technometri
 """
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,11 +45,13 @@ CUBIC = 8
 
 
 class Seen(NamedTuple):
-    """Samples of a test: outputs in physical units, features of the domain, index."""
+    """Samples of tests, on the host or not: `y` (*tests, time, outputs) in physical
+    units, `x` (*tests, features, time) of the domain, `far` (*tests, time) its index.
+    """
 
-    y: Float[Array, "*tests time outputs"]
-    x: Float[Array, "*tests features time"]
-    index: Float[Array, "*tests time"]
+    y: Any
+    x: Any
+    far: Any
 
 
 class View(eqx.Module):
@@ -130,7 +132,7 @@ def _gain(network: Network) -> Float[Array, " outputs"]:
 def memory_of(network: Network) -> float:
     """Samples for which the network remembers its inputs, as its domain knows."""
     assert network.domain is not None
-    slow = next(f for *_, f in network.domain.features.entries if f is not None)
+    slow: Any = next(f for *_, f in network.domain.features.entries if f is not None)
     return slow.time_constant / float(network.sample_time)
 
 

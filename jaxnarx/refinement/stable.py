@@ -98,7 +98,8 @@ def _pulled(start: Network, end: Network) -> Network:
 def _of_past(network: Network, model: OutputModel) -> Bool[np.ndarray, "models slots"]:
     """Coefficients of terms that hold a past output."""
     fed = {row + 1 for row, *_ in fed_back(network.variables, network.signals)}
-    terms = np.isin(np.asarray(model.local.factor), list(fed)).any(axis=1)
+    terms = np.any(np.isin(np.asarray(model.local.factor), list(fed)), axis=1)
+    terms = np.atleast_1d(terms)
     return terms[np.asarray(model.local.index)]
 
 

@@ -168,7 +168,7 @@ def _learnt(rows: ErrorRows) -> tuple:
     parts = [_normal(hats[:, rows.group == g], y[rows.group == g]) for g in labels]
     if len(parts) < 2:
         parts, labels = [_normal(hats, y)], []
-    whole = [sum(part[k] for part in parts) for k in (0, 1)]
+    whole = sum(part[0] for part in parts), sum(part[1] for part in parts)
     ridge = RIDGES[-1]
     if labels:
         ridge = min(RIDGES, key=lambda r: _judged(parts, whole, r))

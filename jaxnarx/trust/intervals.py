@@ -83,8 +83,8 @@ def intervals(
             "data) learns them from records that took no part in its training",
             field="network",
         )
-    simulated = None if run is not None else simulate(network, data)
-    value = run if simulated is None else simulated.value
+    simulated = Solution(run, RESULTS.ok, {}) if run else simulate(network, data)
+    value = simulated.value
     data = fitting(network, data)
     rows = feature_rows(domain.features, data, None)
     index = layers_of(domain, rows)[0].max(axis=1)
@@ -100,6 +100,4 @@ def intervals(
         tuple(y + h for y, h in pairs),
         float(level),
     )
-    if simulated is None:
-        return Solution(found, RESULTS.ok, {})
     return Solution(found, simulated.status, simulated.stats, simulated.detail)

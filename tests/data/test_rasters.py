@@ -35,7 +35,7 @@ def test_several_are_brought_to_the_wanted_one_and_that_is_told():
     fast = signal("p", 0.01, 0.0, 58.0, lambda t: np.sin(0.5 * t))
     gear = signal("gear", 0.5, 0.0, 60.0, lambda t: (t > 20) * 1 + (t > 40) * 1)
     table = one_raster([slow, fast, gear], PLACE, 0.1)
-    found, t = columns(table), table.time
+    found, t = columns(table), np.asarray(table.time)
     # from the last begin, .3 s, to the first end, 58 s
     assert t[0] == pytest.approx(0.3) and t[-1] == pytest.approx(58.0, abs=0.1)
     np.testing.assert_allclose(np.diff(t), 0.1, rtol=1e-9)
@@ -69,7 +69,7 @@ def test_invalid_samples_and_gaps_stay_invalid():
     b = signal("b", 0.05, 0.0, 29.9, np.cos)
     table = one_raster([a, b], PLACE, 0.1)
     found = columns(table)["a"]
-    missing = table.time[np.isnan(found)]
+    missing = np.asarray(table.time)[np.isnan(found)]
     assert np.all(
         ((missing > 1.85) & (missing < 2.55)) | ((missing > 9.9) & (missing < 15))
     )

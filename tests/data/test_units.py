@@ -44,7 +44,9 @@ def test_spellings_are_one_unit():
 
 
 def test_single_precision_stays():
-    x = conversion("bar", "kPa")(np.ones(3, np.float32))
+    convert = conversion("bar", "kPa")
+    assert convert is not None
+    x = convert(np.ones(3, np.float32))
     assert x.dtype == np.float32
 
 

@@ -35,8 +35,10 @@ def plant(seed: int) -> Dataset:
         u.append(one)
         y.append(out + 0.01 * rng.normal(size=out.shape))
     return Dataset.from_arrays(
-        *(u, y),
-        **{"inputs": ["speed", "load", "switch"], "outputs": ["temp"]},
+        u,
+        y,
+        inputs=["speed", "load", "switch"],
+        outputs=["temp"],
         sample_time=TIME,
         units={"speed": "rpm", "load": "%", "switch": "-", "temp": "K"},
     )

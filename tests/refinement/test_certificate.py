@@ -135,8 +135,8 @@ def test_what_has_one_may_follow_its_inputs_far_beyond():
     assert found.certificate is not None and found.domain is not None
     assert found.outside == FLAG
     assert float(found.upper[0]) > 50 * float(net.high[2]) / float(net.gain[2])
-    few = dict(horizons=(), window_steps=0, max_steps=1)
-    again = jnx.refine(found, data, jnx.SimulationError(**few)).value
+    few = jnx.SimulationError(horizons=(), window_steps=0, max_steps=1)
+    again = jnx.refine(found, data, few).value
     width = float(again.high[2] - again.low[2]) / float(again.gain[2])
     assert again.certificate is None
     assert float(again.upper[0] - again.lower[0]) == pytest.approx(1.5 * width)
@@ -163,10 +163,10 @@ def test_refinement_keeps_a_certificate_that_it_would_lose():
     start = certified(network([local(0.5, -0.2), local(-0.5, -0.2)]))
     assert start.certificate is not None and certificate(truth) is None
     data = answered(truth, noise=0.01)
-    few = dict(horizons=(10,), max_steps=6, window_steps=4)
-    free = jnx.refine(start, data, jnx.SimulationError(**few)).value
+    few = jnx.SimulationError(horizons=(10,), max_steps=6, window_steps=4)
+    free = jnx.refine(start, data, few).value
     assert certificate(free) is None and free.certificate is None
-    kept = jnx.refine(start, data, jnx.SimulationError(**few, stable=True))
+    kept = jnx.refine(start, data, dataclasses.replace(few, stable=True))
     assert rate_of(kept.value) < 1
     assert kept.value.upper == start.upper
     errors = [

@@ -165,6 +165,7 @@ def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     for trace in found.traces:
         at = data.names.index(trace.record)
         whole = jnx.intervals(known, data[at : at + 1]).value
+        assert trace.upper is not None
         np.testing.assert_allclose(trace.upper, whole.upper[0][:, 0], rtol=1e-12)
     found.to_html(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()

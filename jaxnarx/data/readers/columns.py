@@ -201,8 +201,9 @@ def _moments(column) -> Float[np.ndarray, " time"] | None:
     """Seconds from the first row of texts that are all moments in one of these ways,
     with fractions of a second behind a point or a comma."""
     import pyarrow as pa
-    import pyarrow.compute as pc
+    import pyarrow.compute
 
+    pc: Any = pyarrow.compute  # made when it is loaded: no checker knows what is there
     text = pc.utf8_trim_whitespace(column.cast(pa.string()))
     parts = pc.extract_regex(text, r"^(?P<whole>.*:\d{2})(?:[.,](?P<part>\d+))?$")
     if parts.null_count > text.null_count or text.null_count == len(text):
