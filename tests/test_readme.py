@@ -83,9 +83,13 @@ def test_the_python_block_works_on_a_folder_of_25_records(folder, capsys):
 @pytest.mark.slow
 def test_the_console_commands_work_on_it_too(folder, capsys):
     (console,) = blocks("console")
-    check, identify, *_ = [shlex.split(line)[2:] for line in console.splitlines()]
+    described, check, identify, *_ = [
+        shlex.split(line)[2:] for line in console.splitlines()
+    ]
     # Of candidates with hidden states, which take the longest, the smallest alone.
     small = "--preset", "quick", "--candidates", "20", "--states", "1"
+    # engine.toml is there: the README's own
+    assert run([*described, "--out", "found.toml"]) == 0
     assert run(check) == 0 and run([*identify, *small]) == 0
     assert (folder / "runs/engine-quick/report.html").is_file()
     assert "free run on test" in capsys.readouterr().out

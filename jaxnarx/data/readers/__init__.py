@@ -30,6 +30,7 @@ class Kind:
 
 _CSV, _PARQUET = Kind("CSV", "csv_file"), Kind("Parquet", "parquet_file")
 _SHEET = Kind("spreadsheet", "spreadsheet", "python_calamine", "excel", packed=True)
+_MDF = Kind("MDF", "mdf", "asammdf", "mdf")
 KINDS: dict[str, Kind] = {
     ".csv": _CSV,
     ".txt": _CSV,
@@ -39,6 +40,9 @@ KINDS: dict[str, Kind] = {
     ".xlsb": _SHEET,
     ".xls": _SHEET,
     ".ods": _SHEET,
+    ".mf4": _MDF,
+    ".mdf": _MDF,
+    ".dat": _MDF,
 }
 """By suffix, lower case."""
 

@@ -1,0 +1,140 @@
+"""A reader in a process of its own, with bounds of memory and time.
+
+For formats whose parsers may hang, take all memory or crash on a damaged file. The
+process is started with the first file and serves those that follow; after a fault it is
+ended, and the next file gets a new one. Requests and answers are lines of JSON, arrays
+are files in a folder that both know.
+"""
+
+import atexit
+import importlib
+import json
+import os
+import selectors
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.errors import DataFileError, JaxnarxError
+
+START = "from jaxnarx.data.readers.apart import serve; serve()"
+OWN = 1e9
+"""Bytes of memory beside those of the samples: the interpreter and its libraries."""
+LEAST, RATE = 60.0, 2e6
+"""Seconds for a file, and bytes of it that are read in one more."""
+
+
+class Apart:
+    """The process, and the folder of its arrays."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
+        atexit.register(self.close)
+
+    def ask(self, module: str, function: str, path: Path, **given: Any) -> Any:
+        """What `function(path, **given)` of a reader answers in the process."""
+        request = {"module": module, "function": function, "path": str(path)}
+        request |= {"given": given, "folder": self._folder.name}
+        process = self._running()
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            process.stdin.write(json.dumps(request).encode() + b"\n")
+            process.stdin.flush()
+        except OSError:
+            self.close()
+            raise self._fault(path, "ended before the file") from None
+        seconds = LEAST + path.stat().st_size / RATE
+        with selectors.DefaultSelector() as waiting:
+            waiting.register(process.stdout, selectors.EVENT_READ)
+            if not waiting.select(seconds):
+                self._end()
+                raise self._fault(path, f"took more than {seconds:.0f} s")
+        line = process.stdout.readline()
+        if not line.endswith(b"\n"):
+            self._end()
+            raise self._fault(path, "broke down over it")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise DataFileError(answer["error"], path=path)
+        return answer["value"]
+
+    def array(self, name: str) -> np.ndarray:
+        """An array of the last answer."""
+        return np.load(Path(self._folder.name) / f"{name}.npy")
+
+    def close(self) -> None:
+        """End the process, and take its files away."""
+        self._end()
+        self._folder.cleanup()
+
+    def _running(self) -> subprocess.Popen:
+        if self._process is None or self._process.poll() is not None:
+            Path(self._folder.name).mkdir(exist_ok=True)
+            paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", START],
+                env=os.environ | {"PYTHONPATH": paths},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
+        return self._process
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    pipe.close()
+
+    def _fault(self, path: Path, what: str) -> DataFileError:
+        return DataFileError(
+            f"{path}: cannot be read: what reads it {what}. The file is damaged, or "
+            "too large; export it anew.",
+            path=path,
+        )
+
+
+def serve() -> None:
+    """Answer requests until there are no more."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        try:
+            answer = {"value": _answer(request)}
+        except JaxnarxError as error:
+            answer = {"error": str(error)}
+        except MemoryError:
+            answer = {"error": f"{request['path']}: takes more memory than it may."}
+        except Exception as error:
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            told = f"{request['path']}: cannot be read ({said}). Export it anew."
+            answer = {"error": told}
+        answers.write(json.dumps(answer).encode() + b"\n")
+        answers.flush()
+
+
+def _answer(request: dict[str, Any]) -> Any:
+    module = importlib.import_module(f"jaxnarx.data.readers.{request['module']}")
+    _bound(OWN + float(request["given"].get("max_bytes", 0.0)))
+    function = getattr(module, request["function"])
+    return function(Path(request["path"]), Path(request["folder"]), **request["given"])
+
+
+def _bound(size: float) -> None:
+    """Of the memory of this process, where the system knows such a thing."""
+    try:
+        import resource
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = int(size) + 4 * 2**30  # libraries reserve addresses that they never use
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))

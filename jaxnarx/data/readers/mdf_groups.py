@@ -1,0 +1,190 @@
+"""What asammdf finds in a file; runs in a process of its own, see `mdf`."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.errors import DataFileError, suggest
+
+_GROUP = re.compile(r"(.+) @ group (\d+)")
+_BUS = 0x2 | 0x4
+"""Flags of groups that hold frames of a bus, not channels."""
+LABELS = 40
+"""Labels of an enumeration that are told."""
+
+
+def contents(path: Path, folder: Path) -> list[dict[str, Any]]:
+    """Columns as keyword arguments of `Column`."""
+    with _opened(path) as mdf:
+        found = list(_channels(mdf))
+        names = [name for name, *_ in found]
+        return [
+            {
+                "name": name if names.count(name) == 1 else f"{name} @ group {group}",
+                "unit": _unit(mdf, group, index),
+                "rows": int(mdf.groups[group].channel_group.cycles_nr),
+                "table": f"group {group}",
+                "step": _step(mdf, group),
+            }
+            for name, group, index in found
+        ]
+
+
+def signals(
+    path: Path, folder: Path, *, wanted: list[str], max_bytes: float
+) -> dict[str, Any]:
+    """Values, validity and stamps of the wanted channels, as files of the folder."""
+    with _opened(path) as mdf:
+        known: dict[str, list[tuple[int, int]]] = {}
+        for name, group, index in _channels(mdf):
+            known.setdefault(name, []).append((group, index))
+        places = [_place(path, mdf, known, name) for name in wanted]
+        _require_size(path, mdf, places, max_bytes)
+        notes = _notes(path, mdf)
+        for group in {group for group, _ in places}:
+            np.save(folder / f"t{group}.npy", _time(path, mdf, group))
+        found = []
+        for k, (name, (group, index)) in enumerate(zip(wanted, places, strict=True)):
+            x, valid, labels = _values(path, mdf, name, group, index)
+            np.save(folder / f"x{k}.npy", x)
+            np.save(folder / f"valid{k}.npy", valid)
+            found.append(
+                {
+                    "name": name,
+                    "time": f"t{group}",
+                    "unit": _unit(mdf, group, index),
+                    "labels": labels,
+                }
+            )
+        return {"signals": found, "notes": notes}
+
+
+def _opened(path: Path) -> Any:
+    from asammdf import MDF
+
+    return MDF(path)
+
+
+def _channels(mdf: Any) -> Iterator[tuple[str, int, int]]:
+    """(name, group, place in it) of all channels but times, and but frames of buses."""
+    for g, group in enumerate(mdf.groups):
+        if _is_bus(group):
+            continue
+        for c, channel in enumerate(group.channels):
+            if mdf.masters_db.get(g) != c and channel.name:
+                yield str(channel.name), g, c
+
+
+def _is_bus(group: Any) -> bool:
+    return bool(int(getattr(group.channel_group, "flags", 0) or 0) & _BUS)
+
+
+def _notes(path: Path, mdf: Any) -> list[str]:
+    bus = sum(_is_bus(group) for group in mdf.groups)
+    return [f"{path}: {bus} group(s) of bus frames are not read"] if bus else []
+
+
+def _unit(mdf: Any, group: int, index: int) -> str:
+    return str(mdf.get_channel_unit(group=group, index=index) or "").strip()
+
+
+def _step(mdf: Any, group: int) -> float | None:
+    """Median distance of the first stamps [s]."""
+    if group not in mdf.masters_db:
+        return None
+    t = np.asarray(mdf.get_master(group, record_offset=0, record_count=200), float)
+    return float(np.median(np.diff(t))) if len(t) > 1 else None
+
+
+def _place(
+    path: Path, mdf: Any, known: dict[str, list[tuple[int, int]]], name: str
+) -> tuple[int, int]:
+    """Group and place of a channel by its name."""
+    found = known.get(name, [])
+    match = _GROUP.fullmatch(name)
+    if not found and match:
+        found = [at for at in known.get(match[1], []) if at[0] == int(match[2])]
+    if not found:
+        found = [
+            at for n, own in known.items() if n.split("\\")[0] == name for at in own
+        ]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise DataFileError(
+            f"{path}: there is no channel {name!r}. {suggest(name, known)}", path=path
+        )
+    told = [
+        f"group {g} ({mdf.groups[g].channel_group.cycles_nr} samples"
+        + (f" every {step:.4g} s)" if (step := _step(mdf, g)) else ")")
+        for g, _ in found[:8]
+    ]
+    more = f" and {len(found) - 8} more" if len(found) > 8 else ""
+    raise DataFileError(
+        f"{path}: channel {name!r} is in {', '.join(told)}{more}. Say which by "
+        f'column = "{name} @ group {found[0][0]}".',
+        path=path,
+    )
+
+
+def _require_size(path: Path, mdf: Any, places: Any, max_bytes: float) -> None:
+    count = sum(int(mdf.groups[g].channel_group.cycles_nr) for g, _ in places)
+    if 24 * count > max_bytes:
+        raise DataFileError(
+            f"{path}: about {24 * count / 1e9:.3g} GB when read, over the limit of "
+            f"{max_bytes / 1e9:.3g} GB. Read fewer files or channels, or raise "
+            "max_bytes.",
+            path=path,
+        )
+
+
+def _time(path: Path, mdf: Any, group: int) -> np.ndarray:
+    """Stamps of a group [s]."""
+    master = mdf.masters_db.get(group)
+    channel = None if master is None else mdf.groups[group].channels[master]
+    kind = getattr(channel, "sync_type", 1)
+    if channel is None or kind not in (0, 1):
+        what = {2: "angles", 3: "distances", 4: "counts"}.get(kind, "nothing")
+        raise DataFileError(
+            f"{path}: group {group} is sampled over {what}, not over time. Choose "
+            "channels of a group with a time.",
+            path=path,
+        )
+    return np.asarray(mdf.get_master(group), float)
+
+
+def _values(
+    path: Path, mdf: Any, name: str, group: int, index: int
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Numbers, which of them are valid, and the labels of an enumeration."""
+    how = {"group": group, "index": index, "samples_only": True}
+    how["ignore_invalidation_bits"] = True
+    x, invalid = mdf.get(**how)
+    labels: list[str] = []
+    if x.dtype.kind in "SUO":
+        told = sorted({_text(v) for v in np.unique(x)})
+        x, _ = mdf.get(**how, raw=True)
+        if x.dtype.kind not in "biuf":
+            shown = ", ".join(repr(t[:40]) for t in told[:8])
+            raise DataFileError(
+                f"{path}: channel {name} holds text: {shown}. Choose a numeric one.",
+                path=path,
+            )
+        labels = told[:LABELS] or ["?"]
+    if x.ndim != 1 or x.dtype.kind not in "biuf":
+        raise DataFileError(
+            f"{path}: channel {name} holds arrays, not one number a sample. Leave it "
+            "out.",
+            path=path,
+        )
+    valid = np.ones(len(x), bool)
+    if invalid is not None:
+        valid &= ~np.asarray(invalid, bool)
+    return np.asarray(x, float), valid, labels
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
