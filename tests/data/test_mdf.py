@@ -77,6 +77,7 @@ def test_one_raster_comes_back_as_it_was(tmp_path, name):
     np.testing.assert_array_equal(values(table, "n_mot @ group 0"), SPEED)
     np.testing.assert_array_equal(values(table, "mode"), FAST > 10)
     np.testing.assert_allclose(values(table, "p_rail"), 0.5 * np.arange(300) + 100)
+    assert table.time is not None
     np.testing.assert_allclose(table.time, FAST, atol=1e-12)
     assert table.units == {"n_mot @ group 0": "rpm", "mode": "", "p_rail": "bar"}
 

@@ -1,5 +1,7 @@
 """Damaged files of all other formats: only own errors, in bounds of time and memory."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,7 +22,7 @@ def columns() -> dict[str, np.ndarray]:
 
 
 def sheet(path) -> None:
-    engine = "odf" if path.suffix == ".ods" else "openpyxl"
+    engine: Any = "odf" if path.suffix == ".ods" else "openpyxl"
     pd.DataFrame(columns()).to_excel(path, index=False, engine=engine)
 
 
