@@ -109,7 +109,7 @@ def read_files(
     missing: str = "refuse",
     max_bytes: float = MAX_BYTES,
 ) -> Dataset:
-    """Records from CSV or Parquet files whose columns are named like `channels`.
+    """Records from files of any kind whose columns are named like `channels`.
 
     For a model's own channels: no description is needed. Every file must hold all of
     them; other columns are ignored.

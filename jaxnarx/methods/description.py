@@ -30,12 +30,12 @@ DESCRIPTION = """All keys of a description of records:
     # of a long file: "long.csv @ 0:500" (seconds), "long.csv @ engine_on > 0.5"
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
 
-Files are CSV, Parquet, Excel and OpenDocument sheets, and MDF. One output and [records]
-are required, and where the files do not tell the time themselves sample_time or time.
-Units of the files are converted to those stated here (bar, kPa; degC, K; rad/s, rpm).
-Columns that no channel names are ignored. Numbers under time that look like
-milliseconds are refused until their unit is stated, here, by a unit row or in the
-column's name ("t_ms", "time [s]").
+Files are CSV, Parquet, Excel and OpenDocument sheets, MDF, MATLAB (4 to 7.3), HDF5 and
+npz. One output and [records] are required, and where the files do not tell the time
+themselves sample_time or time. Units of the files are converted to those stated here
+(bar, kPa; degC, K; rad/s, rpm). Columns that no channel names are ignored. Numbers
+under time that look like milliseconds are refused until their unit is stated, here, by
+a unit row or in the column's name ("t_ms", "time [s]").
 root is relative to the --root option (the root argument of read), else to the
 environment variable JAXNARX_DATA, and stays inside; else it is relative to the folder
 of the description. The patterns of [records] are relative to root and stay inside. Each

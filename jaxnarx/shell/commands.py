@@ -232,10 +232,10 @@ class Report:
 class Describe:
     """Look into measurement files and write the description that other commands read.
 
-    FILE is CSV, Parquet, a spreadsheet or MDF, or a folder of them. Channels with units
-    and ranges, layout and sample time are found out, inputs and outputs guessed
-    from names and courses with the reason beside each, files that repeat one cycle tied
-    together, and records for training and test proposed.
+    FILE is CSV, Parquet, a spreadsheet, MDF, MATLAB, HDF5 or npz, or a folder of them.
+    Channels with units and ranges, layout and sample time are found out, inputs and
+    outputs guessed from names and courses with the reason beside each, files that
+    repeat one cycle tied together, and records for training and test proposed.
 
     Example:
         jaxnarx describe measurements --outputs NOx T_exhaust

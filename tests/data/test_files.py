@@ -323,6 +323,11 @@ def test_size_is_limited_before_reading(tmp_path):
     refuse(DataFileError, path, "b.parquet: about 0.0024 GB when read", max_bytes=1e6)
 
 
+def test_texts_that_are_called_dat_are_read(tmp_path):
+    path = write(tmp_path, HEADER + rows(), name="a.dat", records='files = ["*.dat"]')
+    assert read(path).records[0].u[0, 0] == 1000
+
+
 def test_broken_parquet_and_unknown_kinds(tmp_path):
     (tmp_path / "b.parquet").write_bytes(b"PAR1" + bytes(100))
     path = write(tmp_path, None, records='files = ["b.parquet"]')

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from battery import mutate
+from scipy.io import savemat
 
 from jaxnarx.data.readers import contents, read_table
 from jaxnarx.data.readers.columns import Asked, numbers
@@ -37,7 +38,25 @@ def mdf(path) -> None:
         file.save(path, overwrite=True, compression=2)
 
 
-WRITERS = {"xlsx": sheet, "ods": sheet, "mf4": mdf}
+def mat(path) -> None:
+    savemat(path, {"run": columns()}, do_compression=True)
+
+
+def hdf5(path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, x in columns().items():
+            file.create_dataset(f"run/{name}", data=x, compression="gzip")
+
+
+def npz(path) -> None:
+    found: dict[str, Any] = {**columns()}
+    np.savez_compressed(path, **found)
+
+
+WRITERS = {"xlsx": sheet, "ods": sheet, "mf4": mdf, "mat": mat, "h5": hdf5}
+WRITERS |= {"npz": npz}
 
 
 @pytest.mark.parametrize("kind", WRITERS)

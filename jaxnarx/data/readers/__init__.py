@@ -26,11 +26,15 @@ class Kind:
     extra: str = ""
     packed: bool = False
     """Whether such files are archives by themselves."""
+    marks: tuple[bytes, ...] = ()
+    """How such files begin, or go on behind a block of 512 bytes."""
 
 
 _CSV, _PARQUET = Kind("CSV", "csv_file"), Kind("Parquet", "parquet_file")
 _SHEET = Kind("spreadsheet", "spreadsheet", "python_calamine", "excel", packed=True)
-_MDF = Kind("MDF", "mdf", "asammdf", "mdf")
+_MDF = Kind("MDF", "mdf", "asammdf", "mdf", marks=(b"MDF", b"UnFinMF"))
+_MAT = Kind("MATLAB", "variables", "matio", "matlab")
+_HDF5 = Kind("HDF5", "variables", "h5py", "hdf5", marks=(b"\x89HDF\r\n\x1a\n",))
 KINDS: dict[str, Kind] = {
     ".csv": _CSV,
     ".txt": _CSV,
@@ -43,6 +47,11 @@ KINDS: dict[str, Kind] = {
     ".mf4": _MDF,
     ".mdf": _MDF,
     ".dat": _MDF,
+    ".mat": _MAT,
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
+    ".hdf": _HDF5,
+    ".npz": Kind("npz", "variables", packed=True, marks=(b"PK",)),
 }
 """By suffix, lower case."""
 
@@ -77,11 +86,19 @@ def _guarded(path: Path, use: Any) -> Any:
     kind = KINDS.get(path.suffix.lower())
     with reading(path, "CSV" if kind is None else kind.name):
         _require_plain(path, kind)
+        if path.suffix.lower() == ".dat" and not _begins(path, _MDF):
+            kind = _CSV  # texts are called so as well
         if kind is None:
             known = ", ".join(KINDS)
             raise DataFileError(
                 f"{path}: files of kind {path.suffix.lower() or 'without a suffix'!r} "
                 f"cannot be read; known are {known}.",
+                path=path,
+            )
+        if kind.marks and not _begins(path, kind):
+            raise DataFileError(
+                f"{path}: this is no {kind.name} file, it does not begin like one. "
+                "Call it what it is, or export it anew.",
                 path=path,
             )
         if kind.package and importlib.util.find_spec(kind.package) is None:
@@ -91,6 +108,13 @@ def _guarded(path: Path, use: Any) -> Any:
                 path=path,
             )
         return use(importlib.import_module(f"jaxnarx.data.readers.{kind.module}"))
+
+
+def _begins(path: Path, kind: Kind) -> bool:
+    """Whether a file begins as its kind does."""
+    with path.open("rb") as file:
+        begin = file.read(600)
+    return begin.startswith(kind.marks) or begin[512:].startswith(kind.marks)
 
 
 def _require_plain(path: Path, kind: Kind | None):

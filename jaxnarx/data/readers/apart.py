@@ -4,6 +4,11 @@ For formats whose parsers may hang, take all memory or crash on a damaged file. 
 process is started with the first file and serves those that follow; after a fault it is
 ended, and the next file gets a new one. Requests and answers are lines of JSON, arrays
 are files in a folder that both know.
+
+What runs there is a module with two functions: `contents(path, folder, **given)`
+answers with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
+**given)` with `{"signals": [...], "notes": [...]}`; a signal tells its name, unit and
+labels and which file holds its time, if it has any.
 """
 
 import atexit
@@ -14,11 +19,15 @@ import selectors
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxnarx.data.readers.columns import Asked, Table
+from jaxnarx.data.readers.rasters import Signal, as_table, one_raster
+from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, JaxnarxError
 
 START = "from jaxnarx.data.readers.apart import serve; serve()"
@@ -26,6 +35,38 @@ OWN = 1e9
 """Bytes of memory beside those of the samples: the interpreter and its libraries."""
 LEAST, RATE = 60.0, 2e6
 """Seconds for a file, and bytes of it that are read in one more."""
+
+
+def ask(module: str, function: str, path: Path, **given: Any) -> Any:
+    """What `function(path, folder, **given)` of a module answers in the process."""
+    if not _APART:
+        _APART.append(Apart())
+    return _APART[0].ask(module, function, path, **given)
+
+
+def table_of(
+    module: str, path: Path, wanted: Sequence[str], asked: Asked, **given: Any
+) -> Table:
+    """The signals that a module finds: on one raster where they have a time."""
+    given |= {"wanted": list(wanted), "max_bytes": asked.max_bytes}
+    answer = ask(module, "signals", path, **given)
+    place = RowSource(str(path), 1, ", counted from 1")
+    array = _APART[0].array
+    found = answer["signals"]
+    times = {key: array(key) for key in {one["time"] for one in found} - {None}}
+    parts = [
+        (one["name"], one["unit"], array(f"x{k}"), array(f"valid{k}"))
+        for k, one in enumerate(found)
+    ]
+    if not times:
+        return as_table(parts, None, place, tuple(answer["notes"]))
+    signals = [
+        Signal(name, times[one["time"]], x, valid, unit, tuple(one["labels"]))
+        for one, (name, unit, x, valid) in zip(found, parts, strict=True)
+    ]
+    table = one_raster(signals, place, asked.sample_time)
+    notes = (*answer["notes"], *table.notes)
+    return Table(table.columns, place, table.units, table.time, notes)
 
 
 class Apart:
@@ -100,6 +141,10 @@ class Apart:
             "too large; export it anew.",
             path=path,
         )
+
+
+_APART: list[Apart] = []
+"""The process that reads, once there is one."""
 
 
 def serve() -> None:

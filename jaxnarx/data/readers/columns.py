@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source
 from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
-from jaxnarx.errors import DataError
+from jaxnarx.errors import DataError, DataFileError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +60,35 @@ class Column:
     table: str = ""
     step: float | None = None
     text: bool = False
+
+
+FEW, TIMES = 64e6, 1000
+"""A file that unfolds to more bytes, and by more times, is taken for a bomb."""
+
+
+def require_size(
+    path: Path, expanded: int | float, max_bytes: float, times: int = TIMES
+) -> None:
+    """Refuse what takes too much when unfolded, or unfolds like no measurement."""
+    require_limit(path, expanded, max_bytes)
+    if expanded > max(FEW, times * path.stat().st_size):
+        raise DataFileError(
+            f"{path}: {expanded / 1e9:.3g} GB when read, more than {times:,} times "
+            "the size of the file. Measurements are not as uniform as that, so it is "
+            "not read; write it as CSV if they are.",
+            path=path,
+        )
+
+
+def require_limit(path: Path, expanded: int | float, max_bytes: float) -> None:
+    """DataFileError where a file takes more than `max_bytes` when read."""
+    if expanded > max_bytes:
+        raise DataFileError(
+            f"{path}: about {expanded / 1e9:.3g} GB when read, over the limit of "
+            f"{max_bytes / 1e9:.3g} GB. Read fewer files or channels, or raise "
+            "max_bytes.",
+            path=path,
+        )
 
 
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.data.readers.columns import require_limit
 from jaxnarx.errors import DataFileError, suggest
 
 _GROUP = re.compile(r"(.+) @ group (\d+)")
@@ -42,7 +43,8 @@ def signals(
         for name, group, index in _channels(mdf):
             known.setdefault(name, []).append((group, index))
         places = [_place(path, mdf, known, name) for name in wanted]
-        _require_size(path, mdf, places, max_bytes)
+        count = sum(int(mdf.groups[g].channel_group.cycles_nr) for g, _ in places)
+        require_limit(path, 24 * count, max_bytes)
         notes = _notes(path, mdf)
         for group in {group for group, _ in places}:
             np.save(folder / f"t{group}.npy", _time(path, mdf, group))
@@ -128,17 +130,6 @@ def _place(
         f'column = "{name} @ group {found[0][0]}".',
         path=path,
     )
-
-
-def _require_size(path: Path, mdf: Any, places: Any, max_bytes: float) -> None:
-    count = sum(int(mdf.groups[g].channel_group.cycles_nr) for g, _ in places)
-    if 24 * count > max_bytes:
-        raise DataFileError(
-            f"{path}: about {24 * count / 1e9:.3g} GB when read, over the limit of "
-            f"{max_bytes / 1e9:.3g} GB. Read fewer files or channels, or raise "
-            "max_bytes.",
-            path=path,
-        )
 
 
 def _time(path: Path, mdf: Any, group: int) -> np.ndarray:

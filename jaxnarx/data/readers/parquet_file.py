@@ -3,12 +3,16 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxnarx.data.readers.columns import Asked, Column, Table, is_readable, is_text
+from jaxnarx.data.readers.columns import (
+    Asked,
+    Column,
+    Table,
+    is_readable,
+    is_text,
+    require_size,
+)
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
-
-_FEW, _TIMES = 64e6, 1000
-"""A Parquet file that grows to more bytes, and by more times, is taken for a bomb."""
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
@@ -18,7 +22,7 @@ def contents(path: Path, asked: Asked) -> list[Column]:
     with parquet.ParquetFile(path) as file:
         rows, schema = file.metadata.num_rows, file.schema_arrow
     return [
-        Column(name=field.name, rows=rows, text=is_text(field.type))
+        Column(field.name, _unit(field), rows, text=is_text(field.type))
         for field in schema
         if is_readable(field.type)
     ]
@@ -39,7 +43,16 @@ def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     if not table.num_rows:
         raise DataFileError(f"{path}: the file has no data rows.", path=path)
     columns = {name: table.column(name) for name in wanted}
-    return Table(columns, RowSource(str(path), 1, ", counted from 1"))
+    units = {name: _unit(schema.field(name)) for name in wanted}
+    units = {name: unit for name, unit in units.items() if unit}
+    return Table(columns, RowSource(str(path), 1, ", counted from 1"), units)
+
+
+def _unit(field) -> str:
+    """As the metadata of the field states it."""
+    told = field.metadata or {}
+    found = next((told[n] for n in (b"unit", b"units") if n in told), b"")
+    return found.decode("utf-8", "replace").strip()
 
 
 def _require_columns(path: Path, schema, wanted: Sequence[str]) -> list[str]:
@@ -81,17 +94,4 @@ def _require_parquet_size(path, metadata, wanted, texts, max_bytes):
             )
     values = max(len(wanted) * metadata.num_rows, sum(c.num_values for c in chunks))
     expanded = max(8 * values, sum(c.total_uncompressed_size for c in chunks))
-    if expanded > max_bytes:
-        raise DataFileError(
-            f"{path}: about {expanded / 1e9:.3g} GB when read, over the limit of "
-            f"{max_bytes / 1e9:.3g} GB. Read fewer files or channels, or raise "
-            "max_bytes.",
-            path=path,
-        )
-    if expanded > max(_FEW, _TIMES * path.stat().st_size):
-        raise DataFileError(
-            f"{path}: {expanded / 1e9:.3g} GB when read, more than {_TIMES:,} times "
-            "the size of the file. Measurements are not as uniform as that, so it is "
-            "not read; write it as CSV if they are.",
-            path=path,
-        )
+    require_size(path, expanded, max_bytes)

@@ -15,7 +15,7 @@ time, nothing is changed.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -77,8 +77,8 @@ def one_raster(
     if all(_same(first.time, other.time, step) for other in signals[1:]) and (
         sample_time is None or _keeps(first.time, sample_time)
     ):
-        return _table(
-            [(s, s.values, s.valid) for s in signals], first.time, place, notes=()
+        return as_table(
+            [(s.name, s.unit, s.values, s.valid) for s in signals], first.time, place
         )
     if sample_time is None:
         told = ", ".join(f"{s.name} every {s.step:.4g} s" for s in signals[:8])
@@ -99,8 +99,8 @@ def one_raster(
             channel=early.name,
         )
     grid = start + sample_time * np.arange(count)
-    parts = [(s, *_at(s, grid, sample_time, place)) for s in signals]
-    return _table(parts, grid, place, notes=_notes(signals, sample_time, place))
+    parts = [(s.name, s.unit, *_at(s, grid, sample_time, place)) for s in signals]
+    return as_table(parts, grid, place, _notes(signals, sample_time, place))
 
 
 def _require_increasing(signal: Signal, place: RowSource) -> None:
@@ -165,17 +165,22 @@ def _notes(signals: Sequence[Signal], step: float, place: RowSource) -> tuple[st
     return (f"{place.lead}brought to {step:g} s: {'; '.join(told)}",)
 
 
-def _table(parts, time, place, notes) -> Table:
+def as_table(
+    parts: Iterable[tuple[str, str, np.ndarray, np.ndarray]],
+    time: Float[np.ndarray, " time"] | None,
+    place: RowSource,
+    notes: tuple[str, ...] = (),
+) -> Table:
+    """Columns of (name, unit, values, which are valid); invalid ones are counted."""
     import pyarrow as pa
 
     columns, units, bad = {}, {}, []
-    for signal, values, valid in parts:
-        x = np.where(valid, values, np.nan)
-        columns[signal.name] = pa.array(x)
-        units[signal.name] = signal.unit
+    for name, unit, values, valid in parts:
+        columns[name] = pa.array(np.where(valid, values, np.nan))
+        units[name] = unit
         invalid = int(np.sum(~np.asarray(valid)))
         if invalid:
-            bad.append(f"{invalid} of {signal.name}")
+            bad.append(f"{invalid} of {name}")
     if bad:
         notes = (*notes, f"{place.lead}invalid samples: {', '.join(bad)}")
     return Table(columns, place, units, time=time, notes=notes)

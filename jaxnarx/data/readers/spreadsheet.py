@@ -11,12 +11,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.data.readers.columns import Asked, Column, Table, is_number
+from jaxnarx.data.readers.columns import (
+    Asked,
+    Column,
+    Table,
+    is_number,
+    require_limit,
+    require_size,
+)
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
 
-_FEW, _TIMES = 64e6, 200
-"""A file that unfolds to more bytes, and by more times, is taken for a bomb."""
+_TIMES = 200
+"""A file that unfolds to more times its size is taken for a bomb."""
 _CELL = 40
 """Bytes of a number as text in a sheet, with its place."""
 
@@ -102,18 +109,8 @@ def _require_size(path: Path, max_bytes: float) -> None:
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             expanded = sum(part.file_size for part in archive.infolist())
-    if expanded / _CELL * 8 > max_bytes:
-        raise DataFileError(
-            f"{path}: about {expanded / 1e9:.3g} GB when unfolded, too much for the "
-            f"limit of {max_bytes / 1e9:.3g} GB. Save it as CSV or Parquet.",
-            path=path,
-        )
-    if expanded > max(_FEW, _TIMES * size):
-        raise DataFileError(
-            f"{path}: unfolds to {expanded / 1e9:.3g} GB, more than {_TIMES} times its "
-            "size. Measurements are not as uniform as that, so it is not read.",
-            path=path,
-        )
+    require_limit(path, expanded / _CELL * 8, max_bytes)
+    require_size(path, expanded, float("inf"), _TIMES)
 
 
 def _parts(
