@@ -97,7 +97,11 @@ CASES = {
         False,
     ),
     "rate.mat": (lambda p: savemat(p, {"fs": 10.0, "speed": SPEED}), "", True),
-    "group.mat": (lambda p: savemat(p, {"run": {"time": T, "speed": SPEED}}), "", True),
+    "group.mat": (
+        lambda p: savemat(p, {"run": {"time": T, "speed": SPEED, "torque": T}}),
+        "",
+        True,
+    ),
     "simulink.mat": (lambda p: savemat(p, {"log": LOG}), "", True),
     "dspace.mat": (lambda p: savemat(p, {"rec_001": DSPACE}), "rpm", True),
     "iddata.mat": (lambda p: savemat(p, {"z": IDDATA}), "rpm", True),

@@ -29,7 +29,7 @@ from jaxnarx.errors import DataFileError, suggest
 _STEP = re.compile(r"(?i)(ts|dt|t_?s|sample_?time|sampling_?time|sample_?period)")
 _RATE = re.compile(r"(?i)(fs|sample_?rate|sampling_?(rate|frequency))")
 _TIME = re.compile(
-    r"(?i)(time|t|timestamps?|time_?stamps?|zeit)([ _]?[\[(]?\w*[\])]?)?"
+    r"(?i)(time|t|time_?stamps?|zeit)(_(s|ms|us|min|h)|[ _]?[\[(]\w+[\])])?"
 )
 _NAMES = re.compile(
     r"(?i).*(name|label|channel|column|header|title|signal|items|vars).*"
