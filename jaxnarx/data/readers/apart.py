@@ -69,6 +69,12 @@ def table_of(
     return Table(table.columns, place, table.units, table.time, notes)
 
 
+def close() -> None:
+    """End the process, if there is one; the next file begins another."""
+    while _APART:
+        _APART.pop().close()
+
+
 class Apart:
     """The process, and the folder of its arrays."""
 

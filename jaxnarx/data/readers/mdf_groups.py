@@ -13,6 +13,8 @@ from jaxnarx.errors import DataFileError, suggest
 _GROUP = re.compile(r"(.+) @ group (\d+)")
 _BUS = 0x2 | 0x4
 """Flags of groups that hold frames of a bus, not channels."""
+_TO_TEXT = (7, 8, 11, 12)
+"""Conversions that make text of numbers, in MDF 4 and in MDF 3."""
 LABELS = 40
 """Labels of an enumeration that are told."""
 
@@ -49,8 +51,12 @@ def signals(
         for group in {group for group, _ in places}:
             np.save(folder / f"t{group}.npy", _time(path, mdf, group))
         found = []
-        for k, (name, (group, index)) in enumerate(zip(wanted, places, strict=True)):
-            x, valid, labels = _values(path, mdf, name, group, index)
+        asked = [(None, *place) for place in places]
+        read = mdf.select(asked, copy_master=False, ignore_value2text_conversions=True)
+        for k, (name, (group, index), signal) in enumerate(
+            zip(wanted, places, read, strict=True)
+        ):
+            x, valid = _values(path, name, signal)
             np.save(folder / f"x{k}.npy", x)
             np.save(folder / f"valid{k}.npy", valid)
             found.append(
@@ -58,7 +64,7 @@ def signals(
                     "name": name,
                     "time": f"t{group}",
                     "unit": _unit(mdf, group, index),
-                    "labels": labels,
+                    "labels": _labels(mdf.groups[group].channels[index], x),
                 }
             )
         return {"signals": found, "notes": notes}
@@ -147,34 +153,38 @@ def _time(path: Path, mdf: Any, group: int) -> np.ndarray:
     return np.asarray(mdf.get_master(group), float)
 
 
-def _values(
-    path: Path, mdf: Any, name: str, group: int, index: int
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Numbers, which of them are valid, and the labels of an enumeration."""
-    how = {"group": group, "index": index, "samples_only": True}
-    how["ignore_invalidation_bits"] = True
-    x, invalid = mdf.get(**how)
-    labels: list[str] = []
+def _values(path: Path, name: str, signal: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers, and which of them are valid."""
+    x = signal.samples
     if x.dtype.kind in "SUO":
         told = sorted({_text(v) for v in np.unique(x)})
-        x, _ = mdf.get(**how, raw=True)
-        if x.dtype.kind not in "biuf":
-            shown = ", ".join(repr(t[:40]) for t in told[:8])
-            raise DataFileError(
-                f"{path}: channel {name} holds text: {shown}. Choose a numeric one.",
-                path=path,
-            )
-        labels = told[:LABELS] or ["?"]
+        shown = ", ".join(repr(t[:40]) for t in told[:8])
+        raise DataFileError(
+            f"{path}: channel {name} holds text: {shown}. Choose a numeric one.",
+            path=path,
+        )
     if x.ndim != 1 or x.dtype.kind not in "biuf":
         raise DataFileError(
             f"{path}: channel {name} holds arrays, not one number a sample. Leave it "
             "out.",
             path=path,
         )
+    invalid = signal.invalidation_bits
     valid = np.ones(len(x), bool)
     if invalid is not None:
         valid &= ~np.asarray(invalid, bool)
-    return np.asarray(x, float), valid, labels
+    return np.asarray(x, float), valid
+
+
+def _labels(channel: Any, x: np.ndarray) -> list[str]:
+    """What an enumeration calls the numbers that are there."""
+    conversion = channel.conversion
+    if getattr(conversion, "conversion_type", 0) not in _TO_TEXT:
+        return []
+    levels = np.unique(x[:100_000])[:LABELS]
+    told = np.asarray(conversion.convert(levels.astype(np.int64))).ravel()
+    # in MDF 3 two of these numbers mean exponential and logarithm
+    return [_text(v) for v in told] if told.dtype.kind in "SUO" else []
 
 
 def _text(value: Any) -> str:
