@@ -99,3 +99,14 @@ def test_check_of_long_data(tmp_path):
     assert figures["now"]["responses_seen"] == figures["responses"]
     for one in figures["targets"].values():
         assert_target(one)
+
+
+@pytest.mark.slow
+def test_reading_of_measurement_files(tmp_path):
+    figures = run("readers.py", results=tmp_path)["readers"]
+    large, (turn,) = figures["large"], figures["plain"]["turns"]
+    assert turn["ours"]["rows"] == turn["asammdf"]["rows"] == 4000
+    # fast channels have ten times the samples of the slow ones they are brought to
+    assert large["asammdf"]["rows"] == 10 * large["ours"]["rows"]
+    for aim in figures["targets"].values():
+        assert_target(aim)

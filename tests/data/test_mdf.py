@@ -161,3 +161,46 @@ def test_a_file_that_was_cut_off_is_told_or_read_as_far_as_it_goes(tmp_path, fil
         read_table(path, ["mode"], Asked())
     # the next file is served as if nothing had been
     assert len(read_table(file, ["mode"], Asked())) == 300
+
+
+def test_groups_over_angle_and_of_arrays_are_told(tmp_path):
+    path = tmp_path / "angle.mf4"
+    crank = asammdf.Signal(
+        SPEED, FAST, name="p_cyl", master_metadata=("angle", 2), unit="bar"
+    )
+    four = np.rec.fromarrays([np.ones((60, 4))], dtype=[("spectrum", "(4,)<f8")])
+    arrays = asammdf.Signal(four, SLOW, name="spectrum", unit="dB")
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([crank])
+        mdf.append([arrays, asammdf.Signal(NOX, SLOW, name="NOx")])
+        mdf.save(path)
+    with pytest.raises(DataFileError, match="group 0 is sampled over angles, not over"):
+        read_table(path, ["p_cyl"], Asked())
+    with pytest.raises(DataFileError, match="spectrum holds arrays"):
+        read_table(path, ["spectrum"], Asked())
+    np.testing.assert_array_equal(
+        values(read_table(path, ["NOx"], Asked()), "NOx"), NOX
+    )
+
+
+def test_a_thousand_channels_of_one_name_are_asked_back(tmp_path):
+    path = tmp_path / "many.mf4"
+    with asammdf.MDF(version="4.10") as mdf:
+        for k in range(1000):
+            mdf.append([asammdf.Signal(np.full(3, float(k)), FAST[:3], name="x")])
+        mdf.save(path)
+    assert len(contents(path, Asked())) == 1000
+    with pytest.raises(DataFileError, match="group 7 .3 samples.*and 992 more. Say"):
+        read_table(path, ["x"], Asked())
+    x = read_table(path, ["x @ group 999"], Asked())
+    np.testing.assert_array_equal(values(x, "x @ group 999"), [999.0] * 3)
+
+
+def test_time_that_runs_backwards_is_told_with_its_place(tmp_path):
+    path = tmp_path / "back.mf4"
+    time = np.r_[FAST[:20], FAST[10:20]]
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([asammdf.Signal(np.arange(30.0), time, name="x")])
+        mdf.save(path)
+    with pytest.raises(DataError, match=r"time of x does not increase after 1.9 s"):
+        read_table(path, ["x"], Asked())
