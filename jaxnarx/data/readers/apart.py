@@ -8,10 +8,11 @@ are files in a folder that both know.
 What runs there is a module with two functions: `contents(path, folder, **given)`
 answers with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
 **given)` with `{"signals": [...], "notes": [...]}`; a signal tells its name, unit and
-labels and which file holds its time, if it has any.
+labels, which file holds its time, if it has any, and whether all of it is valid.
 """
 
 import atexit
+import contextlib
 import importlib
 import json
 import os
@@ -55,7 +56,12 @@ def table_of(
     found = answer["signals"]
     times = {key: array(key) for key in {one["time"] for one in found} - {None}}
     parts = [
-        (one["name"], one["unit"], array(f"x{k}"), array(f"valid{k}"))
+        (
+            one["name"],
+            one["unit"],
+            array(f"x{k}"),
+            None if one["valid"] else array(f"valid{k}"),
+        )
         for k, one in enumerate(found)
     ]
     if not times:
@@ -111,8 +117,13 @@ class Apart:
         return answer["value"]
 
     def array(self, name: str) -> np.ndarray:
-        """An array of the last answer."""
-        return np.load(Path(self._folder.name) / f"{name}.npy")
+        """An array of the last answer, once: it is read from its file when used."""
+        path = Path(self._folder.name) / f"{name}.npy"
+        found = np.load(path, mmap_mode="r")
+        with contextlib.suppress(OSError):  # where files in use may not be removed
+            path.unlink()
+            return found
+        return np.array(found)
 
     def close(self) -> None:
         """End the process, and take its files away."""

@@ -49,18 +49,23 @@ def signals(
         require_limit(path, 24 * count, max_bytes)
         notes = _notes(path, mdf)
         for group in {group for group, _ in places}:
-            np.save(folder / f"t{group}.npy", _time(path, mdf, group))
-        found = []
+            _require_time(path, mdf, group)
+        found, stamped = [], set()
         asked = [(None, *place) for place in places]
         read = mdf.select(asked, copy_master=False, ignore_value2text_conversions=True)
         for k, (name, (group, index), signal) in enumerate(
             zip(wanted, places, read, strict=True)
         ):
+            if group not in stamped:
+                np.save(folder / f"t{group}.npy", np.asarray(signal.timestamps, float))
+                stamped.add(group)
             x, valid = _values(path, name, signal)
             np.save(folder / f"x{k}.npy", x)
-            np.save(folder / f"valid{k}.npy", valid)
+            if valid is not None:
+                np.save(folder / f"valid{k}.npy", valid)
             found.append(
                 {
+                    "valid": valid is None,
                     "name": name,
                     "time": f"t{group}",
                     "unit": _unit(mdf, group, index),
@@ -138,8 +143,8 @@ def _place(
     )
 
 
-def _time(path: Path, mdf: Any, group: int) -> np.ndarray:
-    """Stamps of a group [s]."""
+def _require_time(path: Path, mdf: Any, group: int) -> None:
+    """DataFileError for a group that is not sampled over time."""
     master = mdf.masters_db.get(group)
     channel = None if master is None else mdf.groups[group].channels[master]
     kind = getattr(channel, "sync_type", 1)
@@ -150,11 +155,10 @@ def _time(path: Path, mdf: Any, group: int) -> np.ndarray:
             "channels of a group with a time.",
             path=path,
         )
-    return np.asarray(mdf.get_master(group), float)
 
 
-def _values(path: Path, name: str, signal: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers, and which of them are valid."""
+def _values(path: Path, name: str, signal: Any) -> tuple[np.ndarray, np.ndarray | None]:
+    """Numbers, and which of them are valid; `None` where all are."""
     x = signal.samples
     if x.dtype.kind in "SUO":
         told = sorted({_text(v) for v in np.unique(x)})
@@ -170,10 +174,9 @@ def _values(path: Path, name: str, signal: Any) -> tuple[np.ndarray, np.ndarray]
             path=path,
         )
     invalid = signal.invalidation_bits
-    valid = np.ones(len(x), bool)
-    if invalid is not None:
-        valid &= ~np.asarray(invalid, bool)
-    return np.asarray(x, float), valid
+    if invalid is None or not np.any(invalid):
+        return np.asarray(x), None
+    return np.asarray(x), ~np.asarray(invalid, bool)
 
 
 def _labels(channel: Any, x: np.ndarray) -> list[str]:

@@ -15,10 +15,11 @@ time, nothing is changed.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.readers.columns import Table
@@ -34,30 +35,33 @@ SAME = 0.01
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Signal:
-    """One channel of a file: stamps [s], values, which of them are valid, and the unit.
+    """One channel of a file: stamps [s], values, which of them are valid (`None`: all),
+    and the unit.
 
     `labels` names the values of an enumeration.
     """
 
     name: str
     time: Float[np.ndarray, " time"]
-    values: Float[np.ndarray, " time"]
-    valid: Bool[np.ndarray, " time"]
+    values: Shaped[np.ndarray, " time"]
+    valid: Bool[np.ndarray, " time"] | None
     unit: str = ""
     labels: tuple[str, ...] = ()
 
-    @property
+    @functools.cached_property
     def step(self) -> float:
         """Median distance of its stamps [s]; infinite for one sample."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
 
-    @property
+    @functools.cached_property
     def steps(self) -> bool:
         """Whether it moves in steps: an enumeration, or whole numbers of few levels."""
         if self.labels:
             return True
-        known = self.values[self.valid]
-        if not len(known) or np.any(known != np.round(known)):
+        known = self.values if self.valid is None else self.values[self.valid]
+        if not len(known) or np.any(known[:1000] != np.round(known[:1000])):
+            return False
+        if np.any(known != np.round(known)):
             return False
         return len(np.unique(known)) <= LEVELS
 
@@ -70,7 +74,7 @@ def one_raster(
     Without `sample_time` their rasters must be one; DataError lists them otherwise, and
     where a channel is empty, or where no time is common to all.
     """
-    for signal in signals:
+    for signal in {id(s.time): s for s in reversed(signals)}.values():
         _require_increasing(signal, place)
     first = signals[0]
     step = first.step if sample_time is None else sample_time
@@ -141,10 +145,11 @@ def _at(
     left = np.clip(np.searchsorted(t, grid + 1e-6 * step, side="right") - 1, 0, None)
     right = np.minimum(left + 1, len(t) - 1)
     gap = (t[right] - t[left] > JUMP * max(own, step)) & (grid > t[left] + own)
-    if signal.steps or not signal.valid.any() or len(t) < 2:
-        return signal.values[left], signal.valid[left] & ~gap
+    valid = np.ones(len(t), bool) if signal.valid is None else signal.valid
+    if signal.steps or not valid.any() or len(t) < 2:
+        return np.asarray(signal.values, float)[left], valid[left] & ~gap
     found = on_grid(
-        *(t, signal.values[:, None], signal.valid[:, None]),
+        *(t, np.asarray(signal.values, float)[:, None], valid[:, None]),
         **{"step": step, "start": float(grid[0]), "name": place.lead + signal.name},
     )
     values, known = (part[: len(grid), 0] for part in found)
@@ -166,18 +171,22 @@ def _notes(signals: Sequence[Signal], step: float, place: RowSource) -> tuple[st
 
 
 def as_table(
-    parts: Iterable[tuple[str, str, np.ndarray, np.ndarray]],
+    parts: Iterable[tuple[str, str, np.ndarray, np.ndarray | None]],
     time: Float[np.ndarray, " time"] | None,
     place: RowSource,
     notes: tuple[str, ...] = (),
 ) -> Table:
-    """Columns of (name, unit, values, which are valid); invalid ones are counted."""
+    """Columns of (name, unit, values, which are valid, `None` for all); invalid ones
+    are counted."""
     import pyarrow as pa
 
     columns, units, bad = {}, {}, []
     for name, unit, values, valid in parts:
-        columns[name] = pa.array(np.where(valid, values, np.nan))
         units[name] = unit
+        if valid is None or np.all(valid):
+            columns[name] = pa.array(np.asarray(values, float))
+            continue
+        columns[name] = pa.array(np.where(valid, values, np.nan))
         invalid = int(np.sum(~np.asarray(valid)))
         if invalid:
             bad.append(f"{invalid} of {name}")

@@ -106,14 +106,13 @@ def signals(
         for k, (name, one, time) in enumerate(zip(wanted, chosen, times, strict=True)):
             x = _numbers(path, one)
             np.save(folder / f"x{k}.npy", x)
-            np.save(folder / f"valid{k}.npy", np.ones(len(x), bool))
             key = None
             if time is not None:
                 key = f"t{next(i for i, t in enumerate(times) if t is time)}"
                 np.save(folder / f"{key}.npy", np.asarray(time, float))
             labels = list(one.labels)
             told = {"name": name, "time": key, "unit": one.unit, "labels": labels}
-            answer.append(told)
+            answer.append(told | {"valid": True})
         return {"signals": answer, "notes": []}
 
 
