@@ -30,8 +30,8 @@ ROUNDS = 3
 NOTES = {
     "seconds": "wall clock of a whole process: interpreter, imports, reading",
     "reading": "of it the reading alone, with the process that reads begun within it",
-    "peak_bytes": "of a process; of ours the most that it and the one that reads for it "
-    "held at any time, looked at every 10 ms, files that are mapped counted as held",
+    "peak_bytes": "of a process; of ours the most that it and the one that reads for it"
+    " held at any time, looked at every 10 ms, files that are mapped counted as held",
     "peaks": "of our two processes, each at its own time",
 }
 
