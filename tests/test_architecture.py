@@ -50,7 +50,7 @@ HOUSE = [
     ["trust"],
     ["selection"],
     ["partition"],
-    ["linear", "inverse", "design", "evaluation", "output_error"],
+    ["linear", "inverse", "design", "evaluation", "output_error", "targets"],
     ["states"],
     ["identification"],
     ["sweep"],

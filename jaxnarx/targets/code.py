@@ -1,0 +1,67 @@
+"""Statements of a program in a language: what the writers of targets share."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping
+
+from jaxnarx.targets.form import Op, Program, Value
+
+
+@dataclasses.dataclass(frozen=True)
+class Syntax:
+    """How a language writes a source, an operation and an assignment.
+
+    `source` is by kind, a function of what names it; `operation` by kind, with {0}, {1}
+    and {2} for the values it takes; `number` writes a constant, `assign` with {name}
+    and {value} a statement.
+    """
+
+    source: Mapping[str, Callable[..., str]]
+    operation: Mapping[str, str]
+    number: Callable[[float], str]
+    assign: str
+
+    def value(self, op: Op, n: Value) -> str:
+        """What stands for a value where it is used."""
+        if op.kind == "const":
+            return self.number(op.source)
+        if op.kind in self.source:
+            return self.source[op.kind](op.source)
+        return f"v{n}"
+
+
+INFIX = {
+    "add": "{0} + {1}",
+    "sub": "{0} - {1}",
+    "mul": "{0} * {1}",
+    "div": "{0} / {1}",
+    "neg": "-{0}",
+}
+
+
+def statements(
+    program: Program, needed: Iterable[Value], syntax: Syntax, indent: str = "    "
+) -> list[str]:
+    """A statement for every operation; sources are written where they are used."""
+    lines = []
+    for n in needed:
+        op = program.ops[n]
+        if op.kind == "const" or op.kind in syntax.source:
+            continue
+        names = [syntax.value(program.ops[a], a) for a in op.args]
+        value = syntax.operation[op.kind].format(*names)
+        lines.append(indent + syntax.assign.format(name=f"v{n}", value=value))
+    return lines
+
+
+def shown(program: Program, n: Value, syntax: Syntax) -> str:
+    """What stands for value `n`."""
+    return syntax.value(program.ops[n], n)
+
+
+def digits(x: float) -> str:
+    """A number that reads back as it is, with a point."""
+    if math.isfinite(x):
+        text = repr(float(x))
+        return text if any(c in text for c in ".en") else f"{text}.0"
+    raise ValueError(f"{x} has no digits")

@@ -1,0 +1,387 @@
+"""A network as a program: what one sample of its free run takes."""
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+
+from jaxnarx.models import HOLD, LINEAR, NAN, Network, OutputModel
+from jaxnarx.regressors import AbstractFilter, Variables, realise
+from jaxnarx.targets.derivatives import gradient
+from jaxnarx.targets.form import (
+    Builder,
+    DelayLine,
+    Port,
+    Program,
+    StateValue,
+    Value,
+)
+from jaxnarx.targets.validities import weights
+
+
+def lower(network: Network, name: str = "model") -> Program:
+    """The program of a network; `SpecError` where it has a validity function that is
+    not known here."""
+    return _Lowering(network, name).program()
+
+
+def identifier(text: str, taken: set[str] | None = None) -> str:
+    """A name that every language takes, different from those that are taken."""
+    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
+    word = word if word[0].isalpha() else f"x{word}"
+    word, n = word[:40], 2
+    found = word
+    while taken is not None and found.lower() in taken:
+        found, n = f"{word}_{n}", n + 1
+    if taken is not None:
+        taken.add(found.lower())
+    return found
+
+
+@dataclasses.dataclass
+class _Line:
+    """A delay line that is being made."""
+
+    source: Value | None = None
+    start: Value = 0
+    measured: Value = 0
+    length: int = 0
+
+
+class _Lowering:
+    def __init__(self, network: Network, name: str) -> None:
+        self.network, self.name = network, name
+        self.b = Builder()
+        self.lines: dict[str, _Line] = {}
+        self.states: dict[str, StateValue] = {}
+        self.rest: dict[Value, Value] = {}
+        self.cascades: dict[tuple, str] = {}
+        self.gain = np.asarray(network.gain, float)
+        self.low, self.high = (
+            np.asarray(a, float) for a in (network.low, network.high)
+        )
+        self.given = len(network.channels.inputs)
+        used = {s for table in self._all_tables() for s, _ in table}
+        self.inputs = [
+            *range(self.given),
+            *(
+                self.given + o
+                for o in range(len(network.channels.outputs))
+                if o not in network.modelled and self.given + o in used
+            ),
+        ]
+        taken: set[str] = set()
+        self.names = [identifier(n, taken) for n in network.computed_names]
+
+    def _all_tables(self) -> list[Variables]:
+        return [self.network.variables, *(m.scheduling for m in self.network.models)]
+
+    def program(self) -> Program:
+        network, b = self.network, self.b
+        for o in range(len(network.models)):
+            start = self._scaled_measurement(o)
+            self.lines[f"y_{self.names[o]}"] = _Line(None, start, start)
+        fed: list[Value] = []
+        limited: list[Value] = []
+        for o, model in enumerate(network.models):
+            value = self._output(o, model)
+            bounded, beyond = self._bounded(o, value)
+            fed.append(bounded)
+            limited.append(beyond)
+            self.lines[f"y_{self.names[o]}"].source = bounded
+        own = np.asarray(network.signals)
+        physical = [
+            b.mul(y, b.const(self.gain[s])) for y, s in zip(fed, own, strict=True)
+        ]
+        flags = {"extrapolated": self._extrapolated()}
+        outputs = self._reported(physical[: len(network.modelled)], flags)
+        ports = self._ports(network.computed, own)
+        past = [
+            (f"y_{name}", k + 1)
+            for name in self.names
+            for k in range(self.lines[f"y_{name}"].length)
+        ]
+        sources = [
+            *(b.op("input", source=i) for i in range(len(self.inputs))),
+            *(b.op("delay", source=one) for one in past),
+        ]
+        jacobian = [gradient(b, y, sources) for y in physical]
+        lines = [
+            DelayLine(name, line.length, line.source, line.start, line.measured)
+            for name, line in self.lines.items()
+            if line.length and line.source is not None
+        ]
+        channels = (*network.channels.inputs, *network.channels.outputs)
+        return Program(
+            name=identifier(self.name),
+            sample_time=float(network.sample_time),
+            history=network.history,
+            inputs=self._ports([channels[s] for s in self.inputs], self.inputs),
+            reported=ports[: len(network.modelled)],
+            computed=ports,
+            ops=tuple(b.ops),
+            tables=tuple(b.tables.values()),
+            delays=tuple(lines),
+            states=tuple(self.states.values()),
+            outputs=tuple(outputs),
+            jacobian=tuple(jacobian),
+            past=tuple(past),
+            fed=tuple(physical),
+            limited=tuple(limited),
+            flags=flags,
+        )
+
+    def _ports(self, channels: Any, signals: Any) -> tuple[Port, ...]:
+        return tuple(
+            Port(c.name, c.unit or "", float(self.low[s]), float(self.high[s]))
+            for c, s in zip(channels, signals, strict=True)
+        )
+
+    # inputs ------------------------------------------------------------------------
+
+    def _raw(self, signal: int) -> Value:
+        return self.b.op("input", source=self.inputs.index(signal))
+
+    def _seen(self, signal: int) -> Value:
+        """A signal as the network sees it, physical."""
+        raw = self._raw(signal)
+        if self.network.plain or signal >= self.given:
+            return raw
+        b = self.b
+        return b.clip(raw, b.const(self.low[signal]), b.const(self.high[signal]))
+
+    def _scaled(self, signal: int, *, far: bool) -> Value:
+        """Divided by its gain; `far`: how far it is beyond what is held."""
+        b, seen = self.b, self._seen(signal)
+        value = b.op("sub", self._raw(signal), seen) if far else seen
+        return b.mul(value, b.const(1 / self.gain[signal]))
+
+    def _variable(
+        self, signal: int, lag: int, filter_: AbstractFilter | None, *, far=False
+    ) -> Value:
+        """A lagged variable, scaled; of what is computed from what is fed back."""
+        if signal in self.network.signals:
+            if far:
+                return self.b.const(0.0)
+            return self._fed(self.network.signals.index(signal), lag)
+        if far and signal >= self.given:
+            return self.b.const(0.0)
+        value = self._scaled(signal, far=far)
+        channels = (*self.network.channels.inputs, *self.network.channels.outputs)
+        base = ("far_" if far else "u_") + identifier(channels[signal].name)[:24]
+        base = f"{base}_{signal}"
+        if filter_ is not None:
+            value, base = self._filtered(value, base, filter_)
+        return value if lag == 0 else self._lagged(base, lag, value)
+
+    def _lagged(self, name: str, lag: int, value: Value) -> Value:
+        start = self.rest.get(value, value)
+        line = self.lines.setdefault(name, _Line(value, start, value))
+        line.length = max(line.length, lag)
+        return self.b.op("delay", source=(name, lag))
+
+    def _filtered(
+        self, value: Value, base: str, filter_: AbstractFilter
+    ) -> tuple[Value, str]:
+        """A signal through a filter: cascades that begin alike share their states."""
+        b, sections = self.b, filter_.sections
+        system = realise(filter_, float(self.network.sample_time))
+        a, gain, c, rest = (
+            np.asarray(x, float) for x in (system.a, system.b, system.c, system.rest)
+        )
+        count = 2 * len(sections)
+        names, after, at_rest = [], [], []
+        for k in range(count):
+            key = base, sections[: k // 2 + 1], k % 2
+            names.append(self.cascades.setdefault(key, f"{base}_f{len(self.cascades)}"))
+        known = [
+            b.op("state", source=name) if np.any(a[:, k]) else None
+            for k, name in enumerate(names)
+        ]
+        for k, name in enumerate(names):
+            parts = [
+                b.mul(b.const(a[k, j]), held)
+                for j, held in enumerate(known)
+                if a[k, j] != 0 and held is not None
+            ]
+            entering = [b.mul(b.const(gain[k]), value)] if gain[k] else []
+            now = b.add(*parts, *entering)
+            after.append(now)
+            at_rest.append(b.mul(b.const(rest[k]), value))
+            if known[k] is not None:
+                self.states.setdefault(name, StateValue(name, now, at_rest[k]))
+        out = b.add(
+            *(b.mul(b.const(c[k]), after[k]) for k in range(count) if c[k] != 0)
+        )
+        self.rest[out] = b.mul(b.const(float(c @ rest)), value)
+        (place,) = np.flatnonzero(c)
+        return out, f"{names[int(place)]}{'u' if filter_.unit_gain else 'n'}"
+
+    # feedback ----------------------------------------------------------------------
+
+    def _scaled_measurement(self, o: int) -> Value:
+        b, signal = self.b, self.network.signals[o]
+        return b.mul(b.op("measured", source=o), b.const(1 / self.gain[signal]))
+
+    def _fed(self, o: int, lag: int, group: int | None = None) -> Value:
+        name = f"y_{self.names[o]}" + ("" if group is None else f"_group{group + 1}")
+        line = self.lines[name]
+        line.length = max(line.length, lag)
+        return self.b.op("delay", source=(name, lag))
+
+    def _bounded(self, o: int, value: Value) -> tuple[Value, Value]:
+        b = self.b
+        low, high = (
+            b.const(float(np.asarray(a)[o]))
+            for a in (self.network.lower, self.network.upper)
+        )
+        below, above = b.op("less", value, low), b.op("less", high, value)
+        return b.clip(value, low, high), b.op("max", below, above)
+
+    # local models ------------------------------------------------------------------
+
+    def _output(self, o: int, model: OutputModel) -> Value:
+        b, name = self.b, self.names[o]
+        active = np.flatnonzero(np.asarray(model.active))
+        phi = weights(b, model, self._scheduling(model), active, name)
+        dense = np.asarray(model.local.dense(), float)[active]
+        factor = np.asarray(model.local.factor)
+        used = np.flatnonzero(np.any(dense != 0, axis=0))
+        table = b.parameters(
+            f"theta_{name}",
+            dense[:, used],
+            f"coefficients of {self.network.computed_names[o]}: a row for every "
+            "local model, a column for every term, of scaled signals",
+        )
+        group_of: dict[int, int] = {}
+        own = None if model.own is None else np.asarray(model.own)[:, active]
+        if own is not None:
+            groups, members = np.nonzero(own)
+            group_of = dict(zip(members.tolist(), groups.tolist(), strict=True))
+            start = self._scaled_measurement(o)
+            for g in range(len(own)):
+                self.lines[f"y_{name}_group{g + 1}"] = _Line(None, start, start)
+        local = []
+        for m in range(len(active)):
+            parts = [
+                b.mul(table[m, k], self._term(factor[n], o, group_of.get(m)))
+                for k, n in enumerate(used)
+                if dense[m, n] != 0
+            ]
+            local.append(b.add(*parts))
+        if own is not None:
+            for g, row in enumerate(own):
+                value = self._group(np.flatnonzero(row).tolist(), phi, local)
+                bounded, _ = self._bounded(o, value)
+                self.lines[f"y_{name}_group{g + 1}"].source = bounded
+        return b.dot(phi, local)
+
+    def _group(self, members: list[int], phi: list[Value], local: list[Value]) -> Value:
+        """Mean of a group by its weights; of all alike where they vanish."""
+        b = self.b
+        if len(members) == 1:
+            return local[members[0]]
+        total = b.add(*(phi[m] for m in members))
+        there = b.op("less", b.const(0.0), total)
+        safe = b.op("where", there, total, b.const(1.0))
+        weighted = b.add(*(b.mul(phi[m], local[m]) for m in members))
+        plain = b.add(*(local[m] for m in members))
+        return b.op(
+            "where",
+            there,
+            b.op("div", weighted, safe),
+            b.mul(plain, b.const(1 / len(members))),
+        )
+
+    def _term(self, row: np.ndarray, o: int, group: int | None) -> Value:
+        """A product of variables; with inputs beyond their ranges, and no feedback in
+        it, on from the edge to first order."""
+        b, entries = self.b, self.network.variables.entries
+        chosen = [entries[n - 1] for n in row.tolist() if n > 0]
+        values = [
+            self._fed(o, lag, group)
+            if group is not None and signal == self.network.signals[o]
+            else self._variable(signal, lag, filter_)
+            for signal, lag, filter_ in chosen
+        ]
+        product = b.mul(*values) if values else b.const(1.0)
+        fed = any(signal in self.network.signals for signal, *_ in chosen)
+        if self.network.outside != LINEAR or fed or not chosen:
+            return product
+        beyond = [
+            b.mul(
+                self._variable(*entry, far=True),
+                *(v for k, v in enumerate(values) if k != j),
+            )
+            for j, entry in enumerate(chosen)
+        ]
+        return b.add(product, *beyond)
+
+    def _scheduling(self, model: OutputModel) -> list[Value]:
+        b = self.b
+        offset, span = (np.asarray(a, float) for a in (model.offset, model.span))
+        found = []
+        for d, (signal, lag, filter_) in enumerate(model.scheduling.entries):
+            value = self._variable(signal, lag, filter_)
+            scale = b.const(self.gain[signal] / span[d])
+            found.append(b.op("sub", b.mul(value, scale), b.const(offset[d] / span[d])))
+        return found
+
+    # limits ------------------------------------------------------------------------
+
+    def _extrapolated(self) -> Value:
+        """Where a signal that a term or the scheduling looks at leaves its range."""
+        b, found = self.b, []
+        rows = dict.fromkeys(row for table in self._all_tables() for row in table)
+        for s, lag in rows:
+            if s in self.network.signals:
+                continue
+            raw, slack = self._raw(s), 1e-9 * (self.high[s] - self.low[s])
+            below = b.op("less", raw, b.const(self.low[s] - slack))
+            above = b.op("less", b.const(self.high[s] + slack), raw)
+            out = b.op("max", below, above)
+            if lag:
+                line = _Line(out, b.const(0.0), out)
+                line = self.lines.setdefault(f"out_{s}", line)
+                line.length = max(line.length, lag)
+                out = b.op("delay", source=(f"out_{s}", lag))
+            found.append(out)
+        return b.largest(found) if found else b.const(0.0)
+
+    def _reported(self, physical: list[Value], flags: dict[str, Value]) -> list[Value]:
+        network, b = self.network, self.b
+        outputs = list(physical)
+        if network.hold is not None:
+            over = self._overshoot()
+            share = b.const(float(network.hold))
+            for o, s in enumerate(network.signals[: len(network.modelled)]):
+                width = b.const(self.high[s] - self.low[s])
+                wider = b.mul(b.add(share, over), width)
+                outputs[o] = b.clip(
+                    physical[o],
+                    b.op("sub", b.const(self.low[s]), wider),
+                    b.add(b.const(self.high[s]), wider),
+                )
+        if network.outside == NAN:
+            nothing = b.const(float("nan"))
+            outputs = [
+                b.op("where", flags["extrapolated"], nothing, y) for y in outputs
+            ]
+        return outputs
+
+    def _overshoot(self) -> Value:
+        """The farthest that an input has been beyond its range so far, in widths."""
+        b = self.b
+        moved = [s for s in range(self.given) if self.high[s] > self.low[s]]
+        if self.network.outside == HOLD or not moved:
+            return b.const(0.0)
+        parts = [b.op("state", source="overshoot")]
+        now = [b.const(0.0)]
+        for s in moved:
+            raw, scale = self._raw(s), b.const(1 / (self.high[s] - self.low[s]))
+            now.append(b.mul(b.op("sub", b.const(self.low[s]), raw), scale))
+            now.append(b.mul(b.op("sub", raw, b.const(self.high[s])), scale))
+        value = b.largest([*parts, *now])
+        self.states["overshoot"] = StateValue("overshoot", value, b.const(0.0))
+        return value

@@ -1,0 +1,178 @@
+"""Validity functions as operations; one writer for every class of them."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxnarx.errors import SpecError
+from jaxnarx.models import (
+    Boxes,
+    Compact,
+    Gaussians,
+    LogSigmoids,
+    OutputModel,
+    SigmoidTree,
+)
+from jaxnarx.models.validity.gaussians import NARROWEST
+from jaxnarx.models.validity.sigmoid_tree import FARTHEST
+from jaxnarx.targets.form import Builder, Value
+
+
+def weights(
+    b: Builder, model: OutputModel, z: list[Value], active: np.ndarray, name: str
+) -> list[Value]:
+    """The weight of every active local model at scaled scheduling variables `z`."""
+    kind = type(model.validity)
+    if len(active) == 1 and kind is not LogSigmoids:
+        return [b.const(1.0)]
+    if kind not in _WRITERS:
+        raise SpecError(
+            f"a network with the validity function {kind.__name__} cannot be exported; "
+            f"known are {', '.join(k.__name__ for k in _WRITERS)}",
+            field="validity",
+        )
+    return _WRITERS[kind](b, model.validity, z, active, name)
+
+
+def _gaussians(b: Builder, v: Gaussians, z, active, name) -> list[Value]:
+    centre = np.asarray(v.centre, float)[active]
+    width = np.maximum(np.asarray(v.log_width, float)[active], NARROWEST)
+    centre = b.parameters(f"centre_{name}", centre, _about("centres"))
+    scale = b.parameters(
+        f"narrowness_{name}", np.exp(-width), _about("inverse widths of Gaussians")
+    )
+    half = b.const(-0.5)
+    logit = []
+    for c, s in zip(centre, scale, strict=True):
+        away = [
+            b.mul(b.op("sub", x, c_d), s_d) for x, c_d, s_d in zip(z, c, s, strict=True)
+        ]
+        logit.append(b.mul(half, b.add(*(b.mul(a, a) for a in away))))
+    top = b.largest(logit)
+    e = [b.op("exp", b.op("sub", one, top)) for one in logit]
+    total = b.add(*e)
+    return [b.op("div", one, total) for one in e]
+
+
+def _boxes(b: Builder, v: Boxes | Compact, z, active, name) -> list[Value]:
+    low, high = _borders(b, v, active, name)
+    zero = b.const(0.0)
+    away = []
+    for l_m, h_m in zip(low, high, strict=True):
+        parts = [zero]
+        for x, l_d, h_d in zip(z, l_m, h_m, strict=True):
+            parts += [b.op("sub", l_d, x), b.op("sub", x, h_d)]
+        away.append(b.largest(parts))
+    nearest = away[0]
+    for one in away[1:]:
+        nearest = b.op("min", nearest, one)
+    # the last of those equally near
+    free, found = b.const(1.0), []
+    for one in reversed(away):
+        farther = b.op("less", nearest, one)
+        found.append(b.op("where", farther, zero, free))
+        free = b.op("where", farther, free, zero)
+    return found[::-1]
+
+
+def _compact(b: Builder, v: Compact, z, active, name) -> list[Value]:
+    zero, one = b.const(0.0), b.const(1.0)
+    z = [b.clip(x, zero, one) for x in z]
+    low, high = _borders(b, v, active, name)
+    margin = np.exp(np.asarray(v.log_margin, float)[active])
+    scale = b.parameters(
+        f"steepness_{name}", 0.5 / margin, _about("steepness of the borders")
+    )
+    half = b.const(0.5)
+
+    def smooth(t: Value) -> Value:
+        t = b.clip(t, zero, one)
+        inner = b.op("sub", b.mul(b.const(6.0), t), b.const(15.0))
+        inner = b.add(b.mul(inner, t), b.const(10.0))
+        return b.mul(b.mul(b.mul(t, t), t), inner)
+
+    curve = []
+    for l_m, h_m, s_m in zip(low, high, scale, strict=True):
+        sides = []
+        for x, l_d, h_d, s in zip(z, l_m, h_m, s_m, strict=True):
+            sides.append(smooth(b.add(b.mul(b.op("sub", x, l_d), s), half)))
+            sides.append(smooth(b.add(b.mul(b.op("sub", h_d, x), s), half)))
+        curve.append(b.mul(*sides))
+    total = b.add(*curve)
+    there = b.op("less", b.const(float(np.finfo(np.float64).tiny)), total)
+    safe = b.op("where", there, total, one)
+    nearest = _boxes(b, v, z, active, name)
+    return [
+        b.op("where", there, b.op("div", c, safe), n)
+        for c, n in zip(curve, nearest, strict=True)
+    ]
+
+
+def _log_sigmoids(b: Builder, v: LogSigmoids, z, active, name) -> list[Value]:
+    # borders of models that are not active do not count
+    at = active[active > 0] - 1
+    border = np.asarray(v.border, float)[at]
+    border = b.parameters(f"border_{name}", border, _about("borders"))
+    (steep,) = b.parameters(
+        f"steepness_{name}",
+        np.exp(np.asarray(v.log_steepness, float)).reshape(1),
+        _about("steepness of the sigmoids"),
+    )
+    beyond = {
+        int(m) + 1: b.sigmoid(b.mul(steep, b.op("sub", z[0], x)))
+        for m, x in zip(at, border, strict=True)
+    }
+    zero, one = b.const(0.0), b.const(1.0)
+    count = len(np.asarray(v.border)) + 1
+    steps = [one, *(beyond.get(m, zero) for m in range(1, count)), zero]
+    return [b.op("sub", steps[m], steps[m + 1]) for m in active.tolist()]
+
+
+def _sigmoid_tree(b: Builder, v: SigmoidTree, z, active, name) -> list[Value]:
+    path = np.asarray(v.path)[active]
+    gates = np.flatnonzero(np.any(path != 0, axis=0))
+    steep = np.exp(np.asarray(v.log_steepness, float))[gates]
+    direction = np.asarray(v.unit(), float)[gates] * steep[:, None]
+    border = np.asarray(v.border, float)[gates] * steep
+    direction = b.parameters(
+        f"gate_{name}", direction, _about("directions of the gates, times steepness")
+    )
+    border = b.parameters(
+        f"gate_border_{name}", border, _about("borders of the gates, times steepness")
+    )
+    one = b.const(1.0)
+    least, most = b.const(-FARTHEST), b.const(FARTHEST)
+    sides = {}
+    for n, g in enumerate(gates.tolist()):
+        a = b.clip(b.op("sub", b.dot(direction[n], z), border[n]), least, most)
+        e = b.op("exp", b.op("neg", a))
+        under = b.add(one, e)
+        sides[g] = b.op("div", one, under), b.op("div", e, under)
+    return [
+        b.mul(*(sides[g][int(row[g] < 0)] for g in gates.tolist() if row[g]))
+        for row in path
+    ]
+
+
+def _borders(b: Builder, v: Boxes | Compact, active, name):
+    return (
+        b.parameters(
+            f"{what}_{name}",
+            np.asarray(getattr(v, what), float)[active],
+            _about(f"{what} borders of the boxes"),
+        )
+        for what in ("low", "high")
+    )
+
+
+def _about(what: str) -> str:
+    return f"{what}, a row for every local model or gate, of scheduling from 0 to 1"
+
+
+_WRITERS: dict[type, Callable[..., list[Value]]] = {
+    Gaussians: _gaussians,
+    Boxes: _boxes,
+    Compact: _compact,
+    LogSigmoids: _log_sigmoids,
+    SigmoidTree: _sigmoid_tree,
+}

@@ -1,0 +1,275 @@
+"""Exports of every kind of network beside its free run, and what they refuse."""
+
+import dataclasses
+import subprocess
+
+import common
+import equinox as eqx
+import hidden_problems
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from common import B
+
+import jaxnarx as jnx
+from jaxnarx.errors import SpecError
+from jaxnarx.models import (
+    OUTSIDE,
+    Boxes,
+    Compact,
+    Gaussians,
+    LogSigmoids,
+    SigmoidTree,
+    advance,
+    hold_to_range,
+)
+from jaxnarx.regressors import Kautz, Laguerre, LowPass, Variables
+from jaxnarx.simulation import make_drive
+from jaxnarx.targets import ExportError, Instance, export, lower, proof
+from jaxnarx.targets.proof import c_runner, cases_of
+
+HERE = 1e-12
+"""Largest difference in double, in shares of an output's largest value: rounding, that
+the feedback of these networks does not let grow."""
+ONCE = 1e-4
+"""The same in single precision."""
+
+needs_compiler = pytest.mark.skipif(
+    proof.compiler() is None, reason="there is no C compiler here"
+)
+
+
+def validities(models: int, dims: int) -> dict:
+    """One of every class, for so many local models."""
+    rng = np.random.default_rng(5)
+    middle = np.sort(rng.uniform(0.1, 0.9, (models, dims)), axis=0)
+    low, high = middle - 0.2, middle + 0.2
+    margin = np.full((models, dims), np.log(0.15))
+    gates = models - 1
+    path = np.tril(-np.ones((models, gates)), -1) + np.eye(models, gates)
+    direction, border = rng.normal(size=(gates, dims)), rng.uniform(0, 1, gates)
+    found = {
+        "Boxes": Boxes(*jax.device_put((low, high))),
+        "Compact": Compact(*jax.device_put((low, high, margin))),
+        "SigmoidTree": SigmoidTree(
+            *jax.device_put((direction, border, np.full(gates, 2.0), path.astype(int)))
+        ),
+    }
+    if dims == 1:
+        ends = np.linspace(0.3, 0.7, gates), np.array(2.5)
+        found["LogSigmoids"] = LogSigmoids(*jax.device_put(ends))
+    return found
+
+
+def with_validity(net, name: str):
+    """A network with the class in place of its Gaussians, wherever there are several
+    local models."""
+    models = []
+    for model in net.models:
+        count, dims = len(np.asarray(model.active)), len(model.scheduling)
+        known = validities(count, dims) if count > 1 else {}
+        kind = known.get(name, model.validity)
+        models.append(dataclasses.replace(model, validity=kind))
+    return dataclasses.replace(net, models=tuple(models))
+
+
+def filtered(net):
+    """Inputs through a lag, and through functions of cascades that begin alike."""
+    bank = [LowPass(0.5), Laguerre(0.3, 3), None, None]
+    variables = Variables(net.variables.rows, tuple(bank[: len(net.variables)]))
+    first = net.models[0]
+    over = Variables(((B, 1),), (Kautz(4.0, 0.4, 2),))
+    offset, span = jax.device_put((np.array([-1.0]), np.array([2.0])))
+    count = len(np.asarray(first.active))
+    ends = np.linspace(0.3, 0.7, count - 1), np.array(2.0)
+    first = dataclasses.replace(
+        first,
+        scheduling=over,
+        offset=offset,
+        span=span,
+        validity=LogSigmoids(*jax.device_put(ends)),
+    )
+    return dataclasses.replace(net, variables=variables, models=(first,))
+
+
+def grouped(net):
+    """Two local models that are fed back their own outputs, and a group of two."""
+    (model,) = net.models
+    own = jax.device_put(np.array([[True, False, False], [False, True, True]]))
+    model = dataclasses.replace(model, own=own)
+    return dataclasses.replace(net, models=(model,))
+
+
+NETWORKS = {
+    **{kind: lambda kind=kind: common.named(kind) for kind in common.KINDS},
+    **{
+        name: lambda name=name: with_validity(common.named("coupled"), name)
+        for name in ("Boxes", "Compact", "SigmoidTree", "LogSigmoids")
+    },
+    "spare": lambda: common.named("coupled", spare_models=2, spare_slots=1),
+    "filters": lambda: filtered(common.named("by inputs")),
+    "groups": lambda: grouped(common.named("by inputs")),
+    "hidden": lambda: hidden_problems.network(),
+    "bounded": lambda: common.named("coupled", bound=0.3),
+}
+RANGE = np.array([-1.5, -0.3, -6.0, -2.0]), np.array([1.2, 0.4, 5.0, 2.5])
+"""Ranges that some of the inputs and outputs leave."""
+
+
+def narrowed(net, outside: str):
+    low, high = jax.device_put(RANGE)
+    net = dataclasses.replace(net, low=low, high=high)
+    return hold_to_range(net, 0.02, outside=outside)
+
+
+def records(net) -> jnx.Dataset:
+    if net.hidden:
+        return hidden_problems.truth().data
+    return common.dataset((60, 45), seed=3)
+
+
+def beside(net, data) -> float:
+    """The reference beside the model."""
+    program = lower(net)
+
+    def run(inputs, measured):
+        instance = Instance(program)
+        instance.begin(inputs[0], measured[0])
+        for u, y in zip(inputs[: program.history], measured, strict=False):
+            instance.observe(u, y)
+        rows = [instance.step(u)["outputs"] for u in inputs[program.history :]]
+        return np.array(rows)
+
+    cases = cases_of(net, program, data)
+    assert len(cases) == len(data)
+    return max(case.difference(run) for case in cases)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_form_runs_as_the_network_does(name):
+    net = NETWORKS[name]()
+    assert beside(net, records(net)) < HERE
+
+
+@pytest.mark.parametrize("outside", OUTSIDE)
+@pytest.mark.parametrize("name", ["by inputs", "filters"])
+def test_the_form_leaves_its_range_as_the_network_does(name, outside):
+    net = narrowed(NETWORKS[name](), outside)
+    assert beside(net, records(net)) < HERE
+
+
+def test_slopes_are_those_of_the_network():
+    net = common.named("coupled, by own output")
+    program = lower(net)
+    data = common.dataset((30,), seed=4)
+    (case,) = cases_of(net, program, data)
+    instance = Instance(program)
+    instance.begin(case.inputs[0], case.measured[0])
+    for u, y in zip(case.inputs[: program.history], case.measured, strict=False):
+        instance.observe(u, y)
+    needed = program.needed([n for row in program.jacobian for n in row])
+    values = instance._values(needed, case.inputs[program.history], np.zeros(0))
+    found = np.array([[values[n] for n in row] for row in program.jacobian])
+    drive = make_drive(net, jnx.data.batch.stack(data))
+    v, x = (
+        drive.v[0][:, program.history],
+        [x_o[0][:, program.history] for x_o in drive.x],
+    )
+    depth = max(k for _, k in program.past)
+    past = jnp.stack(
+        [drive.measured[0][program.history - k - 1] for k in range(depth)], axis=1
+    )
+    slope = np.asarray(
+        jax.jacobian(lambda h: advance(net, v, tuple(x), h))(past)
+    )  # outputs, outputs, depth
+    gain = np.asarray(net.gain)[list(net.signals)]
+    names = [line for line, _ in program.past]
+    order = list(dict.fromkeys(names))
+    for column, (line, k) in enumerate(program.past, start=len(program.inputs)):
+        expected = slope[:, order.index(line), k - 1] * gain
+        np.testing.assert_allclose(found[:, column], expected, rtol=1e-9, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["coupled", "Compact", "filters", "groups", "hidden"])
+def test_every_target_is_the_network(name):
+    net = NETWORKS[name]()
+    found = export(net, records(net), to=["c", "python", "javascript"], name=name)
+    tried = {"c, double", "c, single", "python"} | (
+        {"javascript"} if proof.node() else set()
+    )
+    assert set(found.difference) == tried
+    single = found.difference.pop("c, single")
+    assert max(found.difference.values()) < HERE
+    assert HERE < single < ONCE
+
+
+@needs_compiler
+def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path):
+    net = narrowed(common.named("coupled"), "linear")
+    found = export(net, name="NOx model")
+    assert set(found.files) == {
+        f"NOx_model{end}" for end in (".h", ".c", "_selftest.c")
+    }
+    for name, text in found.files.items():
+        (tmp_path / name).write_text(text)
+    assert "malloc" not in "".join(found.files.values())
+    assert "u[0] a [V], -1.5 to 1.2" in found.files["NOx_model.h"]
+    compiler = proof.compiler()
+    assert compiler is not None
+    checked = ["-fsanitize=address,undefined", "-fno-sanitize-recover", *proof.WARNINGS]
+    both = [tmp_path / "NOx_model.c", tmp_path / "NOx_model_selftest.c"]
+    for extra in ([], ["-DNOX_MODEL_SINGLE"]):
+        program = tmp_path / "selftest"
+        command = [compiler, *checked, *extra, *both, "-lm", "-o", program]
+        subprocess.run(list(map(str, command)), check=True)
+        said = subprocess.run([program], check=True, capture_output=True, text=True)
+        assert "largest difference" in said.stdout
+
+
+@needs_compiler
+def test_a_file_that_does_something_else_is_found_out(tmp_path):
+    net = common.named("by inputs")
+    program, data = lower(net, "m"), common.dataset((40,), seed=3)
+    for name, text in export(net, data, name="m").files.items():
+        (tmp_path / name).write_text(text.replace(" * u[0]", " / u[0]", 1))
+    changed = (tmp_path / "m.c").read_text()
+    run = c_runner(tmp_path, program, tmp_path, single=False)
+    (case,) = cases_of(net, program, data)
+    assert case.difference(run) > 1e-3 or " / u[0]" not in changed
+    with pytest.raises(ExportError, match="differs from the model"):
+        proof.worst([case], lambda u, y: 1.001 * run(u, y), 1e-6, "C")
+
+
+def test_a_steady_state_is_where_the_model_rests():
+    net = common.named("by inputs")
+    instance = Instance(lower(net))
+    u = np.array([0.7, 0.2, 0.0][: len(instance.program.inputs)])
+    assert 10 < instance.settle(u) < 1000
+    first = instance.step(u)["outputs"]
+    for _ in range(50):
+        last = instance.step(u)["outputs"]
+    np.testing.assert_allclose(last, first, rtol=1e-7)
+
+
+def test_what_cannot_be_exported_is_told():
+    class Sharp(Gaussians.__mro__[1]):  # type: ignore[name-defined, misc]
+        def __call__(self, z, active):
+            return jax.nn.one_hot(0, len(active), axis=0)
+
+        def limits(self, width_band):
+            return self, self
+
+        def check(self, models, dims):
+            pass
+
+        def regions(self, names, offset, span):
+            return []
+
+    net = common.named("by inputs")
+    other = eqx.tree_at(lambda n: n.models[0].validity, net, Sharp())
+    with pytest.raises(SpecError, match="validity function Sharp cannot be exported"):
+        lower(other)
+    with pytest.raises(SpecError, match="to must be"):
+        export(net, to=["fortran"])
