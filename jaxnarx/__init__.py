@@ -84,6 +84,7 @@ if TYPE_CHECKING:
     from jaxnarx.sweep import IdentificationWork as IdentificationWork
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
+    from jaxnarx.targets import export as export
     from jaxnarx.trust import domain as domain
     from jaxnarx.trust import intervals as intervals
 
@@ -104,6 +105,7 @@ _HOME = {
     "simulation": "predict simulate",
     "solution": "RESULTS Solution",
     "sweep": "Fleet IdentificationWork read_sweep run_sweep",
+    "targets": "export",
     "trust": "domain intervals",
 }
 _MODULE = {name: module for module, names in _HOME.items() for name in names.split()}

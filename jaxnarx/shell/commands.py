@@ -293,6 +293,39 @@ class Check:
 
 
 @dataclasses.dataclass(frozen=True)
+class Export:
+    """Write a model as source files for another program, proven to do the same.
+
+    c is C99 with one header, one source and a self-test, without heap and with `exp` of
+    math.h alone, in double or single precision; python and javascript are files of one
+    page without dependencies. Every one is compiled where it must be and run over the
+    records of FILE, without any over steps within the trained ranges, beside the model;
+    one that differs is not written. README.md says what was found: differences,
+    operations, parameters, memory, and how to call it.
+
+    Example:
+        jaxnarx export runs/engine-good/model.safetensors engine.toml --to c python
+    """
+
+    model: Positional[Model]
+    """Model file."""
+    files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
+    """Data files, or one TOML description, for the proof."""
+    to: Annotated[tuple[Literal["c", "python", "javascript"], ...], arg()] = ("c",)
+    """What is written."""
+    name: str = "model"
+    """What files and functions are called."""
+    root: Folder = None
+    """Folder of the data of a description; default as for `jaxnarx report`."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "export"
+    """Folder for the files."""
+    unproven: Flag = False
+    """Write without the proof."""
+    force: Flag = False
+    """Overwrite files of an earlier export."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Plan:
     """Plan the next test: the record that tells most about a model's free run.
 
@@ -475,6 +508,7 @@ Command = (
     | Report
     | Describe
     | Check
+    | Export
     | Plan
     | Prepare
     | SimulateEngine

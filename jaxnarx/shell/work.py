@@ -38,6 +38,8 @@ def run(command: commands.Command, *, typed: str) -> int:
         return _take(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
+    if isinstance(command, commands.Export):
+        return _export(command, typed)
     if isinstance(command, commands.Plan):
         return _plan(command, typed)
     if isinstance(command, commands.Sweep):
@@ -278,6 +280,12 @@ def _simulate(command: commands.Simulate) -> int:
     if command.through is None:
         return simulate_files(command)
     return follow(command, command.through)
+
+
+def _export(command: commands.Export, typed: str) -> int:
+    from jaxnarx.shell.export import export_model
+
+    return export_model(command, typed)
 
 
 def _plan(command: commands.Plan, typed: str) -> int:

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
-from jaxnarx.targets.form import ParameterTable, Port, Program, Value
+from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
 
 
-def sources(program: Program, golden: dict[str, np.ndarray]) -> dict[str, str]:
+def sources(program: SampleProgram, golden: dict[str, np.ndarray]) -> dict[str, str]:
     """Text of every file by its name; `golden` holds `inputs`, `measured` (the history
     and one sample more) and `outputs`, what the free run behind it reports."""
     name = program.name
@@ -20,7 +20,7 @@ def sources(program: Program, golden: dict[str, np.ndarray]) -> dict[str, str]:
     }
 
 
-def _syntax(program: Program) -> Syntax:
+def _syntax(program: SampleProgram) -> Syntax:
     name = program.name
 
     def number(x: float) -> str:
@@ -54,7 +54,7 @@ def _syntax(program: Program) -> Syntax:
     )
 
 
-def _header(program: Program) -> str:
+def _header(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
     lines = [
         f"/* {name}: one sample of a model every {program.sample_time:g} s.",
@@ -128,7 +128,7 @@ def _port(port: Port) -> str:
     return text.replace("*/", "* /").replace("\\", "/")
 
 
-def _source(program: Program) -> str:
+def _source(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
     syntax = _syntax(program)
     lines = [
@@ -222,13 +222,13 @@ def _quoted(port: Port) -> str:
 
 
 def _unused(
-    program: Program, needed: Iterable[Value], *pairs: tuple[str, str]
+    program: SampleProgram, needed: Iterable[Value], *pairs: tuple[str, str]
 ) -> list[str]:
     kinds = {program.ops[n].kind for n in needed}
     return [f"    (void){argument};" for kind, argument in pairs if kind not in kinds]
 
 
-def _filled(program: Program, syntax: Syntax) -> list[str]:
+def _filled(program: SampleProgram, syntax: Syntax) -> list[str]:
     lines = []
     if any(d.length > 1 for d in program.delays):
         lines.append("    int k;")
@@ -247,7 +247,7 @@ def _filled(program: Program, syntax: Syntax) -> list[str]:
     ]
 
 
-def _kept(program: Program, syntax: Syntax, *, measured: bool) -> list[str]:
+def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str]:
     """Every value first, then the assignments: sources may be states themselves."""
     lines, real = [], f"{program.name}_real"
     if any(d.length > 1 for d in program.delays):
@@ -267,7 +267,7 @@ def _kept(program: Program, syntax: Syntax, *, measured: bool) -> list[str]:
     return lines + later
 
 
-def _settle(program: Program, syntax: Syntax) -> list[str]:
+def _settle(program: SampleProgram, syntax: Syntax) -> list[str]:
     name, upper = program.name, program.name.upper()
     middle = [syntax.number(0.5 * (p.low + p.high)) for p in program.computed]
     width = [syntax.number(p.high - p.low) for p in program.computed]
@@ -307,7 +307,7 @@ def _settle(program: Program, syntax: Syntax) -> list[str]:
     ]
 
 
-def _jacobian(program: Program, syntax: Syntax) -> list[str]:
+def _jacobian(program: SampleProgram, syntax: Syntax) -> list[str]:
     name = program.name
     needed = program.needed([n for row in program.jacobian for n in row])
     columns = len(program.inputs) + len(program.past)
@@ -331,7 +331,7 @@ def _jacobian(program: Program, syntax: Syntax) -> list[str]:
     ]
 
 
-def _selftest(program: Program, golden: dict[str, np.ndarray]) -> str:
+def _selftest(program: SampleProgram, golden: dict[str, np.ndarray]) -> str:
     name, upper = program.name, program.name.upper()
     inputs, measured = golden["inputs"], golden["measured"]
     outputs = golden["outputs"]

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
 
-from jaxnarx.targets.form import Op, Program, Value
+from jaxnarx.targets.form import Op, SampleProgram, Value
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,10 @@ INFIX = {
 
 
 def statements(
-    program: Program, needed: Iterable[Value], syntax: Syntax, indent: str = "    "
+    program: SampleProgram,
+    needed: Iterable[Value],
+    syntax: Syntax,
+    indent: str = "    ",
 ) -> list[str]:
     """A statement for every operation; sources are written where they are used."""
     lines = []
@@ -54,7 +57,7 @@ def statements(
     return lines
 
 
-def shown(program: Program, n: Value, syntax: Syntax) -> str:
+def shown(program: SampleProgram, n: Value, syntax: Syntax) -> str:
     """What stands for value `n`."""
     return syntax.value(program.ops[n], n)
 

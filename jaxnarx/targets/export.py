@@ -13,7 +13,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.targets import c99, proof, scripts
-from jaxnarx.targets.form import Program
+from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.lower import lower
 from jaxnarx.targets.proof import DOUBLE, SINGLE, Case
 
@@ -72,9 +72,7 @@ def export(
 
     Example:
         found = jnx.export(network, data, to=["c", "python"], name="NOx")
-        print(found.difference)
-        for file, text in found.files.items():
-            (folder / file).write_text(text)
+        print(found.difference, found.files["NOx.h"])
     """
     for one in to:
         choice(one, TARGETS, "to")
@@ -106,7 +104,7 @@ def export(
     )
 
 
-def _golden(program: Program, case: Case) -> dict[str, np.ndarray]:
+def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
     from jaxnarx.targets.interpret import Instance
 
@@ -121,7 +119,7 @@ def _golden(program: Program, case: Case) -> dict[str, np.ndarray]:
 
 
 def _proven(
-    program: Program, files: Mapping[str, str], cases: Sequence[Case]
+    program: SampleProgram, files: Mapping[str, str], cases: Sequence[Case]
 ) -> tuple[dict[str, float], list[str]]:
     """Largest differences by target, and what could not be run."""
     found: dict[str, float] = {}

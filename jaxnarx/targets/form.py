@@ -1,6 +1,6 @@
 """The intermediate form of a model that is exported: a list of operations on numbers.
 
-A `Program` is what one sample takes. Its operations are in static single assignment:
+A `SampleProgram` is what one sample takes. Its operations are in static single assignment:
 operation n makes value n from values before it, from inputs, from parameters in tables,
 and from delay lines and states, which hold what earlier samples left. Every target is a
 writer of this form, and `jaxnarx.targets.interpret` runs it in numpy.
@@ -79,7 +79,7 @@ class Port:
 
 
 @dataclasses.dataclass(frozen=True)
-class Program:
+class SampleProgram:
     """One sample of a model; see the module.
 
     `outputs` are reported values in physical units, `fed` what is fed back of each (the

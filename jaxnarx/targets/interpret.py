@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.targets.form import Op, Program
+from jaxnarx.targets.form import Op, SampleProgram
 
 SETTLED, LONGEST = 1e-10, 100_000
 """Share of an output's range within which it stands still, and samples for it."""
@@ -17,7 +17,7 @@ SETTLED, LONGEST = 1e-10, 100_000
 class Instance:
     """A program with what it keeps from sample to sample."""
 
-    program: Program
+    program: SampleProgram
 
     def __post_init__(self) -> None:
         self.tables = {t.name: t.values.ravel() for t in self.program.tables}

@@ -13,14 +13,14 @@ from jaxnarx.targets.form import (
     Builder,
     DelayLine,
     Port,
-    Program,
+    SampleProgram,
     StateValue,
     Value,
 )
 from jaxnarx.targets.validities import weights
 
 
-def lower(network: Network, name: str = "model") -> Program:
+def lower(network: Network, name: str = "model") -> SampleProgram:
     """The program of a network; `SpecError` where it has a validity function that is
     not known here."""
     return _Lowering(network, name).program()
@@ -77,7 +77,7 @@ class _Lowering:
     def _all_tables(self) -> list[Variables]:
         return [self.network.variables, *(m.scheduling for m in self.network.models)]
 
-    def program(self) -> Program:
+    def program(self) -> SampleProgram:
         network, b = self.network, self.b
         for o in range(len(network.models)):
             start = self._scaled_measurement(o)
@@ -113,7 +113,7 @@ class _Lowering:
             if line.length and line.source is not None
         ]
         channels = (*network.channels.inputs, *network.channels.outputs)
-        return Program(
+        return SampleProgram(
             name=identifier(self.name),
             sample_time=float(network.sample_time),
             history=network.history,

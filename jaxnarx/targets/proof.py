@@ -19,7 +19,7 @@ from jaxnarx.data.batch import stack
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.models import Network
 from jaxnarx.simulation import begun, fitting, make_drive, make_masks, simulate
-from jaxnarx.targets.form import Program
+from jaxnarx.targets.form import SampleProgram
 
 DOUBLE, SINGLE = 1e-10, 1e-3
 """Largest difference to the model in shares of an output's largest value; beyond it an
@@ -79,7 +79,7 @@ class Case:
         return float(np.max(np.where(np.isnan(off), np.inf, off), initial=0.0))
 
 
-def cases_of(network: Network, program: Program, data: Dataset) -> list[Case]:
+def cases_of(network: Network, program: SampleProgram, data: Dataset) -> list[Case]:
     """A case for every record whose free run begins right behind the history: one that
     misses samples there proves nothing here."""
     matched = fitting(network, data)
@@ -169,7 +169,12 @@ def compiler() -> str | None:
 
 
 def c_runner(
-    folder: Path, program: Program, build: Path, *, single: bool, cc: str | None = None
+    folder: Path,
+    program: SampleProgram,
+    build: Path,
+    *,
+    single: bool,
+    cc: str | None = None,
 ) -> Runner:
     """The C files of `folder`, compiled in `build`; warnings are errors."""
     name, upper = program.name, program.name.upper()

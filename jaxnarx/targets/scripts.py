@@ -5,10 +5,10 @@ import math
 from collections.abc import Iterable
 
 from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
-from jaxnarx.targets.form import Port, Program, Value
+from jaxnarx.targets.form import Port, SampleProgram, Value
 
 
-def python(program: Program) -> str:
+def python(program: SampleProgram) -> str:
     """A module with the class `Model`."""
     syntax = Syntax(
         source=_sources("self.", "self."),
@@ -77,7 +77,7 @@ def python(program: Program) -> str:
     return "\n".join([*lines, f"{pad}return reported"]) + "\n"
 
 
-def javascript(program: Program) -> str:
+def javascript(program: SampleProgram) -> str:
     """A module with the class `Model`."""
     syntax = Syntax(
         source=_sources("TABLES.", "this."),
@@ -158,7 +158,7 @@ def _number(nan: str, infinity: str):
     return number
 
 
-def _about(program: Program) -> str:
+def _about(program: SampleProgram) -> str:
     """One line of what it is; names cannot end the comment it stands in."""
     ports = [
         ", ".join(f"{p.name} [{p.unit}]" if p.unit else p.name for p in some)
@@ -174,7 +174,9 @@ def _names(ports: Iterable[Port]) -> str:
     return json.dumps([port.name for port in ports])
 
 
-def _kept(program: Program, syntax: Syntax, kept: str, what: str) -> Iterable[str]:
+def _kept(
+    program: SampleProgram, syntax: Syntax, kept: str, what: str
+) -> Iterable[str]:
     """What is left for the next sample; all values before anything is changed."""
 
     def text(n: Value) -> str:

@@ -1,0 +1,127 @@
+"""`jaxnarx export`: a model as files for another program."""
+
+from pathlib import Path
+
+from jaxnarx.data import Dataset, match_channels, read_files
+from jaxnarx.errors import SpecError
+from jaxnarx.models import Network, load
+from jaxnarx.shell import output
+from jaxnarx.shell.commands import Export
+from jaxnarx.shell.description import read_description, tell_notes
+from jaxnarx.shell.messages import about, say, size, warn
+from jaxnarx.targets import Exported, SampleProgram, export, lower
+
+README = "README.md"
+
+
+def export_model(command: Export, typed: str) -> int:
+    """Write the files, and what the proof has found; returns the exit code."""
+    network = load(command.model)
+    data = _records(command, network) if command.files else None
+    with about(command.model):
+        found = export(
+            network,
+            data,
+            to=command.to,
+            name=command.name,
+            verify=not command.unproven,
+        )
+        program = lower(network, command.name)
+    files = {**found.files, README: readme(program, found, typed, data)}
+    marks = list(files)
+    with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
+        with output.written_together(folder) as place:
+            for name, text in files.items():
+                output.write_text(place / name, text)
+    for what, difference in found.difference.items():
+        say(f"{what}: differs from the model by {difference:.2g} of the largest value")
+    for one in found.left_out:
+        warn(f"not proven: {one}")
+    if command.unproven:
+        warn("not proven: --unproven")
+    say(
+        f"{found.operations} operations a sample, {found.parameters} parameters in "
+        f"tables, {found.kept} numbers kept"
+    )
+    say(f"wrote {', '.join(files)} to {folder}")
+    return 0
+
+
+def readme(
+    program: SampleProgram, found: Exported, typed: str, data: Dataset | None
+) -> str:
+    """What was exported, what it takes, and how far it is from the model."""
+    ports = [
+        f"| {what} {k} | {_cell(p.name)} | {_cell(p.unit)} | {p.low:.6g} | "
+        f"{p.high:.6g} |"
+        for what, some in (("input", program.inputs), ("output", program.computed))
+        for k, p in enumerate(some)
+    ]
+    seen = "steps within the trained ranges" if data is None else size(data)
+    rows = [f"| {k} | {v:.3g} |" for k, v in found.difference.items()]
+    proof = [
+        f"Run over {seen} beside the model; largest difference in shares of an "
+        "output's largest value:",
+        "",
+        "| run | difference |",
+        "|---|---|",
+        *rows,
+        *(f"| {one} | not proven |" for one in found.left_out),
+    ]
+    lines = [
+        f"# {program.name}",
+        "",
+        f"`{_cell(typed)}`",
+        "",
+        f"A sample every {program.sample_time:g} s. A run begins with `begin` at the "
+        "first inputs and outputs and "
+        f"`observe` for {program.history} samples of measured history, or with the "
+        "steady state at the first inputs (`settle` in C). `step` takes the inputs at "
+        "t and returns the outputs at t, in physical units.",
+        "",
+        "| place | name | unit | trained from | to |",
+        "|---|---|---|---|---|",
+        *ports,
+        "",
+        "## What it takes",
+        "",
+        f"- {found.operations} additions, multiplications, comparisons and functions a "
+        "sample",
+        f"- {found.parameters} parameters in tables: {8 * found.parameters} bytes, "
+        f"{4 * found.parameters} in single precision",
+        f"- {found.kept} numbers kept from sample to sample: {8 * found.kept} bytes, "
+        f"{4 * found.kept} in single precision",
+        "",
+        "## Tables",
+        "",
+        *(
+            f"- `{t.name}`, {' x '.join(map(str, t.values.shape))}: {t.about}"
+            for t in program.tables
+        ),
+        "",
+        "## Proof",
+        "",
+        *(proof if found.difference or found.left_out else ["None: left out."]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("`", "'")
+
+
+def _records(command: Export, network: Network) -> Dataset:
+    """Those of a description, or of files, with the model's channels."""
+    first = command.files[0]
+    if any(Path(f).suffix.lower() == ".toml" for f in command.files):
+        if len(command.files) > 1:
+            raise SpecError("give one description, or data files, not both")
+        with about(first):
+            data, _ = match_channels(
+                read_description(first, command.root).all, network.channels
+            )
+        return data
+    step = float(network.sample_time)
+    data = read_files(command.files, network.channels, sample_time=step, missing="mask")
+    tell_notes(data)
+    return data

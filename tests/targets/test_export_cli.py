@@ -1,0 +1,76 @@
+"""`jaxnarx export` from a model file to files that run."""
+
+import subprocess
+from pathlib import Path
+
+import common
+import numpy as np
+import pytest
+
+import jaxnarx as jnx
+from jaxnarx.shell.cli import run
+from jaxnarx.shell.formats import table_csv
+from jaxnarx.targets import proof
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("JAXNARX_DATA", raising=False)
+    jnx.save(common.named("coupled"), "model.safetensors")
+    return tmp_path
+
+
+def records() -> list[str]:
+    """Two CSV files of the model's channels."""
+    names = common.CHANNELS.names
+    found = []
+    for n in range(2):
+        Path(f"r{n}.csv").write_text(table_csv(names, common.signals(60, n).T.tolist()))
+        found.append(f"r{n}.csv")
+    return found
+
+
+@pytest.mark.skipif(proof.compiler() is None, reason="there is no C compiler here")
+def test_a_model_becomes_files_that_prove_themselves(place, capsys):
+    words = ["export", "model.safetensors", *records(), "--to", "c", "python"]
+    assert run([*words, "--name", "mean value", "--out", "out"]) == 0
+    told = capsys.readouterr().out
+    assert "c, double: differs from the model by" in told
+    names = {f"mean_value{end}" for end in (".c", ".h", "_selftest.c", ".py")}
+    assert {path.name for path in Path("out").iterdir()} == names | {"README.md"}
+    text = Path("out/README.md").read_text()
+    assert "| c, single |" in text and "| input 0 | a | V | -20 | 20 |" in text
+    subprocess.run(
+        ["cc", "mean_value.c", "mean_value_selftest.c", "-lm", "-o", "selftest"],
+        cwd="out",
+        check=True,
+    )
+    assert b"largest difference" in subprocess.check_output(["./selftest"], cwd="out")
+    assert run([*words, "--name", "mean value", "--out", "out"]) != 0
+    assert "--force" in capsys.readouterr().err
+
+
+def test_python_without_records_runs_by_itself(place, capsys):
+    words = ["export", "model.safetensors", "--to", "python", "--out", "out"]
+    assert run(words) == 0
+    assert "python: differs from the model by" in capsys.readouterr().out
+    code = "import model; m = model.Model(); m.begin([1.0, 0.2], [0.0, 0.0]); "
+    done = subprocess.run(
+        ["python", "-c", code + "print(*m.step([1.0, 0.2]))"],
+        cwd="out",
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert np.all(np.isfinite(list(map(float, done.stdout.split()))))
+
+
+def test_what_is_wrong_is_told(place, capsys):
+    records()
+    assert run(["export", "model.safetensors", "a.toml", "r0.csv"]) == 2
+    assert "not both" in capsys.readouterr().err
+    Path("r0.csv").write_text("a,b\n1,2\n")
+    assert run(["export", "model.safetensors", "r0.csv"]) == 3
+    assert "'y'" in capsys.readouterr().err
+    assert not Path("export").exists()
