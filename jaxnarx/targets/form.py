@@ -1,9 +1,10 @@
 """The intermediate form of a model that is exported: a list of operations on numbers.
 
-A `SampleProgram` is what one sample takes. Its operations are in static single assignment:
-operation n makes value n from values before it, from inputs, from parameters in tables,
-and from delay lines and states, which hold what earlier samples left. Every target is a
-writer of this form, and `jaxnarx.targets.interpret` runs it in numpy.
+A `SampleProgram` is what one sample takes. Its operations are in static single
+assignment: operation n makes value n from values before it, from inputs, from
+parameters in tables, and from delay lines and states, which hold what earlier samples
+left. Every target is a writer of this form, and `jaxnarx.targets.interpret` runs it in
+numpy.
 
 | operation | value |
 |---|---|

@@ -93,14 +93,14 @@ class Instance:
                 return op.source
             case "table":
                 name, k = op.source
-                return self.tables[name][k]
+                return float(self.tables[name][k])
             case "input":
-                return inputs[op.source]
+                return float(inputs[op.source])
             case "measured":
-                return outputs[op.source]
+                return float(outputs[op.source])
             case "delay":
                 name, k = op.source
-                return self.delays[name][k - 1]
+                return float(self.delays[name][k - 1])
             case "state":
                 return self.states[op.source]
         return _FUNCTIONS[op.kind](*args)

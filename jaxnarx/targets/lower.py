@@ -92,7 +92,8 @@ class _Lowering:
             self.lines[f"y_{self.names[o]}"].source = bounded
         own = np.asarray(network.signals)
         physical = [
-            b.mul(y, b.const(self.gain[s])) for y, s in zip(fed, own, strict=True)
+            b.mul(y, b.const(float(self.gain[s])))
+            for y, s in zip(fed, own, strict=True)
         ]
         flags = {"extrapolated": self._extrapolated()}
         outputs = self._reported(physical[: len(network.modelled)], flags)
