@@ -196,7 +196,7 @@ def _assembled(
         table = read_table(file, wanted, asked)
         if table.time is None:
             description.require_time()
-        notes += table.notes
+        notes += [(table.place.lead, note) for note in table.notes]
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}
         channels, how = _in_units(channels, units, stated_by, table.place.name)
@@ -213,7 +213,7 @@ def _assembled(
             )
             pieces = [source] if cut is None else _cut(source, cut, step, table)
         converted = [_converted(one, channels, how, units) for one in pieces]
-        notes += converted[0][1]
+        notes += [(table.place.lead, note) for note in converted[0][1]]
         sources.append([one for one, _ in converted])
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
@@ -222,8 +222,21 @@ def _assembled(
     records = assemble(every, channels, step, description.missing)
     # pieces of a record that is split are called name#1, ...
     known = [r.name if r.name in place else r.name.rpartition("#")[0] for r in records]
-    data = Dataset(records, channels, step, tuple(dict.fromkeys(notes)))
+    data = Dataset(records, channels, step, _once(notes))
     return data, [place[name] for name in known]
+
+
+def _once(notes: list[tuple[str, str]]) -> tuple[str, ...]:
+    """Notes with what leads them; what several files have alike is told once."""
+    files: dict[str, dict[str, None]] = {}
+    for lead, note in notes:
+        own = lead if note.startswith(lead) else ""
+        files.setdefault(note.removeprefix(own), {})[own] = None
+    told = []
+    for text, (first, *more) in files.items():
+        others = f" and {len(more)} more: " if more else ""
+        told.append((first.removesuffix(": ") + others if more else first) + text)
+    return tuple(told)
 
 
 def _cut(source: Source, cut: Cut, step: float, table: Table) -> list[Source]:

@@ -51,6 +51,7 @@ def data_notes(
     unused = [name for name in channels.output_names if name not in modelled]
     if unused:
         notes.append(f"Outputs that are not modelled: {_list(unused)}.")
+    told: dict[str, list[str]] = {}
     for part, data in parts.items():
         notes += _masked(part, data, list(known))
         extra = [name for name in data.channels.names if name not in known]
@@ -62,7 +63,9 @@ def data_notes(
             for c in data.channels.all
             if known.get(c.name, c.unit) != c.unit
         ]
-        notes += [f"Of the {part} data: {note}." for note in data.notes]
+        for note in data.notes:
+            told.setdefault(note, []).append(part)
+    notes += [f"Of the {_list(found)} data: {note}." for note, found in told.items()]
     return notes
 
 

@@ -573,3 +573,14 @@ def test_without_parts_all_records_may_be_grouped(tmp_path):
 def test_groups_that_cannot_be_are_refused(tmp_path, error, groups, field, said):
     caught = refuse(error, grouped(tmp_path, groups), "d.toml: ", said)
     assert field is None or caught.field == field
+
+
+def test_what_several_files_have_alike_is_told_once(tmp_path):
+    for name in "abc":
+        (tmp_path / f"{name}.csv").write_text(
+            "t,N,Md,NOx\ns,rpm,Nm,%\n" + "0,1,2,3\n0.1,2,3,4\n"
+        )
+    path = write(tmp_path, None, data="unit_row = true")
+    path.write_text(path.read_text().replace('"ppm"', '"-"'))
+    notes = read(path).notes
+    assert len(notes) == 1 and "and 2 more" in notes[0], notes
