@@ -9,6 +9,7 @@ from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.messages import about, next_command, say, size, warn
+from jaxnarx.shell.reading import reading_told
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset, LagSuggestion, Split
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
 
 def run(command: commands.Command, *, typed: str) -> int:
     """Run one command; returns the exit code. `typed` is what the user wrote."""
+    with reading_told():
+        return _run(command, typed)
+
+
+def _run(command: commands.Command, typed: str) -> int:
     if isinstance(command, commands.Check):
         return _check(command)
     if isinstance(command, commands.Describe):

@@ -79,3 +79,22 @@ def test_nothing_is_overwritten_and_faults_are_one_sentence(place, capsys):
         assert run(["describe", *words]) == code
         assert said in capsys.readouterr().err
     assert not Path("engine.toml").exists()
+
+
+def test_reading_that_takes_long_is_told(place, capsys, monkeypatch):
+    import time
+
+    from jaxnarx.data.readers import csv_file
+    from jaxnarx.shell import reading
+
+    written(0, "csv")
+    whole = csv_file.contents
+
+    def slow(path, asked):
+        time.sleep(1.0)
+        return whole(path, asked)
+
+    monkeypatch.setattr(csv_file, "contents", slow)
+    monkeypatch.setattr(reading, "SILENT", 0.1)
+    assert run(["describe", "bench"]) == 0
+    assert "reading bench/r0.csv (file 1)" in capsys.readouterr().err

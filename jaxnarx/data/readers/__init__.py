@@ -8,7 +8,8 @@ What they return is in `jaxnarx.data.readers.columns`.
 import dataclasses
 import importlib
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,12 @@ _ARCHIVES = {
 }
 
 
+WATCHER: ContextVar[Callable[[Path | None], None] | None] = ContextVar(
+    "WATCHER", default=None
+)
+"""Is told every file when its reading begins, and None when it has ended."""
+
+
 def read_table(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` columns of a file.
 
@@ -83,6 +90,17 @@ def contents(path: Path, asked: Asked) -> list[Column]:
 
 
 def _guarded(path: Path, use: Any) -> Any:
+    watcher = WATCHER.get()
+    if watcher is None:
+        return _used(path, use)
+    watcher(path)
+    try:
+        return _used(path, use)
+    finally:
+        watcher(None)
+
+
+def _used(path: Path, use: Any) -> Any:
     kind = KINDS.get(path.suffix.lower())
     with reading(path, "CSV" if kind is None else kind.name):
         _require_plain(path, kind)
