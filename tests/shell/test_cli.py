@@ -1066,7 +1066,9 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
 
 
 def test_half_written_programs_are_compiled_anew(tmp_path):
-    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    # all programs are kept, whatever the environment says of short ones
+    kept = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)} | kept
     words = "from jaxnarx.shell import work; work._configure(); import jax; "
     words += "print(jax.jit(lambda x: x * 3)(2.0))"
     for _ in range(2):
