@@ -110,3 +110,11 @@ def test_reading_of_measurement_files(tmp_path):
     assert large["asammdf"]["rows"] == 10 * large["ours"]["rows"]
     for aim in figures["targets"].values():
         assert_target(aim)
+
+
+@pytest.mark.slow
+def test_exported_networks_beside_a_loop_by_hand(tmp_path):
+    figures = run("exports.py", results=tmp_path)["exports"]
+    # rounding alone: the loop by hand adds in another order
+    assert max(figures["difference"].values()) < 1e-12
+    assert_target(figures["targets"]["ratio"])
