@@ -17,6 +17,7 @@ from jaxnarx.data.readers.columns import (
     CsvLayout,
     Table,
     is_number,
+    require_limit,
 )
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
@@ -273,14 +274,7 @@ def _require_size(head: _Head, columns: int, max_bytes: float):
     with path.open("rb") as file, _mapped(file) as m:
         chunks = range(0, size if size <= max_bytes else 0, _CHUNK)
         rows = sum(_line_ends(m[at : at + _CHUNK]) for at in chunks)
-        expanded = max(size, 8 * columns * rows)
-        if expanded > max_bytes:
-            raise DataFileError(
-                f"{path}: about {expanded / 1e9:.3g} GB when read, over the limit of "
-                f"{max_bytes / 1e9:.3g} GB. Read fewer files or channels, or raise "
-                "max_bytes.",
-                path=path,
-            )
+        require_limit(path, max(size, 8 * columns * rows), max_bytes)
         _require_no_blank(head, m)
 
 
