@@ -14,6 +14,7 @@ from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.targets import c99, proof, scripts
 from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.lower import lower
 from jaxnarx.targets.proof import DOUBLE, SINGLE, Case
 
@@ -106,16 +107,13 @@ def export(
 
 def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
-    from jaxnarx.targets.interpret import Instance
-
     inputs = case.inputs[: program.history + GOLDEN]
     instance = Instance(program)
     instance.begin(inputs[0], case.measured[0])
     for u, y in zip(inputs[: program.history], case.measured, strict=False):
         instance.observe(u, y)
     rows = [instance.step(u)["outputs"] for u in inputs[program.history :]]
-    outputs = np.nan_to_num(np.array(rows))
-    return {"inputs": inputs, "measured": case.measured, "outputs": outputs}
+    return {"inputs": inputs, "measured": case.measured, "outputs": np.array(rows)}
 
 
 def _proven(

@@ -21,6 +21,7 @@ from jaxnarx.data.readers.variable_trees import (
     TimedColumns,
     WithUnit,
     opened,
+    since_first,
     unfolded,
 )
 from jaxnarx.data.sampling import TIME_UNITS, time_unit_in
@@ -223,8 +224,6 @@ def _with_time(own: list[Variable]) -> list[Variable]:
 
 
 def _stamps(t: np.ndarray, unit: str | None) -> np.ndarray:
-    from jaxnarx.data.readers.variable_trees import since_first
-
     if t.dtype.kind in "mM":
         return since_first(t)
     return np.asarray(t, float) * TIME_UNITS[unit or "s"]
