@@ -152,7 +152,7 @@ def measured(samples: int, rounds: int) -> dict[str, Any]:
     jax.config.update("jax_enable_x64", True)
     from jaxnarx.simulation import simulate
     from jaxnarx.targets import export, lower
-    from jaxnarx.targets.proof import c_runner
+    from jaxnarx.targets.runners import c_runner
 
     net, data, by_hand = network_and_data(samples)
     begin = time.perf_counter()

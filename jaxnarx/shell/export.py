@@ -9,7 +9,7 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import Exported, SampleProgram, export, lower
+from jaxnarx.targets import Exported, SampleProgram, export, lower, write_files
 
 README = "README.md"
 
@@ -31,8 +31,7 @@ def export_model(command: Export, typed: str) -> int:
     marks = list(files)
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with output.written_together(folder) as place:
-            for name, text in files.items():
-                output.write_text(place / name, text)
+            write_files(place, files)
     for what, difference in found.difference.items():
         say(f"{what}: differs from the model by {difference:.2g} of the largest value")
     for one in found.left_out:

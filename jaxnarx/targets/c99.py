@@ -7,9 +7,10 @@ import numpy as np
 
 from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
+from jaxnarx.targets.target import Files, Golden
 
 
-def sources(program: SampleProgram, golden: dict[str, np.ndarray]) -> dict[str, str]:
+def sources(program: SampleProgram, golden: Golden) -> Files:
     """Text of every file by its name; `golden` holds `inputs`, `measured` (the history
     and one sample more) and `outputs`, what the free run behind it reports."""
     name = program.name
@@ -330,7 +331,7 @@ def _jacobian(program: SampleProgram, syntax: Syntax) -> list[str]:
     ]
 
 
-def _selftest(program: SampleProgram, golden: dict[str, np.ndarray]) -> str:
+def _selftest(program: SampleProgram, golden: Golden) -> str:
     name, upper = program.name, program.name.upper()
     inputs, measured = golden["inputs"], golden["measured"]
     outputs = golden["outputs"]

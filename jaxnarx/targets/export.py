@@ -12,13 +12,24 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.targets import c99, proof, scripts
+from jaxnarx.targets import c99, proof, runners, scripts
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.lower import lower
-from jaxnarx.targets.proof import DOUBLE, SINGLE, Case
+from jaxnarx.targets.proof import Case
+from jaxnarx.targets.target import Files, Proof, Target
 
-TARGETS = ("c", "python", "javascript")
+TARGETS: dict[str, Target] = {
+    "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
+    "python": Target(
+        "one page of Python without dependencies",
+        scripts.python_files,
+        runners.prove_python,
+    ),
+    "javascript": Target(
+        "a JavaScript module", scripts.javascript_files, runners.prove_javascript
+    ),
+}
 """What a model can be exported to."""
 GOLDEN = 200
 """Samples of the self-test."""
@@ -35,12 +46,17 @@ class Exported:
     sample to sample.
     """
 
-    files: Mapping[str, str]
+    files: Mapping[str, str | bytes]
     difference: Mapping[str, float]
     left_out: tuple[str, ...]
     operations: int
     parameters: int
     kept: int
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Files that are text."""
+        return {k: v for k, v in self.files.items() if isinstance(v, str)}
 
 
 @guarded
@@ -69,14 +85,14 @@ def export(
         verify: Whether it is proven.
 
     Returns:
-        The files as texts, and the figures of the proof.
+        The files, texts or bytes, and the figures of the proof.
 
     Example:
         found = jnx.export(network, data, to=["c", "python"], name="NOx")
         print(found.difference, found.files["NOx.h"])
     """
     for one in to:
-        choice(one, TARGETS, "to")
+        choice(one, tuple(TARGETS), "to")
     program = lower(network, name)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
@@ -86,14 +102,11 @@ def export(
             "others, or none",
             field="data",
         )
-    files: dict[str, str] = {}
-    if "c" in to:
-        files |= c99.sources(program, _golden(program, cases[0]))
-    if "python" in to:
-        files[f"{program.name}.py"] = scripts.python(program)
-    if "javascript" in to:
-        files[f"{program.name}.mjs"] = scripts.javascript(program)
-    difference, left_out = _proven(program, files, cases) if verify else ({}, ())
+    golden = _golden(program, cases[0])
+    files: Files = {}
+    for one in to:
+        files |= TARGETS[one].write(program, golden)
+    difference, left_out = _proven(program, files, to, cases) if verify else ({}, [])
     lines = sum(line.length for line in program.delays)
     return Exported(
         files,
@@ -117,31 +130,24 @@ def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
 
 
 def _proven(
-    program: SampleProgram, files: Mapping[str, str], cases: Sequence[Case]
-) -> tuple[dict[str, float], list[str]]:
-    """Largest differences by target, and what could not be run."""
+    program: SampleProgram, files: Files, to: Sequence[str], cases: Sequence[Case]
+) -> Proof:
+    """Of all targets."""
     found: dict[str, float] = {}
     left_out: list[str] = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        for name, text in files.items():
-            (folder / name).write_text(text, "utf-8")
-        if f"{program.name}.c" in files:
-            if proof.compiler() is None:
-                left_out.append("c: there is no C compiler here")
-            else:
-                for kind, most in (("double", DOUBLE), ("single", SINGLE)):
-                    run = proof.c_runner(
-                        folder, program, folder, single=kind == "single"
-                    )
-                    found[f"c, {kind}"] = proof.worst(cases, run, most, f"C, {kind}")
-        if f"{program.name}.py" in files:
-            run = proof.python_runner(folder / f"{program.name}.py")
-            found["python"] = proof.worst(cases, run, DOUBLE, "Python")
-        if f"{program.name}.mjs" in files:
-            if proof.node() is None:
-                left_out.append("javascript: there is no node here")
-            else:
-                run = proof.javascript_runner(folder / f"{program.name}.mjs")
-                found["javascript"] = proof.worst(cases, run, DOUBLE, "JavaScript")
+        write_files(folder, files)
+        for one in to:
+            differences, missing = TARGETS[one].prove(program, folder, cases)
+            found |= differences
+            left_out += missing
     return found, left_out
+
+
+def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """The files of an export, in a folder."""
+    for name, content in files.items():
+        text = isinstance(content, str)
+        data = content.encode("utf-8", "backslashreplace") if text else content
+        (folder / name).write_bytes(data)

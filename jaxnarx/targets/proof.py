@@ -1,14 +1,7 @@
 """The proof of an export: what it does beside what the model does, record by record."""
 
-import ctypes
 import dataclasses
-import importlib.util
-import json
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -103,133 +96,6 @@ def cases_of(network: Network, program: SampleProgram, data: Dataset) -> list[Ca
         for n, record in enumerate(matched)
         if int(masks.start[n]) == first and len(record) > first + network.window
     ]
-
-
-def python_runner(path: Path) -> Runner:
-    """A module written by `scripts.python`."""
-    spec = importlib.util.spec_from_file_location("exported_model", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-
-    def run(inputs, measured):
-        model = module.Model()
-        model.begin(inputs[0].tolist(), measured[0].tolist())
-        history = module.HISTORY
-        for u, y in zip(inputs[:history], measured, strict=False):
-            model.observe(u.tolist(), y.tolist())
-        return np.array([model.step(u.tolist()) for u in inputs[history:]])
-
-    return run
-
-
-def node() -> str | None:
-    """The program that runs JavaScript, where there is one."""
-    return shutil.which("node")
-
-
-def javascript_runner(path: Path) -> Runner:
-    """A module written by `scripts.javascript`, run by node."""
-    program = node()
-    assert program is not None
-
-    def run(inputs, measured):
-        with tempfile.TemporaryDirectory() as folder:
-            module, main = Path(folder, "model.mjs"), Path(folder, "main.mjs")
-            module.write_text(path.read_text("utf-8"), "utf-8")
-            case = {"u": inputs.tolist(), "y": measured.tolist()}
-            Path(folder, "case.json").write_text(json.dumps(case))
-            main.write_text(_NODE)
-            done = subprocess.run(
-                [program, str(main)], capture_output=True, text=True, cwd=folder
-            )
-        if done.returncode:
-            raise ExportError(f"{path}: node ends with {done.stderr.strip()[-300:]}")
-        rows = json.loads(done.stdout)
-        return np.array([[np.nan if v is None else v for v in row] for row in rows])
-
-    return run
-
-
-_NODE = """import { readFileSync } from 'node:fs';
-import { Model, HISTORY } from './model.mjs';
-const given = JSON.parse(readFileSync('case.json', 'utf8'));
-const model = new Model();
-model.begin(given.u[0], given.y[0]);
-for (let t = 0; t < HISTORY; t++) model.observe(given.u[t], given.y[t]);
-console.log(JSON.stringify(given.u.slice(HISTORY).map((u) => model.step(u))));
-"""
-
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
-
-
-def compiler() -> str | None:
-    """A C compiler, where there is one."""
-    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-
-
-def c_runner(
-    folder: Path,
-    program: SampleProgram,
-    build: Path,
-    *,
-    single: bool,
-    cc: str | None = None,
-) -> Runner:
-    """The C files of `folder`, compiled in `build`; warnings are errors."""
-    name, upper = program.name, program.name.upper()
-    harness = build / "harness.c"
-    harness.write_text(_HARNESS.replace("NAME", name).replace("UPPER", upper))
-    library = build / f"{name}_{'single' if single else 'double'}.so"
-    chosen = cc or compiler()
-    assert chosen is not None
-    command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
-    command += [f"-D{upper}_SINGLE"] if single else []
-    command += [str(folder / f"{name}.c"), str(harness), "-lm", "-o", str(library)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise ExportError(f"{name}.c does not compile: {done.stderr.strip()[:500]}")
-    call = ctypes.CDLL(str(library)).run
-
-    def run(inputs, measured):
-        u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
-        out = np.zeros((len(u) - program.history, len(program.reported)))
-        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, out))
-        call(ctypes.c_int(len(u)), *pointers)
-        return out
-
-    return run
-
-
-_HARNESS = """#include "NAME.h"
-void run(int n, const double *u, const double *y, double *out);
-void run(int n, const double *u, const double *y, double *out)
-{
-    NAME_state s;
-    NAME_out now;
-    NAME_real a[UPPER_INPUTS], b[UPPER_COMPUTED];
-    int t, k;
-    for (t = 0; t < n; t++) {
-        for (k = 0; k < UPPER_INPUTS; k++) {
-            a[k] = (NAME_real)u[t * UPPER_INPUTS + k];
-        }
-        for (k = 0; k < UPPER_COMPUTED && t <= UPPER_HISTORY; k++) {
-            b[k] = (NAME_real)y[t * UPPER_COMPUTED + k];
-        }
-        if (t == 0) {
-            NAME_begin(&s, a, b);
-        }
-        if (t < UPPER_HISTORY) {
-            NAME_observe(&s, a, b);
-            continue;
-        }
-        NAME_step(&s, a, &now);
-        for (k = 0; k < UPPER_REPORTED; k++) {
-            out[(t - UPPER_HISTORY) * UPPER_REPORTED + k] = (double)now.reported[k];
-        }
-    }
-}
-"""
 
 
 def worst(cases: Sequence[Case], run: Runner, most: float, what: str) -> float:

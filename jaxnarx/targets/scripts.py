@@ -6,6 +6,17 @@ from collections.abc import Iterable
 
 from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
 from jaxnarx.targets.form import Port, SampleProgram, Value
+from jaxnarx.targets.target import Files, Golden
+
+
+def python_files(program: SampleProgram, golden: Golden) -> Files:
+    """By name; no golden vectors go with it."""
+    return {f"{program.name}.py": python(program)}
+
+
+def javascript_files(program: SampleProgram, golden: Golden) -> Files:
+    """By name; no golden vectors go with it."""
+    return {f"{program.name}.mjs": javascript(program)}
 
 
 def python(program: SampleProgram) -> str:

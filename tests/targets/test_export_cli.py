@@ -10,7 +10,7 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.formats import table_csv
-from jaxnarx.targets import proof
+from jaxnarx.targets import runners
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def records() -> list[str]:
     return found
 
 
-@pytest.mark.skipif(proof.compiler() is None, reason="there is no C compiler here")
+@pytest.mark.skipif(runners.compiler() is None, reason="there is no C compiler here")
 def test_a_model_becomes_files_that_prove_themselves(place, capsys):
     words = ["export", "model.safetensors", *records(), "--to", "c", "python"]
     assert run([*words, "--name", "mean value", "--out", "out"]) == 0

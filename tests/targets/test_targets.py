@@ -27,8 +27,9 @@ from jaxnarx.models import (
 )
 from jaxnarx.regressors import Kautz, Laguerre, LowPass, Variables
 from jaxnarx.simulation import make_drive
-from jaxnarx.targets import ExportError, Instance, export, lower, proof
-from jaxnarx.targets.proof import c_runner, cases_of
+from jaxnarx.targets import ExportError, Instance, export, lower, proof, runners
+from jaxnarx.targets.proof import cases_of
+from jaxnarx.targets.runners import c_runner
 
 HERE = 1e-12
 """Largest difference in double, in shares of an output's largest value: rounding, that
@@ -37,7 +38,7 @@ ONCE = 1e-4
 """The same in single precision."""
 
 needs_compiler = pytest.mark.skipif(
-    proof.compiler() is None, reason="there is no C compiler here"
+    runners.compiler() is None, reason="there is no C compiler here"
 )
 
 
@@ -198,7 +199,7 @@ def test_every_target_is_the_network(name):
     net = NETWORKS[name]()
     found = export(net, records(net), to=["c", "python", "javascript"], name=name)
     tried = {"c, double", "c, single", "python"} | (
-        {"javascript"} if proof.node() else set()
+        {"javascript"} if runners.node() else set()
     )
     assert set(found.difference) == tried
     difference = dict(found.difference)
@@ -236,13 +237,17 @@ def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path, outside):
     assert set(found.files) == {
         f"NOx_model{end}" for end in (".h", ".c", "_selftest.c")
     }
-    for name, text in found.files.items():
+    for name, text in found.texts.items():
         (tmp_path / name).write_text(text)
-    assert "malloc" not in "".join(found.files.values())
-    assert "u[0] a [V], -1.5 to 1.2" in found.files["NOx_model.h"]
-    compiler = proof.compiler()
+    assert "malloc" not in "".join(found.texts.values())
+    assert "u[0] a [V], -1.5 to 1.2" in found.texts["NOx_model.h"]
+    compiler = runners.compiler()
     assert compiler is not None
-    checked = ["-fsanitize=address,undefined", "-fno-sanitize-recover", *proof.WARNINGS]
+    checked = [
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover",
+        *runners.WARNINGS,
+    ]
     both = [tmp_path / "NOx_model.c", tmp_path / "NOx_model_selftest.c"]
     for extra in ([], ["-DNOX_MODEL_SINGLE"]):
         program = tmp_path / "selftest"
@@ -256,12 +261,12 @@ def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path, outside):
 def test_a_file_that_does_something_else_is_found_out(tmp_path):
     net = common.named("by inputs")
     program, data = lower(net, "m"), common.dataset((40,), seed=3)
-    for name, text in export(net, data, name="m").files.items():
+    for name, text in export(net, data, name="m").texts.items():
         (tmp_path / name).write_text(text.replace("exp(x)", "(1.0 + (x))"))
     run = c_runner(tmp_path, program, tmp_path, single=False)
     (case,) = cases_of(net, program, data)
     assert case.difference(run) > 1e-3
-    compiler, program_file = proof.compiler(), tmp_path / "selftest"
+    compiler, program_file = runners.compiler(), tmp_path / "selftest"
     both = [tmp_path / "m.c", tmp_path / "m_selftest.c"]
     command = [compiler, *both, "-lm", "-o", program_file]
     subprocess.run(list(map(str, command)), check=True)

@@ -1,0 +1,33 @@
+"""What a target of an export is: how its files are written, and how they are proven."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.proof import Case
+
+Golden = Mapping[str, Float[np.ndarray, "time _"]]
+"""A stretch of a record: `inputs`, `measured` (the history and one sample more) and
+`outputs`, what the free run behind it reports."""
+Files = dict[str, str | bytes]
+"""Texts and packed files by name."""
+Proof = tuple[dict[str, float], list[str]]
+"""Largest difference to the model by what was run, in shares of an output's largest
+value, and what could not be run here and why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A kind of files that a model is exported to.
+
+    `write` makes them from the program and golden vectors; `prove` runs them, written
+    to a folder, beside the model and raises `ExportError` where they differ.
+    """
+
+    about: str
+    write: Callable[[SampleProgram, Golden], Files]
+    prove: Callable[[SampleProgram, Path, Sequence[Case]], Proof]
