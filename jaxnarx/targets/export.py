@@ -66,6 +66,8 @@ def export(
     *,
     to: Sequence[str] = ("c",),
     name: str = "model",
+    index: bool = True,
+    level: float | None = None,
     verify: bool = True,
 ) -> Exported:
     """The network as source files that do the same, sample by sample.
@@ -82,6 +84,9 @@ def export(
             left out.
         to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`.
         name: What the files and their functions are called.
+        index: Whether a network that knows its domain tells its index at every sample.
+        level: Probability of prediction intervals, whose half widths are told at every
+            sample of a network that knows its errors; default without.
         verify: Whether it is proven.
 
     Returns:
@@ -93,7 +98,7 @@ def export(
     """
     for one in to:
         choice(one, tuple(TARGETS), "to")
-    program = lower(network, name)
+    program = lower(network, name, index=index, level=level)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
     if not cases:
