@@ -13,6 +13,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.targets import c99, proof, runners, scripts
+from jaxnarx.targets.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.lower import lower
@@ -21,6 +22,8 @@ from jaxnarx.targets.target import Files, Proof, Target
 
 TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
+    "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
+    "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
     "python": Target(
         "one page of Python without dependencies",
         scripts.python_files,
@@ -80,7 +83,8 @@ def export(
         network: The model, with any of the package's validity functions.
         data: Records for the proof; those that miss samples of their beginning are
             left out.
-        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`.
+        to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
+            co-simulation), `"python"`, `"javascript"`.
         name: What the files and their functions are called.
         verify: Whether it is proven.
 
