@@ -104,7 +104,7 @@ def _header(program: SampleProgram) -> str:
         f"}} {name}_state;",
         "",
         "/* reported: what the model says; fed: what is fed back, hidden channels too;",
-        " * limited: whether the feedback bound acted; the flags are 1 or 0. */",
+        " * limited: whether the feedback bound acted; then what is told beside. */",
         "typedef struct {",
         f"    {name}_real reported[{len(program.reported)}];",
         f"    {name}_real fed[{len(program.computed)}];",

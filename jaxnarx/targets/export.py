@@ -18,7 +18,7 @@ from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.lower import lower
 from jaxnarx.targets.proof import Case
-from jaxnarx.targets.target import Files, Proof, Target
+from jaxnarx.targets.target import Files, Proof, Target, as_bytes
 
 TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
@@ -152,6 +152,4 @@ def _proven(
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """The files of an export, in a folder."""
     for name, content in files.items():
-        text = isinstance(content, str)
-        data = content.encode("utf-8", "backslashreplace") if text else content
-        (folder / name).write_bytes(data)
+        (folder / name).write_bytes(as_bytes(content))

@@ -114,7 +114,7 @@ def _root(program: SampleProgram, version: str, **named: str) -> ET.Element:
         "fmiVersion": version,
         "modelName": program.name,
         **named,
-        "description": _shown(f"{outputs} from {inputs}"),
+        "description": f"{outputs} from {inputs}",
         "generationTool": f"jaxnarx {importlib.metadata.version('jaxnarx')}",
         "variableNamingConvention": "flat",
     }
@@ -126,7 +126,7 @@ def _units(root: ET.Element, variables: Sequence[Quantity]) -> None:
     if found:
         place = ET.SubElement(root, "UnitDefinitions")
         for unit in found:
-            ET.SubElement(place, "Unit", name=_shown(unit))
+            ET.SubElement(place, "Unit", name=unit)
 
 
 def _items(place: ET.Element) -> None:
@@ -149,7 +149,7 @@ def _experiment(root: ET.Element, program: SampleProgram) -> None:
 
 
 def _common(element: ET.Element, v: Quantity) -> None:
-    element.set("description", _shown(v.about))
+    element.set("description", v.about)
     element.set("causality", v.causality)
     if v.kind == "time":
         element.set("variability", "continuous")
@@ -164,15 +164,10 @@ def _typed(element: ET.Element, v: Quantity) -> None:
     if v.kind == "choice":
         element.set("declaredType", "Start")
     if v.unit:
-        element.set("unit", _shown(v.unit))
+        element.set("unit", v.unit)
     if v.start is not None:
         whole = v.kind == "choice"
         element.set("start", str(int(v.start)) if whole else digits(v.start))
-
-
-def _shown(text: str) -> str:
-    """Without what XML cannot carry."""
-    return "".join(c if c.isprintable() else "_" for c in text)
 
 
 def _text(root: ET.Element) -> str:

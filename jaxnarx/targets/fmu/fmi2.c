@@ -6,13 +6,14 @@ typedef struct {
     char *name;
 } component;
 
+/* The texts are formats without anything to fill in. */
 static fmi2Status told(const component *c, fmi2Status status, const char *what)
 {
     if (c->callbacks.logger != NULL) {
         const char *category =
             status == fmi2Warning ? "logStatusWarning" : "logStatusError";
         c->callbacks.logger(c->callbacks.componentEnvironment, c->name, status,
-                            category, "%s", what);
+                            category, what);
     }
     return status;
 }
@@ -73,7 +74,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType,
     } else if (fmuGUID == NULL || strcmp(fmuGUID, TOKEN) != 0) {
         (void)told(c, fmi2Error, "the GUID is not that of this model");
     } else {
-        unit_reset(&c->m);
+        fmi_unit_reset(&c->m);
         return c;
     }
     fmi2FreeInstance(c);
@@ -120,7 +121,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     if (!is_in(own, STARTING, STARTING)) {
         return refused(own, "the instance is not in initialization mode");
     }
-    unit_evaluate(&own->m);
+    fmi_unit_evaluate(&own->m);
     own->m.phase = STEPPING;
     if (!own->m.rests) {
         return told(own, fmi2Warning, "there is no steady state at these inputs");
@@ -143,7 +144,7 @@ fmi2Status fmi2Reset(fmi2Component c)
     if (c == NULL) {
         return fmi2Error;
     }
-    unit_reset(&((component *)c)->m);
+    fmi_unit_reset(&((component *)c)->m);
     return fmi2OK;
 }
 
@@ -153,7 +154,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     component *own = c;
     size_t k;
     for (k = 0; own != NULL && k < nvr; k++) {
-        if (!unit_get_real(&own->m, vr[k], &value[k])) {
+        if (!fmi_unit_get_real(&own->m, vr[k], &value[k])) {
             return refused(own, "fmi2GetReal: there is no such real variable");
         }
     }
@@ -166,7 +167,7 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     component *own = c;
     size_t k;
     for (k = 0; own != NULL && k < nvr; k++) {
-        if (vr[k] != AT_START) {
+        if (vr[k] != FMI_AT_START) {
             return refused(own, "fmi2GetInteger: there is no such enumeration");
         }
         value[k] = own->m.kind;
@@ -180,7 +181,7 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     component *own = c;
     size_t k;
     for (k = 0; own != NULL && k < nvr; k++) {
-        if (!unit_get_limited(&own->m, vr[k], &value[k])) {
+        if (!fmi_unit_get_limited(&own->m, vr[k], &value[k])) {
             return refused(own, "fmi2GetBoolean: there is no such Boolean variable");
         }
     }
@@ -201,13 +202,13 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     component *own = c;
     size_t k;
     for (k = 0; own != NULL && k < nvr; k++) {
-        if (!unit_may_set_real(&own->m, vr[k])) {
+        if (!fmi_unit_may_set_real(&own->m, vr[k])) {
             return refused(own, "fmi2SetReal: no input, nor a parameter that may be "
                                 "set now");
         }
     }
     for (k = 0; own != NULL && k < nvr; k++) {
-        unit_set_real(&own->m, vr[k], value[k]);
+        fmi_unit_set_real(&own->m, vr[k], value[k]);
     }
     return own == NULL ? fmi2Error : fmi2OK;
 }
@@ -218,7 +219,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     component *own = c;
     size_t k;
     for (k = 0; own != NULL && k < nvr; k++) {
-        if (!unit_set_start(&own->m, vr[k], value[k])) {
+        if (!fmi_unit_set_start(&own->m, vr[k], value[k])) {
             return refused(own, "fmi2SetInteger: no such enumeration, no such value, "
                                 "or not now");
         }
@@ -248,7 +249,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
     if (own == NULL || state == NULL) {
         return refused(own, "fmi2GetFMUstate: no place for the state");
     }
-    *state = unit_copy(&own->m, *state);
+    *state = fmi_unit_copy(&own->m, *state);
     return *state == NULL ? refused(own, "no memory for the state") : fmi2OK;
 }
 
@@ -258,7 +259,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     if (own == NULL || state == NULL) {
         return refused(own, "fmi2SetFMUstate: no state");
     }
-    (void)unit_copy(state, &own->m);
+    (void)fmi_unit_copy(state, &own->m);
     return fmi2OK;
 }
 
@@ -284,7 +285,7 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state,
                                  fmi2Byte serialized[], size_t size)
 {
-    if (c == NULL || state == NULL || !unit_pack(state, serialized, size)) {
+    if (c == NULL || state == NULL || !fmi_unit_pack(state, serialized, size)) {
         return refused(c, "fmi2SerializeFMUstate: no state, or another size");
     }
     return fmi2OK;
@@ -294,10 +295,10 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serialized[],
                                    size_t size, fmi2FMUstate *state)
 {
     unit m;
-    if (c == NULL || state == NULL || !unit_unpack(&m, serialized, size)) {
+    if (c == NULL || state == NULL || !fmi_unit_unpack(&m, serialized, size)) {
         return refused(c, "fmi2DeSerializeFMUstate: not a state of this model");
     }
-    *state = unit_copy(&m, *state);
+    *state = fmi_unit_copy(&m, *state);
     return *state == NULL ? refused(c, "no memory for the state") : fmi2OK;
 }
 
@@ -309,8 +310,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c,
                                         fmi2Real dvUnknown[])
 {
     component *own = c;
-    if (own == NULL || !unit_derivative(&own->m, vUnknown_ref, nUnknown, vKnown_ref,
-                                        nKnown, dvKnown, dvUnknown, 0)) {
+    if (own == NULL || !fmi_unit_derivative(&own->m, vUnknown_ref, nUnknown, vKnown_ref,
+                                            nKnown, dvKnown, dvUnknown, 0)) {
         return refused(own, "fmi2GetDirectionalDerivative: outputs by inputs and past "
                             "outputs only");
     }
@@ -349,12 +350,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
     if (!is_in(own, STEPPING, STEPPING)) {
         return refused(own, "fmi2DoStep belongs behind initialization");
     }
-    steps = unit_fits(&own->m, currentCommunicationPoint, communicationStepSize);
+    steps = fmi_unit_fits(&own->m, currentCommunicationPoint, communicationStepSize);
     if (steps == 0) {
         return refused(own, "fmi2DoStep: a step begins where the last has ended and is "
                             "a multiple of the sample time, up to the stop time");
     }
-    unit_take(&own->m, steps);
+    fmi_unit_take(&own->m, steps);
     return fmi2OK;
 }
 
@@ -376,7 +377,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
     if (c == NULL || s != fmi2LastSuccessfulTime) {
         return fmi2Discard;
     }
-    *value = unit_time(&((component *)c)->m);
+    *value = fmi_unit_time(&((component *)c)->m);
     return fmi2OK;
 }
 

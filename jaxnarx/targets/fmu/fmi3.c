@@ -98,7 +98,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
         free(c);
         return NULL;
     }
-    unit_reset(&c->m);
+    fmi_unit_reset(&c->m);
     return c;
 }
 
@@ -147,7 +147,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
     if (!is_in(own, STARTING, STARTING)) {
         return refused(own, "the instance is not in initialization mode");
     }
-    unit_evaluate(&own->m);
+    fmi_unit_evaluate(&own->m);
     own->m.phase = own->events ? EVENT : STEPPING;
     if (!own->m.rests) {
         return told(own, fmi3Warning, "there is no steady state at these inputs");
@@ -171,7 +171,7 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance)
     if (!is_in(own, STARTING, EVENT)) {
         return refused(own, "the instance is not in event mode");
     }
-    unit_evaluate(&own->m);
+    fmi_unit_evaluate(&own->m);
     return fmi3OK;
 }
 
@@ -187,13 +187,13 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance,
     if (!is_in(own, EVENT, EVENT)) {
         return refused(own, "the instance is not in event mode");
     }
-    unit_evaluate(&own->m);
+    fmi_unit_evaluate(&own->m);
     *discreteStatesNeedUpdate = fmi3False;
     *terminateSimulation = fmi3False;
     *nominalsOfContinuousStatesChanged = fmi3False;
     *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTimeDefined = fmi3True;
-    *nextEventTime = unit_time(&own->m) + UPPER_SAMPLE_TIME;
+    *nextEventTime = fmi_unit_time(&own->m) + UPPER_SAMPLE_TIME;
     return fmi3OK;
 }
 
@@ -203,7 +203,7 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance)
     if (!is_in(own, EVENT, EVENT)) {
         return refused(own, "the instance is not in event mode");
     }
-    unit_evaluate(&own->m);
+    fmi_unit_evaluate(&own->m);
     own->m.phase = STEPPING;
     return fmi3OK;
 }
@@ -223,7 +223,7 @@ fmi3Status fmi3Reset(fmi3Instance instance)
     if (instance == NULL) {
         return fmi3Error;
     }
-    unit_reset(&((component *)instance)->m);
+    fmi_unit_reset(&((component *)instance)->m);
     return fmi3OK;
 }
 
@@ -237,7 +237,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance,
         return refused(own, "fmi3GetFloat64: every variable is one number");
     }
     for (k = 0; k < nValues; k++) {
-        if (!unit_get_real(&own->m, valueReferences[k], &values[k])) {
+        if (!fmi_unit_get_real(&own->m, valueReferences[k], &values[k])) {
             return refused(own, "fmi3GetFloat64: there is no such variable");
         }
     }
@@ -255,13 +255,13 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance,
         return refused(own, "fmi3SetFloat64: every variable is one number");
     }
     for (k = 0; k < nValues; k++) {
-        if (!unit_may_set_real(&own->m, valueReferences[k])) {
+        if (!fmi_unit_may_set_real(&own->m, valueReferences[k])) {
             return refused(own, "fmi3SetFloat64: no input, nor a parameter that may be "
                                 "set now");
         }
     }
     for (k = 0; k < nValues; k++) {
-        unit_set_real(&own->m, valueReferences[k], values[k]);
+        fmi_unit_set_real(&own->m, valueReferences[k], values[k]);
     }
     return fmi3OK;
 }
@@ -276,7 +276,7 @@ fmi3Status fmi3GetInt64(fmi3Instance instance,
         return refused(own, "fmi3GetInt64: every variable is one number");
     }
     for (k = 0; k < nValues; k++) {
-        if (valueReferences[k] != AT_START) {
+        if (valueReferences[k] != FMI_AT_START) {
             return refused(own, "fmi3GetInt64: there is no such enumeration");
         }
         values[k] = own->m.kind;
@@ -295,7 +295,7 @@ fmi3Status fmi3SetInt64(fmi3Instance instance,
         return refused(own, "fmi3SetInt64: every variable is one number");
     }
     for (k = 0; k < nValues; k++) {
-        if (!unit_set_start(&own->m, valueReferences[k], values[k])) {
+        if (!fmi_unit_set_start(&own->m, valueReferences[k], values[k])) {
             return refused(own, "fmi3SetInt64: no such enumeration, no such value, or "
                                 "not now");
         }
@@ -314,7 +314,7 @@ fmi3Status fmi3GetBoolean(fmi3Instance instance,
         return refused(own, "fmi3GetBoolean: every variable is one value");
     }
     for (k = 0; k < nValues; k++) {
-        if (!unit_get_limited(&own->m, valueReferences[k], &value)) {
+        if (!fmi_unit_get_limited(&own->m, valueReferences[k], &value)) {
             return refused(own, "fmi3GetBoolean: there is no such variable");
         }
         values[k] = value != 0;
@@ -328,7 +328,7 @@ fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
     if (own == NULL || FMUState == NULL) {
         return refused(own, "fmi3GetFMUState: no place for the state");
     }
-    *FMUState = unit_copy(&own->m, *FMUState);
+    *FMUState = fmi_unit_copy(&own->m, *FMUState);
     return *FMUState == NULL ? refused(own, "no memory for the state") : fmi3OK;
 }
 
@@ -338,7 +338,7 @@ fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
     if (own == NULL || FMUState == NULL) {
         return refused(own, "fmi3SetFMUState: no state");
     }
-    (void)unit_copy(FMUState, &own->m);
+    (void)fmi_unit_copy(FMUState, &own->m);
     return fmi3OK;
 }
 
@@ -366,7 +366,7 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
                                  fmi3Byte serializedState[], size_t size)
 {
     if (instance == NULL || FMUState == NULL ||
-        !unit_pack(FMUState, serializedState, size)) {
+        !fmi_unit_pack(FMUState, serializedState, size)) {
         return refused(instance, "fmi3SerializeFMUState: no state, or another size");
     }
     return fmi3OK;
@@ -378,10 +378,10 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance,
 {
     unit m;
     if (instance == NULL || FMUState == NULL ||
-        !unit_unpack(&m, serializedState, size)) {
+        !fmi_unit_unpack(&m, serializedState, size)) {
         return refused(instance, "fmi3DeserializeFMUState: not a state of this model");
     }
-    *FMUState = unit_copy(&m, *FMUState);
+    *FMUState = fmi_unit_copy(&m, *FMUState);
     return *FMUState == NULL ? refused(instance, "no memory for the state") : fmi3OK;
 }
 
@@ -395,8 +395,8 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance,
 {
     component *own = instance;
     if (own == NULL || nSeed != nKnowns || nSensitivity != nUnknowns ||
-        !unit_derivative(&own->m, unknowns, nUnknowns, knowns, nKnowns, seed,
-                         sensitivity, 0)) {
+        !fmi_unit_derivative(&own->m, unknowns, nUnknowns, knowns, nKnowns, seed,
+                             sensitivity, 0)) {
         return refused(own, "fmi3GetDirectionalDerivative: outputs by inputs and past "
                             "outputs only");
     }
@@ -412,8 +412,8 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance,
 {
     component *own = instance;
     if (own == NULL || nSeed != nUnknowns || nSensitivity != nKnowns ||
-        !unit_derivative(&own->m, unknowns, nUnknowns, knowns, nKnowns, seed,
-                         sensitivity, 1)) {
+        !fmi_unit_derivative(&own->m, unknowns, nUnknowns, knowns, nKnowns, seed,
+                             sensitivity, 1)) {
         return refused(own, "fmi3GetAdjointDerivative: outputs by inputs and past "
                             "outputs only");
     }
@@ -433,16 +433,16 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     if (!is_in(own, STEPPING, STEPPING)) {
         return refused(own, "fmi3DoStep belongs into step mode");
     }
-    steps = unit_fits(&own->m, currentCommunicationPoint, communicationStepSize);
+    steps = fmi_unit_fits(&own->m, currentCommunicationPoint, communicationStepSize);
     if (steps == 0) {
         return refused(own, "fmi3DoStep: a step begins where the last has ended and is "
                             "a multiple of the sample time, up to the stop time");
     }
-    unit_take(&own->m, steps);
+    fmi_unit_take(&own->m, steps);
     *eventHandlingNeeded = own->events != 0; /* a sample is due */
     *terminateSimulation = fmi3False;
     *earlyReturn = fmi3False;
-    *lastSuccessfulTime = unit_time(&own->m);
+    *lastSuccessfulTime = fmi_unit_time(&own->m);
     return fmi3OK;
 }
 

@@ -57,7 +57,7 @@ def _definitions(
     }
     places, place = [], 0
     for what, count in counts.items():
-        places.append(f"#define AT_{what} {place}u")
+        places.append(f"#define FMI_AT_{what} {place}u")
         place += count
     values = [v.start or 0.0 for v in variables]
     starts = values[: len(program.inputs)]
@@ -75,23 +75,23 @@ def _definitions(
         "",
         "/* where values of a kind begin among the references */",
         *places[1:],
-        f"#define AT_TIME {place}u",
+        f"#define FMI_AT_TIME {place}u",
         f"#define HAS_TIME {int(version == 3)}",
         f"#define FLAGS {len(program.flags)}",
         f"#define PAST {upper}_PAST",
         f"#define LAGS {len(lags)}",
         f"#define ROWS {max(program.history, 1)}",
         "",
-        _numbers(f"input_start[{upper}_INPUTS]", starts),
-        _numbers("lag_start[LAGS + 1]", [*lags, 0.0]),
-        _numbers("past_gain[PAST + 1]", [*gains, 1.0]),
+        _numbers(f"fmi_input_starts[{upper}_INPUTS]", starts),
+        _numbers("fmi_lag_starts[LAGS + 1]", [*lags, 0.0]),
+        _numbers("fmi_past_gains[PAST + 1]", [*gains, 1.0]),
         "",
-        f"static void unit_flags(const {name}_out *out, double *v)",
+        f"static void fmi_unit_flags(const {name}_out *out, double *v)",
         "{",
         *(flags or ["    (void)out;", "    (void)v;"]),
         "}",
         "",
-        f"static void unit_past(const {name}_state *s, double *v)",
+        f"static void fmi_unit_past(const {name}_state *s, double *v)",
         "{",
         *(past or ["    (void)s;", "    (void)v;"]),
         "}",

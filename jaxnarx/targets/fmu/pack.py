@@ -19,7 +19,7 @@ from jaxnarx.targets.fmu.glue import text_of, wrapper
 from jaxnarx.targets.fmu.variables import quantities
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.proof import ExportError
-from jaxnarx.targets.target import Files, Golden
+from jaxnarx.targets.target import Files, Golden, as_bytes
 
 LICENCE = """The functions of FMI in sources/ are part of jaxnarx, Apache-2.0,
 https://www.apache.org/licenses/LICENSE-2.0
@@ -50,10 +50,8 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
     name = program.name
     variables = quantities(program, version)
     code = c99.sources(program, golden)
-    whole = "".join(map(str, [*code.values(), variables, version]))
-    token = (
-        "{" + str(uuid.UUID(bytes=hashlib.sha256(whole.encode()).digest()[:16])) + "}"
-    )
+    whole = "".join(map(str, [*code.values(), variables, text_of("unit.c"), version]))
+    token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"
     sources = [f"{name}.c", f"{name}_fmi{version}.c"]
     found = {
         f"sources/{name}.h": str(code[f"{name}.h"]),
@@ -98,7 +96,7 @@ def binary(
         return {}
     with tempfile.TemporaryDirectory() as folder:
         for name, text in unpacked_sources(parts).items():
-            Path(folder, name).write_text(text, encoding="utf-8")
+            Path(folder, name).write_bytes(as_bytes(text))
         Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
         own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
         library = Path(folder, Path(place).name)
@@ -126,5 +124,5 @@ def archive(parts: Mapping[str, str | bytes]) -> bytes:
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = (0o755 if name.startswith("bin") else 0o644) << 16
-            packed.writestr(entry, content)
+            packed.writestr(entry, as_bytes(content))
     return stream.getvalue()

@@ -29,16 +29,16 @@ typedef struct {
     unit m;
 } kept_unit;
 
-static void unit_reset(unit *m)
+static void fmi_unit_reset(unit *m)
 {
     memset(m, 0, sizeof(*m));
     m->kind = UPPER_STEADY;
     m->rests = 1;
-    memcpy(m->u, input_start, sizeof(m->u));
-    memcpy(m->lag, lag_start, sizeof(m->lag));
+    memcpy(m->u, fmi_input_starts, sizeof(m->u));
+    memcpy(m->lag, fmi_lag_starts, sizeof(m->lag));
 }
 
-static void unit_inputs(const unit *m, NAME_real *u)
+static void fmi_unit_inputs(const unit *m, NAME_real *u)
 {
     size_t k;
     for (k = 0; k < UPPER_INPUTS; k++) {
@@ -48,7 +48,7 @@ static void unit_inputs(const unit *m, NAME_real *u)
 
 /* Parameters hold inputs, then outputs, the newest first; the model wants rows, the
  * oldest first. */
-static void unit_start(unit *m, const NAME_real *now)
+static void fmi_unit_start(unit *m, const NAME_real *now)
 {
     NAME_real u[ROWS * UPPER_INPUTS];
     NAME_real y[ROWS * UPPER_COMPUTED];
@@ -73,31 +73,31 @@ static void unit_start(unit *m, const NAME_real *now)
 }
 
 /* The sample that is due, with the inputs as they are set. */
-static void unit_evaluate(unit *m)
+static void fmi_unit_evaluate(unit *m)
 {
     NAME_real u[UPPER_INPUTS];
     if (m->fresh) {
         return;
     }
-    unit_inputs(m, u);
+    fmi_unit_inputs(m, u);
     if (m->phase <= STARTING) {
-        unit_start(m, u);
+        fmi_unit_start(m, u);
     }
     m->next = m->past;
     NAME_step(&m->next, u, &m->now);
     m->fresh = 1;
 }
 
-static double unit_time(const unit *m)
+static double fmi_unit_time(const unit *m)
 {
     return m->start_time + (double)m->samples * UPPER_SAMPLE_TIME;
 }
 
 /* How many samples a step takes; 0 where it begins at another time, is no multiple of
  * the sample time, or ends behind the end. */
-static int64_t unit_fits(const unit *m, double t, double h)
+static int64_t fmi_unit_fits(const unit *m, double t, double h)
 {
-    const double now = unit_time(m);
+    const double now = fmi_unit_time(m);
     const double steps = floor(h / UPPER_SAMPLE_TIME + 0.5);
     const double off = fabs(h - steps * UPPER_SAMPLE_TIME);
     if (!(fabs(t - now) <= 1e-3 * UPPER_SAMPLE_TIME)) {
@@ -116,11 +116,11 @@ static int64_t unit_fits(const unit *m, double t, double h)
     return (int64_t)steps;
 }
 
-static void unit_take(unit *m, int64_t steps)
+static void fmi_unit_take(unit *m, int64_t steps)
 {
     NAME_real u[UPPER_INPUTS];
     int64_t n = 0;
-    unit_inputs(m, u);
+    fmi_unit_inputs(m, u);
     if (m->fresh) {
         m->past = m->next;
         n = 1;
@@ -134,70 +134,73 @@ static void unit_take(unit *m, int64_t steps)
 
 /* Values by reference. 0: there is no such value, or not now. */
 
-static int unit_get_real(unit *m, unsigned int at, double *value)
+static int fmi_unit_get_real(unit *m, unsigned int at, double *value)
 {
-    if (at < AT_REPORTED) {
+    if (at < FMI_AT_REPORTED) {
         *value = m->u[at];
         return 1;
     }
-    if (at > AT_START && at < AT_TIME) {
-        *value = m->lag[at - AT_START - 1];
+    if (at > FMI_AT_START && at < FMI_AT_TIME) {
+        *value = m->lag[at - FMI_AT_START - 1];
         return 1;
     }
-    if (HAS_TIME && at == AT_TIME) {
-        *value = unit_time(m);
+    if (HAS_TIME && at == FMI_AT_TIME) {
+        *value = fmi_unit_time(m);
         return 1;
     }
-    if (at >= AT_START || (at >= AT_LIMITED && at < AT_PAST)) {
+    if (at >= FMI_AT_START || (at >= FMI_AT_LIMITED && at < FMI_AT_PAST)) {
         return 0;
     }
     if (m->phase <= EVENT) {
-        unit_evaluate(m);
+        fmi_unit_evaluate(m);
     }
-    if (at < AT_FLAG) {
-        *value = (double)m->now.reported[at - AT_REPORTED];
-    } else if (at < AT_LIMITED) {
+    if (at < FMI_AT_FLAG) {
+        *value = (double)m->now.reported[at - FMI_AT_REPORTED];
+    } else if (at < FMI_AT_LIMITED) {
         double flag[FLAGS + 1];
-        unit_flags(&m->now, flag);
-        *value = flag[at - AT_FLAG];
+        fmi_unit_flags(&m->now, flag);
+        *value = flag[at - FMI_AT_FLAG];
     } else {
         double past[PAST + 1];
-        unit_past(&m->past, past);
-        *value = past[at - AT_PAST];
+        fmi_unit_past(&m->past, past);
+        *value = past[at - FMI_AT_PAST];
     }
     return 1;
 }
 
-static int unit_get_limited(unit *m, unsigned int at, int *value)
+static int fmi_unit_get_limited(unit *m, unsigned int at, int *value)
 {
-    if (at < AT_LIMITED || at >= AT_PAST) {
+    if (at < FMI_AT_LIMITED || at >= FMI_AT_PAST) {
         return 0;
     }
     if (m->phase <= EVENT) {
-        unit_evaluate(m);
+        fmi_unit_evaluate(m);
     }
-    *value = m->now.limited[at - AT_LIMITED];
+    *value = m->now.limited[at - FMI_AT_LIMITED];
     return 1;
 }
 
-static int unit_may_set_real(const unit *m, unsigned int at)
+static int fmi_unit_may_set_real(const unit *m, unsigned int at)
 {
-    if (at < AT_REPORTED) {
+    if (at < FMI_AT_REPORTED) {
         return m->phase != ENDED;
     }
-    return at > AT_START && at < AT_TIME && m->phase <= STARTING;
+    return at > FMI_AT_START && at < FMI_AT_TIME && m->phase <= STARTING;
 }
 
-static void unit_set_real(unit *m, unsigned int at, double value)
+static void fmi_unit_set_real(unit *m, unsigned int at, double value)
 {
-    double *place = at < AT_REPORTED ? &m->u[at] : &m->lag[at - AT_START - 1];
-    *place = value;
+    if (at < FMI_AT_REPORTED) {
+        m->u[at] = value;
+    } else if (at > FMI_AT_START && at < FMI_AT_TIME) {
+        m->lag[at - FMI_AT_START - 1] = value;
+    }
     m->fresh = 0;
 }
 
-static int unit_set_start(unit *m, unsigned int at, int64_t kind)
+static int fmi_unit_set_start(unit *m, unsigned int at, int64_t kind)
 {
-    if (at != AT_START || m->phase > STARTING) {
+    if (at != FMI_AT_START || m->phase > STARTING) {
         return 0;
     }
     if (kind < UPPER_STEADY || kind > UPPER_ZEROS) {
@@ -210,7 +213,7 @@ static int unit_set_start(unit *m, unsigned int at, int64_t kind)
 
 /* Slopes of the reported outputs by inputs and past outputs, of the sample that is due:
  * rows of UPPER_INPUTS + PAST numbers. */
-static void unit_slopes(unit *m, double *slope)
+static void fmi_unit_slopes(unit *m, double *slope)
 {
     const size_t columns = UPPER_INPUTS + PAST;
     NAME_real u[UPPER_INPUTS];
@@ -220,9 +223,9 @@ static void unit_slopes(unit *m, double *slope)
     size_t o;
     size_t k;
     if (m->phase <= STARTING) {
-        unit_evaluate(m);
+        fmi_unit_evaluate(m);
     }
-    unit_inputs(m, u);
+    fmi_unit_inputs(m, u);
     NAME_jacobian(&m->past, u, raw);
     next = m->past;
     NAME_step(&next, u, &out);
@@ -230,45 +233,51 @@ static void unit_slopes(unit *m, double *slope)
         /* what is held at the edge of its range does not move */
         const int free = out.reported[o] == out.fed[o];
         for (k = 0; k < columns; k++) {
-            const double gain = k < UPPER_INPUTS ? 1.0 : past_gain[k - UPPER_INPUTS];
-            slope[o * columns + k] = free ? (double)raw[o * columns + k] / gain : 0.0;
+            double one = free ? (double)raw[o * columns + k] : 0.0;
+            if (k >= UPPER_INPUTS) {
+                one /= fmi_past_gains[k - UPPER_INPUTS];
+            }
+            slope[o * columns + k] = one;
         }
     }
 }
 
 /* The column of a value that slopes are by; -1: of none. */
-static int unit_column(unsigned int at)
+static int fmi_unit_column(unsigned int at)
 {
-    if (at < AT_REPORTED) {
+    if (at < FMI_AT_REPORTED) {
         return (int)at;
     }
-    return at >= AT_PAST && at < AT_START ? (int)(at - AT_PAST + UPPER_INPUTS) : -1;
+    if (at < FMI_AT_PAST || at >= FMI_AT_START) {
+        return -1;
+    }
+    return (int)(at - FMI_AT_PAST + UPPER_INPUTS);
 }
 
 /* sum of slope * seed, forward from `knowns` to `unknowns`, or back if `adjoint`. */
-static int unit_derivative(unit *m, const unsigned int *unknowns, size_t outputs,
-                           const unsigned int *knowns, size_t inputs,
-                           const double *seed, double *found, int adjoint)
+static int fmi_unit_derivative(unit *m, const unsigned int *unknowns, size_t outputs,
+                               const unsigned int *knowns, size_t inputs,
+                               const double *seed, double *found, int adjoint)
 {
     double slope[UPPER_REPORTED * (UPPER_INPUTS + PAST)];
     size_t o;
     size_t k;
     for (o = 0; o < outputs; o++) {
-        if (unknowns[o] < AT_REPORTED || unknowns[o] >= AT_FLAG) {
+        if (unknowns[o] < FMI_AT_REPORTED || unknowns[o] >= FMI_AT_FLAG) {
             return 0;
         }
     }
     for (k = 0; k < inputs; k++) {
-        if (unit_column(knowns[k]) < 0) {
+        if (fmi_unit_column(knowns[k]) < 0) {
             return 0;
         }
     }
-    unit_slopes(m, slope);
+    fmi_unit_slopes(m, slope);
     memset(found, 0, (adjoint ? inputs : outputs) * sizeof(*found));
     for (o = 0; o < outputs; o++) {
         for (k = 0; k < inputs; k++) {
-            const size_t row = unknowns[o] - AT_REPORTED;
-            const size_t column = (size_t)unit_column(knowns[k]);
+            const size_t row = unknowns[o] - FMI_AT_REPORTED;
+            const size_t column = (size_t)fmi_unit_column(knowns[k]);
             const double one = slope[row * (UPPER_INPUTS + PAST) + column];
             if (adjoint) {
                 found[k] += one * seed[o];
@@ -282,7 +291,7 @@ static int unit_derivative(unit *m, const unsigned int *unknowns, size_t outputs
 
 /* States that an importer keeps. */
 
-static unit *unit_copy(const unit *m, unit *place)
+static unit *fmi_unit_copy(const unit *m, unit *place)
 {
     unit *copy = place != NULL ? place : malloc(sizeof(*copy));
     if (copy != NULL) {
@@ -291,7 +300,7 @@ static unit *unit_copy(const unit *m, unit *place)
     return copy;
 }
 
-static int unit_pack(const unit *m, void *bytes, size_t size)
+static int fmi_unit_pack(const unit *m, void *bytes, size_t size)
 {
     if (size != sizeof(kept_unit)) {
         return 0;
@@ -302,7 +311,7 @@ static int unit_pack(const unit *m, void *bytes, size_t size)
 }
 
 /* 0: not from this model, or of another size. */
-static int unit_unpack(unit *m, const void *bytes, size_t size)
+static int fmi_unit_unpack(unit *m, const void *bytes, size_t size)
 {
     if (size != sizeof(kept_unit) || memcmp(bytes, TOKEN, sizeof(TOKEN)) != 0) {
         return 0;

@@ -75,7 +75,7 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         for o, k in past_of(program)
     ]
     choice = Quantity(
-        name("start"), "choice", "parameter", "what a run starts from", start=0
+        name("start"), "choice", "parameter", "what a run starts from", start=0.0
     )
     lags = [
         Quantity(
@@ -130,11 +130,10 @@ def _middle(port: Port) -> float:
 
 
 def _free(text: str, taken: set[str]) -> str:
-    """Without what XML cannot carry, and different from what is taken."""
-    word = "".join(c if c.isprintable() else "_" for c in text).strip() or "_"
-    found, n = word, 2
+    """Different from what is taken; channels have no names that XML cannot carry."""
+    found, n = text, 2
     while found in taken:
-        found, n = f"{word}_{n}", n + 1
+        found, n = f"{text}_{n}", n + 1
     taken.add(found)
     return found
 
