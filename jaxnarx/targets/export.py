@@ -13,14 +13,17 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.targets import c99, proof, runners, scripts
+from jaxnarx.targets.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.lower import lower
 from jaxnarx.targets.proof import Case
-from jaxnarx.targets.target import Files, Proof, Target
+from jaxnarx.targets.target import Files, Proof, Target, as_bytes
 
 TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
+    "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
+    "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
     "python": Target(
         "one page of Python without dependencies",
         scripts.python_files,
@@ -82,7 +85,8 @@ def export(
         network: The model, with any of the package's validity functions.
         data: Records for the proof; those that miss samples of their beginning are
             left out.
-        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`.
+        to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
+            co-simulation), `"python"`, `"javascript"`.
         name: What the files and their functions are called.
         index: Whether a network that knows its domain tells its index at every sample.
         level: Probability of prediction intervals, whose half widths are told at every
@@ -153,6 +157,4 @@ def _proven(
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """The files of an export, in a folder."""
     for name, content in files.items():
-        text = isinstance(content, str)
-        data = content.encode("utf-8", "backslashreplace") if text else content
-        (folder / name).write_bytes(data)
+        (folder / name).write_bytes(as_bytes(content))
