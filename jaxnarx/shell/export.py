@@ -9,7 +9,7 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import Exported, SampleProgram, export, lower, write_files
+from jaxnarx.targets import Exported, export, write_files
 
 README = "README.md"
 
@@ -24,10 +24,11 @@ def export_model(command: Export, typed: str) -> int:
             data,
             to=command.to,
             name=command.name,
+            index=not command.no_index,
+            level=command.level,
             verify=not command.unproven,
         )
-        program = lower(network, command.name)
-    files = {**found.files, README: readme(program, found, typed, data)}
+    files = {**found.files, README: readme(found, typed, data)}
     marks = list(files)
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with output.written_together(folder) as place:
@@ -46,10 +47,9 @@ def export_model(command: Export, typed: str) -> int:
     return 0
 
 
-def readme(
-    program: SampleProgram, found: Exported, typed: str, data: Dataset | None
-) -> str:
+def readme(found: Exported, typed: str, data: Dataset | None) -> str:
     """What was exported, what it takes, and how far it is from the model."""
+    program = found.program
     ports = [
         f"| {what} {k} | {_cell(p.name)} | {_cell(p.unit)} | {p.low:.6g} | "
         f"{p.high:.6g} |"
