@@ -123,10 +123,11 @@ def _units(found: Exported, program: SampleProgram) -> list[str]:
             "The parameter `start` of an FMU says what a run starts from: the steady "
             "state at the first inputs (0), outputs in the middle of their trained "
             "ranges (1), the history that the parameters `given...` hold (2), or "
-            "outputs at zero (3). An FMU steps by whole samples and holds its inputs; a step that does not "
-            "fit is refused. Behind `doStep(t, T)` its outputs are y(t), by the inputs "
-            "set at t; in event mode of FMI 3.0 they are y(t) at t. What else it does "
-            "is in its documentation/index.html; `sources` are for other platforms.",
+            "outputs at zero (3). It steps by whole samples and holds its inputs; a "
+            "step that does not fit is refused. Behind `doStep(t, T)` its outputs are "
+            "y(t), by the inputs set at t; in event mode of FMI 3.0 they are y(t) at "
+            "t. What else it does is in its documentation/index.html; `sources` are "
+            "for other platforms.",
             "",
         ]
     return lines
