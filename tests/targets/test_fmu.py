@@ -276,6 +276,27 @@ def test_what_a_program_tells_beside_becomes_an_output(tmp_path, version):
     unit.end()
 
 
+def test_a_model_without_a_past_and_one_that_says_nothing_outside(tmp_path):
+    """Nothing is kept from sample to sample; what is no number passes through."""
+    edge = np.array([1.0, 1.0, 100.0, 100.0])
+    low, high = jax.device_put((-edge, edge))
+    part = common.Part([[((0, 0), 1.0), ((0, 1), 0.5)]])
+    net = common.network([part], variables=((common.A, 0),))
+    net = dataclasses.replace(net, low=low, high=high)
+    net = hold_to_range(net, outside="nan")
+    found = export(net, records(), to=["fmu2", "fmu3"], name="m")
+    assert max(found.difference.values()) < HERE
+    place = fmu_problems.unpacked(found.files["m_fmi3.fmu"], tmp_path / "static")
+    unit = Importer(place)
+    assert "past.y[1]" not in unit.at and "given.y[1]" not in unit.at
+    unit.enter()
+    # of scaled signals: y/10 = 1 + 0.5 a/2
+    for a, expected in ((0.5, 11.25), (1.5, np.nan)):
+        unit.set(["a"], [a])
+        np.testing.assert_allclose(unit.get("y"), [expected], rtol=HERE)
+    unit.end()
+
+
 @pytest.mark.parametrize("kind", STARTS)
 def test_a_run_starts_from_what_is_asked_for(unit, kind):
     u = inputs(4)
