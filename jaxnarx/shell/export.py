@@ -78,6 +78,7 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         "steady state at the first inputs (`settle` in C). `step` takes the inputs at "
         "t and returns the outputs at t, in physical units.",
         "",
+        *_units(found, program),
         "| place | name | unit | trained from | to |",
         "|---|---|---|---|---|",
         *ports,
@@ -103,6 +104,33 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         *(proof if found.difference or found.left_out else ["None: left out."]),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _units(found: Exported, program: SampleProgram) -> list[str]:
+    """What a file of FMI or C is that one has to know before it is used."""
+    lines = []
+    if f"{program.name}.c" in found.files:
+        lines += [
+            "The C has neither heap nor recursion, and is clean under cppcheck with "
+            "its MISRA C:2012 rules but for 2.5 and 8.7: macros and functions of the "
+            f"header are an interface. `-D{program.name.upper()}_SINGLE` makes it "
+            "single precision; `start` knows the steady state, the mean, given outputs "
+            "and zeros.",
+            "",
+        ]
+    if any(name.endswith(".fmu") for name in found.files):
+        lines += [
+            "The parameter `start` of an FMU says what a run starts from: the steady "
+            "state at the first inputs (0), outputs in the middle of their trained "
+            "ranges (1), the history that the parameters `given...` hold (2), or "
+            "outputs at zero (3). It steps by whole samples and holds its inputs; a "
+            "step that does not fit is refused. Behind `doStep(t, T)` its outputs are "
+            "y(t), by the inputs set at t; in event mode of FMI 3.0 they are y(t) at "
+            "t. What else it does is in its documentation/index.html; `sources` are "
+            "for other platforms.",
+            "",
+        ]
+    return lines
 
 
 def _cell(text: str) -> str:
