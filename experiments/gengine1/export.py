@@ -50,11 +50,12 @@ def main() -> None:
         "records": len(every),
         "samples": sum(len(r) for r in every),
     }
-    for kind, asked in (
+    kinds: tuple[tuple[str, dict[str, Any]], ...] = (
         ("with its index", {}),
         ("with index and intervals", {"level": 0.9}),
         ("alone", {"index": False}),
-    ):
+    )
+    for kind, asked in kinds:
         to = list(TARGETS) if kind == "alone" else ["c"]
         found = jnx.export(fit.value, every, to=to, name=OUTPUT, **asked)
         figures[kind] = {
