@@ -298,10 +298,11 @@ class Export:
 
     c is C99 with one header, one source and a self-test, without heap and with `exp` of
     math.h alone, in double or single precision; python and javascript are files of one
-    page without dependencies. Every one is compiled where it must be and run over the
-    records of FILE, without any over steps within the trained ranges, beside the model;
-    one that differs is not written. README.md says what was found: differences,
-    operations, parameters, memory, and how to call it.
+    page without dependencies; matlab is a function that keeps its state, for a MATLAB
+    Function block or Octave, and a test of it. Every one is compiled where it must be
+    and run over the records of FILE, without any over steps within the trained ranges,
+    beside the model; one that differs is not written. README.md says what was found:
+    differences, operations, parameters, memory, and how to call it.
 
     Example:
         jaxnarx export runs/engine-good/model.safetensors engine.toml --to c python
@@ -311,7 +312,9 @@ class Export:
     """Model file."""
     files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
     """Data files, or one TOML description, for the proof."""
-    to: Annotated[tuple[Literal["c", "python", "javascript"], ...], arg()] = ("c",)
+    to: Annotated[tuple[Literal["c", "python", "javascript", "matlab"], ...], arg()] = (
+        "c",
+    )
     """What is written."""
     name: str = "model"
     """What files and functions are called."""

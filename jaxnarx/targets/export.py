@@ -12,22 +12,28 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.targets import c99, proof, runners, scripts
+from jaxnarx.targets import c99, octave, proof, runners
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
+from jaxnarx.targets.javascript import javascript_files
 from jaxnarx.targets.lower import lower
+from jaxnarx.targets.matlab import matlab_files
 from jaxnarx.targets.proof import Case
+from jaxnarx.targets.python import python_files
 from jaxnarx.targets.target import Files, Proof, Target
 
 TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
     "python": Target(
         "one page of Python without dependencies",
-        scripts.python_files,
+        python_files,
         runners.prove_python,
     ),
     "javascript": Target(
-        "a JavaScript module", scripts.javascript_files, runners.prove_javascript
+        "a JavaScript module", javascript_files, runners.prove_javascript
+    ),
+    "matlab": Target(
+        "a MATLAB function and its test", matlab_files, octave.prove_matlab
     ),
 }
 """What a model can be exported to."""
@@ -80,7 +86,8 @@ def export(
         network: The model, with any of the package's validity functions.
         data: Records for the proof; those that miss samples of their beginning are
             left out.
-        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`.
+        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`,
+            `"matlab"`; all of `TARGETS`.
         name: What the files and their functions are called.
         verify: Whether it is proven.
 
