@@ -13,10 +13,13 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.targets import c99, octave, proof, runners
+from jaxnarx.targets.a2l import a2l_files, prove_a2l
+from jaxnarx.targets.dcm import dcm_files, prove_dcm
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.javascript import javascript_files
 from jaxnarx.targets.lower import lower
+from jaxnarx.targets.maps import axes_of
 from jaxnarx.targets.matlab import matlab_files
 from jaxnarx.targets.proof import Case
 from jaxnarx.targets.python import python_files
@@ -35,6 +38,8 @@ TARGETS: dict[str, Target] = {
     "matlab": Target(
         "a MATLAB function and its test", matlab_files, octave.prove_matlab
     ),
+    "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
+    "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
 """What a model can be exported to."""
 GOLDEN = 200
@@ -72,6 +77,7 @@ def export(
     *,
     to: Sequence[str] = ("c",),
     name: str = "model",
+    over: Sequence[str] | None = None,
     verify: bool = True,
 ) -> Exported:
     """The network as source files that do the same, sample by sample.
@@ -87,8 +93,11 @@ def export(
         data: Records for the proof; those that miss samples of their beginning are
             left out.
         to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`,
-            `"matlab"`; all of `TARGETS`.
+            `"matlab"`, `"dcm"` (parameters, and maps at rest), `"a2l"` (names of the C
+            files for calibration tools); all of `TARGETS`.
         name: What the files and their functions are called.
+        over: The two inputs that maps at rest go over; default: of each output those
+            that schedule it, then those that move it most.
         verify: Whether it is proven.
 
     Returns:
@@ -109,7 +118,7 @@ def export(
             "others, or none",
             field="data",
         )
-    golden = _golden(program, cases[0])
+    golden = _golden(program, cases[0]) | {"axes": axes_of(network, program, over)}
     files: Files = {}
     for one in to:
         files |= TARGETS[one].write(program, golden)

@@ -4,15 +4,23 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxnarx.checks import choice
 from jaxnarx.errors import SpecError
 from jaxnarx.targets.form import Op, SampleProgram
 
+Inputs = Float[np.ndarray, "inputs *runs"] | Float[Array, "inputs *runs"]
+Outputs = Float[np.ndarray, "computed *runs"] | Float[Array, "computed *runs"]
 SETTLED, LONGEST = 1e-10, 100_000
 """Share of an output's range within which it stands still, and samples for it."""
+SETTLED_SINGLE = 1e-6
+"""The same in single precision."""
+STILL = 10
+"""It rests when it has stood still for more samples than this."""
 STEADY, MEAN, GIVEN, ZEROS = STARTS = "steady", "mean", "given", "zeros"
 """How a run may begin, in every target; see `Instance.start`."""
 
@@ -20,9 +28,11 @@ STEADY, MEAN, GIVEN, ZEROS = STARTS = "steady", "mean", "given", "zeros"
 @dataclasses.dataclass(eq=False)
 class Instance:
     """A program with what it keeps from sample to sample, of one run or of many side by
-    side: those are trailing axes of inputs and outputs."""
+    side: those are trailing axes of inputs and outputs. `xp` are the functions of
+    arrays, those of numpy or of jax."""
 
     program: SampleProgram
+    xp: Any = np
 
     def __post_init__(self) -> None:
         self.tables = {t.name: t.values.ravel().tolist() for t in self.program.tables}
@@ -34,8 +44,8 @@ class Instance:
     def start(
         self,
         kind: str,
-        inputs: Float[np.ndarray, "inputs *runs"],
-        outputs: Float[np.ndarray, "computed *runs"] | None = None,
+        inputs: Inputs,
+        outputs: Outputs | None = None,
     ) -> None:
         """Begin a run at its first inputs by one of four rules.
 
@@ -59,8 +69,8 @@ class Instance:
 
     def begin(
         self,
-        inputs: Float[np.ndarray, "inputs *runs"],
-        outputs: Float[np.ndarray, "computed *runs"],
+        inputs: Inputs,
+        outputs: Outputs,
     ) -> None:
         """As if inputs and outputs (hidden ones, too) had been these for ever."""
         values = self._values(self._begin, inputs, outputs)
@@ -69,27 +79,14 @@ class Instance:
         for state in self.program.states:
             self.states[state.name] = values[state.start]
 
-    def settle(
-        self, inputs: Float[np.ndarray, "inputs *runs"]
-    ) -> Int[np.ndarray, "*runs"]:
+    def settle(self, inputs: Inputs) -> Int[np.ndarray, "*runs"]:
         """Start from the steady state at these inputs: where the free run comes to rest
         from the middle of the trained ranges. Returns how many samples that took,
         `LONGEST` where it did not."""
-        middle, width = self._ranges(inputs)
-        self.begin(inputs, middle)
-        before, still = middle, np.zeros(middle.shape[1:], int)
-        rested = np.full_like(still, LONGEST)
-        for n in range(LONGEST):
-            now = self.step(inputs)["fed"]
-            moves = np.any(abs(now - before) > SETTLED * width, axis=0)
-            still = np.where(moves, 0, still + 1)
-            rested = np.where((still > 10) & (rested == LONGEST), n, rested)
-            if np.all(rested < LONGEST):
-                break
-            before = now
-        return rested
+        samples, self.delays, self.states = _settled(self.program, inputs)
+        return samples
 
-    def _ranges(self, inputs: Float[np.ndarray, "inputs *runs"]):
+    def _ranges(self, inputs: Inputs):
         """Middle and width of the trained ranges of all that is computed, by run."""
         runs = np.shape(inputs)[1:]
         low, high = (
@@ -102,21 +99,21 @@ class Instance:
 
     def observe(
         self,
-        inputs: Float[np.ndarray, "inputs *runs"],
-        outputs: Float[np.ndarray, "computed *runs"],
+        inputs: Inputs,
+        outputs: Outputs,
     ) -> None:
         """One sample of measured history; `outputs` holds hidden ones, too."""
         values = self._values(self._observe, inputs, outputs)
         self._keep(values, measured=True)
 
-    def step(self, inputs: Float[np.ndarray, "inputs *runs"]) -> dict[str, Any]:
+    def step(self, inputs: Inputs) -> dict[str, Any]:
         """One sample of the free run: `outputs` as reported, `fed` what is fed back,
         `limited` and the program's flags."""
         values = self._values(self._step, inputs, np.zeros(0))
-        program, runs = self.program, np.shape(inputs)[1:]
+        program, runs, xp = self.program, np.shape(inputs)[1:], self.xp
         found = {
-            name: np.array(
-                [np.broadcast_to(values[n], runs) for n in getattr(program, name)]
+            name: xp.stack(
+                [xp.broadcast_to(values[n], runs) for n in getattr(program, name)]
             )
             for name in ("outputs", "fed", "limited")
         }
@@ -132,9 +129,11 @@ class Instance:
 
     def _values(self, needed: Iterable[int], inputs, outputs) -> dict[int, Any]:
         values: dict[int, Any] = {}
-        for n in needed:
-            op = self.program.ops[n]
-            values[n] = self._value(op, [values[a] for a in op.args], inputs, outputs)
+        with np.errstate(over="ignore"):
+            for n in needed:
+                op = self.program.ops[n]
+                args = [values[a] for a in op.args]
+                values[n] = self._value(op, args, inputs, outputs)
         return values
 
     def _value(self, op: Op, args: list[Any], inputs, outputs) -> Any:
@@ -153,24 +152,75 @@ class Instance:
                 return self.delays[name][k - 1]
             case "state":
                 return self.states[op.source]
-        return _FUNCTIONS[op.kind](*args)
+        return _applied(self.xp, op.kind, *args)
 
 
-def _exp(x):
-    with np.errstate(over="ignore"):
-        return np.exp(x)
+def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
+    """An operation on values."""
+    match kind, more:
+        case "add", (b,):
+            return a + b
+        case "sub", (b,):
+            return a - b
+        case "mul", (b,):
+            return a * b
+        case "div", (b,):
+            return a / b
+        case "max", (b,):
+            return xp.where(a > b, a, b)
+        case "min", (b,):
+            return xp.where(a < b, a, b)
+        case "less", (b,):
+            return xp.where(a < b, 1.0, 0.0)
+        case "where", (b, c):
+            return xp.where(a > 0.5, b, c)
+        case "neg", ():
+            return -a
+        case "exp", ():
+            return xp.exp(a)
+        case "sqrt", ():
+            return xp.sqrt(a)
+    raise NotImplementedError(kind)
 
 
-_FUNCTIONS = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-    "max": lambda a, b: np.where(a > b, a, b),
-    "min": lambda a, b: np.where(a < b, a, b),
-    "less": lambda a, b: np.where(a < b, 1.0, 0.0),
-    "where": lambda c, a, b: np.where(c, a, b),
-    "neg": lambda a: -a,
-    "exp": _exp,
-    "sqrt": np.sqrt,
-}
+def _settled(program: SampleProgram, inputs: Inputs):
+    """How many samples the free run takes to come to rest, and what it then keeps.
+
+    It is one loop of jax: some thousand samples of some hundred runs take a second.
+    """
+    u = jnp.asarray(inputs)
+    u = u.astype(jnp.result_type(u, float))
+    settled = SETTLED if u.dtype == jnp.float64 else SETTLED_SINGLE
+    instance = Instance(program, jnp)
+    middle, width = (jnp.asarray(a, u.dtype) for a in instance._ranges(inputs))
+    runs = u.shape[1:]
+
+    def kept():
+        held = instance.delays, instance.states
+        return jax.tree.map(
+            lambda x: jnp.broadcast_to(jnp.asarray(x, u.dtype), runs), held
+        )
+
+    def goes_on(carry):
+        n, rested, *_ = carry
+        return (n < LONGEST) & jnp.any(rested == LONGEST)
+
+    def after(carry):
+        n, rested, still, before, held = carry
+        instance.delays, instance.states = held
+        now = instance.step(u)["fed"]
+        moves = jnp.any(jnp.abs(now - before) > settled * width, axis=0)
+        still = jnp.where(moves, 0, still + 1)
+        rested = jnp.where((still > STILL) & (rested == LONGEST), n, rested)
+        return n + 1, rested, still, now, kept()
+
+    @jax.jit
+    def run():
+        instance.begin(u, middle)
+        none = jnp.zeros(runs, int)
+        start = 0, none + LONGEST, none, middle, kept()
+        _, rested, _, _, held = jax.lax.while_loop(goes_on, after, start)
+        return rested, held
+
+    rested, held = jax.tree.map(np.asarray, run())
+    return rested, *held

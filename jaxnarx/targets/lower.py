@@ -19,7 +19,7 @@ from jaxnarx.targets.form import (
 from jaxnarx.targets.names import identifier, identifiers
 from jaxnarx.targets.parameters import (
     THETA,
-    Place,
+    OutputAt,
     column_names,
     divided,
     tables_at,
@@ -236,7 +236,7 @@ class _Lowering:
     # local models ------------------------------------------------------------------
 
     def _output(self, o: int, model: OutputModel) -> Value:
-        b, name, at = self.b, self.names[o], Place(self.network, o)
+        b, name, at = self.b, self.names[o], OutputAt(self.network, o)
         active, known = at.active, tables_at(at)
 
         def tables(kind: str) -> np.ndarray:

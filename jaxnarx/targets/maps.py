@@ -11,6 +11,8 @@ from jaxnarx.models import Network
 from jaxnarx.targets.form import Port, SampleProgram
 from jaxnarx.targets.interpret import LONGEST, Instance
 
+REST = "rest"
+"""How maps are called: `NAME_rest_NOx`."""
 POINTS = 11
 """Points along each axis of a map."""
 LOOK = 5

@@ -1,8 +1,8 @@
 """Numbers of a network as exports hold them, in tables, and the way back.
 
-A calibrator changes numbers of the tables; `Table.write` is the inverse of `Table.read`
-and stands beside it. It touches what has changed alone, so that a table that comes back
-as it went leaves every digit of the network as it was.
+A calibrator changes numbers of the tables. `write` of every table is the inverse of its
+`read` and stands beside it; it touches what has changed alone, so that a table that
+comes back as it went leaves every digit of the network as it was.
 
 | table | entry | field of the network |
 |---|---|---|
@@ -41,7 +41,7 @@ from jaxnarx.targets.names import identifiers
 Values = Float[np.ndarray, "rows *columns"]
 
 
-class Place(NamedTuple):
+class OutputAt(NamedTuple):
     """An output of a network, with what all its tables need."""
 
     network: Network
@@ -58,7 +58,7 @@ class Place(NamedTuple):
         return np.flatnonzero(np.asarray(self.model.active))
 
 
-class Table(abc.ABC):
+class AbstractTable(abc.ABC):
     """A kind of table: `read` from a network, and `write` back where it has changed.
 
     `write` gives the output's model; it raises `ValueError` with what is wrong.
@@ -67,12 +67,12 @@ class Table(abc.ABC):
     about: str
 
     @abc.abstractmethod
-    def read(self, at: Place) -> Values:
+    def read(self, at: OutputAt) -> Values:
         """The numbers of the table."""
 
     @abc.abstractmethod
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
         """The model with other numbers where they have `changed`."""
 
@@ -87,7 +87,7 @@ def _like(value: np.ndarray, array: Any) -> jax.Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Field(Table):
+class Field(AbstractTable):
     """A field of a validity function, number by number through a function and back;
     `rows` tells which of its rows from the active models."""
 
@@ -97,19 +97,19 @@ class Field(Table):
     back: Callable[[np.ndarray], np.ndarray] | None = None
     rows: Callable[[np.ndarray], np.ndarray] | None = None
 
-    def _rows(self, at: Place) -> np.ndarray:
+    def _rows(self, at: OutputAt) -> np.ndarray:
         return at.active if self.rows is None else self.rows(at.active)
 
-    def read(self, at: Place) -> Values:
-        """See `Table`."""
+    def read(self, at: OutputAt) -> Values:
+        """See `AbstractTable`."""
         whole = np.atleast_1d(np.asarray(getattr(at.model.validity, self.field), float))
         values = whole[self._rows(at)]
         return values if self.out is None else self.out(values)
 
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
-        """See `Table`."""
+        """See `AbstractTable`."""
         if self.back is not None:
             _positive(values, changed)
             with np.errstate(all="ignore"):  # of entries that have not changed
@@ -123,7 +123,7 @@ class Field(Table):
         return dataclasses.replace(at.model, validity=validity)
 
 
-def _gates(at: Place) -> tuple[SigmoidTree, np.ndarray]:
+def _gates(at: OutputAt) -> tuple[SigmoidTree, np.ndarray]:
     """A tree, and which of its gates are on a path."""
     tree = at.model.validity
     assert isinstance(tree, SigmoidTree)
@@ -131,26 +131,26 @@ def _gates(at: Place) -> tuple[SigmoidTree, np.ndarray]:
     return tree, np.flatnonzero(np.any(path != 0, axis=0))
 
 
-def _with(at: Place, tree: SigmoidTree, **fields: np.ndarray) -> OutputModel:
+def _with(at: OutputAt, tree: SigmoidTree, **fields: np.ndarray) -> OutputModel:
     new = {name: _like(v, getattr(tree, name)) for name, v in fields.items()}
     validity = dataclasses.replace(tree, **new)
     return dataclasses.replace(at.model, validity=validity)
 
 
 @dataclasses.dataclass(frozen=True)
-class Gates(Table):
+class Gates(AbstractTable):
     """Directions of the gates of a tree, times steepness."""
 
     about: str = "directions of the gates, times steepness"
 
-    def read(self, at: Place) -> Values:
-        """See `Table`."""
+    def read(self, at: OutputAt) -> Values:
+        """See `AbstractTable`."""
         tree, gates = _gates(at)
         steep = np.exp(np.asarray(tree.log_steepness, float))[gates]
         return np.asarray(tree.unit(), float)[gates] * steep[:, None]
 
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
         """A gate that turns keeps its entry of `gate_border`."""
         tree, gates = _gates(at)
@@ -171,21 +171,21 @@ class Gates(Table):
 
 
 @dataclasses.dataclass(frozen=True)
-class GateBorders(Table):
+class GateBorders(AbstractTable):
     """Borders of the gates of a tree, times steepness."""
 
     about: str = "borders of the gates, times steepness"
 
-    def read(self, at: Place) -> Values:
-        """See `Table`."""
+    def read(self, at: OutputAt) -> Values:
+        """See `AbstractTable`."""
         tree, gates = _gates(at)
         steep = np.exp(np.asarray(tree.log_steepness, float))
         return (np.asarray(tree.border, float) * steep)[gates]
 
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
-        """See `Table`."""
+        """See `AbstractTable`."""
         tree, gates = _gates(at)
         border = np.array(tree.border, float)
         steep = np.exp(np.asarray(tree.log_steepness, float))[gates]
@@ -194,26 +194,26 @@ class GateBorders(Table):
 
 
 @dataclasses.dataclass(frozen=True)
-class Scaling(Table):
+class Scaling(AbstractTable):
     """How scheduling variables become 0 to 1: z = (x/gain) first - second row."""
 
     about: str = (
         "scaling of the scheduling: factors of scaled signals, then what is subtracted"
     )
 
-    def _parts(self, at: Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _parts(self, at: OutputAt) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         signals = [s for s, _ in at.model.scheduling]
         gain = np.asarray(at.network.gain, float)[signals]
         offset, span = (np.array(a, float) for a in (at.model.offset, at.model.span))
         return gain, offset, span
 
-    def read(self, at: Place) -> Values:
-        """See `Table`."""
+    def read(self, at: OutputAt) -> Values:
+        """See `AbstractTable`."""
         gain, offset, span = self._parts(at)
         return np.stack([gain / span, offset / span])
 
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
         """A variable whose factor changes keeps what is subtracted."""
         gain, offset, span = self._parts(at)
@@ -229,7 +229,7 @@ class Scaling(Table):
 
 
 @dataclasses.dataclass(frozen=True)
-class Coefficients(Table):
+class Coefficients(AbstractTable):
     """Coefficients by local model and by term that any of them has."""
 
     about: str = (
@@ -237,18 +237,18 @@ class Coefficients(Table):
         "signals"
     )
 
-    def columns(self, at: Place) -> np.ndarray:
+    def columns(self, at: OutputAt) -> np.ndarray:
         """Which of the distinct terms have a column."""
         dense = np.asarray(at.model.local.dense(), float)[at.active]
         return np.flatnonzero(np.any(dense != 0, axis=0))
 
-    def read(self, at: Place) -> Values:
-        """See `Table`."""
+    def read(self, at: OutputAt) -> Values:
+        """See `AbstractTable`."""
         dense = np.asarray(at.model.local.dense(), float)[at.active]
         return dense[:, self.columns(at)]
 
     def write(
-        self, at: Place, values: Values, changed: Bool[np.ndarray, "rows *columns"]
+        self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
         """Where several slots of a local model are the same term, the first changes."""
         local, terms = at.model.local, self.columns(at)
@@ -277,7 +277,7 @@ def _rows(what: str) -> str:
 _BOXES = {
     what: Field(what, _rows(f"{what} borders of the boxes")) for what in ("low", "high")
 }
-VALIDITIES: dict[type, dict[str, Table]] = {
+VALIDITIES: dict[type, dict[str, AbstractTable]] = {
     Gaussians: {
         "centre": Field("centre", _rows("centres")),
         "narrowness": Field(
@@ -314,12 +314,12 @@ VALIDITIES: dict[type, dict[str, Table]] = {
 THETA, SCHEDULING = Coefficients(), Scaling()
 
 
-def divided(at: Place) -> bool:
+def divided(at: OutputAt) -> bool:
     """Whether the operating space is divided at all."""
     return len(at.active) > 1 or isinstance(at.model.validity, LogSigmoids)
 
 
-def tables_at(at: Place) -> Mapping[str, Table]:
+def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
     """The tables of an output by the first part of their names."""
     if not divided(at):
         return {"theta": THETA}
@@ -327,7 +327,7 @@ def tables_at(at: Place) -> Mapping[str, Table]:
     return {"scheduling": SCHEDULING, **kind, "theta": THETA}
 
 
-def column_names(at: Place, kind: str, values: Values) -> list[str]:
+def column_names(at: OutputAt, kind: str, values: Values) -> list[str]:
     """What the columns of a table belong to: terms, or scheduling variables."""
     if kind == "theta":
         rows = np.asarray(at.model.local.factor)[THETA.columns(at)].tolist()
@@ -337,11 +337,11 @@ def column_names(at: Place, kind: str, values: Values) -> list[str]:
     return []
 
 
-def tables_of(network: Network) -> dict[str, tuple[Table, int]]:
+def tables_of(network: Network) -> dict[str, tuple[AbstractTable, int]]:
     """All tables of a network, and whose they are: `theta_NOx` and the others."""
     words = identifiers(network.computed_names)
     return {
         f"{kind}_{words[o]}": (table, o)
         for o in range(len(network.models))
-        for kind, table in tables_at(Place(network, o)).items()
+        for kind, table in tables_at(OutputAt(network, o)).items()
     }

@@ -14,13 +14,13 @@ from jaxnarx.models import (
 )
 from jaxnarx.models.validity.sigmoid_tree import FARTHEST
 from jaxnarx.targets.form import Builder, Value
-from jaxnarx.targets.parameters import VALIDITIES, Place, divided
+from jaxnarx.targets.parameters import VALIDITIES, OutputAt, divided
 
 Tables = Callable[[str], np.ndarray]
 """The values of a table of parameters by its kind."""
 
 
-def weights(b: Builder, at: Place, z: list[Value], tables: Tables) -> list[Value]:
+def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> list[Value]:
     """The weight of every active local model at scaled scheduling variables `z`."""
     kind = type(at.model.validity)
     if not divided(at):
@@ -34,7 +34,7 @@ def weights(b: Builder, at: Place, z: list[Value], tables: Tables) -> list[Value
     return _WRITERS[kind](b, at, z, tables)
 
 
-def _gaussians(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
+def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     centre, scale = tables("centre"), tables("narrowness")
     half = b.const(-0.5)
     logit = []
@@ -49,7 +49,7 @@ def _gaussians(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
     return [b.op("div", one, total) for one in e]
 
 
-def _boxes(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
+def _boxes(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     low, high = tables("low"), tables("high")
     zero = b.const(0.0)
     away = []
@@ -70,7 +70,7 @@ def _boxes(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
     return found[::-1]
 
 
-def _compact(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
+def _compact(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     zero, one = b.const(0.0), b.const(1.0)
     z = [b.clip(x, zero, one) for x in z]
     low, high, scale = (tables(what) for what in ("low", "high", "steepness"))
@@ -99,7 +99,7 @@ def _compact(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
     ]
 
 
-def _log_sigmoids(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
+def _log_sigmoids(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     active, validity = at.active, at.model.validity
     assert isinstance(validity, LogSigmoids)
     border, (steep,) = tables("border"), tables("steepness")
@@ -113,7 +113,7 @@ def _log_sigmoids(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
     return [b.op("sub", steps[m], steps[m + 1]) for m in active.tolist()]
 
 
-def _sigmoid_tree(b: Builder, at: Place, z, tables: Tables) -> list[Value]:
+def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     validity = at.model.validity
     assert isinstance(validity, SigmoidTree)
     path = np.asarray(validity.path)[at.active]
