@@ -62,6 +62,13 @@ class Domain(eqx.Module):
         return tuple(dict.fromkeys(s for s, _ in self.features))
 
     @property
+    def widths(self) -> tuple[Array, Array, Array]:
+        """Middle and half width of the range of every input in use, and its largest
+        step, to be divided by; physical units."""
+        half, middle = 0.5 * (self.high - self.low), 0.5 * (self.high + self.low)
+        return middle, _wide(half, middle), _wide(self.rate, middle)
+
+    @property
     def operations(self) -> int:
         """Multiplications, additions and comparisons of one sample's index.
 
@@ -88,9 +95,9 @@ class Domain(eqx.Module):
 
     def _layers(self, x, step):
         value = x[: len(self.inputs)]
-        half, middle = 0.5 * (self.high - self.low), 0.5 * (self.high + self.low)
-        alone = jnp.abs(value - middle[:, None]) / _wide(half, middle)[:, None]
-        rate = jnp.abs(step) / _wide(self.rate, middle)[:, None]
+        middle, half, most = self.widths
+        alone = jnp.abs(value - middle[:, None]) / half[:, None]
+        rate = jnp.abs(step) / most[:, None]
         unit = (x - self.middle[:, None]) / self.spread[:, None]
         white = self.whiten @ unit
         joint = jnp.sqrt(jnp.sum(white**2, axis=0))

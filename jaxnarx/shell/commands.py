@@ -297,16 +297,17 @@ class Export:
     """Write a model as source files for another program, proven to do the same.
 
     c is C99 with one header, one source and a self-test, without heap and with `exp` of
-    math.h alone, in double or single precision; python and javascript are files of one
-    page without dependencies; matlab is a function that keeps its state, for a MATLAB
-    Function block or Octave, and a test of it. Every one is compiled where it must be
-    and run over the records of FILE, without any over steps within the trained ranges,
-    beside the model; one that differs is not written. For calibration, dcm (DCM 2.0)
-    holds the parameters and maps of every output at rest over two inputs, with the
-    others in the middle of their trained ranges, `jaxnarx import-dcm` takes it back;
-    a2l (1.71) links names to the symbols of c, so that a tool finds their addresses.
-    README.md says what was found: differences, operations, parameters, memory, and how
-    to call it.
+    math.h alone, in double or single precision; fmu2 and fmu3 are units of FMI 2.0 and
+    3.0 for co-simulation, binary for this machine and source for others; python and
+    javascript are files of one page without dependencies; matlab is a function that
+    keeps its state, for a MATLAB Function block or Octave, and a test of it. Every one
+    is compiled where it must be and run over the records of FILE, without any over
+    steps within the trained ranges, beside the model; one that differs is not written.
+    For calibration, dcm (DCM 2.0) holds the parameters and maps of every output at rest
+    over two inputs, with the others in the middle of their trained ranges, `jaxnarx
+    import-dcm` takes it back; a2l (1.71) links names to the symbols of c, so that a
+    tool finds their addresses. README.md says what was found: differences, operations,
+    parameters, memory, and how to call it.
 
     Example:
         jaxnarx export runs/engine-good/model.safetensors engine.toml --to c python
@@ -317,7 +318,13 @@ class Export:
     files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
     """Data files, or one TOML description, for the proof."""
     to: Annotated[
-        tuple[Literal["c", "python", "javascript", "matlab", "dcm", "a2l"], ...], arg()
+        tuple[
+            Literal[
+                "c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"
+            ],
+            ...,
+        ],
+        arg(),
     ] = ("c",)
     """What is written."""
     over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()

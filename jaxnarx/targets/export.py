@@ -15,6 +15,7 @@ from jaxnarx.models import Network
 from jaxnarx.targets import c99, octave, proof, runners
 from jaxnarx.targets.a2l import a2l_files, prove_a2l
 from jaxnarx.targets.dcm import dcm_files, prove_dcm
+from jaxnarx.targets.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.javascript import javascript_files
@@ -23,10 +24,12 @@ from jaxnarx.targets.maps import axes_of
 from jaxnarx.targets.matlab import matlab_files
 from jaxnarx.targets.proof import Case
 from jaxnarx.targets.python import python_files
-from jaxnarx.targets.target import Files, Proof, Target
+from jaxnarx.targets.target import Files, Proof, Target, as_bytes
 
 TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
+    "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
+    "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
     "python": Target(
         "one page of Python without dependencies",
         python_files,
@@ -78,6 +81,8 @@ def export(
     to: Sequence[str] = ("c",),
     name: str = "model",
     over: Sequence[str] | None = None,
+    index: bool = True,
+    level: float | None = None,
     verify: bool = True,
 ) -> Exported:
     """The network as source files that do the same, sample by sample.
@@ -92,12 +97,16 @@ def export(
         network: The model, with any of the package's validity functions.
         data: Records for the proof; those that miss samples of their beginning are
             left out.
-        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`,
-            `"matlab"`, `"dcm"` (parameters, and maps at rest), `"a2l"` (names of the C
-            files for calibration tools); all of `TARGETS`.
+        to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
+            co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"dcm"` (parameters,
+            and maps at rest), `"a2l"` (names of the C files for calibration tools); all
+            of `TARGETS`.
         name: What the files and their functions are called.
         over: The two inputs that maps at rest go over; default: of each output those
             that schedule it, then those that move it most.
+        index: Whether a network that knows its domain tells its index at every sample.
+        level: Probability of prediction intervals, whose half widths are told at every
+            sample of a network that knows its errors; default without.
         verify: Whether it is proven.
 
     Returns:
@@ -109,7 +118,7 @@ def export(
     """
     for one in to:
         choice(one, tuple(TARGETS), "to")
-    program = lower(network, name)
+    program = lower(network, name, index=index, level=level)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
     if not cases:
@@ -164,6 +173,4 @@ def _proven(
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """The files of an export, in a folder."""
     for name, content in files.items():
-        text = isinstance(content, str)
-        data = content.encode("utf-8", "backslashreplace") if text else content
-        (folder / name).write_bytes(data)
+        (folder / name).write_bytes(as_bytes(content))

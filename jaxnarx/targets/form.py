@@ -211,6 +211,15 @@ class Builder:
         """x, not below low nor above high."""
         return self.op("min", self.op("max", x, low), high)
 
+    def square(self, x: Value) -> Value:
+        """x x."""
+        return self.mul(x, x)
+
+    def size(self, x: Value, scale: float) -> Value:
+        """|x| times a constant."""
+        scaled = self.mul(x, self.const(scale))
+        return self.op("max", scaled, self.op("neg", scaled))
+
     def sigmoid(self, a: Value) -> Value:
         """1/(1 + exp(-a))."""
         one = self.const(1.0)

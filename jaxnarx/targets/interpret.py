@@ -156,7 +156,8 @@ class Instance:
 
 
 def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
-    """An operation on values."""
+    """An operation on values; of single ones numbers, not arrays of none, which could be
+    changed where they are kept."""
     match kind, more:
         case "add", (b,):
             return a + b
@@ -167,13 +168,13 @@ def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
         case "div", (b,):
             return a / b
         case "max", (b,):
-            return xp.where(a > b, a, b)
+            return xp.where(a > b, a, b)[()]
         case "min", (b,):
-            return xp.where(a < b, a, b)
+            return xp.where(a < b, a, b)[()]
         case "less", (b,):
-            return xp.where(a < b, 1.0, 0.0)
+            return xp.where(a < b, 1.0, 0.0)[()]
         case "where", (b, c):
-            return xp.where(a > 0.5, b, c)
+            return xp.where(a > 0.5, b, c)[()]
         case "neg", ():
             return -a
         case "exp", ():
@@ -209,8 +210,9 @@ def _settled(program: SampleProgram, inputs: Inputs):
         n, rested, still, before, held = carry
         instance.delays, instance.states = held
         now = instance.step(u)["fed"]
-        moves = jnp.any(jnp.abs(now - before) > settled * width, axis=0)
-        still = jnp.where(moves, 0, still + 1)
+        # what is not a number does not rest
+        rests = jnp.all(jnp.abs(now - before) <= settled * width, axis=0)
+        still = jnp.where(rests, still + 1, 0)
         rested = jnp.where((still > STILL) & (rested == LONGEST), n, rested)
         return n + 1, rested, still, now, kept()
 

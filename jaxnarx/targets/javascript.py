@@ -79,8 +79,8 @@ $no_flags
     for (let n = 0; n < $longest; n++) {
       this.step(u);
       const was = before;
-      const moves = this.fed.some((a, k) => Math.abs(a - was[k]) > $settled * WIDTH[k]);
-      still = moves ? 0 : still + 1;
+      const off = this.fed.map((a, k) => Math.abs(a - was[k]));
+      still = off.every((d, k) => d <= $settled * WIDTH[k]) ? still + 1 : 0;
       if (still > 10) return n;
       before = this.fed;
     }

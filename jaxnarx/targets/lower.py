@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.errors import SpecError
 from jaxnarx.models import HOLD, LINEAR, NAN, Network, OutputModel
 from jaxnarx.regressors import AbstractFilter, Variables, realise
+from jaxnarx.targets.confidence import domain_index, half_width
 from jaxnarx.targets.derivatives import gradient
 from jaxnarx.targets.form import (
     Builder,
@@ -27,10 +29,28 @@ from jaxnarx.targets.parameters import (
 from jaxnarx.targets.validities import Tables, weights
 
 
-def lower(network: Network, name: str = "model") -> SampleProgram:
-    """The program of a network; `SpecError` where it has a validity function that is
-    not known here."""
-    return _Lowering(network, name).program()
+def lower(
+    network: Network,
+    name: str = "model",
+    *,
+    index: bool = True,
+    level: float | None = None,
+) -> SampleProgram:
+    """The program of a network.
+
+    Of one that knows its domain the flags have its `index`, if wanted; with a `level`,
+    of one that knows its errors, `half_` and an output's name: half of its prediction
+    interval of that probability. `SpecError` where it has a validity function that is
+    not known here, or is asked for intervals that it does not know.
+    """
+    known = network.domain is not None
+    if level is not None and (network.errors is None or not known):
+        raise SpecError(
+            "the network does not know its errors, so it has no intervals to export: "
+            "jnx.trust.learn_errors(network, data) learns them",
+            field="level",
+        )
+    return _Lowering(network, name).program(index=index and known, level=level)
 
 
 @dataclasses.dataclass
@@ -70,7 +90,7 @@ class _Lowering:
     def _all_tables(self) -> list[Variables]:
         return [self.network.variables, *(m.scheduling for m in self.network.models)]
 
-    def program(self) -> SampleProgram:
+    def program(self, *, index: bool, level: float | None) -> SampleProgram:
         network, b = self.network, self.b
         for o in range(len(network.models)):
             start = self._scaled_measurement(o)
@@ -101,6 +121,8 @@ class _Lowering:
             *(b.op("delay", source=one) for one in past),
         ]
         jacobian = [gradient(b, y, sources) for y in physical]
+        if index or level is not None:
+            flags |= self._confidence(physical, index=index, level=level)
         lines = [
             DelayLine(name, line.length, line.source, line.start, line.measured)
             for name, line in self.lines.items()
@@ -162,12 +184,15 @@ class _Lowering:
         if far and signal >= self.given:
             return self.b.const(0.0)
         value = self._scaled(signal, far=far)
-        channels = (*self.network.channels.inputs, *self.network.channels.outputs)
-        base = ("far_" if far else "u_") + identifier(channels[signal].name)[:24]
-        base = f"{base}_{signal}"
+        base = self._base("far" if far else "u", signal)
         if filter_ is not None:
             value, base = self._filtered(value, base, filter_)
         return value if lag == 0 else self._lagged(base, lag, value)
+
+    def _base(self, kind: str, signal: int) -> str:
+        """What is kept of a signal is called."""
+        channels = (*self.network.channels.inputs, *self.network.channels.outputs)
+        return f"{kind}_{identifier(channels[signal].name)[:24]}_{signal}"
 
     def _lagged(self, name: str, lag: int, value: Value) -> Value:
         start = self.rest.get(value, value)
@@ -340,6 +365,44 @@ class _Lowering:
                 out = b.op("delay", source=(f"out_{s}", lag))
             found.append(out)
         return b.largest(found) if found else b.const(0.0)
+
+    def _confidence(
+        self, physical: list[Value], *, index: bool, level: float | None
+    ) -> dict[str, Value]:
+        """The index of the domain, and half widths of intervals."""
+        b, domain, errors = self.b, self.network.domain, self.network.errors
+        assert domain is not None
+        x = [self._feature(*entry) for entry in domain.features.entries]
+        raw = [self._raw(s) for s in domain.inputs]
+        step = [
+            b.op("sub", now, self._lagged(self._base("in", s), 1, now))
+            for s, now in zip(domain.inputs, raw, strict=True)
+        ]
+        far = domain_index(b, domain, x, step)
+        flags = {"index": far} if index else {}
+        if level is None or errors is None:
+            return flags
+        used = len(x) // 2
+        apart = [
+            b.size(b.op("sub", now, slow), 1.0)
+            for now, slow in zip(x[:used], x[used:], strict=True)
+        ]
+        for o in range(len(self.network.modelled)):
+            before = b.mul(
+                self._fed(o, 1), b.const(float(self.gain[self.network.signals[o]]))
+            )
+            moved = b.size(b.op("sub", physical[o], before), 1.0)
+            z = [*x, *apart, physical[o], moved, far]
+            name = self.names[o]
+            flags[f"half_{name}"] = half_width(b, errors, o, level, z, name)
+        return flags
+
+    def _feature(self, signal: int, lag: int, filter_: AbstractFilter | None) -> Value:
+        """An input as it is, physical, and through a filter."""
+        raw, base = self._raw(signal), self._base("in", signal)
+        if filter_ is not None:
+            raw, base = self._filtered(raw, base, filter_)
+        return raw if lag == 0 else self._lagged(base, lag, raw)
 
     def _reported(self, physical: list[Value], flags: dict[str, Value]) -> list[Value]:
         network, b = self.network, self.b

@@ -179,10 +179,10 @@ before = middle;
 still = 0;
 for n = 1:$longest
     [s, y, limited, fed] = stepped(s, u);
-    if any(abs(fed - before) > $settled * width)
-        still = 0;
-    else
+    if all(abs(fed - before) <= $settled * width)
         still = still + 1;
+    else
+        still = 0;
     end
     if still > 10
         break

@@ -12,7 +12,7 @@ from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.proof import DOUBLE, Case, ExportError, Runner, worst
 from jaxnarx.targets.target import Proof
 
-SAMPLES = 2000
+SAMPLES = 1000
 """Samples of the first record that Octave runs: it interprets every operation."""
 
 

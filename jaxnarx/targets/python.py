@@ -98,8 +98,8 @@ $no_flags
         for n in range($longest):
             self.step(u)
             pairs = zip(self.fed, before, WIDTH)
-            moves = any(abs(a - b) > $settled * w for a, b, w in pairs)
-            still = 0 if moves else still + 1
+            rests = all(abs(a - b) <= $settled * w for a, b, w in pairs)
+            still = still + 1 if rests else 0
             if still > 10:
                 return n
             before = self.fed

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnarx.errors import DataFileError, suggest
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, bounded, require_consistent
+from jaxnarx.models import LEVELS, Network, bounded, require_consistent
 from jaxnarx.refinement import certified
 from jaxnarx.targets.calibration import (
     OVER,
@@ -48,7 +48,9 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
     Example:
         changed = jnx.targets.read_parameters(network, Path("model.dcm").read_text())
     """
-    found = {t.name: t for t in lower(network).tables if t.values.size}
+    known = network.errors is not None and network.domain is not None
+    program = lower(network, level=LEVELS[0] if known else None)  # with all its tables
+    found = {t.name: t for t in program.tables if t.values.size}
     if "KONSERVIERUNG_FORMAT" in text:
         blocks = read_dcm(text, source)
     else:
@@ -60,7 +62,12 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
         if not np.any(differs):
             continue
         if name not in tables:
-            raise _at(source, block, differs, "is not a parameter; leave it as it is")
+            raise _at(
+                source,
+                block,
+                differs,
+                "is what the model knows of its training; leave it as it is",
+            )
         table, o = tables[name]
         try:
             model = table.write(OutputAt(changed, o), new, differs)

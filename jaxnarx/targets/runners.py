@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.targets.compilers import WARNINGS, compiler, compilers
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.proof import DOUBLE, SINGLE, Case, ExportError, Runner, worst
 from jaxnarx.targets.target import Proof
@@ -71,13 +72,6 @@ for (let t = 0; t < HISTORY; t++) model.observe(given.u[t], given.y[t]);
 console.log(JSON.stringify(given.u.slice(HISTORY).map((u) => model.step(u))));
 """
 
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
-
-
-def compiler() -> str | None:
-    """A C compiler, where there is one."""
-    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-
 
 def c_runner(
     folder: Path,
@@ -91,9 +85,10 @@ def c_runner(
     name, upper = program.name, program.name.upper()
     harness = build / "harness.c"
     harness.write_text(_HARNESS.replace("NAME", name).replace("UPPER", upper))
-    library = build / f"{name}_{'single' if single else 'double'}.so"
     chosen = cc or compiler()
     assert chosen is not None
+    kind = "single" if single else "double"
+    library = build / f"{name}_{kind}_{Path(chosen).name}.so"
     command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
     command += [f"-D{upper}_SINGLE"] if single else []
     command += [str(folder / f"{name}.c"), str(harness), "-lm", "-o", str(library)]
@@ -160,11 +155,13 @@ def prove_javascript(
 
 
 def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
-    """The same, compiled in both precisions."""
+    """The same, in both precisions, by every compiler that is here."""
     if compiler() is None:
         return {}, ["c: there is no C compiler here"]
     found = {}
-    for kind, most in (("double", DOUBLE), ("single", SINGLE)):
-        run = c_runner(folder, program, folder, single=kind == "single")
-        found[f"c, {kind}"] = worst(cases, run, most, f"C, {kind}")
+    for n, cc in enumerate(compilers()):
+        for kind, most in (("double", DOUBLE), ("single", SINGLE)):
+            run = c_runner(folder, program, folder, single=kind == "single", cc=cc)
+            what = f"c, {kind}" + (f", {Path(cc).name}" if n else "")
+            found[what] = worst(cases, run, most, what)
     return found, []

@@ -254,6 +254,25 @@ def test_a_network_that_changes_is_not_known_as_it_was():
     assert not np.array_equal(lost.upper, steady.upper)
 
 
+def test_what_is_known_of_the_training_is_no_parameter():
+    """Of a network with a domain and errors, exported with its intervals."""
+    net, data = common.named("by inputs"), common.dataset((160, 140), seed=3)
+    net = jnx.trust.learn_errors(jnx.trust.learn_domain(net, data, points=6), data)
+    assert net.errors is not None
+    files = export(net, to=["dcm", "c"], name="m", level=0.9, verify=False).files
+    text = bytes_of(dict(files)).decode("iso-8859-1")
+    assert "m_domain_points" in text and "m_doubt_y" in text
+    source = files["m.c"]
+    assert isinstance(source, str)
+    for one in (text, source, text_of(net)):
+        assert read_parameters(net, one) is net
+    moved = read_parameters(net, re.sub(r"WERT 0\.1 0\.5 ", "WERT 0.1 0.6 ", text))
+    assert moved.errors is None and moved.domain is net.domain
+    other = re.sub(r"(?s)(m_domain_points.*?WERT )\S+", r"\g<1>9.5", text)
+    with pytest.raises(DataFileError, match=r"line \d+: block m_domain_points is what"):
+        read_parameters(net, other)
+
+
 def test_maps_go_over_inputs_that_are_named_or_matter():
     net = rising()
     program = lower(net)

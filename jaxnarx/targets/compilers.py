@@ -1,0 +1,20 @@
+"""The C compilers of this machine."""
+
+import os
+import shutil
+
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+"""What every exported file is compiled with."""
+
+
+def compilers() -> tuple[str, ...]:
+    """Those that are here, the system's own first, each once."""
+    found: dict[str, str] = {}
+    for path in filter(None, map(shutil.which, ("cc", "gcc", "clang"))):
+        found.setdefault(os.path.realpath(path), path)
+    return tuple(found.values())
+
+
+def compiler() -> str | None:
+    """The first, where there is one."""
+    return next(iter(compilers()), None)
