@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from jaxnarx import selection as selection
     from jaxnarx import states as states
     from jaxnarx import sweep as sweep
+    from jaxnarx import targets as targets
     from jaxnarx import trust as trust
     from jaxnarx.data import Channel as Channel
     from jaxnarx.data import Channels as Channels
@@ -114,7 +115,7 @@ _ROOMS = {
     name: f"jaxnarx.{name}"
     for name in (
         "data design engines evaluation excitation inverse linear methods models "
-        "partition refinement regressors selection states sweep trust"
+        "partition refinement regressors selection states sweep targets trust"
     ).split()
 }
 

@@ -6,6 +6,7 @@ from jaxnarx.models.assemble import global_model as global_model
 from jaxnarx.models.assemble import local_models as local_models
 from jaxnarx.models.assemble import output_model as output_model
 from jaxnarx.models.assemble import ranged as ranged
+from jaxnarx.models.consistent import require_consistent as require_consistent
 from jaxnarx.models.domain import FARTHEST as FARTHEST
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain

@@ -299,10 +299,15 @@ class Export:
     c is C99 with one header, one source and a self-test, without heap and with `exp` of
     math.h alone, in double or single precision; fmu2 and fmu3 are units of FMI 2.0 and
     3.0 for co-simulation, binary for this machine and source for others; python and
-    javascript are files of one page without dependencies. Every one is compiled where
-    it must be and run over the records of FILE, without any over steps within the
-    trained ranges, beside the model; one that differs is not written. README.md says
-    what was found: differences, operations, parameters, memory, and how to call it.
+    javascript are files of one page without dependencies; matlab is a function that
+    keeps its state, for a MATLAB Function block or Octave, and a test of it. Every one
+    is compiled where it must be and run over the records of FILE, without any over
+    steps within the trained ranges, beside the model; one that differs is not written.
+    For calibration, dcm (DCM 2.0) holds the parameters and maps of every output at rest
+    over two inputs, with the others in the middle of their trained ranges, `jaxnarx
+    import-dcm` takes it back; a2l (1.71) links names to the symbols of c, so that a
+    tool finds their addresses. README.md says what was found: differences, operations,
+    parameters, memory, and how to call it.
 
     Example:
         jaxnarx export runs/engine-good/model.safetensors engine.toml --to c python
@@ -313,9 +318,18 @@ class Export:
     files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
     """Data files, or one TOML description, for the proof."""
     to: Annotated[
-        tuple[Literal["c", "fmu2", "fmu3", "python", "javascript"], ...], arg()
+        tuple[
+            Literal[
+                "c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"
+            ],
+            ...,
+        ],
+        arg(),
     ] = ("c",)
     """What is written."""
+    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    """The two inputs of the maps of dcm; default: of each output the inputs that
+    schedule it, then those that move it most at rest."""
     name: str = "model"
     """What files and functions are called."""
     root: Folder = None
@@ -331,6 +345,32 @@ class Export:
     """Write without the proof."""
     force: Flag = False
     """Overwrite files of an earlier export."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportDcm:
+    """Take changed parameters of an exported model back into it.
+
+    FILE is the DCM 2.0 file, or the C source, that `jaxnarx export` has written of
+    MODEL, with numbers changed: coefficients, centres, widths, borders, gates and
+    scalings. Blocks may be left out; a block that is none of the model's, of another
+    size, or with anything but finite numbers is an error that names its line. Only
+    numbers that differ are taken. The new model has no prediction intervals any more,
+    and a certificate of stability only where one is found for the new numbers;
+    `jaxnarx report` tells what it is worth.
+
+    Example:
+        jaxnarx import-dcm runs/engine-good/model.safetensors changed.dcm --out changed
+    """
+
+    model: Positional[Model]
+    """Model file that was exported."""
+    file: Positional[Annotated[str, arg(metavar="FILE")]]
+    """DCM file or C source with changed numbers."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "imported"
+    """Folder for the new model.safetensors."""
+    force: Flag = False
+    """Write into a folder that already holds a model."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -517,6 +557,7 @@ Command = (
     | Describe
     | Check
     | Export
+    | ImportDcm
     | Plan
     | Prepare
     | SimulateEngine

@@ -24,6 +24,7 @@ def export_model(command: Export, typed: str) -> int:
             data,
             to=command.to,
             name=command.name,
+            over=command.over or None,
             index=not command.no_index,
             level=command.level,
             verify=not command.unproven,
@@ -72,11 +73,12 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         "",
         f"`{_cell(typed)}`",
         "",
-        f"A sample every {program.sample_time:g} s. A run begins with `begin` at the "
-        "first inputs and outputs and "
-        f"`observe` for {program.history} samples of measured history, or with the "
-        "steady state at the first inputs (`settle` in C). `step` takes the inputs at "
-        "t and returns the outputs at t, in physical units.",
+        f"A sample every {program.sample_time:g} s. A run starts at its first inputs, "
+        "as if they had been so for ever: `steady`, in the steady state there (what "
+        "most users want); `mean`, with outputs in the middle of their trained ranges; "
+        "`zeros`, with outputs at zero; `given`, with measured outputs, and `observe` "
+        f"for {program.history} samples of history behind it. `step` takes the inputs "
+        "at t and returns the outputs at t, in physical units.",
         "",
         *_units(found, program),
         "| place | name | unit | trained from | to |",
@@ -102,6 +104,7 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         "## Proof",
         "",
         *(proof if found.difference or found.left_out else ["None: left out."]),
+        *_calibration(program, found),
     ]
     return "\n".join(lines) + "\n"
 
@@ -131,6 +134,28 @@ def _units(found: Exported, program: SampleProgram) -> list[str]:
             "",
         ]
     return lines
+
+
+def _calibration(program: SampleProgram, found: Exported) -> list[str]:
+    """How the files for calibration are meant, where there are some."""
+    name, lines = program.name, []
+    if f"{name}.dcm" in found.files:
+        lines += [
+            f"- `{name}.dcm` (DCM 2.0, ISO 8859-1): blocks have the names and numbers "
+            "of the C arrays, with the digits that read back exactly. Blocks "
+            f"`{name}_rest_...` are maps at rest: the free run from the middle of the "
+            "trained outputs until it stands still, with inputs that are on no axis in "
+            "the middle of their trained ranges. Proven by reading the file back; maps "
+            "follow from the program that the other files are proven by.",
+            f"- `jaxnarx import-dcm MODEL {name}.dcm` takes changed numbers back.",
+        ]
+    if f"{name}.a2l" in found.files:
+        lines += [
+            f"- `{name}.a2l` (A2L 1.71) links to the symbols of `{name}.c` in single "
+            "precision. Its head says which variables the program has to hold, and how "
+            "addresses come into it. Proven by a2ltool, which reads and checks it.",
+        ]
+    return ["", "## Calibration", "", *lines] if lines else []
 
 
 def _cell(text: str) -> str:

@@ -46,6 +46,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _invert(command, typed)
     if isinstance(command, commands.Export):
         return _export(command, typed)
+    if isinstance(command, commands.ImportDcm):
+        return _import_dcm(command)
     if isinstance(command, commands.Plan):
         return _plan(command, typed)
     if isinstance(command, commands.Sweep):
@@ -292,6 +294,12 @@ def _export(command: commands.Export, typed: str) -> int:
     from jaxnarx.shell.export import export_model
 
     return export_model(command, typed)
+
+
+def _import_dcm(command: commands.ImportDcm) -> int:
+    from jaxnarx.shell.import_dcm import import_dcm
+
+    return import_dcm(command)
 
 
 def _plan(command: commands.Plan, typed: str) -> int:

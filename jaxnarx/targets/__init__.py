@@ -1,4 +1,4 @@
-"""Models for other programs: C, Python, JavaScript, with the proof that they equal."""
+"""Models for other programs, with the proof that they equal, and the way back."""
 
 from jaxnarx.targets.export import TARGETS as TARGETS
 from jaxnarx.targets.export import Exported as Exported
@@ -8,3 +8,4 @@ from jaxnarx.targets.form import SampleProgram as SampleProgram
 from jaxnarx.targets.interpret import Instance as Instance
 from jaxnarx.targets.lower import lower as lower
 from jaxnarx.targets.proof import ExportError as ExportError
+from jaxnarx.targets.readback import read_parameters as read_parameters

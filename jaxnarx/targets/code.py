@@ -13,13 +13,15 @@ class Syntax:
 
     `source` is by kind, a function of what names it; `operation` by kind, with {0}, {1}
     and {2} for the values it takes; `number` writes a constant, `assign` with {name}
-    and {value} a statement.
+    and {value} a statement. `statement` are whole statements, by kind, where a language
+    has no such operation.
     """
 
     source: Mapping[str, Callable[..., str]]
     operation: Mapping[str, str]
     number: Callable[[float], str]
     assign: str
+    statement: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def value(self, op: Op, n: Value) -> str:
         """What stands for a value where it is used."""
@@ -52,8 +54,12 @@ def statements(
         if op.kind == "const" or op.kind in syntax.source:
             continue
         names = [syntax.value(program.ops[a], a) for a in op.args]
-        value = syntax.operation[op.kind].format(*names)
-        lines.append(indent + syntax.assign.format(name=f"v{n}", value=value))
+        if op.kind in syntax.statement:
+            text = syntax.statement[op.kind].format(*names, name=f"v{n}")
+        else:
+            value = syntax.operation[op.kind].format(*names)
+            text = syntax.assign.format(name=f"v{n}", value=value)
+        lines.append(indent + text)
     return lines
 
 

@@ -12,12 +12,18 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.targets import c99, proof, runners, scripts
+from jaxnarx.targets import c99, octave, proof, runners
+from jaxnarx.targets.a2l import a2l_files, prove_a2l
+from jaxnarx.targets.dcm import dcm_files, prove_dcm
 from jaxnarx.targets.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
+from jaxnarx.targets.javascript import javascript_files
 from jaxnarx.targets.lower import lower
+from jaxnarx.targets.maps import axes_of
+from jaxnarx.targets.matlab import matlab_files
 from jaxnarx.targets.proof import Case
+from jaxnarx.targets.python import python_files
 from jaxnarx.targets.target import Files, Proof, Target, as_bytes
 
 TARGETS: dict[str, Target] = {
@@ -26,12 +32,17 @@ TARGETS: dict[str, Target] = {
     "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
     "python": Target(
         "one page of Python without dependencies",
-        scripts.python_files,
+        python_files,
         runners.prove_python,
     ),
     "javascript": Target(
-        "a JavaScript module", scripts.javascript_files, runners.prove_javascript
+        "a JavaScript module", javascript_files, runners.prove_javascript
     ),
+    "matlab": Target(
+        "a MATLAB function and its test", matlab_files, octave.prove_matlab
+    ),
+    "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
+    "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
 """What a model can be exported to."""
 GOLDEN = 200
@@ -81,6 +92,7 @@ def export(
     *,
     to: Sequence[str] = ("c",),
     name: str = "model",
+    over: Sequence[str] | None = None,
     index: bool = True,
     level: float | None = None,
     verify: bool = True,
@@ -98,8 +110,12 @@ def export(
         data: Records for the proof; those that miss samples of their beginning are
             left out.
         to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
-            co-simulation), `"python"`, `"javascript"`.
+            co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"dcm"` (parameters,
+            and maps at rest), `"a2l"` (names of the C files for calibration tools); all
+            of `TARGETS`.
         name: What the files and their functions are called.
+        over: The two inputs that maps at rest go over; default: of each output those
+            that schedule it, then those that move it most.
         index: Whether a network that knows its domain tells its index at every sample.
         level: Probability of prediction intervals, whose half widths are told at every
             sample of a network that knows its errors; default without.
@@ -123,7 +139,7 @@ def export(
             "others, or none",
             field="data",
         )
-    golden = _golden(program, cases[0])
+    golden = _golden(program, cases[0]) | {"axes": axes_of(network, program, over)}
     files: Files = {}
     for one in to:
         files |= TARGETS[one].write(program, golden)

@@ -40,12 +40,14 @@ class Op:
 
 @dataclasses.dataclass(frozen=True)
 class ParameterTable:
-    """Parameters that a target keeps together, with what they are."""
+    """Parameters that a target keeps together, with what they are, and what the columns
+    belong to where each belongs to something."""
 
     name: str
     values: np.ndarray
     about: str
     unit: str = ""
+    columns: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,11 +178,16 @@ class Builder:
         return self.op("const", source=float(value))
 
     def parameters(
-        self, name: str, values: Any, about: str, unit: str = ""
+        self,
+        name: str,
+        values: Any,
+        about: str,
+        unit: str = "",
+        columns: Iterable[str] = (),
     ) -> np.ndarray:
         """A table of parameters, as values of its shape."""
         values = np.asarray(values, float)
-        self.tables[name] = ParameterTable(name, values, about, unit)
+        self.tables[name] = ParameterTable(name, values, about, unit, tuple(columns))
         found = [self.op("table", source=(name, k)) for k in range(values.size)]
         return np.array(found, object).reshape(values.shape)
 

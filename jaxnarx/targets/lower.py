@@ -1,7 +1,6 @@
 """A network as a program: what one sample of its free run takes."""
 
 import dataclasses
-import re
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,15 @@ from jaxnarx.targets.form import (
     StateValue,
     Value,
 )
-from jaxnarx.targets.validities import weights
+from jaxnarx.targets.names import identifier, identifiers
+from jaxnarx.targets.parameters import (
+    THETA,
+    OutputAt,
+    column_names,
+    divided,
+    tables_at,
+)
+from jaxnarx.targets.validities import Tables, weights
 
 
 def lower(
@@ -44,19 +51,6 @@ def lower(
             field="level",
         )
     return _Lowering(network, name).program(index=index and known, level=level)
-
-
-def identifier(text: str, taken: set[str] | None = None) -> str:
-    """A name that every language takes, different from those that are taken."""
-    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "x"
-    word = word if word[0].isalpha() else f"x{word}"
-    word, n = word[:40], 2
-    found = word
-    while taken is not None and found.lower() in taken:
-        found, n = f"{word}_{n}", n + 1
-    if taken is not None:
-        taken.add(found.lower())
-    return found
 
 
 @dataclasses.dataclass
@@ -91,8 +85,7 @@ class _Lowering:
                 if o not in network.modelled and self.given + o in used
             ),
         ]
-        taken: set[str] = set()
-        self.names = [identifier(n, taken) for n in network.computed_names]
+        self.names = identifiers(network.computed_names)
 
     def _all_tables(self) -> list[Variables]:
         return [self.network.variables, *(m.scheduling for m in self.network.models)]
@@ -268,18 +261,18 @@ class _Lowering:
     # local models ------------------------------------------------------------------
 
     def _output(self, o: int, model: OutputModel) -> Value:
-        b, name = self.b, self.names[o]
-        active = np.flatnonzero(np.asarray(model.active))
-        phi = weights(b, model, self._scheduling(model), active, name)
-        dense = np.asarray(model.local.dense(), float)[active]
+        b, name, at = self.b, self.names[o], OutputAt(self.network, o)
+        active, known = at.active, tables_at(at)
+
+        def tables(kind: str) -> np.ndarray:
+            values, about = known[kind].read(at), known[kind].about
+            columns = column_names(at, kind, values)
+            return b.parameters(f"{kind}_{name}", values, about, columns=columns)
+
+        z = self._scheduling(model, tables) if divided(at) else []
+        phi = weights(b, at, z, tables)
         factor = np.asarray(model.local.factor)
-        used = np.flatnonzero(np.any(dense != 0, axis=0))
-        table = b.parameters(
-            f"theta_{name}",
-            dense[:, used],
-            f"coefficients of {self.network.computed_names[o]}: a row for every "
-            "local model, a column for every term, of scaled signals",
-        )
+        dense, used, table = THETA.read(at), THETA.columns(at), tables("theta")
         group_of: dict[int, int] = {}
         own = None if model.own is None else np.asarray(model.own)[:, active]
         if own is not None:
@@ -293,7 +286,7 @@ class _Lowering:
             parts = [
                 b.mul(table[m, k], self._term(factor[n], o, group_of.get(m)))
                 for k, n in enumerate(used)
-                if dense[m, n] != 0
+                if dense[m, k] != 0
             ]
             local.append(b.add(*parts))
         if own is not None:
@@ -344,15 +337,13 @@ class _Lowering:
         ]
         return b.add(product, *beyond)
 
-    def _scheduling(self, model: OutputModel) -> list[Value]:
-        b = self.b
-        offset, span = (np.asarray(a, float) for a in (model.offset, model.span))
-        found = []
-        for d, (signal, lag, filter_) in enumerate(model.scheduling.entries):
-            value = self._variable(signal, lag, filter_)
-            scale = b.const(self.gain[signal] / span[d])
-            found.append(b.op("sub", b.mul(value, scale), b.const(offset[d] / span[d])))
-        return found
+    def _scheduling(self, model: OutputModel, tables: Tables) -> list[Value]:
+        b, (factor, subtracted) = self.b, tables("scheduling")
+        values = [self._variable(*entry) for entry in model.scheduling.entries]
+        return [
+            b.op("sub", b.mul(value, scale), away)
+            for value, scale, away in zip(values, factor, subtracted, strict=True)
+        ]
 
     # limits ------------------------------------------------------------------------
 

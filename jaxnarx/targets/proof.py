@@ -61,6 +61,13 @@ class Case:
     expected: Float[np.ndarray, "rest reported"]
     window: int
 
+    def beginning(self, samples: int) -> "Case":
+        """The first samples of it; a free run does not know what comes."""
+        history = len(self.inputs) - len(self.expected)
+        count = max(samples, history + self.window + 1)
+        inputs, expected = self.inputs[:count], self.expected[: count - history]
+        return dataclasses.replace(self, inputs=inputs, expected=expected)
+
     def difference(self, run: Runner) -> float:
         """Largest difference, in shares of the largest value of its output."""
         found, expected = run(self.inputs, self.measured), self.expected

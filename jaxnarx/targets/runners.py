@@ -18,7 +18,7 @@ from jaxnarx.targets.target import Proof
 
 
 def python_runner(path: Path) -> Runner:
-    """A module written by `scripts.python`."""
+    """A module that `python_files` has written."""
     spec = importlib.util.spec_from_file_location("exported_model", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -41,7 +41,7 @@ def node() -> str | None:
 
 
 def javascript_runner(path: Path) -> Runner:
-    """A module written by `scripts.javascript`, run by node."""
+    """A module that `javascript_files` has written, run by node."""
     program = node()
     assert program is not None
 

@@ -5,14 +5,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.proof import Case
 
-Golden = Mapping[str, Float[np.ndarray, "time _"]]
+Golden = Mapping[str, np.ndarray]
 """A stretch of a record: `inputs`, `measured` (the history and one sample more) and
-`outputs`, what the free run behind it reports."""
+`outputs`, what the free run behind it reports, a row for every sample; and `axes`, the
+inputs that maps at rest go over (`jaxnarx.targets.maps.axes_of`)."""
 Files = dict[str, str | bytes]
 """Texts and packed files by name."""
 Proof = tuple[dict[str, float], list[str]]

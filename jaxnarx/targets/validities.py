@@ -10,37 +10,32 @@ from jaxnarx.models import (
     Compact,
     Gaussians,
     LogSigmoids,
-    OutputModel,
     SigmoidTree,
 )
-from jaxnarx.models.validity.gaussians import NARROWEST
 from jaxnarx.models.validity.sigmoid_tree import FARTHEST
 from jaxnarx.targets.form import Builder, Value
+from jaxnarx.targets.parameters import VALIDITIES, OutputAt, divided
+
+Tables = Callable[[str], np.ndarray]
+"""The values of a table of parameters by its kind."""
 
 
-def weights(
-    b: Builder, model: OutputModel, z: list[Value], active: np.ndarray, name: str
-) -> list[Value]:
+def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> list[Value]:
     """The weight of every active local model at scaled scheduling variables `z`."""
-    kind = type(model.validity)
-    if len(active) == 1 and kind is not LogSigmoids:
+    kind = type(at.model.validity)
+    if not divided(at):
         return [b.const(1.0)]
-    if kind not in _WRITERS:
+    if kind not in VALIDITIES:
         raise SpecError(
             f"a network with the validity function {kind.__name__} cannot be exported; "
-            f"known are {', '.join(k.__name__ for k in _WRITERS)}",
+            f"known are {', '.join(k.__name__ for k in VALIDITIES)}",
             field="validity",
         )
-    return _WRITERS[kind](b, model.validity, z, active, name)
+    return _WRITERS[kind](b, at, z, tables)
 
 
-def _gaussians(b: Builder, v: Gaussians, z, active, name) -> list[Value]:
-    centre = np.asarray(v.centre, float)[active]
-    width = np.maximum(np.asarray(v.log_width, float)[active], NARROWEST)
-    centre = b.parameters(f"centre_{name}", centre, _about("centres"))
-    scale = b.parameters(
-        f"narrowness_{name}", np.exp(-width), _about("inverse widths of Gaussians")
-    )
+def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+    centre, scale = tables("centre"), tables("narrowness")
     half = b.const(-0.5)
     logit = []
     for c, s in zip(centre, scale, strict=True):
@@ -54,8 +49,8 @@ def _gaussians(b: Builder, v: Gaussians, z, active, name) -> list[Value]:
     return [b.op("div", one, total) for one in e]
 
 
-def _boxes(b: Builder, v: Boxes | Compact, z, active, name) -> list[Value]:
-    low, high = _borders(b, v, active, name)
+def _boxes(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+    low, high = tables("low"), tables("high")
     zero = b.const(0.0)
     away = []
     for l_m, h_m in zip(low, high, strict=True):
@@ -75,14 +70,10 @@ def _boxes(b: Builder, v: Boxes | Compact, z, active, name) -> list[Value]:
     return found[::-1]
 
 
-def _compact(b: Builder, v: Compact, z, active, name) -> list[Value]:
+def _compact(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     zero, one = b.const(0.0), b.const(1.0)
     z = [b.clip(x, zero, one) for x in z]
-    low, high = _borders(b, v, active, name)
-    margin = np.exp(np.asarray(v.log_margin, float)[active])
-    scale = b.parameters(
-        f"steepness_{name}", 0.5 / margin, _about("steepness of the borders")
-    )
+    low, high, scale = (tables(what) for what in ("low", "high", "steepness"))
     half = b.const(0.5)
 
     def smooth(t: Value) -> Value:
@@ -101,45 +92,33 @@ def _compact(b: Builder, v: Compact, z, active, name) -> list[Value]:
     total = b.add(*curve)
     there = b.op("less", b.const(float(np.finfo(np.float64).tiny)), total)
     safe = b.op("where", there, total, one)
-    nearest = _boxes(b, v, z, active, name)
+    nearest = _boxes(b, at, z, tables)
     return [
         b.op("where", there, b.op("div", c, safe), n)
         for c, n in zip(curve, nearest, strict=True)
     ]
 
 
-def _log_sigmoids(b: Builder, v: LogSigmoids, z, active, name) -> list[Value]:
-    # borders of models that are not active do not count
-    at = active[active > 0] - 1
-    border = np.asarray(v.border, float)[at]
-    border = b.parameters(f"border_{name}", border, _about("borders"))
-    (steep,) = b.parameters(
-        f"steepness_{name}",
-        np.exp(np.asarray(v.log_steepness, float)).reshape(1),
-        _about("steepness of the sigmoids"),
-    )
+def _log_sigmoids(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+    active, validity = at.active, at.model.validity
+    assert isinstance(validity, LogSigmoids)
+    border, (steep,) = tables("border"), tables("steepness")
     beyond = {
         int(m) + 1: b.sigmoid(b.mul(steep, b.op("sub", z[0], x)))
-        for m, x in zip(at, border, strict=True)
+        for m, x in zip(active[active > 0] - 1, border, strict=True)
     }
     zero, one = b.const(0.0), b.const(1.0)
-    count = len(np.asarray(v.border)) + 1
+    count = len(np.asarray(validity.border)) + 1
     steps = [one, *(beyond.get(m, zero) for m in range(1, count)), zero]
     return [b.op("sub", steps[m], steps[m + 1]) for m in active.tolist()]
 
 
-def _sigmoid_tree(b: Builder, v: SigmoidTree, z, active, name) -> list[Value]:
-    path = np.asarray(v.path)[active]
+def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+    validity = at.model.validity
+    assert isinstance(validity, SigmoidTree)
+    path = np.asarray(validity.path)[at.active]
     gates = np.flatnonzero(np.any(path != 0, axis=0))
-    steep = np.exp(np.asarray(v.log_steepness, float))[gates]
-    direction = np.asarray(v.unit(), float)[gates] * steep[:, None]
-    border = np.asarray(v.border, float)[gates] * steep
-    direction = b.parameters(
-        f"gate_{name}", direction, _about("directions of the gates, times steepness")
-    )
-    border = b.parameters(
-        f"gate_border_{name}", border, _about("borders of the gates, times steepness")
-    )
+    direction, border = tables("gate"), tables("gate_border")
     one = b.const(1.0)
     least, most = b.const(-FARTHEST), b.const(FARTHEST)
     sides = {}
@@ -152,21 +131,6 @@ def _sigmoid_tree(b: Builder, v: SigmoidTree, z, active, name) -> list[Value]:
         b.mul(*(sides[g][int(row[g] < 0)] for g in gates.tolist() if row[g]))
         for row in path
     ]
-
-
-def _borders(b: Builder, v: Boxes | Compact, active, name):
-    return (
-        b.parameters(
-            f"{what}_{name}",
-            np.asarray(getattr(v, what), float)[active],
-            _about(f"{what} borders of the boxes"),
-        )
-        for what in ("low", "high")
-    )
-
-
-def _about(what: str) -> str:
-    return f"{what}, a row for every local model or gate, of scheduling from 0 to 1"
 
 
 _WRITERS: dict[type, Callable[..., list[Value]]] = {

@@ -7,6 +7,7 @@ from pathlib import Path
 import common
 import numpy as np
 import pytest
+import test_dcm
 
 import jaxnarx as jnx
 from jaxnarx.shell.cli import run
@@ -80,6 +81,42 @@ def test_python_without_records_runs_by_itself(place, capsys):
         text=True,
     )
     assert np.all(np.isfinite(list(map(float, done.stdout.split()))))
+
+
+def test_a_calibrator_changes_the_model(place, capsys):
+    """Export, one number changed in the file, import: the model, and what is told."""
+    net = test_dcm.rising()
+    jnx.save(net, "model.safetensors", about={"from": "day 1"})
+    words = ["export", "model.safetensors", "--to", "dcm", "a2l", "--over", "b", "a"]
+    assert run([*words, "--out", "out"]) == 0
+    told = Path("out/README.md").read_text()
+    assert "dcm, parameters read back" in told and "jaxnarx import-dcm MODEL" in told
+    text = Path("out/model.dcm").read_text("iso-8859-1")
+    assert 'LANGNAME "y at rest over b and a"' in text
+    back = ["import-dcm", "model.safetensors", "out/model.dcm", "--out", "back"]
+    capsys.readouterr()
+    assert run(back) == 0
+    assert "Nothing has changed; no model was written." in capsys.readouterr().out
+    assert not Path("back").exists()
+    Path("out/model.dcm").write_text(text.replace("WERT 0.1 0.5 ", "WERT 0.1 0.625 "))
+    assert run(back) == 0
+    told = capsys.readouterr().out
+    assert "theta_y: 1 number changed, by 0.125 at most" in told
+    assert "Next: jaxnarx report back/model.safetensors" in told
+    changed = jnx.load("back/model.safetensors")
+    old, new = (np.asarray(n.models[0].local.coefficient) for n in (net, changed))
+    assert new[new != old].tolist() == [0.625]
+    about = {"from": "day 1", "parameters": "out/model.dcm"}
+    assert jnx.models.load_about("back/model.safetensors") == about
+    assert run(back) == 2
+    assert "--force" in capsys.readouterr().err
+    Path("out/model.dcm").write_text(text.replace("WERT 0.1 0.5 ", "WERT 0.1 half "))
+    assert run([*back, "--force"]) == 3
+    assert "out/model.dcm, line" in capsys.readouterr().err
+    assert run(["import-dcm", "model.safetensors", "none.dcm"]) == 3
+    assert "none.dcm: cannot be opened" in capsys.readouterr().err
+    assert run([*words[:-2], "--over", "b", "--out", "other"]) == 2
+    assert "over" in capsys.readouterr().err
 
 
 def test_what_is_wrong_is_told(place, capsys):

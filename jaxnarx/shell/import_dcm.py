@@ -1,0 +1,77 @@
+"""`jaxnarx import-dcm`: changed parameters of an export, back into the model."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxnarx.errors import DataFileError, reading
+from jaxnarx.models import Network, load, load_about, save
+from jaxnarx.shell import output
+from jaxnarx.shell.commands import ImportDcm
+from jaxnarx.shell.messages import about, count, next_command, say
+from jaxnarx.targets import lower, read_parameters
+
+LARGEST = 64 * 2**20
+"""Bytes of a file that are read."""
+MODEL = "model.safetensors"
+
+
+def import_dcm(command: ImportDcm) -> int:
+    """Write the model with what has changed, and say what that is."""
+    before = load(command.model)
+    with about(command.model):
+        after = read_parameters(before, _text(command.file), command.file)
+    for line in changes(before, after):
+        say(line)
+    if after is before:
+        say("Nothing has changed; no model was written.")
+        return 0
+    told = {**load_about(command.model), "parameters": command.file}
+    with output.run_folder(command.out, "", force=command.force, marks=[MODEL]) as here:
+        save(after, here / MODEL, about=told)
+    for line in lost(before, after):
+        say(line)
+    say(f"wrote {here / MODEL}")
+    next_command("jaxnarx", "report", str(here / MODEL), "DESCRIPTION")
+    return 0
+
+
+def _text(path: str) -> str:
+    """Of ISO 8859-1, in which every byte is a letter."""
+    with reading(path, "a DCM file or C source"):
+        if Path(path).stat().st_size > LARGEST:
+            raise DataFileError(f"{path}: larger than {LARGEST >> 20} MB", path=path)
+        return Path(path).read_bytes().decode("iso-8859-1")
+
+
+def changes(before: Network, after: Network) -> list[str]:
+    """How many numbers of every table have changed, and by how much at most."""
+    old, new = ({t.name: t for t in lower(n).tables} for n in (before, after))
+    lines = []
+    for name, table in old.items():
+        now = new[name].values
+        if now.shape != table.values.shape:
+            lines.append(f"{name}: a term has vanished, all its coefficients are zero")
+            continue
+        off = np.abs(now - table.values)
+        if np.any(off):
+            number = int(np.count_nonzero(off))
+            lines.append(
+                f"{name}: {count(number, 'number')} changed, by {off.max():.3g} at most"
+            )
+    return lines
+
+
+def lost(before: Network, after: Network) -> list[str]:
+    """What was known of the model before and is not of what it is now."""
+    lines = []
+    if before.errors is not None and after.errors is None:
+        lines.append("The model has no prediction intervals any more.")
+    if before.certificate is not None:
+        found = after.certificate is not None
+        lines.append(
+            "A certificate of stability was found for the new numbers."
+            if found
+            else "No certificate of stability was found for the new numbers."
+        )
+    return lines

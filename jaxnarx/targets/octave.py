@@ -1,0 +1,69 @@
+"""MATLAB files run here, by Octave."""
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.proof import DOUBLE, Case, ExportError, Runner, worst
+from jaxnarx.targets.target import Proof
+
+SAMPLES = 1000
+"""Samples of the first record that Octave runs: it interprets every operation."""
+
+
+def octave() -> str | None:
+    """The program that runs MATLAB files, where there is one."""
+    return shutil.which("octave-cli") or shutil.which("octave")
+
+
+def run_octave(folder: Path, code: str) -> str:
+    """What a line of code prints, run in a folder; ExportError where it fails."""
+    program = octave()
+    assert program is not None
+    words = [program, "--no-gui", "--no-init-file", "--quiet", "--eval", code]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=folder)
+    if done.returncode:
+        raise ExportError(f"Octave ends with {done.stderr.strip()[-300:]}")
+    return done.stdout
+
+
+def octave_runner(folder: Path, program: SampleProgram) -> Runner:
+    """The function of `folder`, called sample by sample."""
+
+    def run(inputs, measured):
+        for name, values in (("u", inputs), ("y", measured)):
+            np.savetxt(folder / f"{name}.txt", values, fmt="%.17g")
+        text = run_octave(
+            folder, _RUN.format(name=program.name, history=program.history)
+        )
+        return _rows(text, len(program.reported))
+
+    return run
+
+
+def _rows(text: str, columns: int) -> Float[np.ndarray, "time reported"]:
+    return np.array(text.split(), float).reshape(-1, columns)
+
+
+_RUN = """
+u = load('-ascii', 'u.txt'); y = load('-ascii', 'y.txt');
+{name}(u(1, :), 'given', y(1, :));
+for t = 1:{history}, {name}(u(t, :), 'observe', y(t, :)); end
+for t = {history} + 1:size(u, 1), printf('%.17g\\n', {name}(u(t, :))); end
+"""
+
+
+def prove_matlab(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
+    """The function of `folder` beside the model over the beginning of the first record,
+    and its own test, which knows the starts."""
+    if octave() is None:
+        return {}, ["matlab: there is no Octave here"]
+    run_octave(folder, f"{program.name}_test")
+    first = cases[0].beginning(SAMPLES)
+    found = worst([first], octave_runner(folder, program), DOUBLE, "MATLAB function")
+    return {f"matlab by Octave, {len(first.inputs)} samples": found}, []
