@@ -12,6 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
+from jaxnarx.shown import page
 from jaxnarx.targets import c99, proof, runners, scripts
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.interpret import Instance
@@ -52,6 +53,22 @@ class Exported:
     operations: int
     parameters: int
     kept: int
+
+    def __str__(self) -> str:
+        """Files with their sizes, what the proof has found, and the cost."""
+        lines = [f"Exported: {len(self.files)} files"]
+        for name, content in self.files.items():
+            lines.append(f"  {name}: {len(content)} bytes")
+        proofs = self.difference.items()
+        lines += [f"{run}: differs from the model by {d:.2g}" for run, d in proofs]
+        lines += [f"not run: {one}" for one in self.left_out]
+        lines.append(
+            f"{self.operations} operations a sample, {self.parameters} numbers in "
+            f"tables, {self.kept} kept from sample to sample"
+        )
+        return "\n".join(lines)
+
+    _repr_html_ = page
 
     @property
     def texts(self) -> dict[str, str]:
