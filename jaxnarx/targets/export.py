@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.extensions import Registry
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.shown import page
@@ -20,7 +20,7 @@ from jaxnarx.targets.lower import lower
 from jaxnarx.targets.proof import Case
 from jaxnarx.targets.target import Files, Proof, Target
 
-TARGETS: dict[str, Target] = {
+_OWN: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
     "python": Target(
         "one page of Python without dependencies",
@@ -31,6 +31,7 @@ TARGETS: dict[str, Target] = {
         "a JavaScript module", scripts.javascript_files, runners.prove_javascript
     ),
 }
+TARGETS = Registry("target", _OWN)
 """What a model can be exported to."""
 GOLDEN = 200
 """Samples of the self-test."""
@@ -97,7 +98,8 @@ def export(
         network: The model, with any of the package's validity functions.
         data: Records for the proof; those that miss samples of their beginning are
             left out.
-        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`.
+        to: `"c"` (C99, a header, a source and a self-test), `"python"`, `"javascript"`,
+            or what is registered in `jaxnarx.targets.TARGETS`.
         name: What the files and their functions are called.
         verify: Whether it is proven.
 
@@ -109,7 +111,7 @@ def export(
         print(found.difference, found.files["NOx.h"])
     """
     for one in to:
-        choice(one, tuple(TARGETS), "to")
+        TARGETS.find(one, "to")
     program = lower(network, name)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
@@ -119,7 +121,7 @@ def export(
             "others, or none",
             field="data",
         )
-    golden = _golden(program, cases[0])
+    golden = golden_of(program, cases[0])
     files: Files = {}
     for one in to:
         files |= TARGETS[one].write(program, golden)
@@ -135,7 +137,7 @@ def export(
     )
 
 
-def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
+def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
     inputs = case.inputs[: program.history + GOLDEN]
     instance = Instance(program)
