@@ -3,10 +3,13 @@
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxnarx.errors import JaxnarxError
+from jaxnarx.shown import page
 
 T = TypeVar("T")
 
@@ -63,6 +66,15 @@ class Solution(eqx.Module, Generic[T]):
     stats: dict[str, Any]
     detail: str = eqx.field(static=True, default="")
 
+    def __str__(self) -> str:
+        """How it ended, then the value as it prints, then figures about the way."""
+        if isinstance(code(self.status), Tracer):
+            return repr(self)
+        parts = [_ending(self), str(self.value), _figures(self.stats)]
+        return "\n".join(part for part in parts if part)
+
+    _repr_html_ = page
+
     @property
     def is_okay(self) -> Any:
         """True where the status is an informative end rather than a failure."""
@@ -112,3 +124,31 @@ class Solution(eqx.Module, Generic[T]):
             text = self.detail or str(RESULTS[self.status])
             raise JaxnarxError(f"{self.status_name}: {text}")
         return self
+
+
+def _ending(solution: Solution) -> str:
+    """Status and detail; of a batch, how many members have which."""
+    codes = np.asarray(code(solution.status))
+    if codes.ndim:
+        count = np.bincount(codes.ravel(), minlength=len(NAMES))
+        return ", ".join(
+            f"{n} {name}" for n, name in zip(count, NAMES, strict=True) if n
+        )
+    why = solution.detail or str(RESULTS[solution.status])
+    return f"{solution.status_name}: {why}"
+
+
+def _figures(stats: dict[str, Any]) -> str:
+    """Single figures as they are, of arrays their sizes."""
+    told = []
+    for name, value in stats.items():
+        size = np.shape(value) if isinstance(value, np.ndarray | jax.Array) else None
+        if isinstance(value, float) or size == ():
+            told.append(f"{name} {float(value):.6g}")
+        elif isinstance(value, int | str):
+            told.append(f"{name} {value}")
+        elif size is not None:
+            told.append(f"{name} ({', '.join(map(str, size))})")
+        else:
+            told.append(f"{name} ...")
+    return f"stats: {', '.join(told)}" if told else ""

@@ -92,7 +92,7 @@ def test_a_network_prints_its_outputs_regions_terms_and_limits():
     text = str(common.named("coupled"))
     assert text.splitlines()[0].endswith("history: a, b -> y, w")
     assert "y: 3 local models by Gaussians, held within -500 to 500 ppm" in text
-    assert "1 (a[t] near -2.4, b[t-2] near -0.4): 1, a[t], y[t-1]" in text
+    assert "1 (a[t] near -2.4, b[t-2] near -0.4): y[t] = 1 + 2.5 a[t]" in text
     single = str(common.named("one model")).splitlines()
     assert (
         len(single) == 3 and "near" not in single[2] and "1 local model," in single[1]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
+from jaxnarx.shown import page
 
 
 def require_plain(text: str, what: str, *, field: str) -> None:
@@ -70,6 +71,13 @@ class Channels:
                 "outputs; give every column a name of its own",
                 field="inputs",
             )
+
+    def __str__(self) -> str:
+        kinds = {"inputs": self.inputs, "outputs": self.outputs, "hidden": self.hidden}
+        told = {kind: ", ".join(c.label for c in own) for kind, own in kinds.items()}
+        return "\n".join(f"{kind}: {names}" for kind, names in told.items() if names)
+
+    _repr_html_ = page
 
     @property
     def measured(self) -> "Channels":

@@ -8,11 +8,13 @@ from jaxnarx.data.channels import Channel, Channels, make_channels
 from jaxnarx.data.construct import array_sources
 from jaxnarx.data.frames import frame_sources
 from jaxnarx.data.missing import assemble, require_missing
+from jaxnarx.data.overview import overview
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.shown import brief, page
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Records that share channels and sample time [s]. Immutable; host memory only.
 
@@ -24,6 +26,13 @@ class Dataset:
     channels: Channels
     sample_time: float
     notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return overview(
+            self.records, self.channels, float(self.sample_time), self.notes
+        )
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return len(self.records)

@@ -7,6 +7,7 @@ from jaxnarx.checks import whole
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import Answer, dynamics
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.shown import page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +65,8 @@ class Delays:
             )
         lines.append(f"dead times up to {self.reach} samples were looked at")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
 
 def delays(data: Dataset, *, reach: int = 100) -> Delays:

@@ -22,13 +22,14 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, reading
 from jaxnarx.guard import guarded
+from jaxnarx.shown import brief, page
 
 MAX_BYTES = 4e9
 """Limit of the expanded size of all files of a description, in bytes. Reading takes up
 to five times as much memory for a moment."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Split:
     """The parts of a description; a part that it does not name is None.
 
@@ -40,6 +41,15 @@ class Split:
     test: Dataset | None
     all: Dataset
     preparation: Preparation | None = None
+
+    def __str__(self) -> str:
+        parts = {"train": self.train, "validate": self.validate, "test": self.test}
+        told = [f"{name}: {part}" for name, part in parts.items() if part is not None]
+        if self.preparation is not None:
+            told.append(str(self.preparation))
+        return "\n\n".join(told)
+
+    __repr__, _repr_html_ = brief, page
 
 
 @guarded

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, Literal
 
+from jaxnarx.shown import page
+
 Severity = Literal["error", "warning", "note"]
 _ORDER: tuple[Severity, ...] = ("error", "warning", "note")
 
@@ -28,6 +30,8 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.message}"
+
+    _repr_html_ = page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,3 +85,5 @@ class Findings:
                     f"{severity}: ... and {len(members) - 2} more ({kind}{of})"
                 )
         return "\n".join(lines) or "no findings"
+
+    _repr_html_ = page

@@ -10,6 +10,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.errors import DataError
 from jaxnarx.guard import guarded
+from jaxnarx.shown import page
 
 
 def step_times(data: Dataset, output: str) -> dict[str, float]:
@@ -93,6 +94,8 @@ class LagSuggestion:
                 )
             lines.append(f"  {pair[0]} -> {pair[1]}: {what}")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
 
 @guarded

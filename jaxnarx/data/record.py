@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.shown import brief, page
 
-@dataclasses.dataclass(frozen=True, eq=False)
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """One uninterrupted run at a constant sample time.
 
@@ -29,6 +31,16 @@ class Record:
     start_row: int = 0
     scored: Bool[np.ndarray, " time"] | None = None
     group: str = ""
+
+    def __str__(self) -> str:
+        missing = int((~self.valid).any(axis=1).sum())
+        return (
+            f"Record {self.name}: {len(self)} samples of {self.u.shape[1]} inputs and "
+            f"{self.y.shape[1]} outputs"
+            + (f", {missing} with something missing" if missing else "")
+        )
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return self.u.shape[0]

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.shown import page
+
 
 class Conversion(NamedTuple):
     """new = factor * old + offset."""
@@ -26,6 +28,8 @@ class Conversion(NamedTuple):
     def __str__(self) -> str:
         offset = f" {self.offset:+.6g}" if self.offset else ""
         return f"times {self.factor:.6g}{offset}"
+
+    _repr_html_ = page
 
 
 _SPELT: dict[str, dict[str, tuple[float, float]]] = {

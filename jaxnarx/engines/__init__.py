@@ -6,6 +6,8 @@ from jaxnarx.engines.bench import Noise as Noise
 from jaxnarx.engines.crossley_cook import CrossleyCook as CrossleyCook
 from jaxnarx.engines.diesel import Diesel as Diesel
 from jaxnarx.engines.engine import AbstractEngine as AbstractEngine
+from jaxnarx.engines.engine import Borders as Borders
+from jaxnarx.engines.engine import parameter as parameter
 from jaxnarx.engines.family import family as family
 from jaxnarx.engines.family import family_run as family_run
 from jaxnarx.engines.gtdi import Gtdi as Gtdi
@@ -17,8 +19,9 @@ from jaxnarx.engines.pfi_dyno import PfiDyno as PfiDyno
 from jaxnarx.engines.records import pfi_siso_records as pfi_siso_records
 from jaxnarx.engines.records import records as records
 from jaxnarx.engines.vct import Vct as Vct
+from jaxnarx.extensions import Registry
 
-BEDS: Mapping[str, Callable[[], AbstractEngine]] = {
+_OWN: Mapping[str, Callable[[], AbstractEngine]] = {
     "pfi": Pfi,
     "pfi-dyno": PfiDyno,
     "pfi-cc": CrossleyCook,
@@ -26,4 +29,5 @@ BEDS: Mapping[str, Callable[[], AbstractEngine]] = {
     "gtdi": Gtdi,
     "vct": Vct,
 }
+BEDS: Registry[Callable[[], AbstractEngine]] = Registry("engine", _OWN)
 """Every bed by its name on the command line."""

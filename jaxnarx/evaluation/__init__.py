@@ -1,20 +1,35 @@
 """How good a network is: metrics, and a report of one-step and free-run figures."""
 
 from jaxnarx.evaluation import metrics as metrics
+from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
+from jaxnarx.evaluation.comparison import compare as compare
 from jaxnarx.evaluation.cost import Cost as Cost
 from jaxnarx.evaluation.cost import cost as cost
 from jaxnarx.evaluation.cost import pareto as pareto
+from jaxnarx.evaluation.error_map import ErrorMap as ErrorMap
+from jaxnarx.evaluation.error_map import error_map as error_map
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.reactivation import reactivation as reactivation
 from jaxnarx.evaluation.region_errors import RegionError as RegionError
 from jaxnarx.evaluation.region_errors import region_errors as region_errors
 from jaxnarx.evaluation.region_errors import region_sentence as region_sentence
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
+from jaxnarx.evaluation.relevance import Relevance as Relevance
+from jaxnarx.evaluation.relevance import relevance as relevance
 from jaxnarx.evaluation.report import Report as Report
 from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
+from jaxnarx.evaluation.residual_tests import FreeRunResiduals as FreeRunResiduals
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
+from jaxnarx.evaluation.residual_tests import diagnose_free_run as diagnose_free_run
 from jaxnarx.evaluation.rows import Row as Row
+from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
+from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
+from jaxnarx.evaluation.steady_states import Intersection as Intersection
+from jaxnarx.evaluation.steady_states import ResponseSurface as ResponseSurface
+from jaxnarx.evaluation.steady_states import intersections as intersections
+from jaxnarx.evaluation.steady_states import response_surface as response_surface
+from jaxnarx.evaluation.steady_states import steady_states as steady_states
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
 from jaxnarx.evaluation.verdict import Verdict as Verdict

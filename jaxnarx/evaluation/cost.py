@@ -10,6 +10,7 @@ from jaxnarx.evaluation.operations import NONE, Operations, filtering, weighing
 from jaxnarx.guard import guarded
 from jaxnarx.models import Boxes, Network, OutputModel
 from jaxnarx.regressors import AbstractFilter
+from jaxnarx.shown import aligned, page
 
 Term = tuple[int, ...]
 """Variables of a product in ascending order, from 1; empty: the constant."""
@@ -36,6 +37,8 @@ class Cost:
     def __str__(self) -> str:
         return self.table
 
+    _repr_html_ = page
+
     def to_dict(self) -> dict[str, dict[str, int]]:
         """Sizes and operations by output, and of `all` where there are several."""
         rows = dict(self.outputs)
@@ -48,14 +51,7 @@ class Cost:
         """`to_dict` as aligned text."""
         lines = [("", *(title for title, _ in COLUMNS))]
         lines += [(n, *map(str, row.values())) for n, row in self.to_dict().items()]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        return "\n".join(
-            "  ".join(
-                [line[0].ljust(widths[0])]
-                + [cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True)]
-            )
-            for line in lines
-        )
+        return "\n".join(aligned(lines))
 
     @property
     def total(self) -> Operations:

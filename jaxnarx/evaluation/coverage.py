@@ -10,6 +10,7 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
+from jaxnarx.shown import page
 from jaxnarx.trust import Intervals, intervals
 
 LEVEL = 0.9
@@ -37,6 +38,8 @@ class IntervalCoverage:
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
         return f"{self.output} {self.held:.1%} (± {number(self.half, '.3g')}{unit})"
+
+    _repr_html_ = page
 
 
 def interval_runs(

@@ -8,14 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays.windows import usable
+from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.rows import ScoredSamples
+from jaxnarx.evaluation.rows import ScoredSamples, collect
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import fitting, simulate
 
 CELLS = 12
 """Cells along each variable."""
@@ -49,6 +51,44 @@ class ErrorMap:
     def thin(self) -> Bool[np.ndarray, "x y"]:
         """Cells with fewer than 20 samples, or none."""
         return self.samples < THIN
+
+
+@guarded
+def error_map(
+    network: Network,
+    data: Dataset,
+    *,
+    over: Sequence[str] | None = None,
+    output: str | None = None,
+) -> ErrorMap:
+    """Where in the operating range the free run of one output errs.
+
+    Args:
+        network: The model.
+        data: Records with its channels, at its sample time.
+        over: Two channels, or lagged variables; by default those that schedule, then
+            the inputs that say most about the output.
+        output: Its name (default: the first).
+
+    Returns:
+        Error, bias, spread and number of samples by cell.
+
+    Example:
+        found = jnx.evaluation.error_map(network, data, over=("a", "b"))
+        print(found.rms.shape, int(found.samples.sum()))
+    """
+    data = fitting(network, data)
+    name = network.output_names[0] if output is None else output
+    known_name(name, network.output_names, "output", f"no model of output {name!r}")
+    run = simulate(network, data).value
+    found = error_maps(network, data, collect(data, network.output_channels, run), over)
+    for one in found:
+        if one.output == name:
+            return one
+    raise SpecError(
+        f"too few samples of {name} are scored, or variables vary, for a map",
+        field="data",
+    )
 
 
 def error_maps(

@@ -10,6 +10,7 @@ from jaxnarx.data import Dataset, match_channels
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import FLAG, HOLD, LINEAR, NAN, Network
+from jaxnarx.shown import page
 
 NOTICEABLE = 0.01
 """Share of samples outside from which a report says so."""
@@ -46,6 +47,8 @@ class Outside:
             f"{self.channel} {reached}{unit}, trained on {trained}: beyond by up to "
             f"{100 * self.beyond:.2g} % of its width"
         )
+
+    _repr_html_ = page
 
 
 def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:

@@ -12,6 +12,7 @@ from jaxnarx.data.batch import stack
 from jaxnarx.evaluation.region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
+from jaxnarx.shown import page
 from jaxnarx.simulation import fitting
 from jaxnarx.trust import DomainIndex
 
@@ -74,6 +75,8 @@ class ErrorStretch:
             f"{self.rmse:.3g}{unit}, {self.times:.2g} times the usual"
         )
         return "; ".join(part for part in (text, self.unusual, self.region) if part)
+
+    _repr_html_ = page
 
 
 def worst_stretches(

@@ -11,6 +11,7 @@ from jaxnarx.checks import Number, Pair, known_name, positive, span, whole
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.excitation.placement import Box, box, discrepancy
+from jaxnarx.shown import page
 
 # Of records of different lengths, which one axis name would not allow.
 Signals = Float[Array, "_ inputs"] | Float[np.ndarray, "_ inputs"]
@@ -162,6 +163,8 @@ class Coverage:
         )
         return "\n".join(lines)
 
+    _repr_html_ = page
+
 
 def coverage(
     points: Points,
@@ -286,6 +289,8 @@ class Assessment:
             )
         ]
         return "\n".join([*lines, str(self.coverage)])
+
+    _repr_html_ = page
 
 
 def assess(

@@ -2,12 +2,15 @@
 
 from jaxnarx.identification.account import described, figure, sentences, title, used
 from jaxnarx.identification.by_method import Events, needed
+from jaxnarx.identification.candidates import CANDIDATES, Candidate
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search
 from jaxnarx.identification.verb import VALIDATION, identify, with_group
 
 __all__ = [
+    "CANDIDATES",
+    "Candidate",
     "VALIDATION",
     "Events",
     "Leaderboard",

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
+from jaxnarx.identification.candidates import CANDIDATES
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.shares import Shares
@@ -63,6 +64,9 @@ def search(
     }
     if states is not None:
         key["states"] = states
+    added = {} if PRESETS[preset].linear else CANDIDATES.added
+    if added:
+        key["added"] = sorted(added)
     with tempfile.TemporaryDirectory() as place:
         store = open_search(Path(place) if folder is None else folder, key, board)
         tasks = {
@@ -75,6 +79,7 @@ def search(
                 math.inf,
                 tuple(r for r in store.leaderboard.rows if r.output == name),
                 states,
+                added,
             )
             for name, one in looks.items()
         }

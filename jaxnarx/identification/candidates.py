@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.evaluation import cost
+from jaxnarx.extensions import Registry
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
 from jaxnarx.identification.leaderboard import Contender
@@ -20,11 +21,19 @@ from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, best_sum
 
 SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
 """Families of which sums are made."""
+MOST_ADDED = 20
+"""Methods that are tried of each family that another package adds."""
 NEAR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
 Trial = tuple[str, list[str], Identification | HiddenStates]
 """Family, names of the candidates that a method ends with, and the method."""
+Candidate = Callable[[Dataset, str], Iterable[tuple[str, Identification]]]
+"""What another package adds to a search: of the data and the name of an output, names
+and methods to be tried, those that promise most first."""
+CANDIDATES: Registry[Candidate] = Registry("candidate of identify", {})
+"""Families of other packages. Tried behind what is found in closed form; functions of
+modules, for outputs are searched in processes of their own."""
 Tried = tuple[Contender, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
@@ -41,9 +50,11 @@ class Candidates:
         *,
         known: Sequence[Contender] = (),
         late: Callable[[], bool] = lambda: False,
+        added: Mapping[str, Candidate] | None = None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
-        time is up."""
+        time is up; `added` are those of other packages."""
+        self.added = dict(added or {})
         self.data, self.look, self.groups, self.preset = data, look, groups, preset
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
@@ -74,6 +85,10 @@ class Candidates:
             return
         self.spread = search.spread
         del search, parts
+        for family, trials in self.added.items():
+            methods = trials(self.data, self.look.output)
+            own = ((family, [name], method) for name, method in methods)
+            yield from self._trained(own, MOST_ADDED, MOST_ADDED)
         hidden = with_states(self.data, self.look.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience

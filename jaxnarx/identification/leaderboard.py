@@ -8,6 +8,8 @@ import statistics
 from collections.abc import Iterator
 from typing import Any
 
+from jaxnarx.shown import aligned, page, some
+
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
 SHARE = 0.05
@@ -80,6 +82,19 @@ class Leaderboard:
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 % of it; `best`."""
 
+    def __str__(self) -> str:
+        """Candidates of every output, best first; the chosen one has a star."""
+        lines = [f"Leaderboard: {len(self)} candidates"]
+        for output in self.outputs:
+            chosen = self.chosen(output)
+            rows = [("", output, "free run", "operations", "parameters", "family", "")]
+            rows += [_line(row, row == chosen) for row in self.of(output)]
+            left = [True, *(False,) * 4, True, True]
+            lines += some(aligned(rows, left), 24)
+        return "\n".join(lines)
+
+    _repr_html_ = page
+
     def __iter__(self) -> Iterator[Contender]:
         return iter(self.rows)
 
@@ -139,6 +154,16 @@ HEAD = (
     "parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
+
+
+def _line(row: Contender, chosen: bool) -> tuple[str, ...]:
+    """Cells of a candidate; where it has no error, what became of it."""
+    error = row.status if row.free_run is None else f"{row.free_run:.4g}"
+    if row.free_run is not None and row.standard_error:
+        error += f" ± {row.standard_error:.2g}"
+    sizes = ("" if n is None else str(n) for n in (row.operations, row.parameters))
+    star = "*" if chosen else ""
+    return star, str(row.number), error, *sizes, row.family, row.name
 
 
 def _error(row: Contender) -> float:

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import jax
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import write_whole
-from jaxnarx.identification.candidates import Candidates, Tried
+from jaxnarx.identification.candidates import Candidate, Candidates, Tried
 from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, load, save
@@ -49,6 +49,7 @@ class OutputTask:
     """Time of the clock after which no candidate is begun."""
     known: tuple[Contender, ...]
     states: int | None = None
+    added: Mapping[str, Candidate] = dataclasses.field(default_factory=dict)
 
     def run(self) -> Iterator[Tried]:
         """Its candidates."""
@@ -59,6 +60,7 @@ class OutputTask:
             PRESETS[self.preset].with_orders(self.states),
             known=self.known,
             late=lambda: self._late(found.passed),
+            added=self.added,
         )
         yield from found
 

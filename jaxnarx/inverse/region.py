@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.shown import page
+
 GAIN = 0.05
 """A second border is named where it tells so much more of the points right."""
 
@@ -37,6 +39,8 @@ class Region:
             f"where {self._half} and {self.also._half} (the corner tells "
             f"{self.also.agreement:.0%} right)"
         )
+
+    _repr_html_ = page
 
     @property
     def _half(self) -> str:

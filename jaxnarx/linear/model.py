@@ -16,6 +16,7 @@ from jaxnarx.linear.transfer_function import TransferFunction
 from jaxnarx.models import Network, global_model
 from jaxnarx.models.assemble import MARGIN
 from jaxnarx.regressors import Variables
+from jaxnarx.shown import page
 
 
 class LinearModel(eqx.Module):
@@ -213,6 +214,8 @@ class LinearModel(eqx.Module):
             ratio = f"{value / error:10.2f}" if error > 0 else f"{'-':>10s}"
             lines.append(f"  {name:{width}s} {value:14.6g} +- {error:10.3g} {ratio}")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
 
 def _product(polynomials: list[np.ndarray]) -> np.ndarray:

@@ -41,6 +41,7 @@ from jaxnarx.linear.spectra import (
     segment_transforms,
     spectra,
 )
+from jaxnarx.shown import page
 
 LEAKAGE = 0.01
 """Share of the output's spectrum that is excused as leakage."""
@@ -81,6 +82,8 @@ class NonlinearityCheck:
             f"linear response nor {against}, at {len(band)} of {len(self.frequency)} "
             f"frequencies from {band.min():.3g} to {band.max():.3g} Hz"
         )
+
+    _repr_html_ = page
 
 
 @guarded

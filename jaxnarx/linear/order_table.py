@@ -11,6 +11,7 @@ from jaxnarx.arrays.criteria import information
 from jaxnarx.checks import choice
 from jaxnarx.linear.triangle import Triangle
 from jaxnarx.methods.linear import ARX
+from jaxnarx.shown import page
 
 CRITERIA = ("aic", "aicc", "mdl", "fpe", "unexplained")
 
@@ -108,6 +109,8 @@ class OrderSearch:
             text = ", ".join(map(str, row["orders"]))
             lines.append(f"{figures}  {text}{f'  <- {marks}' if marks else ''}")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
 
 def order_search(

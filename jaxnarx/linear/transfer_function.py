@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float
 
 from jaxnarx.data import Channel
 from jaxnarx.errors import SpecError
+from jaxnarx.shown import page
 
 EDGE = 1e-12
 """A denominator below this share of its coefficients' sum counts as zero at z = 1."""
@@ -160,6 +161,8 @@ class TransferFunction:
         """`(41 z^-6 + 15.7 z^-7) / (1 - 0.43 z^-1)`."""
         top, bottom = _text(self.numerator), _text(self.denominator)
         return f"({top}) / ({bottom})"
+
+    _repr_html_ = page
 
 
 def _sorted(roots: np.ndarray) -> Complex[np.ndarray, " roots"]:

@@ -13,7 +13,7 @@ from jaxnarx.methods.linear import (
     GeneralLinear,
     OutputError,
 )
-from jaxnarx.methods.own import Partitioner, Selector
+from jaxnarx.methods.own import PARTITIONS, SELECTORS, Partitioner, Selector
 from jaxnarx.methods.partition import (
     Given,
     Global,
@@ -31,6 +31,8 @@ from jaxnarx.methods.simulation_ols import SimulationOLS
 from jaxnarx.methods.states import HiddenStates
 
 __all__ = [
+    "PARTITIONS",
+    "SELECTORS",
     "ARMAX",
     "ARX",
     "FIR",

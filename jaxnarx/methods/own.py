@@ -9,6 +9,8 @@ Signals are scaled by their root mean square.
 
 from typing import Any, Protocol, runtime_checkable
 
+from jaxnarx.extensions import Registry
+
 
 @runtime_checkable
 class Selector(Protocol):
@@ -37,3 +39,10 @@ class Partitioner(Protocol):
     def __call__(
         self, scheduling: Any, columns: Any, output: Any, weight: Any, /
     ) -> Any: ...
+
+
+SELECTORS: Registry[Selector] = Registry("selector", {})
+"""Of other packages: `select(pool, data, "name")`, and `select = "name"` in files."""
+
+PARTITIONS: Registry[Partitioner] = Registry("partition", {})
+"""Of other packages, for `Given("name", scheduling=[...])`."""

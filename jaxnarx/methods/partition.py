@@ -277,7 +277,8 @@ class Given(_Local):
 
     partition: Any
     """A `Network`, whose regions are taken, a validity function of `jaxnarx.models`,
-    or a `Partitioner`: a function of the data that returns one."""
+    a `Partitioner`, which is a function of the data that returns one, or the name of a
+    registered one."""
     output: str | None = None
     """Of a network: the output whose regions serve all; default: each output has those
     of the output of its name, or those of the network's only output."""

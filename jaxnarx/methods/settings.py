@@ -14,6 +14,7 @@ from typing import Any
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.methods.anova import Anova
 from jaxnarx.methods.fields import fields_of, fits, kinds_of, words
+from jaxnarx.methods.own import SELECTORS, Selector
 from jaxnarx.methods.partition import Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.methods.pool import Polynomial
 from jaxnarx.methods.refinement import PredictionError, SimulationError
@@ -263,11 +264,19 @@ def _kind(
     )
 
 
+def _is_added(hint: Any, name: str) -> bool:
+    """Whether it is a selector that another package has registered."""
+    known = name in names_of(hint) or Selector not in kinds_of(hint)
+    return not known and name in SELECTORS
+
+
 def _value(hint: Any, value: Any, path: str) -> Any:
     """A value that a field may hold, trees made from their tables."""
     if names_of(hint):
         if value == "none" and "none" in names_of(hint):
             return None
+        if isinstance(value, str) and _is_added(hint, value):
+            return SELECTORS[value]
         if isinstance(value, str):
             value = {KIND: value}
         if isinstance(value, Mapping):

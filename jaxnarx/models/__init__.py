@@ -52,6 +52,7 @@ from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about
 from jaxnarx.models.storage import save as save
 from jaxnarx.models.total import total as total
+from jaxnarx.models.validity import VALIDITIES as VALIDITIES
 from jaxnarx.models.validity import AbstractValidity as AbstractValidity
 from jaxnarx.models.validity import Boxes as Boxes
 from jaxnarx.models.validity import Compact as Compact

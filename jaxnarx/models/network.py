@@ -31,6 +31,7 @@ from jaxnarx.regressors import (
     term_name,
     variable_names,
 )
+from jaxnarx.shown import page
 
 FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
 """What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
@@ -147,7 +148,7 @@ class Network(eqx.Module):
             table.require_measured(self.signals, self.channels.names)
 
     def __str__(self) -> str:
-        """What is modelled from what, where it is divided, and where it is held."""
+        """What is modelled from what, and the equation of every region."""
         lines = [
             f"Network at {float(self.sample_time):g} s, from {self.history} samples of "
             f"history: {', '.join(self.channels.input_names)} -> "
@@ -155,7 +156,6 @@ class Network(eqx.Module):
         ]
         if self.outside != FLAG or self.hold is not None:
             lines.append(self.limits)
-        names = self.variable_names
         for o, (name, model) in enumerate(
             zip(self.computed_names, self.models, strict=True)
         ):
@@ -172,15 +172,14 @@ class Network(eqx.Module):
                 f"{low:.4g} to {high:.4g}{unit}"
             )
             for m in active:
-                terms = np.asarray(model.local.index)[m][
-                    np.asarray(model.local.used)[m]
-                ]
-                rows = np.asarray(model.local.factor)[terms].tolist()
                 where = _where(self.regions(o)[m]) if len(active) > 1 else ""
-                shown = ", ".join(term_name(names, row) for row in rows[:SHOWN])
-                more = f", {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
-                lines.append(f"  {m + 1}{where}: {shown}{more}")
+                left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN
+                more = f" + {left_out} terms more" if left_out > 0 else ""
+                text = self._equation(o, m, "text", SHOWN)["text"]
+                lines.append(f"  {m + 1}{where}: {text}{more}")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
     @property
     def limits(self) -> str:
@@ -353,9 +352,9 @@ class Network(eqx.Module):
             for m in np.flatnonzero(np.asarray(model.active)).tolist()
         ]
 
-    def _equation(self, o: int, m: int, style: str) -> dict:
+    def _equation(self, o: int, m: int, style: str, most: int | None = None) -> dict:
         local = self.models[o].local
-        slots = np.flatnonzero(np.asarray(local.used)[m])
+        slots = np.flatnonzero(np.asarray(local.used)[m])[:most]
         factor = np.asarray(local.factor)[np.asarray(local.index)[m, slots]]
         signal = [s for s, _ in self.variables]
         scale = np.concatenate([[1.0], np.asarray(self.gain)[signal]])

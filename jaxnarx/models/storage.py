@@ -42,7 +42,7 @@ from jaxnarx.models.network import (
     Network,
     OutputModel,
 )
-from jaxnarx.models.validity import KINDS, Gaussians
+from jaxnarx.models.validity import VALIDITIES, Gaussians
 from jaxnarx.regressors import (
     Variables,
     filter_from_dict,
@@ -179,7 +179,7 @@ def _require_known(network: Network) -> None:
     """SpecError where a file could not tell what the validity functions are."""
     for validity in (m.validity for m in network.models):
         kind = type(validity)
-        if KINDS.get(kind.__name__) is not kind:
+        if VALIDITIES.get(kind.__name__) is not kind:
             raise SpecError(
                 f"model files know validity functions by name, and {kind.__name__!r} "
                 "is not registered: `jaxnarx.models.register_validity` does it, here "
@@ -338,7 +338,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
     models = []
     for n, entry in enumerate(header["models"]):
         lead = f".models[{n}]"
-        validity = KINDS.get(entry["validity"])
+        validity = VALIDITIES.get(entry["validity"])
         if validity is None:
             raise _Unknown(entry["validity"])
         fields = {

@@ -12,6 +12,7 @@ from jaxnarx.regressors import (
     Variables,
     polynomial_pool,
 )
+from jaxnarx.shown import page
 
 SPREAD = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""
@@ -55,6 +56,8 @@ class Memory:
     def __str__(self) -> str:
         filters = f", {len(self.times)} filters" if self.times else ""
         return f"lags by {self.step}{filters}"
+
+    _repr_html_ = page
 
 
 def linear_pool(data: Dataset, look: Look, memory: Memory) -> Pool:

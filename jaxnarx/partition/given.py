@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.methods import Given, Partitioner
+from jaxnarx.methods import PARTITIONS, Given, Partitioner
 from jaxnarx.models import AbstractValidity, Network, OutputModel
 from jaxnarx.partition.grid import capacity, fitted
 from jaxnarx.partition.ground import Ground
@@ -33,6 +33,8 @@ def given_regions(pool: Pool, method: Given) -> list[Regions]:
     """The regions of every output of the pool."""
     names = [pool.channels.output_names[o] for o in pool.outputs]
     partition = method.partition
+    if isinstance(partition, str):
+        partition = PARTITIONS.find(partition, "partition")
     if isinstance(partition, Network):
         _only_of_validity(method)
         return [_of_output(partition, _source(partition, n, method)) for n in names]

@@ -16,6 +16,7 @@ from jaxnarx.models import Network, reported
 from jaxnarx.refinement.information import variances
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.uncertainty import Uncertainty
+from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation import (
     Trajectories,
     first_anchor,
@@ -27,7 +28,7 @@ from jaxnarx.simulation import (
 from jaxnarx.solution import Solution
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Bands:
     """A free run with pointwise bands, one array per record, in physical units.
 
@@ -43,6 +44,17 @@ class Bands:
     measured_upper: tuple[Float[np.ndarray, "_ outputs"], ...]
     deviation: tuple[Float[np.ndarray, "_ outputs"], ...]
     level: float
+
+    def __str__(self) -> str:
+        """Mean width by record and output."""
+        head = f"Bands: {100 * self.level:g} % bands of {len(self)} records"
+        rows = [("record", *self.run.output_names)]
+        for name, low, high in zip(self.run.names, self.lower, self.upper, strict=True):
+            width = np.mean(high - low, axis=0).tolist()
+            rows.append((name, *(f"{value:.4g}" for value in width)))
+        return "\n".join([f"{head}, mean width", *some(aligned(rows))])
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return len(self.lower)

@@ -31,6 +31,7 @@ from jaxnarx.refinement.labels import Labels, label
 from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.noise import OutputNoise, estimate_noise
 from jaxnarx.refinement.refine import Task, make_task
+from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import fitting, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
@@ -65,6 +66,11 @@ class Uncertainty:
     labels: Labels
     start: Float[np.ndarray, "starts starts"]
 
+    def __str__(self) -> str:
+        return self.table
+
+    _repr_html_ = page
+
     @property
     def standard_error(self) -> Float[np.ndarray, " params"]:
         """Standard deviation of every estimate."""
@@ -86,11 +92,7 @@ class Uncertainty:
             ratio = f"{abs(value) / error:.1f}" if known and error > 0 else "-"
             shown = f"{error:.3g}" if known else "-"
             rows.append((name, f"{value:.6g}", shown, ratio))
-        wide = [max(len(row[i]) for row in rows) for i in range(4)]
-        lines = [
-            "  ".join([row[0].ljust(wide[0]), *map(str.rjust, row[1:], wide[1:])])
-            for row in rows
-        ]
+        lines = aligned(rows)
         pairs = zip(self.output_names, self.noise, self.freedom, strict=True)
         lines += [
             f"noise of {name}: {s:.4g} ({n:.0f} degrees of freedom)"

@@ -19,6 +19,7 @@ from jaxnarx.guard import guarded
 from jaxnarx.regressors.filters import AbstractFilter, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
+from jaxnarx.shown import page
 
 LARGEST = 5_000_000
 """Terms a pool may hold; beyond that its index table alone takes over 100 MB."""
@@ -53,6 +54,16 @@ class Pool(eqx.Module):
     factor: Int[np.ndarray, "terms degree"]
     channels: Channels = eqx.field(static=True)
     outputs: tuple[int, ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        names = self.channels.output_names
+        return (
+            f"Pool: {len(self)} terms of up to {self.degree} factors, for "
+            f"{', '.join(names[o] for o in self.outputs)}\n"
+            f"  of {', '.join(self.variable_names)}"
+        )
+
+    _repr_html_ = page
 
     def __len__(self) -> int:
         return self.factor.shape[0]

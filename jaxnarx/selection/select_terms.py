@@ -14,6 +14,7 @@ from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import (
+    SELECTORS,
     Anova,
     Backward,
     ForwardOLS,
@@ -64,6 +65,7 @@ def select(
     | SimulationOLS
     | Anova
     | Selector
+    | str
     | None = None,
     *,
     weights: list[Float[np.ndarray, " _"]] | None = None,
@@ -93,7 +95,8 @@ def select(
             the first choice.
         data: Records with the channels of the pool.
         method: How to choose (default `ForwardOLS()`); a function of one's own, too,
-            see `jaxnarx.methods.Selector`.
+            see `jaxnarx.methods.Selector`; or the
+            name of a registered one.
         weights: For every record one non-negative weight per sample; a validity
             function is one.
         progress: Called on the host with a dictionary after every round of
@@ -116,6 +119,8 @@ def select(
         print(selection.value)
     """
     method = ForwardOLS() if method is None else method
+    if isinstance(method, str):
+        method = SELECTORS.find(method, "method")
     if isinstance(method, SimulationOLS) and weights is not None:
         raise SpecError("SimulationOLS takes no sample weights", field="weights")
     pool = source.pool if isinstance(source, Selection) else source

@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.errors import SpecError
 from jaxnarx.regressors import Pool
+from jaxnarx.shown import page
 
 
 class Selection(eqx.Module):
@@ -42,6 +43,8 @@ class Selection(eqx.Module):
             for term, err in zip(self.terms(o), self.err[o], strict=False):
                 lines.append(f"  {100 * err:8.4f} %  {self.pool.name(term)}")
         return "\n".join(lines)
+
+    _repr_html_ = page
 
     def terms(self, output: int = 0) -> list[int]:
         """Pool indices of the terms of one modelled output, in order of choice."""

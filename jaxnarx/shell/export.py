@@ -9,7 +9,7 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import Exported, export, write_files
+from jaxnarx.targets import Exported, SampleProgram, export, write_files
 
 README = "README.md"
 

@@ -11,19 +11,27 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from jaxnarx.shell.style import BLUE, GREY, INK, RED, canvas, plain, styled, tone
 
 MARKERS = "osD^vP*X"
+BY = {
+    "operations": "operations of a sample (multiplications, divisions, exponentials)",
+    "parameters": "parameters, all numbers that are stored",
+}
+"""What the error stands over."""
 TALL = 4.0
 """Largest over smallest error from which the axis of errors is logarithmic."""
 
 
-def error_over_operations(entry: Mapping[str, Any]) -> Figure:
+def error_over_operations(
+    entry: Mapping[str, Any], *, by: str = "operations"
+) -> Figure:
     """Every candidate of one output, its family in colour; the one in use is ringed.
 
     The line joins those that no other beats at the same cost. Shaded is one
     standard error above the best; bars show that of each. Candidates that
     diverge stand as crosses at the top. `entry` is what
-    `jaxnarx.identification.described` gives.
+    `jaxnarx.identification.described` gives; `by="parameters"` shows the error over
+    their number instead, without the line.
     """
-    rows = [r for r in entry["rows"] if r["operations"] is not None]
+    rows = [r | {"size": r[by]} for r in entry["rows"] if r[by] is not None]
     fine = [r for r in rows if r["status"] == "ok" and r["free_run"] is not None]
     with styled():
         figure, (axes,) = canvas(9.0, 3.9)
@@ -31,13 +39,14 @@ def error_over_operations(entry: Mapping[str, Any]) -> Figure:
         for n, family in enumerate(families):
             own = [r for r in fine if r["family"] == family]
             _points(axes, own, family, n)
-        _front(axes, fine, entry["pareto"])
+        if by == "operations":
+            _front(axes, fine, entry["pareto"])
         _band(axes, fine)
         _ring(axes, fine)
         _scales(axes, fine)
         _lost(axes, [r for r in rows if r["status"] == "diverged"])
         axes.set(
-            xlabel="operations of a sample (multiplications, divisions, exponentials)",
+            xlabel=BY[by],
             ylabel="free run on records left out, NRMSE",
         )
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), borderaxespad=0)
@@ -49,8 +58,8 @@ def _by_number(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def _place(row: Mapping[str, Any]) -> float:
-    """Operations; none at all stands at one."""
-    return float(max(row["operations"], 1))
+    """Operations or parameters; none at all stands at one."""
+    return float(max(row["size"], 1))
 
 
 def _points(axes: Axes, rows: Sequence[Mapping[str, Any]], family: str, n: int):

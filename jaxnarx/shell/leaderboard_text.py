@@ -1,10 +1,10 @@
 """Candidates of a search as lines of text: one as it finishes, and the table."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 from jaxnarx.identification import Contender, Leaderboard, described, figure
+from jaxnarx.shown import aligned
 
 TOP = 10
 """Candidates that the end of a search shows of every output."""
@@ -85,19 +85,6 @@ def _cells(table: dict[str, Any]) -> list[str]:
 
 
 _FIELDS = {field.name for field in dataclasses.fields(Contender)}
-
-
-def aligned(lines: Iterable[Sequence[str]], left: Sequence[bool]) -> list[str]:
-    """Cells in columns; text left, figures right."""
-    lines = list(lines)
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(w) if at_left else cell.rjust(w)
-            for cell, w, at_left in zip(line, widths, left, strict=True)
-        ).rstrip()
-        for line in lines
-    ]
 
 
 def _cut(text: str, width: int) -> str:

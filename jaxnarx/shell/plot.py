@@ -1,34 +1,55 @@
-"""Figures of networks, selections and linear models, as `jnx.plot`.
+"""Figures of networks, selections, searches and linear models, as `jnx.plot`.
 
-Every function returns a matplotlib `Figure`, which a notebook shows and
-`figure.savefig` writes. What has several outputs is asked for one by `output`, by
+Every function is one call and returns a matplotlib `Figure`: a notebook shows it by
+itself, `figure.axes` are its axes in reading order to write on, and `figure.savefig` or
+`jnx.plot.save` writes it. What has several outputs is asked for one by `output`, by
 default the first. matplotlib is loaded on first use of `jnx.plot`.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxtyping import Array
 from matplotlib.figure import Figure
 
+import jaxnarx.evaluation as evaluation
+from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
 from jaxnarx.identification import Leaderboard, described
 from jaxnarx.models import Network
+from jaxnarx.refinement import Uncertainty
 from jaxnarx.selection import Selection, criteria_of
-from jaxnarx.shell import figures, partition_figure, residual_figure
-from jaxnarx.shell.leaderboard_figure import error_over_operations
+from jaxnarx.shell import (
+    comparison_figure,
+    figures,
+    partition_figure,
+    relevance_figure,
+    residual_figure,
+    steady_state_figure,
+    tree_figure,
+)
+from jaxnarx.shell.leaderboard_figure import BY, error_over_operations
 from jaxnarx.shell.linear_figures import bode, poles, step_responses
 from jaxnarx.shell.local_models_figure import local_models
 from jaxnarx.shell.style import save
 
 __all__ = [
     "bode",
+    "compare",
+    "error_map",
+    "errors_by_size",
     "free_run",
+    "gates",
+    "intersections",
     "leaderboard",
     "local_models",
     "partition",
     "poles",
+    "relevance",
     "residuals",
+    "response_surface",
     "save",
     "selection_path",
     "step_responses",
@@ -47,6 +68,22 @@ def partition(
     `start`, the network before its refinement, stands beside it; `data` lie under it.
     """
     return partition_figure.partition(_entry(network, data, start, output))
+
+
+def gates(
+    network: Network, *, start: Network | None = None, output: str | None = None
+) -> Figure:
+    """The gates of a sigmoid tree as a list: what every branch lies above or below.
+
+    `start`, the network before its refinement, stands beside it.
+    """
+    entry = _entry(network, None, start, output)
+    if "gates" not in entry["after"]:
+        raise SpecError(
+            "the regions are no tree and have no gates; jnx.plot.partition draws them",
+            field="network",
+        )
+    return tree_figure.tree(entry)
 
 
 def _entry(network: Network, data, start, output: str | None) -> dict[str, Any]:
@@ -95,6 +132,31 @@ def free_run(
     )
 
 
+def compare(
+    models: Network | Mapping[str, Network],
+    data: Dataset | Mapping[str, Dataset],
+    *,
+    output: str | None = None,
+    record: str | None = None,
+) -> Figure:
+    """Free runs of several models beside the measurement, every part on one page.
+
+    `models` by name, `data` by the name of their part, `{"train": ..., "test": ...}`;
+    one alone is welcome. Of each part that record is drawn which the first model fits
+    worst, or `record` by name.
+    """
+    found = evaluation.compare(models, data, output=output)
+    if record is None:
+        return comparison_figure.compared(found, [found.worst(p) for p in found.parts])
+    named = [one for one in found.records if one.record == record]
+    if not named:
+        names = list(dict.fromkeys(one.record for one in found.records))
+        raise SpecError(
+            f"no record {record!r}. {suggest(record, names)}", field="record"
+        )
+    return comparison_figure.compared(found, named)
+
+
 def selection_path(selection: Selection, *, output: str | None = None) -> Figure:
     """Error reduction of the terms in order of choice, and the criteria by size."""
     names = selection.output_names
@@ -108,9 +170,36 @@ def selection_path(selection: Selection, *, output: str | None = None) -> Figure
     )
 
 
-def leaderboard(board: Leaderboard, *, output: str | None = None) -> Figure:
-    """The candidates of a search: error of the free run over operations of a sample."""
-    return error_over_operations(described(board, _named(output, board.outputs)))
+def errors_by_size(
+    selection: Selection,
+    data: Dataset | Mapping[str, Dataset],
+    *,
+    output: str | None = None,
+) -> Figure:
+    """Error in free run and one step over the number of terms, and over operations.
+
+    `data` by the name of their part, or one alone; see
+    `jnx.evaluation.errors_by_size`.
+    """
+    names = selection.output_names
+    found = evaluation.errors_by_size(selection, data)
+    return comparison_figure.by_size(found[names.index(_named(output, names))])
+
+
+def leaderboard(
+    board: Leaderboard, *, output: str | None = None, by: str = "operations"
+) -> Figure:
+    """The candidates of a search: error of the free run over operations of a sample.
+
+    `by="parameters"` shows it over the number of parameters.
+    """
+    choice(by, tuple(BY), "by")
+    entry = described(board, _named(output, board.outputs))
+    return error_over_operations(entry, by=by)
+
+
+RESIDUALS = ("lags", "operating points", "free run")
+"""What residuals are drawn over."""
 
 
 def residuals(
@@ -122,21 +211,95 @@ def residuals(
 ) -> Figure:
     """Residuals of one-step prediction: correlations by lag, with their bounds.
 
-    `over="operating points"` shows their mean over every variable instead.
+    `over="operating points"` shows their mean over every variable instead, and
+    `"free run"` correlations of the free run's residual with the inputs.
     """
     name = _named(output, list(network.output_names))
+    choice(over, RESIDUALS, "over")
+    if over == "free run":
+        solution = evaluation.diagnose_free_run(network, data)
+        free = [one for one in solution.value if one.output.name == name]
+        if not free:
+            raise SpecError(
+                f"the free run of {name} was not tested: {solution.status_name}",
+                field="data",
+            )
+        return residual_figure.free_run(free[0])
     found = diagnose(network, data).value.outputs
     one = next(d for d in found if d.output.name == name)
     if over == "lags":
         return residual_figure.correlations(one)
     figure = residual_figure.operating_points(one)
-    if over != "operating points" or figure is None:
-        raise SpecError(
-            f'over is "lags" or, where variables move, "operating points"; got '
-            f"{over!r}",
-            field="over",
-        )
+    if figure is None:
+        raise SpecError("no variable moves over these data", field="over")
     return figure
+
+
+def error_map(
+    network: Network,
+    data: Dataset,
+    *,
+    over: Sequence[str] | None = None,
+    output: str | None = None,
+) -> Figure:
+    """Free-run error, bias, spread and number of samples over two variables.
+
+    By default the variables that schedule; see `jnx.evaluation.error_map`.
+    """
+    found = evaluation.error_map(network, data, over=over, output=output)
+    return figures.error_map(found)
+
+
+def relevance(
+    network: Network,
+    data: Dataset,
+    *,
+    how: str = "mean",
+    key: Array | None = None,
+    block: float | int | None = None,
+) -> Figure:
+    """Free-run error without each input, all outputs; see `jnx.evaluation.relevance`.
+
+    An input is held at its mean, or with `how="permuted"` and a `key` its blocks
+    change places.
+    """
+    found = evaluation.relevance(network, data, how=how, key=key, block=block)
+    return relevance_figure.relevance(found)
+
+
+def intersections(
+    network: Network,
+    data: Dataset,
+    *,
+    at: Mapping[str, float] | None = None,
+    over: Sequence[str] | None = None,
+    uncertainty: Uncertainty | None = None,
+) -> Figure:
+    """Outputs at rest over one input at a time, the others at an operating point.
+
+    With bands where the network knows its errors or `uncertainty` is given; see
+    `jnx.evaluation.intersections`.
+    """
+    found = evaluation.intersections(
+        network, data, at=at, over=over, uncertainty=uncertainty
+    )
+    return steady_state_figure.intersections(found)
+
+
+def response_surface(
+    network: Network,
+    data: Dataset,
+    over: Sequence[str],
+    *,
+    output: str | None = None,
+    at: Mapping[str, float] | None = None,
+    cells: int = 21,
+) -> Figure:
+    """One output at rest over two inputs; see `jnx.evaluation.response_surface`."""
+    found = evaluation.response_surface(
+        network, data, over, output=output, at=at, cells=cells
+    )
+    return steady_state_figure.response_surface(found)
 
 
 def _named(output: str | None, names: list[str]) -> str:

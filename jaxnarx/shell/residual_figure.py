@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation.residual_tests import (
+    FreeRunResiduals,
     LagTest,
     OperatingPoint,
     OutputDiagnostics,
@@ -36,6 +37,29 @@ def correlations(one: OutputDiagnostics) -> Figure:
         for ax in axes[-COLUMNS:]:
             ax.set_xlabel("lag [samples]")
         for ax in axes[::COLUMNS]:
+            ax.set_ylabel("correlation")
+    return figure
+
+
+def free_run(one: FreeRunResiduals) -> Figure:
+    """Correlations of one output's free-run residual: its own, and with every input.
+
+    Bounds as in `correlations`, for residuals of their own colour; negative lags are
+    shown only. At most five inputs, those that speak loudest.
+    """
+    loud = sorted(one.inputs, key=lambda t: t.p)[: 2 * COLUMNS - 1]
+    tests = [one.autocorrelation, *(t for t in one.inputs if any(t is k for k in loud))]
+    columns = min(len(tests), COLUMNS)
+    rows = -(-len(tests) // columns)
+    with styled():
+        figure, axes = canvas(9.0, 1.9 * rows + 0.3, rows=rows, columns=columns)
+        for ax, test in zip(axes, tests, strict=False):
+            _panel(ax, test)
+            ax.set_xlabel("lag [samples]")
+        axes[0].set_title("free-run residual, its colour", fontsize=8)
+        for ax in axes[len(tests) :]:
+            ax.set_axis_off()
+        for ax in axes[::columns]:
             ax.set_ylabel("correlation")
     return figure
 

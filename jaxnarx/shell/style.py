@@ -73,11 +73,26 @@ def styled() -> Iterator[None]:
         yield
 
 
+class Drawing(Figure):
+    """A figure that a notebook shows by itself, without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a picture, 160 dpi on white."""
+    picture = io.BytesIO()
+    with styled():
+        figure.savefig(picture, format="png", dpi=160, facecolor="white")
+    return picture.getvalue()
+
+
 def canvas(
     width: float = 9.0, height: float = 2.8, *, rows: int = 1, columns: int = 1, **grid
 ) -> tuple[Figure, list[Axes]]:
     """A figure of that size in inches and its axes, row by row."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Drawing(figsize=(width, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **grid)
     return figure, list(axes.flat)
 
@@ -170,10 +185,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     if path.suffix.lower() == ".svg":
         data = svg(figure).encode("utf-8")
     elif path.suffix.lower() == ".png":
-        picture = io.BytesIO()
-        with styled():
-            figure.savefig(picture, format="png", dpi=160, facecolor="white")
-        data = picture.getvalue()
+        data = png(figure)
     else:
         raise ValueError(f"figures are saved as .svg or .png, got {path.name!r}")
     write_whole(path, data)

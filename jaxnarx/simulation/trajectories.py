@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data.batch import Batch
 from jaxnarx.models import NAN, Network, reported
+from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation.masks import tables
 
 SHARE = 0.05
@@ -19,7 +20,7 @@ IN_A_ROW = 50
 """... and so has one with this many limited samples in a row."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Trajectories:
     """Outputs of a run, one array per record, in physical units.
 
@@ -45,6 +46,26 @@ class Trajectories:
     names: tuple[str, ...]
     output_names: tuple[str, ...]
     hidden: tuple[Float[np.ndarray, "_ hidden"], ...] = ()
+
+    def __str__(self) -> str:
+        """Range, and samples that count or that the bound has held, by record."""
+        head = f"Trajectories: {len(self)} records of {', '.join(self.output_names)}"
+        heads = "record", "output", "samples", "scored", "limited", "from", "to", ""
+        rows: list[tuple[str, ...]] = [heads]
+        for n, record in enumerate(self.names):
+            for o, name in enumerate(self.output_names):
+                y = self.outputs[n][:, o]
+                fine = y[np.isfinite(y)]
+                ends = (fine.min(), fine.max()) if len(fine) else (np.nan, np.nan)
+                masks = self.scored[n][:, o], self.limited[n][:, o]
+                counts = [str(len(y)), *(str(int(mask.sum())) for mask in masks)]
+                lost = "diverged" if self.diverged[n][o] else ""
+                shown = [f"{end:.4g}" for end in ends]
+                rows.append((record, name, *counts, *shown, lost))
+        lines = aligned(rows, [True, True, *(False,) * 5, True])
+        return "\n".join([head, *some(lines, 24)])
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return len(self.outputs)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Channels, Dataset, Record, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
+from jaxnarx.shown import aligned, brief, page, some
 
 Choice = slice | int | str | Sequence[int | str]
 """Which records of every engine belong to a part: by position or by name."""
@@ -52,7 +53,7 @@ class Padded:
         )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Fleet:
     """Engines, by name, with records to train on, to judge by and to test with.
 
@@ -68,6 +69,20 @@ class Fleet:
     test: Padded | None
     status: tuple[str, ...]
     detail: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Members with their samples by part, and what is wrong with them."""
+        step = float(self.sample_time)
+        head = f"Fleet: {len(self)} members at {step:g} s\n{self.channels}"
+        rows = [("member", *self.parts, "status")]
+        for n, name in enumerate(self.names):
+            samples = [str(int(p.length[n].sum())) for p in self.parts.values()]
+            wrong = f"{self.status[n]} {self.detail[n]}".strip()
+            rows.append((name, *samples, wrong))
+        left = [True, *(False,) * len(self.parts), True]
+        return "\n".join([head, *some(aligned(rows, left), 24)])
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return len(self.names)

@@ -7,5 +7,9 @@ from jaxnarx.targets.export import write_files as write_files
 from jaxnarx.targets.form import SampleProgram as SampleProgram
 from jaxnarx.targets.interpret import Instance as Instance
 from jaxnarx.targets.lower import lower as lower
+from jaxnarx.targets.proof import DOUBLE as DOUBLE
+from jaxnarx.targets.proof import Case as Case
 from jaxnarx.targets.proof import ExportError as ExportError
+from jaxnarx.targets.proof import worst as worst
 from jaxnarx.targets.readback import read_parameters as read_parameters
+from jaxnarx.targets.target import Target as Target

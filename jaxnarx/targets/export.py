@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
+from jaxnarx.extensions import Registry
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
+from jaxnarx.shown import page
 from jaxnarx.targets import c99, octave, proof, runners
 from jaxnarx.targets.a2l import a2l_files, prove_a2l
 from jaxnarx.targets.dcm import dcm_files, prove_dcm
@@ -26,7 +27,7 @@ from jaxnarx.targets.proof import Case
 from jaxnarx.targets.python import python_files
 from jaxnarx.targets.target import Files, Proof, Target, as_bytes
 
-TARGETS: dict[str, Target] = {
+_OWN: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
     "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
     "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
@@ -44,6 +45,7 @@ TARGETS: dict[str, Target] = {
     "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
     "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
+TARGETS = Registry("target", _OWN)
 """What a model can be exported to."""
 GOLDEN = 200
 """Samples of the self-test."""
@@ -79,6 +81,22 @@ class Exported:
         lines = sum(line.length for line in self.program.delays)
         return lines + len(self.program.states)
 
+    def __str__(self) -> str:
+        """Files with their sizes, what the proof has found, and the cost."""
+        lines = [f"Exported: {len(self.files)} files"]
+        for name, content in self.files.items():
+            lines.append(f"  {name}: {len(content)} bytes")
+        proofs = self.difference.items()
+        lines += [f"{run}: differs from the model by {d:.2g}" for run, d in proofs]
+        lines += [f"not run: {one}" for one in self.left_out]
+        lines.append(
+            f"{self.operations} operations a sample, {self.parameters} numbers in "
+            f"tables, {self.kept} kept from sample to sample"
+        )
+        return "\n".join(lines)
+
+    _repr_html_ = page
+
     @property
     def texts(self) -> dict[str, str]:
         """Files that are text."""
@@ -111,8 +129,8 @@ def export(
             left out.
         to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
             co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"dcm"` (parameters,
-            and maps at rest), `"a2l"` (names of the C files for calibration tools); all
-            of `TARGETS`.
+            and maps at rest), `"a2l"` (names of the C files for calibration tools),
+            or what is registered in `jaxnarx.targets.TARGETS`.
         name: What the files and their functions are called.
         over: The two inputs that maps at rest go over; default: of each output those
             that schedule it, then those that move it most.
@@ -129,7 +147,7 @@ def export(
         print(found.difference, found.files["NOx.h"])
     """
     for one in to:
-        choice(one, tuple(TARGETS), "to")
+        TARGETS.find(one, "to")
     program = lower(network, name, index=index, level=level)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
@@ -139,7 +157,8 @@ def export(
             "others, or none",
             field="data",
         )
-    golden = _golden(program, cases[0]) | {"axes": axes_of(network, program, over)}
+    axes = {"axes": axes_of(network, program, over)}
+    golden = golden_of(program, cases[0]) | axes
     files: Files = {}
     for one in to:
         files |= TARGETS[one].write(program, golden)
@@ -147,7 +166,7 @@ def export(
     return Exported(program, files, difference, tuple(left_out))
 
 
-def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
+def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
     inputs = case.inputs[: program.history + GOLDEN]
     instance = Instance(program)

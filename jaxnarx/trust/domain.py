@@ -9,6 +9,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Network
+from jaxnarx.shown import page
 from jaxnarx.simulation import fitting
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust.learn import feature_rows, layers_of
@@ -34,6 +35,8 @@ class Excursion:
             f"{self.record}, {self.start:.4g} to {self.end:.4g} s: {self.index:.3g} by "
             f"{self.layer} of {self.channel}"
         )
+
+    _repr_html_ = page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,6 +99,8 @@ class DomainIndex:
 
     def __str__(self) -> str:
         return self.table
+
+    _repr_html_ = page
 
 
 @guarded

@@ -9,13 +9,14 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LEVELS, Network
+from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation import Trajectories, fitting, simulate
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust.errors import told_by
 from jaxnarx.trust.learn import feature_rows, layers_of
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Intervals:
     """Prediction intervals of a free run, one array per record, in physical units.
 
@@ -28,6 +29,17 @@ class Intervals:
     lower: tuple[Float[np.ndarray, "_ outputs"], ...]
     upper: tuple[Float[np.ndarray, "_ outputs"], ...]
     level: float
+
+    def __str__(self) -> str:
+        """Mean width by record and output."""
+        head = f"Intervals: {100 * self.level:g} % intervals of {len(self)} records"
+        rows = [("record", *self.run.output_names)]
+        for name, low, high in zip(self.run.names, self.lower, self.upper, strict=True):
+            width = np.mean(high - low, axis=0).tolist()
+            rows.append((name, *(f"{value:.4g}" for value in width)))
+        return "\n".join([f"{head}, mean width", *some(aligned(rows))])
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         return len(self.lower)

@@ -15,7 +15,7 @@ from jaxnarx.identification.candidates import Candidates
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.methods import Preset
+from jaxnarx.methods import Identification, Preset
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, look
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
@@ -247,3 +247,22 @@ def test_a_sum_of_candidates_is_one_of_them(data, seen, few, judged, monkeypatch
     assert error.max() < 1e-3 * np.ptp(middle)
     assert row.one_step is not None and 0 < row.one_step < members[0].one_step()
     assert row.parameters == cost(networks[-1]).parameters
+
+
+def test_candidates_of_other_packages_are_judged_behind_the_closed_forms(
+    data, seen, few, judged
+):
+    network = few[1].network()
+    judged["results"] = [made([0.04, 0.09, 0.01, 0.25], network)] * 5
+    asked = []
+
+    def theirs(records, output):
+        asked.append((records, output))
+        yield "first", Identification()
+        yield "second", Identification(refine=None)
+
+    _, every = tried(data, seen, added={"theirs": theirs})
+    assert asked == [(data, "y")]
+    found = [(row.family, row.name, row.status) for row, _ in every[3:5]]
+    assert found == [("theirs", "first", "ok"), ("theirs", "second", "ok")]
+    assert [(r.family, r.name) for r, _ in every[5:]] == names(data, seen)[:3]

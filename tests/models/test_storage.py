@@ -308,19 +308,18 @@ class Halves(AbstractValidity):
 
 
 @pytest.fixture
-def own(monkeypatch):
+def own():
     """A network of that class; what is registered is forgotten again."""
-    monkeypatch.setattr(validity, "KINDS", dict(validity.KINDS))
-    monkeypatch.setattr("jaxnarx.models.storage.KINDS", validity.KINDS)
     part = dataclasses.replace(
         PARTS["inputs"],
         models=PARTS["inputs"].models[:2],
         centre=((0.2, 0.3), (0.5, 0.6)),
         width=((0.3, 0.4), (0.2, 0.5)),
     )
-    return eqx.tree_at(
+    yield eqx.tree_at(
         lambda n: n.models[0].validity, common.network([part]), Halves(jnp.asarray(0.5))
     )
+    validity.VALIDITIES.pop("Halves", None)
 
 
 def test_validity_that_no_program_could_read_is_not_written(own, tmp_path):
@@ -342,7 +341,7 @@ def test_registered_validity_comes_back(own, tmp_path):
     for a, b in zip(y, simulate(own, common.dataset()).value.outputs, strict=True):
         np.testing.assert_array_equal(a, b)
     # a program without the class says so, and imports nothing that the file names
-    del validity.KINDS["Halves"]
+    del validity.VALIDITIES["Halves"]
     refused(tmp_path / "m", "'Halves'", "register")
     tensors, header = contents(tmp_path / "m")
     header["models"][0]["validity"] = "os.system"

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -71,6 +72,59 @@ def test_a_free_run_is_drawn_of_the_record_and_output_asked_for():
         assert texts(figure).startswith(f"{name}, record")
 
 
+def test_training_and_test_and_several_models_are_one_page():
+    chosen, network = fitted()
+    alone = jnx.grow(chosen, data(), jnx.Global()).value
+    parts = {"train": data()[0], "test": data()[1]}
+    figure = jnx.plot.compare({"regions": network, "alone": alone}, parts)
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert titles == ["train, record 1", "test, record 2"]
+    labels = [str(line.get_label()) for line in figure.axes[0].lines]
+    assert labels[0] == "measured" and labels[1].startswith("regions: ")
+    only = jnx.plot.compare(network, parts, record="record 2")
+    assert len(only.axes) == 1
+    with pytest.raises(SpecError, match="no record 'x'"):
+        jnx.plot.compare(network, parts, record="x")
+
+
+def test_what_the_model_says_of_its_inputs_is_one_call_each():
+    chosen, network = fitted()
+    assert "NRMSE of the free run" in texts(jnx.plot.relevance(network, data()))
+    figure = jnx.plot.intersections(network, data())
+    assert [ax.get_ylabel() for ax in figure.axes] == ["y", "w"]
+    curve = figure.axes[1].lines[0]
+    # w(t) = u(t-1): at rest a line of slope one, but for the blend of three regions.
+    x, y = (np.asarray(a, float) for a in (curve.get_xdata(), curve.get_ydata()))
+    np.testing.assert_allclose(y, x, atol=0.05)
+    figure = jnx.plot.error_map(network, data(), over=("u", "u[t-1]"))
+    assert "RMSE" in "".join(ax.get_ylabel() for ax in figure.axes)
+    sizes = jnx.plot.errors_by_size(chosen, {"train": data()[0], "test": data()[1]})
+    assert "number of terms" in texts(sizes) and "operations" in texts(sizes)
+    free = jnx.plot.residuals(network, data(), over="free run")
+    assert "free-run residual" in texts(free)
+
+
+def test_gates_of_a_tree_are_a_list():
+    chosen, network = fitted()
+    method = jnx.SigmoidTree("u[t-1]", max_models=2, criterion="none")
+    tree = jnx.grow(chosen, data(), method).value
+    words = [t.get_text() for t in jnx.plot.gates(tree).axes[0].texts]
+    assert any(word.startswith("u[t-1] < ") for word in words)
+    with pytest.raises(SpecError, match="are no tree"):
+        jnx.plot.gates(network)
+
+
+def test_a_response_surface_is_a_colour_for_every_pair():
+    network, records = common.named("one model"), common.dataset((60, 45))
+    figure = jnx.plot.response_surface(network, records, ("a", "b"), cells=4)
+    assert figure.axes[0].get_xlabel() == "a [V]" and len(figure.axes) == 2
+
+
+def test_a_figure_shows_itself_in_a_notebook():
+    figure: Any = jnx.plot.partition(fitted()[1], data())
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
 def test_every_public_figure_says_what_it_shows():
     for name in jnx.plot.__all__:
         assert inspect.getdoc(getattr(jnx.plot, name)), name
@@ -110,5 +164,5 @@ def test_wrong_use_says_what_to_do():
         jnx.plot.partition(alone)
     with pytest.raises(SpecError, match="no output 'z'"):
         jnx.plot.free_run(network, data(), output="z")
-    with pytest.raises(SpecError, match="over is"):
+    with pytest.raises(SpecError, match="over must be one of"):
         jnx.plot.residuals(network, data(), over="time")

@@ -304,7 +304,7 @@ def test_what_cannot_be_exported_is_told():
     other = eqx.tree_at(lambda n: n.models[0].validity, net, Sharp())
     with pytest.raises(SpecError, match="validity function Sharp cannot be exported"):
         lower(other)
-    with pytest.raises(SpecError, match="to must be"):
+    with pytest.raises(SpecError, match="there is no target 'fortran'"):
         export(net, to=["fortran"])
 
 

@@ -18,6 +18,7 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.data.units import same_unit
 from jaxnarx.errors import SpecError
+from jaxnarx.shown import page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,6 +81,8 @@ class Changes:
             lines.append(f"{n + 1}. {step}")
             lines += [f"   {text}" for text in self._summary(n)]
         return "\n".join(lines) or "nothing was done"
+
+    _repr_html_ = page
 
     def _summary(self, step: int) -> Iterator[str]:
         own = self.of(step)

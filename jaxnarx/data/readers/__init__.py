@@ -14,15 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.data.readers.columns import Asked, Column, Table
-from jaxnarx.errors import DataFileError, reading
+from jaxnarx.data.readers.columns import require_limit as require_limit
+from jaxnarx.data.record import RowSource as RowSource
+from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.extensions import Registry
 
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A kind of file: its module, and the extra of jaxnarx that brings `package`."""
+    """A kind of file: its module, and the extra of jaxnarx that brings `package`.
+
+    `module` is the name of one of this folder, or anything that has the two functions.
+    """
 
     name: str
-    module: str
+    module: Any
     package: str = ""
     extra: str = ""
     packed: bool = False
@@ -36,7 +42,7 @@ _SHEET = Kind("spreadsheet", "spreadsheet", "python_calamine", "excel", packed=T
 _MDF = Kind("MDF", "mdf", "asammdf", "mdf", marks=(b"MDF", b"UnFinMF"))
 _MAT = Kind("MATLAB", "variables", "matio", "matlab")
 _HDF5 = Kind("HDF5", "variables", "h5py", "hdf5", marks=(b"\x89HDF\r\n\x1a\n",))
-KINDS: dict[str, Kind] = {
+_OWN: dict[str, Kind] = {
     ".csv": _CSV,
     ".txt": _CSV,
     ".parquet": _PARQUET,
@@ -54,6 +60,18 @@ KINDS: dict[str, Kind] = {
     ".hdf": _HDF5,
     ".npz": Kind("npz", "variables", packed=True, marks=(b"PK",)),
 }
+
+
+def _require_suffix(name: str, kind: Kind) -> None:
+    if not name.startswith(".") or name != name.lower():
+        raise SpecError(
+            f"a kind of file goes by its suffix in lower case, such as '.sig', got "
+            f"{name!r}",
+            field="name",
+        )
+
+
+KINDS = Registry("kind of file", _OWN, check=_require_suffix)
 """By suffix, lower case."""
 
 _ARCHIVES = {
@@ -125,6 +143,8 @@ def _used(path: Path, use: Any) -> Any:
                 f'which is not installed: pip install "jaxnarx[{kind.extra}]".',
                 path=path,
             )
+        if not isinstance(kind.module, str):
+            return use(kind.module)
         return use(importlib.import_module(f"jaxnarx.data.readers.{kind.module}"))
 
 

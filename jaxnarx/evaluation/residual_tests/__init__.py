@@ -5,6 +5,12 @@ from jaxnarx.evaluation.residual_tests.diagnostics import Diagnostics as Diagnos
 from jaxnarx.evaluation.residual_tests.diagnostics import (
     OutputDiagnostics as OutputDiagnostics,
 )
+from jaxnarx.evaluation.residual_tests.free_run import (
+    FreeRunResiduals as FreeRunResiduals,
+)
+from jaxnarx.evaluation.residual_tests.free_run import (
+    diagnose_free_run as diagnose_free_run,
+)
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest as LagTest
 from jaxnarx.evaluation.residual_tests.operating_point import (
     OperatingPoint as OperatingPoint,

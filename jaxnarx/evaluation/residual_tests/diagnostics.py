@@ -13,6 +13,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.operating_point import OperatingPoint
 from jaxnarx.evaluation.residual_tests.scalar_tests import ScalarTest
 from jaxnarx.evaluation.table import strict
+from jaxnarx.shown import page
 
 FITTED = {
     "global": "fitted to these samples by least squares: the bounds allow for it",
@@ -145,6 +146,8 @@ class Diagnostics:
 
     def __str__(self) -> str:
         return self.table
+
+    _repr_html_ = page
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the residuals themselves, as strict JSON values."""

@@ -3,6 +3,7 @@
 import dataclasses
 
 from jaxnarx.errors import SpecError
+from jaxnarx.extensions import Registry
 from jaxnarx.models.validity.abstract import EDGE, AbstractValidity, weights_of
 from jaxnarx.models.validity.boxes import Boxes
 from jaxnarx.models.validity.compact import Compact
@@ -10,27 +11,14 @@ from jaxnarx.models.validity.gaussians import Gaussians
 from jaxnarx.models.validity.log_sigmoids import LogSigmoids
 from jaxnarx.models.validity.sigmoid_tree import SigmoidTree
 
-KINDS: dict[str, type[AbstractValidity]] = {
-    kind.__name__: kind
-    for kind in (Gaussians, Boxes, Compact, LogSigmoids, SigmoidTree)
-}
-"""Every class by the name that model files use."""
 
-
-def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
-    """Let model files hold validity functions of your own class; use as a decorator.
-
-    Files know classes by name alone and load no code: the program that reads one must
-    have registered the class before. All fields must be arrays. A class of your own may
-    be registered anew, under a name that no other class has.
-    """
-    name = kind.__name__
-    there = KINDS.get(name, kind)
-    if (there.__module__, there.__qualname__) != (kind.__module__, kind.__qualname__):
+def _require_arrays(name: str, kind: type[AbstractValidity]) -> None:
+    """Model files hold arrays, and know a class by its own name."""
+    if name != kind.__name__:
         raise SpecError(
-            f"validity functions of another class are called {name!r} already "
-            f"({there.__module__}); give yours another name",
-            field="kind",
+            f"model files know a validity function by the name of its class, "
+            f"{kind.__name__!r}, not {name!r}",
+            field="name",
         )
     static = [f.name for f in dataclasses.fields(kind) if f.metadata.get("static")]
     if static:
@@ -39,19 +27,40 @@ def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
             "make it an array",
             field=static[0],
         )
-    KINDS[name] = kind
-    return kind
+
+
+VALIDITIES: Registry[type[AbstractValidity]] = Registry(
+    "validity function",
+    {
+        kind.__name__: kind
+        for kind in (Gaussians, Boxes, Compact, LogSigmoids, SigmoidTree)
+    },
+    check=_require_arrays,
+)
+"""Every class by the name that model files use."""
+
+
+def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
+    """Let model files hold validity functions of your own class; use as a decorator.
+
+    Files know classes by name alone and load no code: the program that reads one must
+    have registered the class before, or an installed package does
+    (`jaxnarx.extensions`). All fields must be arrays. A class of your own may be
+    registered anew, under a name that no other class has. What its contract is tried
+    with goes to `VALIDITIES.register(name, kind, example=...)`.
+    """
+    return VALIDITIES.register(kind.__name__, kind)
 
 
 __all__ = [
     "EDGE",
-    "KINDS",
     "AbstractValidity",
     "Boxes",
     "Compact",
     "Gaussians",
     "LogSigmoids",
     "SigmoidTree",
+    "VALIDITIES",
     "register_validity",
     "weights_of",
 ]

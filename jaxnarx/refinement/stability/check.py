@@ -14,6 +14,7 @@ from jaxnarx.refinement.stability.bound import Bound, bounds
 from jaxnarx.refinement.stability.certificate import Certificate, certificate
 from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
+from jaxnarx.shown import page
 from jaxnarx.simulation import (
     Masks,
     RunInputs,
@@ -117,6 +118,8 @@ class Stability:
 
     def __str__(self) -> str:
         return self.table
+
+    _repr_html_ = page
 
 
 def _claim(bound: Bound) -> str:

@@ -23,6 +23,7 @@ from jaxnarx.selection.anova.cells import Effect, FTest, cut
 from jaxnarx.selection.anova.model import Codes
 from jaxnarx.selection.anova.penalised import shrink
 from jaxnarx.selection.anova.sequence import sequence
+from jaxnarx.shown import page
 
 SHOWN = 30
 """Rows of the table's text."""
@@ -103,6 +104,8 @@ class AnovaTable:
         if more := len(self.effects) - len(shown):
             lines.append(f"  ... and {more} more that are not significant")
         return "\n".join(line.rstrip() for line in lines)
+
+    _repr_html_ = page
 
     def _head(self) -> list[str]:
         form = "one penalised model"

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
+from jaxnarx.shown import page
 from jaxnarx.sweep.analysis.groups import labels
 from jaxnarx.sweep.analysis.table import SweepTable
 
@@ -28,6 +29,8 @@ class Interval:
 
     def __str__(self) -> str:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
+    _repr_html_ = page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +82,8 @@ class Comparison:
             f"{self.failed_after} with {second} only, {self.failed_both} with both; "
             f"{self.unpaired} without partner."
         )
+
+    _repr_html_ = page
 
 
 @guarded

@@ -10,10 +10,11 @@ import pyarrow as pa
 from jaxtyping import Bool, Shaped
 
 from jaxnarx.errors import SpecError, suggest
+from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.solution import NAMES, OKAY
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class SweepTable:
     """One row per member of a sweep: index, labels, status, scores, seconds, message.
 
@@ -30,6 +31,17 @@ class SweepTable:
         from jaxnarx.sweep.folder.chunks import arrow_table
 
         return cls(arrow_table(rows))
+
+    def __str__(self) -> str:
+        """Every row; numbers with six digits."""
+        columns = [self.arrow.column(name).to_pylist() for name in self.names]
+        cells = zip(*columns, strict=True)
+        rows = [self.names, *([_cell(value) for value in row] for row in cells)]
+        place = f" in {self.folder}" if self.folder else ""
+        head = f"SweepTable: {len(self)} rows{place}"
+        return "\n".join([head, *some(aligned(rows), 24)])
+
+    __repr__, _repr_html_ = brief, page
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -99,3 +111,10 @@ class SweepTable:
             raise ImportError(
                 "to_pandas needs pandas: pip install pandas, or use column and rows"
             ) from error
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text.splitlines()[0][:60] if text else ""

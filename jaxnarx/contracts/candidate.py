@@ -1,0 +1,54 @@
+"""The contract of a candidate of `identify`, `CANDIDATES.register(name, function)`."""
+
+import pickle
+from pathlib import Path
+
+from jaxnarx.contracts.life import lives, plant
+from jaxnarx.data import groups
+from jaxnarx.identification import Candidate
+from jaxnarx.identification.by_method import by_method
+from jaxnarx.identification.candidates import Candidates
+from jaxnarx.methods import Identification, Preset
+from jaxnarx.output_error import look
+
+QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True)
+
+
+def names_methods(candidate: Candidate) -> None:
+    """Of data and an output it makes names, each once, and methods that end with a
+    model of this output."""
+    found = list(candidate(plant(), "y"))
+    assert found, "it has no candidate for two inputs and one output"
+    names = [name for name, _ in found]
+    assert len(set(names)) == len(names)
+    assert all(isinstance(method, Identification) for _, method in found)
+
+
+def goes_to_another_process(candidate: Candidate) -> None:
+    """It can be pickled: outputs are searched side by side. A function of a module can,
+    one inside of another function, or of a notebook, cannot."""
+    assert pickle.loads(pickle.dumps(candidate)) is candidate
+
+
+def is_tried_in_a_search(candidate: Candidate) -> None:
+    """It becomes a row of a leaderboard, with an error on records left out."""
+    data = plant()
+    search = Candidates(
+        *(data, look(data, "y"), groups(data), QUICK), added={"added": candidate}
+    )
+    rows = [row for row, _ in search if row.family == "added"]
+    assert rows, "it was not tried"
+    told = "; ".join(f"{row.name}: {row.status} {row.detail}" for row in rows)
+    assert any(row.eligible for row in rows), told
+
+
+def lives_with_it(candidate: Candidate, folder: Path) -> None:
+    """The network of its first method is refined, saved, loaded and exported, or says
+    that it cannot be."""
+    _, method = next(iter(candidate(plant(), "y")))
+    found = by_method(plant(), method, None, None)
+    assert found.is_okay, found.detail
+    lives(found.value, folder)
+
+
+CHECKS = (names_methods, goes_to_another_process, is_tried_in_a_search, lives_with_it)

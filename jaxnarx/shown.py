@@ -1,0 +1,44 @@
+"""What `print` and a notebook show of a value: one text, told by its `__str__`.
+
+A class says what it is in `__str__`; `_repr_html_ = page` shows the same text in a
+notebook, and `__repr__ = brief` keeps arrays out of a traceback or a list.
+"""
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+
+def page(self: Any) -> str:
+    """Its text as a notebook shows it: one block, nothing in it is markup."""
+    return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def brief(self: Any) -> str:
+    """The first line of its text in angle brackets, `<Dataset: 3 records, ...>`."""
+    kind, lines = type(self).__name__, str(self).splitlines()
+    text = (lines or [""])[0].removeprefix(kind).lstrip(" :")
+    return f"<{kind}: {text}>"
+
+
+def aligned(
+    lines: Iterable[Sequence[str]], left: Sequence[bool] | None = None
+) -> list[str]:
+    """Cells in columns; text left (by default the first column), figures right."""
+    lines = list(lines)
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    sides = [n == 0 for n in range(len(widths))] if left is None else left
+    return [
+        "  ".join(
+            cell.ljust(w) if at_left else cell.rjust(w)
+            for cell, w, at_left in zip(line, widths, sides, strict=True)
+        ).rstrip()
+        for line in lines
+    ]
+
+
+def some(lines: Sequence[str], most: int = 12) -> list[str]:
+    """The first `most` lines, and how many more there are."""
+    if len(lines) <= most + 1:
+        return list(lines)
+    return [*lines[:most], f"  and {len(lines) - most} more"]
