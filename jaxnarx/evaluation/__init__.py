@@ -15,6 +15,7 @@ from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.rows import Row as Row
+from jaxnarx.evaluation.shown import ShownRecord as ShownRecord
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
 from jaxnarx.evaluation.verdict import Verdict as Verdict

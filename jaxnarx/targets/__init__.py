@@ -8,3 +8,4 @@ from jaxnarx.targets.form import SampleProgram as SampleProgram
 from jaxnarx.targets.interpret import Instance as Instance
 from jaxnarx.targets.lower import lower as lower
 from jaxnarx.targets.proof import ExportError as ExportError
+from jaxnarx.targets.scripts import javascript as javascript
