@@ -134,7 +134,7 @@ class Browser:
         """Until it holds."""
         until = time.monotonic() + limit
         while not self.value(f"Boolean({condition})"):
-            assert time.monotonic() < until, f"never: {condition}"
+            assert time.monotonic() < until, (f"never: {condition}", self.errors())
             time.sleep(0.02)
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:

@@ -59,7 +59,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
-        result = scored(network, parts, board, {}, told)
+        result = scored(network, parts, read_search(folder), {}, told)
         model = str(folder / RUN[0])
         judgement = None if stopped else result.verdict
         following = quoted(*next_search(command, asked, judgement, model=model))

@@ -65,7 +65,7 @@ def take(command: Take, typed: str) -> int:
         parts = scored_parts(train, validation, split.test, network)
         network = knowing(released(network), parts["train"])
         taken = {row.output: row.number for row in rows}
-        result = scored(network, parts, found.leaderboard, taken, told)
+        result = scored(network, parts, found, taken, told)
         following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
         result = dataclasses.replace(result, next_command=quoted(following))
         files = write_run(folder, network, result, about)

@@ -19,7 +19,7 @@ from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
 from jaxnarx.shell.html import render, write_report
 from jaxnarx.shell.page import running
-from jaxnarx.shell.page.codec import COARSE, FINE, packed
+from jaxnarx.shell.page.codec import COARSE, FINE, MIDDLE, packed
 from jaxnarx.shell.page.records import FARTHEST, chosen
 from jaxnarx.simulation import simulate
 
@@ -158,11 +158,14 @@ def long(samples: int, seed: int) -> ShownRecord:
 
 def test_records_that_do_not_fit_are_reduced_and_it_is_told():
     records = [long(6000, seed) for seed in range(4)]
-    fine, coarse = chosen(records), chosen(records, 160_000)
-    assert f"1/{FINE:,}" in fine.told and f"1/{COARSE:,}" in coarse.told
-    assert all(r["bins"] == 0 for r in (*fine.records, *coarse.records))
-    few = chosen(records, 110_000)
-    assert sum(len(json.dumps(r)) for r in few.records) < 115_000
+    for limit, levels in ((10**9, FINE), (160_000, MIDDLE), (140_000, COARSE)):
+        one = chosen(records, limit)
+        assert f"1/{levels:,} of" in one.told and not any(
+            r["bins"] for r in one.records
+        )
+    assert f"1/{MIDDLE:,} in the 1 of 4" in one.told
+    few = chosen(records, 95_000)
+    assert sum(len(json.dumps(r)) for r in few.records) < 100_000
     whole = [r["name"] for r in few.records if not r["bins"]]
     assert whole == ["r3"] and "1 of 4 records" in few.told  # the largest error
     one = few.records[0]

@@ -162,6 +162,8 @@ def test_the_report_holds_the_leaderboard_and_its_figure(done):
         "y": {"memory": 9},
         "w": {"memory": 9},
     }
+    assert {"best linear candidate", "runner-up"} < set(found["beside"])
+    assert found["next_command"] == done[1].split("Next: ")[1].strip()
     page = (folder / "report.html").read_text()
     section = page[page.index("<h2>Leaderboard") : page.index("<h2>The equations")]
     assert section.count("<svg") == 2 and "diverges: vetoed" in section

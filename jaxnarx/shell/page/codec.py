@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-FINE, COARSE = 65_000, 4_000
+FINE, MIDDLE, COARSE = 65_000, 4_000, 1_000
 """Levels of a series."""
 NOTHING = 65_535
 LARGEST = 8e307
@@ -48,5 +48,5 @@ def packed(
         part, low, step = encoded(np.asarray(value, float), min(levels, most))
         parts.append(part)
         header.append([name, low, step])
-    data = zlib.compress(b"".join(parts), 9)
+    data = zlib.compress(b"".join(parts), 6)
     return {"series": header, "text": base64.b64encode(data).decode("ascii")}

@@ -1,8 +1,8 @@
 """Which records a page holds, and in what detail, so that it stays small.
 
-All records are there at the whole rate if that fits, in fine or else in coarse steps.
-Otherwise those with the largest errors are, as far as they fit, and of the others their
-envelope with the stretch where the error is largest at the whole rate.
+All records are there at the whole rate if that fits, in fine or else in coarser steps,
+those with the largest errors in finer ones. Otherwise these alone are, as far as they
+fit, and of the others their envelope with the stretch where the error is largest.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.evaluation import ShownRecord
-from jaxnarx.shell.page.codec import COARSE, FINE, packed
+from jaxnarx.shell.page.codec import COARSE, FINE, MIDDLE, packed
 
 BYTES = 1_900_000
 """All records together, as they stand in the page."""
@@ -21,7 +21,7 @@ BINS = 400
 """Of an envelope."""
 STRETCH = 2_000
 """Samples around the largest error."""
-LEVELS = 1_000
+WIDTHS, INDICES, SWITCH = 250, 1_000, 1
 """Levels of half widths, of the index and of switches."""
 FARTHEST = 8.0
 """Larger indices are shown as this."""
@@ -37,26 +37,53 @@ class Budget:
 
 def chosen(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
     """As much of them as fits; the order stays."""
-    for levels in (FINE, COARSE):
+    for levels in (FINE, MIDDLE):
         whole = [_whole(record, levels) for record in records]
-        if sum(map(_size, whole)) <= limit:
-            told = f"every sample, rounded to 1/{levels:,} of each signal's range"
+        if _sum(whole) <= limit:
+            told = f"every sample, rounded to {_share(levels)}"
             return Budget(tuple(whole), told)
+    coarse = [_whole(record, COARSE) for record in records]
+    if _sum(coarse) <= limit:
+        found, kept = _with(coarse, whole, records, limit)
+        told = f"every sample, rounded to {_share(COARSE)}"
+        if kept:
+            told += f", to 1/{MIDDLE:,} in the {kept} of {len(records)} records with "
+            told += "the largest errors"
+        return Budget(found, told)
     bins = min(BINS, max(limit // (40 * max(len(records), 1)), 8))
     reduced = [_reduced(record, bins) for record in records]
-    left, found = limit - sum(map(_size, reduced)), list(reduced)
-    kept = 0
-    for n in sorted(range(len(records)), key=lambda n: -_badness(records[n])):
-        more = _size(whole[n]) - _size(reduced[n])
-        if more <= left:
-            found[n], left, kept = whole[n], left - more, kept + 1
+    found, kept = _with(reduced, coarse, records, limit)
     told = (
         f"every sample of the {kept} of {len(records)} records with the largest errors,"
-        f" rounded to 1/{COARSE:,} of each signal's range; of the others the least and "
-        f"largest value of {bins} stretches of time, and up to {STRETCH:,} samples "
-        "around the largest error"
+        f" rounded to {_share(COARSE)}; of the others the least and largest value of "
+        f"{bins} stretches of time, and up to {STRETCH:,} samples around the largest "
+        "error"
     )
-    return Budget(tuple(found), told)
+    return Budget(found, told)
+
+
+def _share(levels: int) -> str:
+    return f"1/{levels:,} of each signal's range"
+
+
+def _with(
+    small: Sequence[dict[str, Any]],
+    large: Sequence[dict[str, Any]],
+    records: Sequence[ShownRecord],
+    limit: int,
+) -> tuple[tuple[dict[str, Any], ...], int]:
+    """Small ones, as many as fit of those with the largest errors large; how many."""
+    found, left, kept = list(small), limit - _sum(small), 0
+    for n in sorted(range(len(records)), key=lambda n: -_badness(records[n])):
+        more = _size(large[n]) - _size(small[n])
+        if more > left:
+            break
+        found[n], left, kept = large[n], left - more, kept + 1
+    return tuple(found), kept
+
+
+def _sum(records: Sequence[dict[str, Any]]) -> int:
+    return sum(map(_size, records))
 
 
 def _size(record: dict[str, Any]) -> int:
@@ -118,15 +145,15 @@ def _series(
         yield f"u{s}", FINE, value[part]
     for o in range(record.simulated.shape[1]):
         yield f"y{o}", FINE, record.simulated[part, o]
-        yield f"s{o}", LEVELS, record.scored[part, o].astype(float)
-        yield f"l{o}", LEVELS, record.limited[part, o].astype(float)
+        yield f"s{o}", SWITCH, record.scored[part, o].astype(float)
+        yield f"l{o}", SWITCH, record.limited[part, o].astype(float)
         if record.lower is not None and record.upper is not None:
             half = 0.5 * record.upper[part, o] - 0.5 * record.lower[part, o]
-            yield f"h{o}", LEVELS, half
+            yield f"h{o}", WIDTHS, half
         for n, run in enumerate(record.others.values()):
             yield f"o{n}.{o}", FINE, run[part, o]
     if record.index is not None:
-        yield "i", 4 * LEVELS, np.minimum(record.index[part], FARTHEST)
+        yield "i", INDICES, np.minimum(record.index[part], FARTHEST)
 
 
 def _reduced(record: ShownRecord, bins: int) -> dict[str, Any]:
