@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from browser import needs_browser
 from smoke import assert_target, experiment, run
 
 PARTS = ("identification", "validation", "unseen")
@@ -118,3 +119,14 @@ def test_exported_networks_beside_a_loop_by_hand(tmp_path):
     # rounding alone: the loop by hand adds in another order
     assert max(figures["difference"].values()) < 1e-12
     assert_target(figures["targets"]["ratio"])
+
+
+@needs_browser
+@pytest.mark.slow
+def test_the_page_of_a_report_in_a_browser(tmp_path):
+    figures = run("page.py", results=tmp_path)["page"]
+    assert figures["requests"] == figures["errors"] == []
+    assert sum(figures["shares"].values()) == figures["bytes"]
+    assert figures["detail"].startswith("every sample, rounded to 1/65,000")
+    for aim in figures["targets"].values():
+        assert_target(aim)

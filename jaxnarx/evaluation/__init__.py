@@ -23,6 +23,7 @@ from jaxnarx.evaluation.residual_tests import FreeRunResiduals as FreeRunResidua
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.residual_tests import diagnose_free_run as diagnose_free_run
 from jaxnarx.evaluation.rows import Row as Row
+from jaxnarx.evaluation.shown import ShownRecord as ShownRecord
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
 from jaxnarx.evaluation.steady_states import Intersection as Intersection

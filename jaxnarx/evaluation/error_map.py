@@ -31,7 +31,8 @@ class ErrorMap:
 
     `rms` is the root mean square of measured minus simulated, `bias` its mean and
     `spread` its standard deviation, NaN in empty cells; `edges` the borders of the
-    cells along each of `variables`. Records that diverged are left out.
+    cells along each of `variables`. `places` are the record and the sample at which a
+    cell's error is largest, -1 in empty cells. Records that diverged are left out.
     """
 
     output: str
@@ -41,6 +42,7 @@ class ErrorMap:
     bias: Float[np.ndarray, "x y"]
     spread: Float[np.ndarray, "x y"]
     samples: Int[np.ndarray, "x y"]
+    places: Int[np.ndarray, "x y 2"]
 
     @property
     def rms(self) -> Float[np.ndarray, "x y"]:
@@ -51,6 +53,39 @@ class ErrorMap:
     def thin(self) -> Bool[np.ndarray, "x y"]:
         """Cells with fewer than 20 samples, or none."""
         return self.samples < THIN
+
+    @property
+    def worst(self) -> tuple[int, int] | None:
+        """The cell with the largest error that enough samples tell; None without."""
+        if self.thin.all():
+            return None
+        error = np.where(self.thin, -np.inf, np.nan_to_num(self.rms, nan=-np.inf))
+        i, j = np.unravel_index(int(np.argmax(error)), error.shape)
+        return int(i), int(j)
+
+    @property
+    def usual(self) -> float:
+        """Root mean square over all cells."""
+        seen = self.samples > 0
+        count, rms = self.samples[seen], self.rms[seen]
+        scale = float(rms.max(initial=0.0)) or 1.0
+        return scale * float(np.sqrt(count @ (rms / scale) ** 2 / max(count.sum(), 1)))
+
+    def __str__(self) -> str:
+        """Where the error is largest, in words."""
+        if self.worst is None:
+            return ""
+        i, j = self.worst
+        (a, b), unit = (
+            self.edges,
+            "" if self.unit in ("", "-", "1") else f" {self.unit}",
+        )
+        times = f", {self.rms[i, j] / self.usual:.2g} times the usual"
+        return (
+            f"{self.output} errs most at {self.variables[0]} {a[i]:.4g} to "
+            f"{a[i + 1]:.4g} and {self.variables[1]} {b[j]:.4g} to {b[j + 1]:.4g}: "
+            f"RMSE {self.rms[i, j]:.3g}{unit}{times if self.usual > 0 else ''}"
+        )
 
 
 @guarded
@@ -133,6 +168,7 @@ def error_maps(
                 _map(
                     *(channel.name, channel.unit, (names[first], names[second])),
                     *(x[first], x[second], y - simulated),
+                    np.stack(np.divmod(at[good], length), axis=1),
                 )
             )
     return tuple(maps)
@@ -202,6 +238,7 @@ def _map(
     x: Float[np.ndarray, " samples"],
     z: Float[np.ndarray, " samples"],
     error: Float[np.ndarray, " samples"],
+    place: Int[np.ndarray, "samples 2"],
 ) -> ErrorMap:
     samples, *edges = np.histogram2d(x, z, CELLS)
     scale = float(np.max(np.abs(error))) or 1.0
@@ -216,7 +253,10 @@ def _map(
     ]
     apart = (error - bias[at[0], at[1]]) ** 2
     spread = np.sqrt(np.histogram2d(x, z, edges, weights=apart)[0] / count)
+    places = np.full((CELLS, CELLS, 2), -1)
+    order = np.argsort(np.abs(error), kind="stable")  # the largest is written last
+    places[at[0][order], at[1][order]] = place[order]
     return ErrorMap(
         *(output, unit, variables, (edges[0], edges[1])),
-        *(scale * bias, scale * spread, samples.astype(int)),
+        *(scale * bias, scale * spread, samples.astype(int), places),
     )

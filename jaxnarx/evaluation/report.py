@@ -11,12 +11,15 @@ from jaxnarx.data import Channel
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.domain_errors import DomainErrors
+from jaxnarx.evaluation.effects import Effect
 from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.evaluation.notes import stability_values
 from jaxnarx.evaluation.outside import Outside
 from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.residual_tests import Diagnostics
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.shown import ShownRecord
+from jaxnarx.evaluation.summary import Summary, summary
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
@@ -37,8 +40,10 @@ class Report:
     time the main part's error is largest and what was unusual there, `coverage` what
     prediction intervals hold of every part; `beside` holds the pooled free-run rows of
     other models by their name, among them a linear model of the same lags where
-    training data are at hand. `limits` is the margin by which reported outputs may
-    leave their trained range, None where nothing holds them.
+    training data are at hand, and `effects` what the model is worth beside them.
+    `limits` is the margin by which reported outputs may leave their trained range, None
+    where nothing holds them. `network` and `records` are what the page runs and shows:
+    all records of the main part, then of the others.
 
     Optional, shown when present; attach them with the arguments of `report` or with
     `dataclasses.replace(report, history=...)`:
@@ -57,7 +62,8 @@ class Report:
       contraction bound;
     - `diagnostics`: the value of the verb `diagnose` on the main part: whether the
       one-step residuals are what a right model leaves;
-    - `provenance`: anything worth stating; versions and data hashes are filled in.
+    - `provenance`: anything worth stating; versions and data hashes are filled in;
+    - `next_command`: what to type next, for the page.
     """
 
     outputs: tuple[Channel, ...]
@@ -83,11 +89,20 @@ class Report:
     domain: DomainErrors | None = None
     worst: tuple[ErrorStretch, ...] = ()
     coverage: tuple[IntervalCoverage, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    network: Any = None
+    records: tuple[ShownRecord, ...] = ()
+    next_command: str = ""
 
     @property
     def verdict(self) -> Verdict:
         """Good, usable with limits, or not usable, and why."""
         return judge(self)
+
+    @property
+    def summary(self) -> Summary:
+        """Whether it may be used, where, why, and what helps."""
+        return summary(self)
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -111,11 +126,18 @@ class Report:
 
     @property
     def table(self) -> str:
-        """Verdict, scores as aligned text of 80 to 100 columns, and notes."""
+        """Verdict, where the error is largest, scores as aligned text of 80 to 100
+        columns with what they are worth, and notes."""
         notes = [f"note: {note}" for note in self.notes]
-        told = textwrap.fill(self.verdict.sentence, 88)
-        lines = [told, "", text_table(self.rows)]
-        return "\n".join([*lines, *beside_lines(self), *notes])
+        lines = [*self.summary.lines(), "", text_table(self.rows, self.main)]
+        told = [
+            line
+            for effect in self.effects
+            for line in textwrap.wrap(
+                f"{self.main}, {effect}", 88, subsequent_indent="  "
+            )
+        ]
+        return "\n".join([*lines, *beside_lines(self), *told, *notes])
 
     def __str__(self) -> str:
         return self.table
@@ -127,9 +149,10 @@ class Report:
         the text `"inf"` or `"-inf"`.
         """
         left_out = {"traces", "residuals", "partition", "stability", "diagnostics"}
-        left_out |= {"maps"}
+        left_out |= {"maps", "network", "records"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
+        values["summary"] = strict(self.summary)
         values |= {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
             {"output": t.output.name, "record": t.record, "rank": t.rank}

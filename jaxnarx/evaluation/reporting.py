@@ -15,6 +15,7 @@ from jaxnarx.evaluation.domain_errors import (
     domain_indices,
     domain_notes,
 )
+from jaxnarx.evaluation.effects import effects
 from jaxnarx.evaluation.error_map import error_maps
 from jaxnarx.evaluation.notes import (
     assess,
@@ -37,11 +38,15 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
+from jaxnarx.evaluation.shown import ShownRecord, shown_records
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst import worst_stretches
 from jaxnarx.guard import guarded
 from jaxnarx.models import FLAG, Network
-from jaxnarx.trust import Intervals
+from jaxnarx.trust import DomainIndex, Intervals
+
+OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
+"""Samples of another model, record by record, for each of its outputs."""
 
 
 @runtime_checkable
@@ -152,6 +157,8 @@ def report(
     notes += [f"One-step residuals on {main}: {text}" for text in sentences]
     if partition is None:
         partition = describe_partition(network, data=parts[main])
+    others = _beside(network, parts, main, runs[main][FREE_RUN], beside or {})
+    scored_beside = {name: _pooled(main, run) for name, run in others.items()}
     return Report(
         outputs=outputs,
         main=main,
@@ -177,7 +184,46 @@ def report(
             network, parts[main], outputs, runs[main][FREE_RUN], index.get(main)
         ),
         coverage=tuple(held),
-        beside=_beside(network, parts, main, runs[main][FREE_RUN], beside or {}),
+        beside=scored_beside,
+        effects=effects(main, rows, runs[main][FREE_RUN], others, known),
+        network=network,
+        records=_shown(
+            network, parts, main, outputs, runs, free, bounded, index, others
+        ),
+    )
+
+
+def _shown(
+    network: Any,
+    parts: Mapping[str, Dataset],
+    main: str,
+    outputs: tuple[Channel, ...],
+    runs: Mapping[str, Mapping[str, list[list[ScoredSamples]]]],
+    free: Mapping[str, Any],
+    bounded: Mapping[str, Intervals],
+    index: Mapping[str, DomainIndex],
+    others: Mapping[str, OtherRuns],
+) -> tuple[ShownRecord, ...]:
+    """Records of the main part, then of the others; runs of other models are known of
+    the main one."""
+    beside = {
+        name: {channel.name: samples for channel, samples in run}
+        for name, run in others.items()
+    }
+    return tuple(
+        record
+        for part in sorted(parts, key=lambda name: name != main)
+        for record in shown_records(
+            network,
+            part,
+            parts[part],
+            outputs,
+            getattr(free[part], "value", free[part]),
+            runs[part][FREE_RUN],
+            bounded.get(part),
+            index.get(part),
+            beside if part == main else {},
+        )
     )
 
 
@@ -258,24 +304,24 @@ def _beside(
     main: str,
     free: list[list[ScoredSamples]],
     others: Mapping[str, Any],
-) -> dict[str, tuple[Row, ...]]:
-    """Pooled free-run rows of the linear model and of `others` on the main part."""
-    runs: dict[str, tuple[tuple[Channel, ...], list[list[ScoredSamples]]]] = {}
+) -> dict[str, OtherRuns]:
+    """Free runs of the linear model and of `others` on the main part."""
+    runs: dict[str, OtherRuns] = {}
     # Without lags of outputs a linear model of the same lags is no match for states.
     if isinstance(network, Network) and not network.hidden and "train" in parts:
         linear = linear_runs(network, parts["train"], parts[main], free)
-        runs[NAME] = tuple(network.output_channels), linear
+        runs[NAME] = list(zip(network.output_channels, linear, strict=True))
     for name, other in others.items():
         channels = tuple(other.output_channels)
         run = _free_run(other, parts[main], None)
-        runs[name] = channels, collect(parts[main], channels, run.value)
-    return {
-        name: tuple(
-            score(main, FREE_RUN, channel, samples)[0]
-            for channel, samples in zip(channels, found, strict=True)
-        )
-        for name, (channels, found) in runs.items()
-    }
+        found = collect(parts[main], channels, run.value)
+        runs[name] = list(zip(channels, found, strict=True))
+    return runs
+
+
+def _pooled(main: str, run: OtherRuns) -> tuple[Row, ...]:
+    """Its rows of all records together."""
+    return tuple(score(main, FREE_RUN, channel, found)[0] for channel, found in run)
 
 
 def _rows(

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnarx.evaluation.rows import Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 
 HEADER = (
     "record",
@@ -31,12 +31,38 @@ def number(value: float | None, style: str = ".4g") -> str:
     return format(value, style) if math.isfinite(value) else str(float(value))
 
 
-def text_table(rows: Iterable[Row]) -> str:
-    """One block per part and output. A diverged row says so instead of figures."""
+WORST = 3
+"""Records of an output that a table shows."""
+
+
+def text_table(rows: Iterable[Row], main: str) -> str:
+    """One block per part and output, `main` first: all records together, and of `main`
+    the worst. A diverged row says so instead of figures."""
     blocks: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         blocks.setdefault((row.part, row.output), []).append(row)
-    return "\n\n".join(_block(group) for group in blocks.values())
+    order = sorted(blocks, key=lambda key: key[0] != main)
+    return "\n\n".join(
+        _block(_shown(blocks[key], WORST if key[0] == main else 0)) for key in order
+    )
+
+
+def _shown(rows: list[Row], most: int) -> list[Row]:
+    """Pooled rows, then the records with the largest errors in free run."""
+    pooled = [r for r in rows if r.record == POOLED]
+    single = [r for r in rows if r.record != POOLED]
+    errors = {r.record: _size(r) for r in single if r.mode == FREE_RUN}
+    worst = sorted(errors, key=lambda name: -errors[name])
+    if len(worst) < 2:
+        return pooled
+    chosen = worst[:most]
+    return pooled + [r for name in chosen for r in single if r.record == name]
+
+
+def _size(row: Row) -> float:
+    if row.diverged:
+        return math.inf
+    return -1.0 if row.rmse is None else row.rmse
 
 
 def beside(report: Any) -> list[tuple[str, list[Row | None]]]:

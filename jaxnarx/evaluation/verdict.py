@@ -114,8 +114,13 @@ class Verdict:
         told = [f.text for f in self.findings[:2]]
         rest = len(self.findings) - len(told)
         more = f"; and {rest} more" if rest else ""
-        helps = (SEARCHED if self.searched else REMEDIES)[self.remedy]
-        return f"{head}: {'; '.join(told)}{more}. What helps: {helps}."
+        return f"{head}: {'; '.join(told)}{more}. What helps: {self.helps}."
+
+    @property
+    def helps(self) -> str:
+        """What helps against the worst reason; empty where there is none."""
+        known = SEARCHED if self.searched else REMEDIES
+        return known[self.remedy] if self.findings else ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

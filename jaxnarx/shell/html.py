@@ -1,14 +1,19 @@
-"""A report as one offline HTML file: inline figures, no scripts, no remote addresses.
+"""A report as one offline HTML file: it runs, and reads well where scripts do not.
 
-Everything that comes from data is escaped by jinja2 or by the SVG writer; the only text
-marked safe here is built from escaped pieces.
+The verdict comes first, then records, the map of the error, scores, what one can try,
+and equations, tests and provenance last. Figures are drawn beforehand; scripts put what
+runs in their place on a screen (`jaxnarx.shell.page`). No address is named, and the
+page's policy lets nothing in but its own scripts.
+
+Everything that comes from data is escaped by jinja2 or by the SVG writer, or stands in
+JSON and in strings of the model's script without any sign that could end them; the only
+text marked safe here is built from such pieces.
 """
 
 import math
 import os
 import re
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +29,14 @@ from jaxnarx.files import write_whole
 from jaxnarx.shell import figures, residual_figure
 from jaxnarx.shell.leaderboard_figure import error_over_operations
 from jaxnarx.shell.overview import overview
+from jaxnarx.shell.page import running
 from jaxnarx.shell.style import inline_svg
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
+
+STATIC_POINTS = 600
+"""Of a line over time that is drawn beforehand."""
 
 TOP = 10
 """Candidates of a search that are shown at once; the others are folded away."""
@@ -36,8 +45,8 @@ MAX_PANELS = 48
 """Records of an output that are drawn; the worst, the median and the best are among
 them."""
 
-POINT_BUDGET = 100_000
-"""Points of all lines over time together: about 1.6 MB of SVG."""
+POINT_BUDGET = 30_000
+"""Points of all lines over time together: about 0.5 MB of SVG."""
 
 
 def write_report(report: Report, path: str | os.PathLike[str]) -> None:
@@ -52,12 +61,15 @@ def render(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        loader=jinja2.PackageLoader("jaxnarx.shell", "templates"),
     )
     environment.filters |= {"figure": figure_text, "term": term_html}
-    folder = resources.files("jaxnarx.shell") / "templates"
-    source = (folder / "report.html.jinja").read_text(encoding="utf-8")
-    return environment.from_string(source).render(
+    live = running(report)
+    return environment.get_template("report.html.jinja").render(
         report=report,
+        running=live,
+        needed=_needed(report),
+        jumps=_jumps(report),
         verdict=overview(report),
         scores=_scores(report),
         models=_models(report),
@@ -67,6 +79,26 @@ def render(report: Report) -> str:
         max_records=MAX_RECORDS,
         fitted=FITTED,
     )
+
+
+def _needed(report: Report) -> list[str]:
+    """Names of the inputs that a file has to have."""
+    channels = getattr(report.network, "channels", None)
+    return [] if channels is None else list(channels.input_names)
+
+
+def _jumps(report: Report) -> list[tuple[int, int, int, int] | None]:
+    """Where the stretches with the largest error are: record, samples, output."""
+    names = {(r.part, r.name): n for n, r in reversed(list(enumerate(report.records)))}
+    order = [channel.name for channel in report.outputs]
+    step = float(getattr(report.network, "sample_time", 1.0))
+    found = []
+    for one in report.worst:
+        record = names.get((report.main, one.record))
+        ends = round(one.start / step), round(one.end / step)
+        at = order.index(one.output)
+        found.append(None if record is None else (record, *ends, at))
+    return found
 
 
 def figure_text(value: float | None, digits: int = 4) -> Markup:
@@ -178,7 +210,7 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     """(title, safe SVG text) of every figure by section; a trace holds its title."""
     ranked = [trace for trace in report.traces if trace.rank]
     lines = (4 if not report.coverage else 6) * max(len(ranked), 1)
-    points = min(max(POINT_BUDGET // lines, 200), figures.POINTS)
+    points = min(max(POINT_BUDGET // lines, 200), STATIC_POINTS)
     drawn: dict[str, list[tuple[str, Figure]]] = {
         "leaderboard": [
             (output, error_over_operations(entry))

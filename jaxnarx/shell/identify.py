@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, Preparation
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.evaluation import Report, report
+from jaxnarx.evaluation import Report, Verdict, report
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.identification import identify as verb
 from jaxnarx.identification import make_pool, needed
@@ -24,7 +24,7 @@ from jaxnarx.methods import (
 from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
 from jaxnarx.selection import Selection
-from jaxnarx.shell.messages import count, say
+from jaxnarx.shell.messages import count, first_lines, quoted, say
 from jaxnarx.shell.output import write_report, written_together
 from jaxnarx.shell.progress import (
     refinement_progress,
@@ -79,11 +79,18 @@ def prepared_by(preparation: Preparation | None, task: OneMethod) -> OneMethod:
     return dataclasses.replace(task, preparation=preparation.to_dict(), prepared=told)
 
 
-def identify(task: OneMethod, parts: dict[str, Dataset], folder: Path) -> Report:
+def identify(
+    task: OneMethod,
+    parts: dict[str, Dataset],
+    folder: Path,
+    *,
+    follow: Callable[[Verdict], tuple[list[str], str]],
+) -> Report:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
     Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
-    none. Returns the report.
+    none. `follow` tells the command to type next, and a remark behind it. Returns the
+    report.
     """
     begin = time.perf_counter()
     method = task.method
@@ -95,18 +102,21 @@ def identify(task: OneMethod, parts: dict[str, Dataset], folder: Path) -> Report
         fit = verb(train, method, validation=judges, progress=tell)
     grown = fit.stats["grown"].value
     result = _report(task, parts, fit)
+    result = dataclasses.replace(result, next_command=quoted(*follow(result.verdict)))
     with written_together(folder) as place:
         about: dict[str, Any] = {"command": task.command}
         if task.preparation is not None:
             about["preparation"] = task.preparation
         save(fit.value, place / "model.safetensors", about=about)
         write_report(result, place)
+    say("\n" + first_lines(result))
     say("\n" + _summary(result, grown, parts))
     say(
         f"\n{time.perf_counter() - begin:.1f} s; wrote model.safetensors, report.json "
         f"and report.html to {folder}"
     )
-    say(f"\n{result.verdict.sentence}")
+    say(f"\nOpen {folder / 'report.html'}")
+    say(f"\nNext: {result.next_command}")
     return result
 
 
@@ -230,6 +240,7 @@ def _report(
         selection=_selection(fit.stats["selection"]),
         history=steps,
         partition=describe_partition(fit.value, start=start, data=data),
+        beside={} if refined is None else {"before refinement": start},
         provenance=told,
     )
 

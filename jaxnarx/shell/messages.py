@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from jaxnarx.files import unwritable
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset
+    from jaxnarx.evaluation import Report
 
 
 def say(text: str = "", *, end: str = "\n", aside: bool = False) -> None:
@@ -43,7 +44,17 @@ def warn(text: str) -> None:
 
 def next_command(*words: str, then: str = "") -> None:
     """The next sensible command, quoted for the shell."""
-    say(f"\nNext: {shlex.join(words)}{then}")
+    say(f"\nNext: {quoted(words, then)}")
+
+
+def quoted(words: Sequence[str], then: str = "") -> str:
+    """A command as it is typed, and a remark behind it."""
+    return f"{shlex.join(words)}{then}"
+
+
+def first_lines(report: "Report") -> str:
+    """The first lines of a report: may it be used, where, why, and what helps."""
+    return "\n".join(report.summary.lines())
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`jaxnarx identify` without a method: the search, from description to report."""
 
+import dataclasses
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.leaderboard_text import TOP, table
-from jaxnarx.shell.messages import count, next_command, say, warn
+from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
 from jaxnarx.shell.output import RUN, run_folder, slug
 from jaxnarx.shell.remedies import next_search
 from jaxnarx.shell.search_commands import Automatic
@@ -58,23 +59,23 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
-        result = scored(network, parts, board, {}, told)
+        result = scored(network, parts, read_search(folder), {}, told)
+        model = str(folder / RUN[0])
+        judgement = None if stopped else result.verdict
+        following = quoted(*next_search(command, asked, judgement, model=model))
+        result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about, board)
-    _tell(board, network)
+    say("\n" + first_lines(result))
     say("\n" + summary(result))
+    _tell(board, network)
     say(
         f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
     )
     say(f"All candidates: jaxnarx leaderboard {folder}")
-    say(f"\n{result.verdict.sentence}")
     _tell_end(fit, stopped)
     _left(asked, train.channels, network)
     say(f"\nOpen {folder / 'report.html'}")
-    model = str(folder / RUN[0])
-    words, then = next_search(command, asked, result.verdict, model=model)
-    if stopped:
-        words, then = next_search(command, asked, None, model=model)
-    next_command(*words, then=then)
+    say(f"\nNext: {following}")
     status = judged(result, command.require_fit)
     return 130 if stopped else status
 

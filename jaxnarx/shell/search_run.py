@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,14 @@ from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
 from jaxnarx.errors import DataFileError, reading
 from jaxnarx.evaluation import Report, report
 from jaxnarx.evaluation.table import number
-from jaxnarx.identification import VALIDATION, Leaderboard, described, with_group
-from jaxnarx.models import Network, save
+from jaxnarx.identification import (
+    VALIDATION,
+    Leaderboard,
+    SearchFolder,
+    described,
+    with_group,
+)
+from jaxnarx.models import Network, merged, narrowed, save
 from jaxnarx.shell.messages import say, size
 from jaxnarx.shell.output import write_report, write_text, written_together
 
@@ -85,14 +91,45 @@ def scored_parts(
     return {name: match_channels(data, own)[0] for name, data in parts.items()}
 
 
+def rivals(
+    found: SearchFolder, outputs: Sequence[str], taken: Mapping[str, int]
+) -> dict[str, Network]:
+    """Other candidates to compare a model of the search with: the best that is linear,
+    and the best that is not and of another family than the one in use."""
+    tables = [described(found.leaderboard, n, taken.get(n))["rows"] for n in outputs]
+    numbers: dict[str, list[int]] = {"best linear candidate": [], "runner-up": []}
+    for rows in tables:
+        used = next((row["family"] for row in rows if row["used"]), None)
+        good = [
+            row
+            for row in rows
+            if row["free_run"] is not None
+            and not row["used"]
+            and row["family"] != used
+            and found.model_path(row["number"]).is_file()
+        ]
+        for name, linear in zip(numbers, (True, False), strict=True):
+            numbers[name] += [r["number"] for r in good if r["linear"] is linear][:1]
+    networks = {
+        name: [found.network(n) for n in some]
+        for name, some in numbers.items()
+        if some and len(some) == len(outputs)
+    }
+    return {
+        name: narrowed(some[0] if len(some) == 1 else merged(some))
+        for name, some in networks.items()
+    }
+
+
 def scored(
     network: Network,
     parts: Mapping[str, Dataset],
-    board: Leaderboard,
+    found: SearchFolder,
     taken: Mapping[str, int],
     told: Mapping[str, Any],
 ) -> Report:
     """The report of a model of the search; `taken` are candidates chosen by hand."""
+    board = found.leaderboard
     shortest = min(max(map(len, data)) for data in parts.values())
     return report(
         network,
@@ -102,8 +139,21 @@ def scored(
             name: described(board, name, taken.get(name))
             for name in network.output_names
         },
+        beside=_fitting(rivals(found, network.output_names, taken), parts),
         provenance=told,
     )
+
+
+def _fitting(
+    networks: Mapping[str, Network], parts: Mapping[str, Dataset]
+) -> dict[str, Network]:
+    """Those whose memory every part has a record for."""
+    longest = min(max(map(len, data)) for data in parts.values())
+    return {
+        name: network
+        for name, network in networks.items()
+        if longest > network.history + network.window + 1
+    }
 
 
 def write_run(

@@ -1,5 +1,6 @@
 """`jaxnarx leaderboard` and `jaxnarx take`: what a search has found."""
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from jaxnarx.models import Network, merged, narrowed
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.leaderboard_text import table
-from jaxnarx.shell.messages import next_command, say
+from jaxnarx.shell.messages import first_lines, next_command, quoted, say
 from jaxnarx.shell.output import RUN, run_folder
 from jaxnarx.shell.search_commands import Leaderboard, Take
 from jaxnarx.shell.search_run import (
@@ -64,15 +65,17 @@ def take(command: Take, typed: str) -> int:
         parts = scored_parts(train, validation, split.test, network)
         network = knowing(released(network), parts["train"])
         taken = {row.output: row.number for row in rows}
-        result = scored(network, parts, found.leaderboard, taken, told)
+        result = scored(network, parts, found, taken, told)
+        following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
+        result = dataclasses.replace(result, next_command=quoted(following))
         files = write_run(folder, network, result, about)
+    say("\n" + first_lines(result))
+    say("\n" + summary(result))
     for row in rows:
         say(sentences(found.leaderboard, row.output, row.number)[0])
-    say("\n" + summary(result))
     say(f"\nwrote {', '.join(files)} to {folder}")
-    say(f"\n{result.verdict.sentence}")
     say(f"\nOpen {folder / 'report.html'}")
-    next_command("jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv")
+    next_command(*following)
     return judged(result, command.require_fit)
 
 

@@ -1,6 +1,7 @@
 """What the commands do."""
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.judged import judged, require_finite
-from jaxnarx.shell.messages import about, next_command, say, size, warn
+from jaxnarx.shell.messages import about, next_command, quoted, say, size, warn
 from jaxnarx.shell.reading import reading_told
 
 if TYPE_CHECKING:
@@ -206,11 +207,9 @@ def _demo(command: commands.Demo, typed: str) -> int:
         )
         data = pfi_siso_records(jax.random.key(command.seed), (command.events,) * 3)
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
-        result = identify(task, parts, folder)
-    say(f"\nOpen {folder / 'report.html'}")
-    next_command(
-        "jaxnarx", "check", "engine.toml", then="  (a description of your records)"
-    )
+        words = ["jaxnarx", "check", "engine.toml"]
+        then = words, "  (a description of your records)"
+        result = identify(task, parts, folder, follow=lambda _: then)
     return judged(result)
 
 
@@ -249,18 +248,15 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, share)
-        result = identify(task, parts, folder)
-    say(f"\nOpen {folder / 'report.html'}")
-    channels = parts["train"].channels
-    words, then = next_words(
-        command,
-        result.verdict,
-        model=str(folder / "model.safetensors"),
-        outputs=outputs,
-        inputs=channels.input_names,
-        sample_time=parts["train"].sample_time,
-    )
-    next_command(*words, then=then)
+        follow = partial(
+            next_words,
+            command,
+            model=str(folder / "model.safetensors"),
+            outputs=outputs,
+            inputs=parts["train"].channels.input_names,
+            sample_time=parts["train"].sample_time,
+        )
+        result = identify(task, parts, folder, follow=follow)
     return judged(result, command.require_fit)
 
 
@@ -342,6 +338,7 @@ def _sweep(command: commands.Sweep) -> int:
 
 def _report(command: commands.Report, typed: str) -> int:
     from contextlib import ExitStack
+    from dataclasses import replace
 
     from jaxnarx.evaluation import report
     from jaxnarx.shell.identify import require_rows
@@ -368,13 +365,15 @@ def _report(command: commands.Report, typed: str) -> int:
             others = {path: loaded(path, no_limits=bare) for path in command.beside}
             over = command.over or None
             result = report(network, parts, beside=others, over=over, provenance=told)
+            following = ["jaxnarx", "simulate", command.model, "new_run.csv"]
+            result = replace(result, next_command=quoted(following))
         say(str(result))
         if folder is not None:
             with written_together(folder) as place:
                 write_report(result, place)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
-        next_command("jaxnarx", "simulate", command.model, "new_run.csv")
+        next_command(*following)
     else:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]

@@ -6,6 +6,7 @@ from jaxnarx.targets.export import export as export
 from jaxnarx.targets.export import write_files as write_files
 from jaxnarx.targets.form import SampleProgram as SampleProgram
 from jaxnarx.targets.interpret import Instance as Instance
+from jaxnarx.targets.javascript import javascript as javascript
 from jaxnarx.targets.lower import lower as lower
 from jaxnarx.targets.proof import DOUBLE as DOUBLE
 from jaxnarx.targets.proof import Case as Case

@@ -11,7 +11,12 @@ from jaxnarx.targets.target import Files, Golden
 def javascript_files(program: SampleProgram, golden: Golden) -> Files:
     """A module with the class `Model`, by its name; no golden vectors go with it."""
     del golden
-    return {f"{program.name}.mjs": written(program, JAVASCRIPT)}
+    return {f"{program.name}.mjs": javascript(program)}
+
+
+def javascript(program: SampleProgram) -> str:
+    """The module as text."""
+    return written(program, JAVASCRIPT)
 
 
 def _syntax(program: SampleProgram) -> Syntax:

@@ -1,5 +1,7 @@
 """The map of the free-run error: every scored sample once, in its own cell."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from common import A, B, Part, network
@@ -42,6 +44,16 @@ def test_the_error_lies_where_it_was_made():
     assert one.samples[6, 2] == own.sum() > 0
     assert one.bias[6, 2] == pytest.approx(y[own].mean(), rel=1e-12)
     assert one.spread[6, 2] == pytest.approx(y[own].std(), rel=1e-12)
+    # It leads to the sample with its largest error.
+    place = 1 + np.flatnonzero(own)[np.argmax(abs(y[own]))]
+    assert one.places[6, 2].tolist() == [0, place]
+    assert (one.places[one.samples == 0] == -1).all()
+    assert one.usual == pytest.approx(row.rmse, rel=1e-12)
+    assert one.worst is None and str(one) == ""  # thin cells say little
+    many = dataclasses.replace(one, samples=100 * one.samples)
+    i, j = many.worst or (-1, -1)
+    assert one.rms[i, j] == np.nanmax(one.rms)
+    assert str(many).startswith("y errs most at b[t] ") and " ppm, " in str(many)
 
 
 def test_scheduling_variables_come_first_and_what_is_no_network_has_no_map():

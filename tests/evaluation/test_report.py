@@ -166,6 +166,27 @@ def test_table_is_aligned_and_fits_a_terminal(full):
     assert str(full) == full.table
 
 
+def test_the_table_tells_the_main_part_first_and_its_worst_records():
+    got = report(Network(), {"train": make(1), "test": make(3, records=5)})
+    told = got.table
+    assert told.index("test data") < told.index("train data")
+    for output in ("NOx", "torque"):
+        block = told[told.index(f"{output} [") :].split("\n\n")[0]
+        errors = {
+            r.record: r.rmse or 0.0
+            for r in got.rows
+            if (r.part, r.output, r.mode) == ("test", output, "free run")
+        }
+        single = sorted(
+            (e for name, e in errors.items() if name != "pooled"), reverse=True
+        )
+        shown = [name for name in errors if f"\n{name} " in block]
+        assert "pooled" in shown and len(shown) == 4
+        assert sorted(errors[n] for n in shown if n != "pooled") == single[2::-1]
+    train = told[told.index("train data") :]
+    assert "r10" not in train and "pooled" in train
+
+
 def test_validation_data_that_was_learned_from_is_noted_loudly():
     train = make(1)
     parts = {"train": train, "validate": make(2), "test": train[1:2]}

@@ -62,7 +62,8 @@ def every(label):
     criteria = {"AIC": [3.0, 1.0, None], "BIC": [3.0, 2.0, 2.5]}
     names = [label, "b", "c"]
     errors = np.array([[1.0, np.nan], [2.0, -3.0]])
-    cells = errors, abs(errors), np.array([[4, 0], [5, 60]])
+    samples = np.array([[4, 0], [5, 60]])
+    cells = errors, abs(errors), samples, np.zeros((2, 2, 2), int)
     return [
         trace(label=label),
         figures.agreement(y, y * 1.1, counts, edges, label=label, unit=label),

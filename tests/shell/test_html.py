@@ -149,9 +149,8 @@ def test_divergence_is_said_and_no_figure_is_made_up():
         row("NOx", "free run", "r1", status="diverged"),
     ]
     page = render(dataclasses.replace(base, rows=tuple(rows)))
-    assert (
-        "✕" in page and "Not usable: the free run of NOx on test diverges in r1" in page
-    )
+    assert "✕" in page and "Not usable: " in page
+    assert "the free run of NOx on test diverges in r1" in page
     assert status in page and "NRMSE 0.123" in page
     assert not re.search(r"\bnan\b", page, flags=re.I)
 

@@ -142,7 +142,7 @@ def test_it_tells_every_candidate_the_choice_and_why(done):
     assert "The best linear model, 2 (ARX: order 1), has 1.50 times the error" in text
     assert "1 of 5 candidates diverges on records left out: vetoed" in text
     assert "On test: RMSE pooled" in text
-    assert "\nGood: the free run on test" in text
+    assert "\nGood: " in text and "why    the free run on test" in text
     following = shlex.split(text.split("Next: ")[1])
     assert following[:3] == [
         "jaxnarx",
@@ -162,6 +162,8 @@ def test_the_report_holds_the_leaderboard_and_its_figure(done):
         "y": {"memory": 9},
         "w": {"memory": 9},
     }
+    assert {"best linear candidate", "runner-up"} < set(found["beside"])
+    assert found["next_command"] == done[1].split("Next: ")[1].strip()
     page = (folder / "report.html").read_text()
     section = page[page.index("<h2>Leaderboard") : page.index("<h2>The equations")]
     assert section.count("<svg") == 2 and "diverges: vetoed" in section
