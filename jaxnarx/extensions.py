@@ -25,9 +25,6 @@ from jaxnarx.errors import SpecError, suggest
 GROUP = "jaxnarx.extensions"
 """The entry points of packages that add something."""
 
-REGISTRIES: dict[str, "Registry[Any]"] = {}
-"""Every registry that has been loaded, by what it holds."""
-
 T = TypeVar("T")
 
 
@@ -45,7 +42,6 @@ class Registry(MutableMapping[str, T], Generic[T]):
         self.what, self._check = what, check
         self._items, self._own = dict(own), frozenset(own)
         self._examples: dict[str, Callable[..., Any]] = {}
-        REGISTRIES[what] = self
 
     def register(
         self, name: str, value: T, *, example: Callable[..., Any] | None = None

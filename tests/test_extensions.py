@@ -17,7 +17,7 @@ from jaxnarx.contracts import selector as contract
 from jaxnarx.contracts.life import plant, pool
 from jaxnarx.data.readers import KINDS, Kind
 from jaxnarx.errors import DataFileError, SpecError
-from jaxnarx.extensions import REGISTRIES, Registry, load_packages
+from jaxnarx.extensions import Registry, load_packages
 from jaxnarx.methods import PARTITIONS, SELECTORS, Identification
 from jaxnarx.methods.settings import changed, made
 from jaxnarx.models import Gaussians
@@ -52,34 +52,28 @@ def halves(scheduling, columns, output, weight):
 
 def test_a_registry_holds_its_own_and_what_is_added():
     registry: Registry[Any] = Registry("toy", {"one": int})
-    try:
-        assert registry.register("two", float, example=lambda: 3) is float
-        assert dict(registry) == {"one": int, "two": float}
-        assert registry.added == {"two": float}
-        assert registry.find("two", "to") is float and registry.get("three") is None
-        made = registry.example("two")
-        assert made is not None and made() == 3 and registry.example("one") is None
-        registry.register("two", float)  # a notebook's cell twice
-        with pytest.raises(SpecError, match="'two' already"):
-            registry.register("two", str)
-        with pytest.raises(SpecError, match="'one' already"):
-            registry.register("one", int)
-        with pytest.raises(SpecError, match="no toy 'tow'.*two"):
-            registry.find("tow", "to")
-    finally:
-        del REGISTRIES["toy"]
+    assert registry.register("two", float, example=lambda: 3) is float
+    assert dict(registry) == {"one": int, "two": float}
+    assert registry.added == {"two": float}
+    assert registry.find("two", "to") is float and registry.get("three") is None
+    made = registry.example("two")
+    assert made is not None and made() == 3 and registry.example("one") is None
+    registry.register("two", float)  # a notebook's cell twice
+    with pytest.raises(SpecError, match="'two' already"):
+        registry.register("two", str)
+    with pytest.raises(SpecError, match="'one' already"):
+        registry.register("one", int)
+    with pytest.raises(SpecError, match="no toy 'tow'.*two"):
+        registry.find("tow", "to")
 
 
 def test_instances_are_told_apart_by_their_parts():
     registry: Registry[Any] = Registry("toy", {})
-    try:
-        registry.register(".a", Kind("a", "csv_file"))
-        registry.register(".a", Kind("a", "parquet_file"))  # the same class of parts
-        registry.register(".b", Kind("b", os))
-        with pytest.raises(SpecError, match="already"):
-            registry.register(".b", Kind("b", sys))
-    finally:
-        del REGISTRIES["toy"]
+    registry.register(".a", Kind("a", "csv_file"))
+    registry.register(".a", Kind("a", "parquet_file"))  # parts of the same classes
+    registry.register(".b", Kind("b", os))
+    with pytest.raises(SpecError, match="already"):
+        registry.register(".b", Kind("b", sys))
 
 
 def test_a_suffix_and_a_class_name_are_checked():
@@ -228,7 +222,7 @@ def test_the_quick_examples_hold_to_their_contracts(tmp_path):
 @pytest.mark.slow
 def test_all_examples_hold_to_their_contracts(tmp_path):
     names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
-    assert len(names) == len(REGISTRIES) == 7
+    assert len(names) == 7
     run_contracts(names, tmp_path)
 
 

@@ -167,7 +167,7 @@ def test_print_equations_and_cost_name_hidden_channels():
     net = network()
     text = str(net)
     assert text.startswith("Network at 0.1 s, from 1 samples of history: a, b -> y, w")
-    assert "1 (x1[t-1] near -0.2): 1, x1[t-1], a[t]*x2[t-1]" in text
+    assert "1 (x1[t-1] near -0.2): y[t] = 5 + 4 x1[t-1] + 2 a[t]*x2[t-1]" in text
     assert "x2: 1 local model, held within" in text
     told = [one["text"] for one in net.equations()]
     assert told == [

@@ -8,9 +8,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation
 
 from jaxnarx.data import Channel
-from jaxnarx.evaluation import Trace
+from jaxnarx.evaluation import (
+    Intersection,
+    ModelComparison,
+    Relevance,
+    ResponseSurface,
+    SizeErrors,
+    Trace,
+)
+from jaxnarx.evaluation.comparison import ComparedRecord
 from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.shell import figures, style
+from jaxnarx.shell.comparison_figure import by_size, compared
+from jaxnarx.shell.relevance_figure import relevance
+from jaxnarx.shell.steady_state_figure import intersections, response_surface
 from jaxnarx.shell.tree_figure import branches
 
 EVIL = "<script>alert(1)</script> $x_$ & \x07 転"
@@ -221,3 +232,29 @@ def test_branches_of_a_sum_tell_shares():
         ("speed[t] < 2000", 1, 1),
         ("speed[t] > 2000", 1, 2),
     ]
+
+
+def of_models(label):
+    """Figures of what a model says of its inputs, every name the label."""
+    y, u = Channel(label, label[:20]), Channel(f"{label}u", label[:20])
+    x, at = np.linspace(0, 1, 5), {u.name: 0.5, label: 1.0}
+    error = np.array([[2.0], [np.inf]])
+    worth = Relevance((y,), (u, y), np.ones(1), error, np.ones((2, 1)), "mean")
+    cut = Intersection(y, u, at, (0.5, 0.5), x, x, x - 1, x + 1, 2 * x)
+    surface = ResponseSurface(y, (u, y), at, x, x, np.outer(x, x), np.outer(x, 2 * x))
+    record = ComparedRecord(label, label, x, x, {label: x}, {label: None})
+    counts, errors = np.arange(1, 6), {label: x + 1}
+    sizes = SizeErrors(y, counts, counts, errors, errors, 3)
+    return [
+        relevance(worth),
+        intersections([cut]),
+        response_surface(surface),
+        compared(ModelComparison(y, {}, (record,)), [record]),
+        by_size(sizes),
+    ]
+
+
+@pytest.mark.parametrize("i", range(5))
+def test_figures_of_models_draw_any_channel_name_as_text(i):
+    text = style.svg(of_models(EVIL)[i])
+    assert "<script" not in text and "&lt;script" in text

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from search_fakes import board, row
 
+import jaxnarx as jnx
+from jaxnarx.errors import SpecError
 from jaxnarx.identification import Leaderboard, described
 from jaxnarx.shell.leaderboard_figure import error_over_operations
 from jaxnarx.shell.leaderboard_text import live_head, live_line, table
@@ -62,6 +64,20 @@ def test_the_short_table_keeps_the_used_and_the_linear():
     lines = table(board("y"), "y", top=1).split("\n")
     assert [s.removeprefix("*").split()[1] for s in lines[1:-1]] == ["4", "3", "2", "1"]
     assert lines[-1].strip() == "and 1 more"
+
+
+def test_errors_stand_over_parameters_too():
+    found = board("y")
+    (axes,) = jnx.plot.leaderboard(found, by="parameters").axes
+    assert axes.get_xlabel().startswith("parameters")
+    by_label = {line.get_label(): line for line in axes.lines}
+    chosen = found.chosen("y")
+    assert chosen is not None
+    at = by_label[f"in use: {chosen.number}"].get_xdata()
+    assert list(np.asarray(at)) == [chosen.parameters]
+    assert "no cheaper one is better" not in by_label  # that is about operations
+    with pytest.raises(SpecError, match="by must be one of"):
+        jnx.plot.leaderboard(found, by="seconds")
 
 
 def test_plot_draws_the_output_that_is_asked_for():
