@@ -82,11 +82,11 @@ class Importer:
         if self.version == 3:
             assert found[:3] == (self.events, False, False)
 
-    def measured(self, inputs, outputs, names: Sequence[str]) -> None:
+    def given(self, inputs, outputs, names: Sequence[str]) -> None:
         """History, the oldest first, as start values: columns in the order of names."""
         self.start(2)
         rows = np.concatenate([inputs, outputs], axis=1)[::-1]
-        lags = [f"measured.{n}[{k + 1}]" for n in names for k in range(len(rows))]
+        lags = [f"given.{n}[{k + 1}]" for n in names for k in range(len(rows))]
         self.set(lags, rows.T.ravel().tolist())
 
     def end(self) -> None:

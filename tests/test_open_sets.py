@@ -393,6 +393,17 @@ def test_networks_at_the_edge(tmp_path):
 
 
 @pytest.mark.slow
+def test_plans_beside_records_that_fill_the_space(tmp_path):
+    experiment("edge/plans.py", "--results", str(tmp_path))
+    (bed,) = json.loads((tmp_path / "plans.json").read_text())["figures"].values()
+    (row,) = bed["seeds"]
+    assert 0 < row["plan"] and 0 < row["filling"]
+    for record in ("plan", "filling"):
+        broke = row[f"{record} broke"]
+        assert broke["ranges"] == broke["rates"] == broke["forbidden"] == 0
+
+
+@pytest.mark.slow
 def test_a_measured_engine_at_the_edge(tmp_path, measured):
     if not (measured / "gengine1").is_dir():
         pytest.skip("gengine1 is not there")

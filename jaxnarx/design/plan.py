@@ -81,7 +81,7 @@ def plan(
     """The test of this length that tells most about the network, chosen greedily.
 
     Stretch by stretch, the one of many random ones (steps of all inputs, with holds
-    from a fourth to four times the network's memory) that adds most to the information,
+    from half to four times the network's memory) that adds most to the information,
     log det: about the coefficients through the free run, and about an error that the
     network cannot express, larger where the index of its domain is
     (`jaxnarx.design.views`). It begins in the middle of what is known and comes to the
@@ -273,9 +273,9 @@ def _make(
 ) -> Maker:
     """Sizes, spaces, and what the network is asked through."""
     binary = two_levels(network)
-    space = Space(limits.low, limits.high, limits.rate, binary)
+    space = Space(limits.low, limits.high, limits.rate, binary, limits.allows)
     low, high = (np.clip(a, limits.low, limits.high) for a in _trained(network))
-    known = Space(low, high, limits.rate, binary)
+    known = dataclasses.replace(space, low=low, high=high)
     memory = memory_of(network)
     size = min(max(2, round(STRETCH * memory)), max(length, 2))
     lead = math.ceil(LEAD * memory) + network.history

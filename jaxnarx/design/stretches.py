@@ -1,6 +1,7 @@
 """Random stretches of a test, from where it has come to."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -9,27 +10,54 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.excitation import AprbsPlan, render
 
-HOLDS = 0.25, 4.0
+HOLDS = 0.5, 4.0
 """Shortest and longest hold, in memories of the network: long ones show gains, short
 ones dynamics."""
 
 
+Allows = Callable[[Float[np.ndarray, "*rows inputs"]], Bool[np.ndarray, "*rows"]]
+"""Of levels of all inputs, whether they may be together."""
+
+
+def everything(u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "*rows"]:
+    """All combinations."""
+    return np.ones(u.shape[:-1], bool)
+
+
+AGAIN = 20
+"""Times that levels which are not allowed are drawn anew."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Space:
-    """Where inputs may go, how fast by sample, and which have two levels alone."""
+    """Where inputs may go, how fast by sample, which have two levels alone, and which
+    combinations are allowed."""
 
     low: Float[np.ndarray, " inputs"]
     high: Float[np.ndarray, " inputs"]
     rate: Float[np.ndarray, " inputs"]
     binary: Bool[np.ndarray, " inputs"]
+    allows: Allows = everything
 
     def points(
         self, random: np.random.Generator, *shape: int
     ) -> Float[np.ndarray, "*shape inputs"]:
-        """Levels distributed as those of a sine: more near the ends, where a polynomial
-        is determined worst."""
+        """Levels alike everywhere: more of them near the ends, where a polynomial is
+        determined worst, served local models worse (`experiments/edge/plans.py`).
+        Combinations that are not allowed are drawn again, some times."""
+        share = self._drawn(random, shape)
+        for _ in range(AGAIN):
+            bad = ~self.allows(share)
+            if not bad.any():
+                break
+            share = np.where(bad[..., None], self._drawn(random, shape), share)
+        return share
+
+    def _drawn(
+        self, random: np.random.Generator, shape: tuple[int, ...]
+    ) -> Float[np.ndarray, "*shape inputs"]:
         share = random.uniform(size=(*shape, len(self.low)))
-        share = np.where(self.binary, np.round(share), np.sin(np.pi / 2 * share) ** 2)
+        share = np.where(self.binary, np.round(share), share)
         return np.clip(self.low + share * (self.high - self.low), self.low, self.high)
 
 
@@ -46,14 +74,19 @@ def stretches(
     """`count` tests of `length` samples behind the sample `begin`; the first of them
     stays there, and the last `near` of them do not go all the way.
 
-    Every input has holds of its own, as many in every octave of `HOLDS`, and is in the
-    midst of the first of them. Rates hold, at the joint too.
+    Holds are as many in every octave of `HOLDS`; a test begins in the midst of the
+    first of them. Of every second test all inputs have the same, so that the levels
+    they are drawn at come together, of the others each has its own. Rates hold, at the
+    joint too.
     """
     shortest, longest = (max(1, round(h * memory)) for h in HOLDS)
     shape = count, 2 + -(-length // shortest), len(begin)
     hold = np.exp(random.uniform(np.log(shortest), np.log(longest + 1), shape))
     hold = np.maximum(hold.astype(int), 1)
-    hold[:, 0] = np.ceil(random.uniform(size=shape[::2]) * hold[:, 0])
+    hold[::2] = hold[::2, :, :1]
+    part = random.uniform(size=shape[::2])
+    part[::2] = part[::2, :1]
+    hold[:, 0] = np.ceil(part * hold[:, 0])
     level = space.points(random, *shape[:2])
     way = np.ones(count)
     way[count - near :] = random.uniform(size=near)

@@ -336,6 +336,11 @@ class Export:
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "export"
     """Folder for the files."""
+    level: Annotated[float | None, optional("SHARE")] = None
+    """Tell half of the prediction interval of this probability as well, such as 0.9."""
+    no_index: Flag = False
+    """Leave out the index of the model's domain, which takes most of the operations of
+    a small model."""
     unproven: Flag = False
     """Write without the proof."""
     force: Flag = False

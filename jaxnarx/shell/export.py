@@ -9,7 +9,7 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import Exported, SampleProgram, export, lower, write_files
+from jaxnarx.targets import Exported, SampleProgram, export, write_files
 
 README = "README.md"
 
@@ -18,17 +18,18 @@ def export_model(command: Export, typed: str) -> int:
     """Write the files, and what the proof has found; returns the exit code."""
     network = load(command.model)
     data = _records(command, network) if command.files else None
-    with about(command.model):
-        program = lower(network, command.name)
-    found = export(
-        network,
-        data,
-        to=command.to,
-        name=command.name,
-        over=command.over or None,
-        verify=not command.unproven,
-    )
-    files = {**found.files, README: readme(program, found, typed, data)}
+    with about(command.model, but=("over", "name")):
+        found = export(
+            network,
+            data,
+            to=command.to,
+            name=command.name,
+            over=command.over or None,
+            index=not command.no_index,
+            level=command.level,
+            verify=not command.unproven,
+        )
+    files = {**found.files, README: readme(found, typed, data)}
     marks = list(files)
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with output.written_together(folder) as place:
@@ -47,10 +48,9 @@ def export_model(command: Export, typed: str) -> int:
     return 0
 
 
-def readme(
-    program: SampleProgram, found: Exported, typed: str, data: Dataset | None
-) -> str:
+def readme(found: Exported, typed: str, data: Dataset | None) -> str:
     """What was exported, what it takes, and how far it is from the model."""
+    program = found.program
     ports = [
         f"| {what} {k} | {_cell(p.name)} | {_cell(p.unit)} | {p.low:.6g} | "
         f"{p.high:.6g} |"
@@ -80,6 +80,7 @@ def readme(
         f"for {program.history} samples of history behind it. `step` takes the inputs "
         "at t and returns the outputs at t, in physical units.",
         "",
+        *_units(found, program),
         "| place | name | unit | trained from | to |",
         "|---|---|---|---|---|",
         *ports,
@@ -128,6 +129,33 @@ def _calibration(program: SampleProgram, found: Exported) -> list[str]:
             "addresses come into it. Proven by a2ltool, which reads and checks it.",
         ]
     return ["", "## Calibration", "", *lines] if lines else []
+
+
+def _units(found: Exported, program: SampleProgram) -> list[str]:
+    """What a file of FMI or C is that one has to know before it is used."""
+    lines = []
+    if f"{program.name}.c" in found.files:
+        lines += [
+            "The C has neither heap nor recursion, and is clean under cppcheck with "
+            "its MISRA C:2012 rules but for 2.5 and 8.7: macros and functions of the "
+            f"header are an interface. `-D{program.name.upper()}_SINGLE` makes it "
+            "single precision; `start` knows the steady state, the mean, given outputs "
+            "and zeros.",
+            "",
+        ]
+    if any(name.endswith(".fmu") for name in found.files):
+        lines += [
+            "The parameter `start` of an FMU says what a run starts from: the steady "
+            "state at the first inputs (0), outputs in the middle of their trained "
+            "ranges (1), the history that the parameters `given...` hold (2), or "
+            "outputs at zero (3). It steps by whole samples and holds its inputs; a "
+            "step that does not fit is refused. Behind `doStep(t, T)` its outputs are "
+            "y(t), by the inputs set at t; in event mode of FMI 3.0 they are y(t) at "
+            "t. What else it does is in its documentation/index.html; `sources` are "
+            "for other platforms.",
+            "",
+        ]
+    return lines
 
 
 def _cell(text: str) -> str:

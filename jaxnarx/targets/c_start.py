@@ -1,4 +1,4 @@
-"""What a run of the C starts from: steady state, mean, measured history, zeros."""
+"""What a run of the C starts from: steady state, mean, given outputs, zeros."""
 
 from jaxnarx.targets.code import Syntax
 from jaxnarx.targets.form import SampleProgram
@@ -64,24 +64,13 @@ def _settle(program: SampleProgram, syntax: Syntax) -> list[str]:
 
 def _start(program: SampleProgram, syntax: Syntax) -> list[str]:
     name, upper, real = program.name, program.name.upper(), f"{program.name}_real"
-    zeros, rows = [], []
-    for what, ports in (("INPUTS", program.inputs), ("COMPUTED", program.computed)):
-        numbers = ", ".join([syntax.number(0.0)] * len(ports))
-        zeros.append(f"[{upper}_{what}] = {{{numbers}}};")
-        rows.append(f"t * {upper}_{what}" if len(ports) > 1 else "t")
-    history = [
-        f"        for (t = 0; t < {upper}_HISTORY; t++) {{",
-        f"            {name}_observe(s, &u[{rows[0]}], &y[{rows[1]}]);",
-        "        }",
-    ]
+    zeros = ", ".join([syntax.number(0.0)] * len(program.computed))
     return [
         f"int {name}_start({name}_state *s, int kind, const {real} *u, "
         f"const {real} *y)",
         "{",
-        f"    static const {real} no_inputs{zeros[0]}",
-        f"    static const {real} no_outputs{zeros[1]}",
+        f"    static const {real} nothing[{upper}_COMPUTED] = {{{zeros}}};",
         "    int found = 0;",
-        *(["    int t;"] if program.history else []),
         "    switch (kind) {",
         f"    case {upper}_STEADY:",
         f"        if ({name}_settle(s, u) == {upper}_LONGEST) {{",
@@ -91,12 +80,11 @@ def _start(program: SampleProgram, syntax: Syntax) -> list[str]:
         f"    case {upper}_MEAN:",
         f"        {name}_begin(s, u, middle);",
         "        break;",
-        f"    case {upper}_MEASURED:",
+        f"    case {upper}_GIVEN:",
         f"        {name}_begin(s, u, y);",
-        *(history if program.history else []),
         "        break;",
         f"    case {upper}_ZEROS:",
-        f"        {name}_begin(s, no_inputs, no_outputs);",
+        f"        {name}_begin(s, u, nothing);",
         "        break;",
         "    default:",
         "        found = 2;",

@@ -55,17 +55,29 @@ class Exported:
 
     `difference` is the largest difference to the model's free run over all records, in
     shares of the output's largest value, by what was run (`"c, double"`, `"python"`);
-    `left_out` says what could not be run here and why. `operations` are those of one
-    sample, `parameters` the numbers in tables, `kept` the numbers that are kept from
-    sample to sample.
+    `left_out` says what could not be run here and why.
     """
 
+    program: SampleProgram
     files: Mapping[str, str | bytes]
     difference: Mapping[str, float]
     left_out: tuple[str, ...]
-    operations: int
-    parameters: int
-    kept: int
+
+    @property
+    def operations(self) -> int:
+        """Of one sample."""
+        return self.program.operations
+
+    @property
+    def parameters(self) -> int:
+        """Numbers in tables."""
+        return sum(table.values.size for table in self.program.tables)
+
+    @property
+    def kept(self) -> int:
+        """Numbers that are kept from sample to sample."""
+        lines = sum(line.length for line in self.program.delays)
+        return lines + len(self.program.states)
 
     @property
     def texts(self) -> dict[str, str]:
@@ -132,15 +144,7 @@ def export(
     for one in to:
         files |= TARGETS[one].write(program, golden)
     difference, left_out = _proven(program, files, to, cases) if verify else ({}, [])
-    lines = sum(line.length for line in program.delays)
-    return Exported(
-        files,
-        difference,
-        tuple(left_out),
-        program.operations,
-        sum(table.values.size for table in program.tables),
-        lines + len(program.states),
-    )
+    return Exported(program, files, difference, tuple(left_out))
 
 
 def _golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:

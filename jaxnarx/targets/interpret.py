@@ -156,7 +156,7 @@ class Instance:
 
 
 def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
-    """An operation on values; of single ones numbers, not arrays of none, which could be
+    """An operation on values; of single ones numbers, not arrays, which could be
     changed where they are kept."""
     match kind, more:
         case "add", (b,):

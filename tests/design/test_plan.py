@@ -154,6 +154,23 @@ def test_stretches_go_on_from_where_the_test_is():
     assert np.all((u >= low) & (u <= high)) and set(np.unique(u[..., 1])) == {0.0, 1.0}
 
 
+def test_of_every_second_test_all_inputs_switch_together_to_what_is_allowed():
+    low, high = np.zeros(2), np.ones(2)
+    free, never = np.full(2, np.inf), np.zeros(2, bool)
+
+    def apart(u):
+        return np.abs(u[..., 0] - u[..., 1]) < 0.2
+
+    space = Space(low, high, free, never, apart)
+    rng = np.random.default_rng(0)
+    assert np.all(apart(space.points(rng, 500)))
+    u = stretches(rng, space, np.array([0.5, 0.5]), 20, 60, 10.0)
+    moves = np.diff(u, axis=1) != 0
+    together = np.all(moves[..., 0] == moves[..., 1], axis=1)
+    assert together[::2].all() and not together[1::2].any()
+    assert np.all(apart(u[::2])) and not np.all(apart(u[1::2]))
+
+
 def test_limits_are_those_of_the_training_unless_they_are_told(known):
     limits = limits_for(known, None, None, (), None)
     np.testing.assert_allclose(limits.low, np.asarray(known.low)[:3])

@@ -1,6 +1,7 @@
 """`jaxnarx export` from a model file to files that run."""
 
 import subprocess
+import zipfile
 from pathlib import Path
 
 import common
@@ -50,6 +51,21 @@ def test_a_model_becomes_files_that_prove_themselves(place, capsys):
     assert b"largest difference" in subprocess.check_output(["./selftest"], cwd="out")
     assert run([*words, "--name", "mean value", "--out", "out"]) != 0
     assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(runners.compiler() is None, reason="there is no C compiler here")
+def test_a_model_becomes_fmus_of_both_versions(place, capsys):
+    words = ["export", "model.safetensors", *records(), "--to", "fmu2", "fmu3"]
+    assert run([*words, "--name", "mean value", "--out", "out"]) == 0
+    assert "fmu2: differs from the model by" in capsys.readouterr().out
+    names = {"mean_value_fmi2.fmu", "mean_value_fmi3.fmu", "README.md"}
+    assert {path.name for path in Path("out").iterdir()} == names
+    text = Path("out/README.md").read_text()
+    assert "| fmu3 |" in text and "`start` of an FMU" in text
+    with zipfile.ZipFile("out/mean_value_fmi3.fmu") as packed:
+        assert packed.testzip() is None
+        page = packed.read("documentation/index.html").decode()
+    assert "<td>given.y[2]</td>" in page
 
 
 def test_python_without_records_runs_by_itself(place, capsys):

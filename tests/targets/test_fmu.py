@@ -20,7 +20,7 @@ from jaxnarx.regressors import Variables
 from jaxnarx.simulation import simulate
 from jaxnarx.targets import ExportError, Instance, export, lower
 from jaxnarx.targets.compilers import WARNINGS, compilers
-from jaxnarx.targets.fmu import pack
+from jaxnarx.targets.fmu import STARTS, pack
 from jaxnarx.targets.proof import cases_of
 
 with warnings.catch_warnings():
@@ -164,7 +164,7 @@ def test_steps_are_the_free_run_from_measured_history(place, tmp_path):
     history = program.history
     unit = Importer(place)
     unit.enter()
-    unit.measured(case.inputs[:history], case.measured[:history], NAMES)
+    unit.given(case.inputs[:history], case.measured[:history], NAMES)
     unit.leave()
     rows, u = [], case.inputs[history:]
     for t, now in enumerate(u):
@@ -276,7 +276,28 @@ def test_what_a_program_tells_beside_becomes_an_output(tmp_path, version):
     unit.end()
 
 
-@pytest.mark.parametrize("kind", ["steady", "mean", "measured", "zeros"])
+def test_a_model_without_a_past_and_one_that_says_nothing_outside(tmp_path):
+    """Nothing is kept from sample to sample; what is no number passes through."""
+    edge = np.array([1.0, 1.0, 100.0, 100.0])
+    low, high = jax.device_put((-edge, edge))
+    part = common.Part([[((0, 0), 1.0), ((0, 1), 0.5)]])
+    net = common.network([part], variables=((common.A, 0),))
+    net = dataclasses.replace(net, low=low, high=high)
+    net = hold_to_range(net, outside="nan")
+    found = export(net, records(), to=["fmu2", "fmu3"], name="m")
+    assert max(found.difference.values()) < HERE
+    place = fmu_problems.unpacked(found.files["m_fmi3.fmu"], tmp_path / "static")
+    unit = Importer(place)
+    assert "past.y[1]" not in unit.at and "given.y[1]" not in unit.at
+    unit.enter()
+    # of scaled signals: y/10 = 1 + 0.5 a/2
+    for a, expected in ((0.5, 11.25), (1.5, np.nan)):
+        unit.set(["a"], [a])
+        np.testing.assert_allclose(unit.get("y"), [expected], rtol=HERE)
+    unit.end()
+
+
+@pytest.mark.parametrize("kind", STARTS)
 def test_a_run_starts_from_what_is_asked_for(unit, kind):
     u = inputs(4)
     program = lower(network())
@@ -287,14 +308,14 @@ def test_a_run_starts_from_what_is_asked_for(unit, kind):
     elif kind == "mean":
         own.begin(u[3], np.array([0.5 * (p.low + p.high) for p in program.computed]))
     elif kind == "zeros":
-        own.begin(np.zeros(2), np.zeros(2))
+        own.begin(u[3], np.zeros(2))
     else:
         y = common.signals(4, 9)[:, 2:]
         own.begin(u[0], y[0])
         for k in range(program.history):
             own.observe(u[k], y[k])
-        unit.measured(u[: program.history], y[: program.history], NAMES)
-    unit.start(["steady", "mean", "measured", "zeros"].index(kind))
+        unit.given(u[: program.history], y[: program.history], NAMES)
+    unit.start(list(STARTS).index(kind))
     unit.leave()
     for t in range(4):
         unit.step(t * STEP, STEP)
@@ -320,7 +341,7 @@ def test_directional_derivatives_are_central_differences(unit):
     # the program's past, in its own scaling, by the names that it has
     program = lower(network())
     own = Instance(program)
-    own.begin(np.zeros(2), np.zeros(2))
+    own.begin(np.array([1.0, -0.2]), np.zeros(2))
     own.step(np.array([1.0, -0.2]))
     kept = {k: v.copy() for k, v in own.delays.items()}
     gains = [common.GAIN[common.Y]] * 2 + [common.GAIN[common.W]]
@@ -425,7 +446,7 @@ def test_references_values_and_times_of_day_that_are_wrong_are_refused(unit):
     with pytest.raises(REFUSED):
         unit.start(1)
     with pytest.raises(REFUSED):
-        unit.set(["measured.y[1]"], [1.0])
+        unit.set(["given.y[1]"], [1.0])
     with pytest.raises(REFUSED):
         unit.enter()
     unit.step(0.0, STEP)
@@ -708,8 +729,8 @@ def test_fmpy_simulates_a_measured_record(tmp_path, measured, version):
     signals["time"], signals["pump"] = time, u
     start = {"start": 2}
     for k in range(history):
-        start[f"measured.pump[{k + 1}]"] = record.u[history - 1 - k, 0]
-        start[f"measured.level[{k + 1}]"] = record.y[history - 1 - k, 0]
+        start[f"given.pump[{k + 1}]"] = record.u[history - 1 - k, 0]
+        start[f"given.level[{k + 1}]"] = record.y[history - 1 - k, 0]
     result = fmpy.simulate_fmu(
         str(path),
         stop_time=float(time[-1]),

@@ -37,7 +37,7 @@ int run(const char *path, const char *token, const long *sizes, double step,
     const long inputs = sizes[1];
     const long outputs = sizes[2];
     const fmi2ValueReference start = (fmi2ValueReference)sizes[3];
-    const fmi2Integer measured = 2;
+    const fmi2Integer given = 2;
     const size_t all = (size_t)(inputs + outputs + sizes[4]);
     fmi2CallbackFunctions none = {NULL, NULL, NULL, NULL, NULL};
     fmi2ValueReference *at = malloc((all + 1) * sizeof(*at));
@@ -66,7 +66,7 @@ int run(const char *path, const char *token, const long *sizes, double step,
     DO(c == NULL ? fmi2Error : fmi2OK)
     DO(SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0))
     DO(EnterInitializationMode(c))
-    DO(SetInteger(c, &start, 1, &measured))
+    DO(SetInteger(c, &start, 1, &given))
     DO(SetReal(c, lag, (size_t)sizes[4], lags))
     DO(SetReal(c, in, (size_t)inputs, u))
     DO(ExitInitializationMode(c))

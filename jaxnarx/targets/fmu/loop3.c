@@ -43,7 +43,7 @@ int run(const char *path, const char *token, const long *sizes, double step,
     const size_t outputs = (size_t)sizes[2];
     const size_t lagged = (size_t)sizes[4];
     const fmi3ValueReference start = (fmi3ValueReference)sizes[3];
-    const fmi3Int64 measured = 2;
+    const fmi3Int64 given = 2;
     fmi3ValueReference *at = malloc((inputs + outputs + lagged + 1) * sizeof(*at));
     fmi3ValueReference *of = at + inputs;
     fmi3ValueReference *lag = of + outputs;
@@ -72,7 +72,7 @@ int run(const char *path, const char *token, const long *sizes, double step,
                                 NULL, NULL, NULL);
     DO(c == NULL ? fmi3Error : fmi3OK)
     DO(EnterInitializationMode(c, false, 0.0, 0.0, false, 0.0))
-    DO(SetInt64(c, &start, 1, &measured, 1))
+    DO(SetInt64(c, &start, 1, &given, 1))
     DO(SetFloat64(c, lag, lagged, lags, lagged))
     DO(SetFloat64(c, at, inputs, u, inputs))
     DO(ExitInitializationMode(c))

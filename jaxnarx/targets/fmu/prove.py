@@ -12,6 +12,7 @@ import numpy as np
 from jaxnarx.targets.compilers import WARNINGS, compiler
 from jaxnarx.targets.fmu.glue import text_of
 from jaxnarx.targets.fmu.pack import archive_name, place_of_binary
+from jaxnarx.targets.fmu.variables import quantities
 from jaxnarx.targets.form import SampleProgram
 from jaxnarx.targets.proof import DOUBLE, Case, ExportError, Runner, worst
 from jaxnarx.targets.target import Proof
@@ -50,12 +51,7 @@ def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | N
     token = root.get("guid") or root.get("instantiationToken") or ""
     call = _loop(library.parent, version).run
     inputs, reported = len(program.inputs), len(program.reported)
-    start = next(
-        int(element.get("valueReference") or 0)
-        for element in root.iter()
-        if element.find("Enumeration") is not None or element.tag == "Enumeration"
-        if element.get("valueReference")
-    )
+    start = [v.kind for v in quantities(program, version)].index("choice")
 
     def run(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         past = slice(0, program.history)

@@ -46,30 +46,32 @@ static void fmi_unit_inputs(const unit *m, NAME_real *u)
     }
 }
 
-/* Parameters hold inputs, then outputs, the newest first; the model wants rows, the
- * oldest first. */
+/* Given values are a row of lags for every input, then for every output, the newest
+ * first; the model wants samples, the oldest first. */
 static void fmi_unit_start(unit *m, const NAME_real *now)
 {
-    NAME_real u[ROWS * UPPER_INPUTS];
-    NAME_real y[ROWS * UPPER_COMPUTED];
+    NAME_real u[UPPER_INPUTS];
+    NAME_real y[UPPER_COMPUTED];
     size_t t;
     size_t k;
-    if (m->kind != UPPER_MEASURED || LAGS == 0) {
+    memset(y, 0, sizeof(y));
+    if (m->kind != UPPER_GIVEN || LAGS == 0) {
         /* without a past the first inputs are all there is */
-        memset(y, 0, sizeof(y));
         m->rests = NAME_start(&m->past, m->kind, now, y) != 1;
         return;
     }
-    for (t = 0; t < ROWS; t++) {
+    for (t = ROWS; t > 0; t--) {
         for (k = 0; k < UPPER_INPUTS; k++) {
-            u[t * UPPER_INPUTS + k] = (NAME_real)m->lag[k * ROWS + ROWS - 1 - t];
+            u[k] = (NAME_real)m->lag[k * ROWS + t - 1];
         }
         for (k = 0; k < UPPER_COMPUTED; k++) {
-            y[t * UPPER_COMPUTED + k] =
-                (NAME_real)m->lag[(UPPER_INPUTS + k) * ROWS + ROWS - 1 - t];
+            y[k] = (NAME_real)m->lag[(UPPER_INPUTS + k) * ROWS + t - 1];
         }
+        if (t == ROWS) {
+            (void)NAME_start(&m->past, m->kind, u, y);
+        }
+        NAME_observe(&m->past, u, y);
     }
-    (void)NAME_start(&m->past, m->kind, u, y);
 }
 
 /* The sample that is due, with the inputs as they are set. */

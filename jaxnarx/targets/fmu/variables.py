@@ -1,7 +1,7 @@
 """The variables of an FMU: what an importer sees of a program, in order.
 
 A value's reference is its place here: inputs, reported outputs, flags, whether bounds
-acted, past outputs, the choice of a start, and measured values from before it.
+acted, past outputs, the choice of a start, and values given from before it.
 """
 
 import dataclasses
@@ -11,11 +11,12 @@ from jaxnarx.targets.form import Port, SampleProgram, Value
 
 STARTS = {
     "steady": "the steady state at the first inputs, solved",
-    "mean": "outputs in the middle of their trained ranges, inputs as at first",
-    "measured": "the values of the measured parameters",
-    "zeros": "inputs and outputs have been zero",
+    "mean": "outputs in the middle of their trained ranges, for ever",
+    "given": "given outputs, and measured history behind them",
+    "zeros": "outputs at zero, for ever",
 }
-"""What a run starts from, by number."""
+"""What a run starts from, by number; inputs have been as at first for ever, but for
+what is given."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,10 +80,10 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
     )
     lags = [
         Quantity(
-            name(f"measured.{p.name}[{k + 1}]"),
+            name(f"given.{p.name}[{k + 1}]"),
             "real",
             "parameter",
-            f"measured {k + 1} before the first sample, for start = measured",
+            f"measured {k + 1} before the first sample, for start = given",
             p.unit,
             _middle(p),
         )
