@@ -18,7 +18,7 @@ def export_model(command: Export, typed: str) -> int:
     """Write the files, and what the proof has found; returns the exit code."""
     network = load(command.model)
     data = _records(command, network) if command.files else None
-    with about(command.model):
+    with about(command.model, but=("over", "name")):
         found = export(
             network,
             data,
@@ -109,6 +109,28 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _calibration(program: SampleProgram, found: Exported) -> list[str]:
+    """How the files for calibration are meant, where there are some."""
+    name, lines = program.name, []
+    if f"{name}.dcm" in found.files:
+        lines += [
+            f"- `{name}.dcm` (DCM 2.0, ISO 8859-1): blocks have the names and numbers "
+            "of the C arrays, with the digits that read back exactly. Blocks "
+            f"`{name}_rest_...` are maps at rest: the free run from the middle of the "
+            "trained outputs until it stands still, with inputs that are on no axis in "
+            "the middle of their trained ranges. Proven by reading the file back; maps "
+            "follow from the program that the other files are proven by.",
+            f"- `jaxnarx import-dcm MODEL {name}.dcm` takes changed numbers back.",
+        ]
+    if f"{name}.a2l" in found.files:
+        lines += [
+            f"- `{name}.a2l` (A2L 1.71) links to the symbols of `{name}.c` in single "
+            "precision. Its head says which variables the program has to hold, and how "
+            "addresses come into it. Proven by a2ltool, which reads and checks it.",
+        ]
+    return ["", "## Calibration", "", *lines] if lines else []
+
+
 def _units(found: Exported, program: SampleProgram) -> list[str]:
     """What a file of FMI or C is that one has to know before it is used."""
     lines = []
@@ -134,28 +156,6 @@ def _units(found: Exported, program: SampleProgram) -> list[str]:
             "",
         ]
     return lines
-
-
-def _calibration(program: SampleProgram, found: Exported) -> list[str]:
-    """How the files for calibration are meant, where there are some."""
-    name, lines = program.name, []
-    if f"{name}.dcm" in found.files:
-        lines += [
-            f"- `{name}.dcm` (DCM 2.0, ISO 8859-1): blocks have the names and numbers "
-            "of the C arrays, with the digits that read back exactly. Blocks "
-            f"`{name}_rest_...` are maps at rest: the free run from the middle of the "
-            "trained outputs until it stands still, with inputs that are on no axis in "
-            "the middle of their trained ranges. Proven by reading the file back; maps "
-            "follow from the program that the other files are proven by.",
-            f"- `jaxnarx import-dcm MODEL {name}.dcm` takes changed numbers back.",
-        ]
-    if f"{name}.a2l" in found.files:
-        lines += [
-            f"- `{name}.a2l` (A2L 1.71) links to the symbols of `{name}.c` in single "
-            "precision. Its head says which variables the program has to hold, and how "
-            "addresses come into it. Proven by a2ltool, which reads and checks it.",
-        ]
-    return ["", "## Calibration", "", *lines] if lines else []
 
 
 def _cell(text: str) -> str:

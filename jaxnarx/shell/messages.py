@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -58,11 +58,14 @@ def first_lines(report: "Report") -> str:
 
 
 @contextmanager
-def about(source: str) -> Iterator[None]:
-    """What is wrong with the contents of a file is not wrong usage."""
+def about(source: str, *, but: Collection[str] = ()) -> Iterator[None]:
+    """What is wrong with the contents of a file is not wrong usage; what is wrong with
+    the fields of `but`, which were typed, is."""
     try:
         yield
     except SpecError as error:
+        if error.field in but:
+            raise
         lead = "" if source in str(error) else f"{source}: "
         raise DataFileError(f"{lead}{error}", path=source) from error
 

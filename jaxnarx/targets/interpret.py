@@ -156,8 +156,8 @@ class Instance:
 
 
 def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
-    """An operation on values; of single ones numbers, not arrays of no dimension, which
-    could be changed where they are kept."""
+    """An operation on values; of single ones numbers, not arrays, which could be
+    changed where they are kept."""
     match kind, more:
         case "add", (b,):
             return a + b
