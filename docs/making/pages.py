@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import reference
+
 MADE = "made"
 """Folder of made pages, in `reference/` and `figures/`; git ignores it."""
 
@@ -16,6 +18,7 @@ def setup(app: Any) -> dict[str, Any]:
 
 def make(docs: Path) -> None:
     """Write all made pages under the folder of the documentation."""
+    put(docs / "reference" / MADE, reference.made())
 
 
 def put(folder: Path, texts: Mapping[str, str | bytes]) -> None:
