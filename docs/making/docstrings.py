@@ -47,12 +47,14 @@ def _entry(entry: str, known: Mapping[str, str]) -> str:
 
 def prose(text: str, known: Mapping[str, str]) -> str:
     """Paragraphs with what Markdown would misread escaped; indented lines stay."""
-    lines, before = [], ""
+    lines, before, listing = [], "", False
     for line in text.split("\n"):
         formula = line.startswith("    ") and (
             not before.strip() or before[:4] == "    "
         )
-        lines.append(line if formula else _line(line, before))
+        if not before.strip():
+            listing = bool(LISTED.match(line))
+        lines.append(line if formula else _line(line, listing or not before.strip()))
         before = line
     joined = "\n".join(lines)
     # Code spans may go over a line's end, so references are made in the whole.
@@ -62,14 +64,14 @@ def prose(text: str, known: Mapping[str, str]) -> str:
     )
 
 
-def _line(line: str, before: str) -> str:
+def _line(line: str, listed: bool) -> str:
     marked = LISTED.match(line)
-    if marked and before.strip() and not LISTED.match(before):
-        # A formula that goes on in this line, not a list: lists follow an empty line.
+    if marked and not listed:
+        # A sentence or formula that goes on in this line: lists follow an empty one.
         at = marked.end(1)
         line = line[:at] + "\\" + line[at:]
     return "".join(
-        part if n % 2 else re.sub(r"([$<*\[\]])", r"\\\1", part)
+        part if n % 2 else re.sub(r"([$<\[\]]|(?<!\*)\*(?!\*))", r"\\\1", part)
         for n, part in enumerate(CODE.split(line))
     )
 

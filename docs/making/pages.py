@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import commands
+import messages
 import reference
 
 MADE = "made"
@@ -18,7 +20,10 @@ def setup(app: Any) -> dict[str, Any]:
 
 def make(docs: Path) -> None:
     """Write all made pages under the folder of the documentation."""
-    put(docs / "reference" / MADE, reference.made())
+    put(
+        docs / "reference" / MADE,
+        {**reference.made(), **messages.made(), **commands.made()},
+    )
 
 
 def put(folder: Path, texts: Mapping[str, str | bytes]) -> None:
