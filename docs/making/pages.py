@@ -1,12 +1,15 @@
 """All pages that are made rather than written, and how they are put on disk."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import commands
+import figures
+import house
 import messages
 import reference
+import thesis
 
 MADE = "made"
 """Folder of made pages, in `reference/` and `figures/`; git ignores it."""
@@ -20,30 +23,26 @@ def setup(app: Any) -> dict[str, Any]:
 
 def make(docs: Path) -> None:
     """Write all made pages under the folder of the documentation."""
+    put(docs / "figures" / MADE, figures.made())
     put(
         docs / "reference" / MADE,
         {**reference.made(), **messages.made(), **commands.made()},
     )
+    put(docs / "thesis" / MADE, thesis.made())
+    write(docs / "project" / "house.svg", house.drawing())
 
 
-def put(folder: Path, texts: Mapping[str, str | bytes]) -> None:
+def put(folder: Path, texts: Mapping[str, str]) -> None:
     """The files of a made folder: unchanged ones keep their time, others go."""
     folder.mkdir(parents=True, exist_ok=True)
     for path in folder.iterdir():
         if path.name not in texts:
             path.unlink()
     for name, text in texts.items():
-        data = text.encode() if isinstance(text, str) else text
-        path = folder / name
-        if not path.exists() or path.read_bytes() != data:
-            path.write_bytes(data)
+        write(folder / name, text)
 
 
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A Markdown table; bars inside of cells are escaped."""
-    lines = [list(head)]
-    lines += [["---"] * len(lines[0]), *map(list, rows)]
-    return "".join(
-        "| " + " | ".join(c.replace("|", r"\|") for c in line) + " |\n"
-        for line in lines
-    )
+def write(path: Path, text: str) -> None:
+    """Write a file unless it says so already."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
