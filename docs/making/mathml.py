@@ -5,6 +5,8 @@ loads nothing, and prints; a bundle of MathJax would be 1.8 MB, in the repositor
 be fetched by every build.
 """
 
+import html
+import re
 from typing import Any
 
 from docutils import nodes
@@ -37,7 +39,7 @@ def block(writer: Any, node: Any) -> None:
 
 
 def _made(node: Any, block: bool) -> str:
-    text = node.astext()
+    text = re.sub(r"\\dots\b", r"\\ldots", node.astext())
     if block and r"\begin{" not in text.strip()[:8]:
         name = pick_math_environment(text)
         if name != "equation*":
@@ -46,9 +48,4 @@ def _made(node: Any, block: bool) -> str:
         return latex2mathml.tex2mathml(text, as_block=block)
     except MathError as error:
         logger.warning("formula: %s: %s", error, text, location=node)
-        return f"<code>{writer_safe(text)}</code>"
-
-
-def writer_safe(text: str) -> str:
-    """`text` with the characters of HTML escaped."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+        return f"<code>{html.escape(text)}</code>"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from docstrings import markdown, prose
 from names import PACKAGE, tree_of
-from texts import Function, Reader, bare, enclosing, split
+from texts import Around, Function, Reader, bare, enclosing, split
 
 SPEAKING = {
     "JaxnarxError": ("error", 0, "message"),
@@ -59,9 +59,15 @@ def found() -> tuple[Message, ...]:
     return tuple(dict.fromkeys(m for path in files for m in _of_file(path)))
 
 
-def _of_file(path: Path) -> Iterator[Message]:
+@functools.cache
+def opened(path: Path) -> tuple[ast.Module, Reader, Around]:
+    """A file of the package, a reader of its texts, and what is around a node."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    reader, around = Reader(tree), enclosing(tree)
+    return tree, Reader(tree), enclosing(tree)
+
+
+def _of_file(path: Path) -> Iterator[Message]:
+    tree, reader, around = opened(path)
     where = path.relative_to(PACKAGE).as_posix()
     for node in ast.walk(tree):
         match node:
@@ -77,6 +83,14 @@ def _of_file(path: Path) -> Iterator[Message]:
             kind, place, argument = SPEAKING[name]
             told = _argument(node, place, argument)
             frames, says = [""], name
+        elif around_has(around(node), node.func):
+            kind, told, says, frames = (
+                "error",
+                _argument(node, 0, ""),
+                "DataFileError",
+                [""],
+            )
+            argument = ""
         elif name in carriers():
             kind, says, place, argument, frames = carriers()[name]
             told = _argument(node, place, argument)
@@ -97,7 +111,7 @@ def unread() -> list[str]:
     missing = []
     for path in sorted(PACKAGE.rglob("*.py")):
         where = path.relative_to(PACKAGE).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(opened(path)[0]):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
                 name, line = called(node.exc), node.exc.lineno
                 ours = name in SPEAKING or name in carriers()
@@ -131,8 +145,7 @@ def carriers() -> dict[str, tuple[str, str, int, str, list[str]]]:
     """
     found: dict[str, tuple[str, str, int, str, list[str]]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        reader, around = Reader(tree), enclosing(tree)
+        tree, reader, around = opened(path)
         for node in ast.walk(tree):
             name = called(node) if isinstance(node, ast.Call) else ""
             inside = around(node) if name in SPEAKING else None
@@ -156,6 +169,17 @@ def carriers() -> dict[str, tuple[str, str, int, str, list[str]]]:
 def _parameters(function: Function) -> list[str]:
     names = [a.arg for a in function.args.posonlyargs + function.args.args]
     return names[1:] if names[:1] in (["self"], ["cls"]) else names
+
+
+def around_has(function: Function | None, called: ast.AST) -> bool:
+    """Whether what is called is the kind of error that a function was given."""
+    if function is None or not isinstance(called, ast.Name):
+        return False
+    return called.id == "error" and called.id in _arguments(function)
+
+
+def _arguments(function: Function) -> list[str]:
+    return [*_parameters(function), *(a.arg for a in function.args.kwonlyargs)]
 
 
 def shown(message: Message) -> str:

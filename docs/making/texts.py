@@ -8,6 +8,7 @@ MOST = 16
 """Alternatives of one text that are followed; beyond, a part stays a placeholder."""
 ASSIGNMENT = ast.Assign | ast.AnnAssign | ast.AugAssign | ast.NamedExpr
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+Around = Callable[[ast.AST], Function | None]
 
 
 class Reader:
@@ -198,7 +199,7 @@ def _placeholder(node: ast.AST | None) -> str:
             return "{...}"
 
 
-def enclosing(tree: ast.Module) -> Callable[[ast.AST], Function | None]:
+def enclosing(tree: ast.Module) -> Around:
     """A function that tells the innermost function around a node."""
     owner: dict[int, Function | None] = {}
 
