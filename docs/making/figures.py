@@ -21,6 +21,10 @@ ELSEWHERE = (
 """Results that are told in tables of their own."""
 
 
+SILENT = ("aim", "aims", "at_least", "limits", "targets")
+"""Names that say no more than that there is an aim."""
+
+
 def made() -> dict[str, str]:
     """Every table, as a part of a page, by its file name."""
     parts: dict[str, Callable[[], str]] = {
@@ -73,6 +77,11 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:,.0f}"
 
 
+def give_or_take(*figures: str) -> str:
+    """A figure and its uncertainty, which stay on one line."""
+    return "\u00a0±\u00a0".join(figures)
+
+
 # Performance ----------------------------------------------------------------------
 
 
@@ -96,7 +105,7 @@ def _aims(value: Any, names: tuple[str, ...]) -> Iterator[tuple[str, dict[str, A
     if not isinstance(value, dict):
         return
     if {"value", "met"} <= value.keys():
-        yield ", ".join(n for n in names if n not in ("targets", "at_least")), value
+        yield ", ".join(n for n in names if n not in SILENT), value
         return
     for name, part in value.items():
         yield from _aims(part, (*names, str(name)))
@@ -152,7 +161,7 @@ def open_sets() -> str:
             [
                 f"{row['set']} {row['output']}",
                 row["jaxnarx"]["family"],
-                " ± ".join(number(v, 2) for v in left_out if v is not None),
+                give_or_take(*(number(v, 2) for v in left_out if v is not None)),
                 *(number(test.get("nrmse")) for test in tests),
             ]
         )
@@ -254,7 +263,9 @@ def coverage() -> str:
 
 def _share(row: dict[str, Any]) -> str:
     miss = "" if row["met"] else " **(no)**"
-    return f"{100 * row['share']:.1f} ± {100 * row['standard_error']:.1f}{miss}"
+    return (
+        f"{100 * row['share']:.1f}\u00a0±\u00a0{100 * row['standard_error']:.1f}{miss}"
+    )
 
 
 def edge() -> str:
@@ -298,7 +309,9 @@ def refinement() -> str:
     rows = []
     for row in loaded(path)["figures"]["good"]["rows"]:
         told, kept = row["cross_validated"], row["test"]["free_run"]["nrmse"]
-        spread = f"{number(told['chosen'])} ± {number(told['standard_error'], 2)}"
+        spread = (
+            f"{number(told['chosen'])}\u00a0±\u00a0{number(told['standard_error'], 2)}"
+        )
         ratio = number(kept / told["chosen"], 2)
         rows.append([row["output"], row["chosen"], spread, number(kept), ratio])
     head = ["output", "chosen", "left out", "test", "ratio"]

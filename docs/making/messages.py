@@ -184,11 +184,17 @@ def _arguments(function: Function) -> list[str]:
 
 def shown(message: Message) -> str:
     """A message as Markdown: its placeholders in italics."""
-    parts = [
+    parts = split(" ".join(message.text.split()))
+    told = [
         f"*{part.strip('_') or '...'}*" if n % 2 else prose(part, {})
-        for n, part in enumerate(split(" ".join(message.text.split())))
+        for n, part in enumerate(parts)
     ]
-    return "".join(parts)
+    # Between two placeholders stands a space, or the stars would run together.
+    last = len(told) - 1
+    return "".join(
+        text or " " * (0 < n < last) if n % 2 == 0 else text
+        for n, text in enumerate(told)
+    )
 
 
 KINDS = {
