@@ -313,9 +313,16 @@ def words_of_the_command_line() -> set[str]:
     return found
 
 
-def words_of_the_readme() -> set[str]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    spans = re.findall(r"```.*?```|`[^`\n]*`", text, re.S)
+def pages() -> str:
+    """The README and what is written, not made, of the documentation."""
+    written = sorted((ROOT / "docs").rglob("*.md"))
+    paths = [p for p in written if not {"made", "_build"} & set(p.parts)]
+    assert len(paths) > 20
+    return "\n".join(p.read_text("utf-8") for p in [ROOT / "README.md", *paths])
+
+
+def words_of_the_pages() -> set[str]:
+    spans = re.findall(r"```.*?```|`[^`\n]*`", pages(), re.S)
     return set(re.findall(r"\w+", " ".join(spans)))
 
 
@@ -329,18 +336,18 @@ def names_in_docstrings() -> set[str]:
     return found
 
 
-def names_in_the_readme() -> set[str]:
-    return set(NAMED.findall((ROOT / "README.md").read_text("utf-8")))
+def names_in_the_pages() -> set[str]:
+    return set(NAMED.findall(pages()))
 
 
 def test_top_level_names_are_few_and_each_is_used():
     assert len(jaxnarx.__all__) <= MOST_NAMES
-    used = words_of_the_command_line() | words_of_the_readme()
+    used = words_of_the_command_line() | words_of_the_pages()
     used |= {name.split(".")[0] for name in names_in_docstrings()}
     assert not set(jaxnarx.__all__) - used
 
 
-@pytest.mark.parametrize("name", sorted(names_in_the_readme() | names_in_docstrings()))
+@pytest.mark.parametrize("name", sorted(names_in_the_pages() | names_in_docstrings()))
 def test_a_name_that_a_text_gives_exists(name):
     value: object = jaxnarx
     for part in name.split("."):

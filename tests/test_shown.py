@@ -15,9 +15,6 @@ from jaxnarx.identification import Contender, Leaderboard
 from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.sweep import SweepTable
 
-ELSEWHERE = {"Report"}
-"""Shows itself by `to_html`."""
-
 
 @cache
 def hostile() -> jnx.Dataset:
@@ -42,7 +39,7 @@ def shown_in_notebooks() -> list[tuple[str, set[str]]]:
                 if isinstance(name, ast.Name)
             }
             methods = {p.name for p in node.body if isinstance(p, ast.FunctionDef)}
-            if "__str__" in methods and node.name not in ELSEWHERE:
+            if "__str__" in methods:
                 found.append((f"{module}.{node.name}", names))
     return found
 

@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import re
 import textwrap
+from pathlib import Path
 from typing import Any
 
 import common
@@ -16,7 +17,10 @@ from jaxnarx.texts import field_texts
 
 PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     f"{room}.{name}": getattr(getattr(jnx, room), name)
-    for room in ("design", "evaluation", "inverse", "linear", "regressors", "states")
+    for room in (
+        *("design", "evaluation", "inverse", "linear", "models", "refinement"),
+        *("regressors", "selection", "states", "trust"),
+    )
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__
 }
@@ -28,8 +32,12 @@ FUNCTIONS = {n: v for n, v in PUBLIC.items() if inspect.isfunction(v)}
 VERBS = FUNCTIONS | {"Dataset.from_arrays": jnx.Dataset.from_arrays}
 EXAMPLES = {
     n: textwrap.dedent(found[1])
-    for n, verb in VERBS.items()
-    if (found := re.search(r"\nExample:\n(.*)", inspect.getdoc(verb) or "", re.S))
+    for n, told in (VERBS | SETTINGS).items()
+    if (
+        found := re.search(
+            r"\nExample:\n((?:    .*\n?|\n)+)", inspect.getdoc(told) or ""
+        )
+    )
 }
 MAIN = (
     "simulate predict select grow refine report check suggest_lags read read_split "
@@ -86,6 +94,15 @@ def test_an_example_runs_as_it_is_printed(name, scope, tmp_path, monkeypatch):
 def test_there_are_examples():
     told = {"simulate", "predict", "save", "load", "select", "grow", "refine", "report"}
     assert told | {"check", "polynomial_pool", "Dataset.from_arrays"} <= EXAMPLES.keys()
+    # None is printed that is not run; those of commands are parsed in tests/shell.
+    package = Path(jnx.__file__).parent
+    printed = [
+        n
+        for path in package.rglob("*.py")
+        if path.relative_to(package).parts[0] not in ("shell", "texts.py")
+        for n in re.findall(r"^ *Example:$", path.read_text("utf-8"), re.M)
+    ]
+    assert len(printed) == len(EXAMPLES)
 
 
 def test_a_network_prints_its_outputs_regions_terms_and_limits():

@@ -4,7 +4,8 @@ Five simulated plants, noise of 2 %; the model is right or spoilt in one known w
 overfitted, diverging, made without an input that matters, with lags that miss the dead
 time, met by one record of another plant, or used outside of what it was trained on. The
 truth is the plant itself: a model is good where its free run over fresh noise-free
-records like those of the test explains 90 % of the variance in every one of them.
+records like those of the test explains 90 % of the variance in every one of them; one
+that is used outside of what it was trained on is not, whatever its luck.
 
 A verdict is right where it is "good" for a good model and else one of the two others,
 "not usable" where a record diverges.

@@ -24,6 +24,7 @@ from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.evaluation.worst import ErrorStretch
+from jaxnarx.shown import page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,6 +142,8 @@ class Report:
 
     def __str__(self) -> str:
         return self.table
+
+    _repr_html_ = page
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the traces' samples, as strict JSON values.

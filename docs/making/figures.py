@@ -1,0 +1,318 @@
+"""Tables of performance, accuracy and reliability, from the recorded results alone.
+
+No figure is typed: each table says which file it comes from, when that was made, on
+what machine, and from which commit.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+RESULTS = EXPERIMENTS / "benchmarks" / "results"
+ELSEWHERE = (
+    "bouc_wen",
+    "coverage",
+    "coverage_coloured",
+    "gengine1_identify",
+    "recovery",
+)
+"""Results that are told in tables of their own."""
+
+
+SILENT = ("aim", "aims", "at_least", "limits", "targets")
+"""Names that say no more than that there is an aim."""
+
+
+def made() -> dict[str, str]:
+    """Every table, as a part of a page, by its file name."""
+    parts: dict[str, Callable[[], str]] = {
+        "_aims.md": aims,
+        "_gengine1.md": gengine1,
+        "_open_sets.md": open_sets,
+        "_public.md": public,
+        "_recovery.md": recovery,
+        "_nelles.md": nelles,
+        "_gains.md": gains,
+        "_coverage.md": coverage,
+        "_edge.md": edge,
+        "_promised.md": promised,
+        "_refinement.md": refinement,
+    }
+    return {name: part() for name, part in parts.items()}
+
+
+def loaded(path: Path) -> dict[str, Any]:
+    """A recorded result."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def source(path: Path) -> str:
+    """Where figures come from, as a line under their table."""
+    content = loaded(path)
+    machine, code = content["machine"], content.get("code") or {}
+    commit = str(code.get("commit") or "unknown")[:7]
+    dirty = " with changes" if code.get("dirty") else ""
+    return (
+        f"*`{path.relative_to(EXPERIMENTS.parent)}`, {content['date'][:10]}, "
+        f"{machine['cpu']}, {machine['cores']} cores, commit {commit}{dirty}; "
+        f"`{content['command']}`.*\n"
+    )
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table; the first column holds words, the others figures."""
+    lines = [head, ["---", *["--:"] * (len(head) - 1)], *rows]
+    escaped = [[cell.replace("|", r"\|") for cell in line] for line in lines]
+    return "".join("| " + " | ".join(line) + " |\n" for line in escaped) + "\n"
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A figure as it is read, `-` where there is none."""
+    if value is None:
+        return "–"
+    if isinstance(value, int) or abs(value) >= 1e6:
+        return f"{value:,.0f}"
+    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:,.0f}"
+
+
+def give_or_take(*figures: str) -> str:
+    """A figure and its uncertainty, which stay on one line."""
+    return "\u00a0±\u00a0".join(figures)
+
+
+# Performance ----------------------------------------------------------------------
+
+
+def aims() -> str:
+    """Every aim of every benchmark, and whether it is met."""
+    told = []
+    for path in sorted(RESULTS.glob("*.json")):
+        if path.stem in ELSEWHERE:
+            continue
+        rows = [
+            [name, number(aim["value"]), _limit(aim), "yes" if aim["met"] else "**no**"]
+            for name, aim in _aims(loaded(path)["figures"], ())
+        ]
+        if rows:
+            head = ["what", "measured", "aim", "met"]
+            told.append(f"## {path.stem}\n\n{table(head, rows)}{source(path)}")
+    return "\n".join(told)
+
+
+def _aims(value: Any, names: tuple[str, ...]) -> Iterator[tuple[str, dict[str, Any]]]:
+    if not isinstance(value, dict):
+        return
+    if {"value", "met"} <= value.keys():
+        yield ", ".join(n for n in names if n not in SILENT), value
+        return
+    for name, part in value.items():
+        yield from _aims(part, (*names, str(name)))
+
+
+def _limit(aim: dict[str, Any]) -> str:
+    if "at_least" in aim:
+        return f"≥ {number(aim['at_least'])}"
+    return f"≤ {number(aim['limit'])}"
+
+
+# Accuracy -------------------------------------------------------------------------
+
+
+def gengine1() -> str:
+    """The measured engine: every output by every preset, beside others."""
+    path = RESULTS / "gengine1_identify.json"
+    figures = loaded(path)["figures"]
+    presets = list(figures)
+    rows = []
+    for n, row in enumerate(figures["good"]["rows"]):
+        own = [figures[p]["rows"][n] for p in presets]
+        rows.append(
+            [
+                row["output"],
+                number(row["test"]["one_step"]["rmse"], 2),
+                *(number(r["test"]["free_run"]["rmse"]) for r in own),
+                *(number(row["beside"][k]) for k in ("trees", "LSTM", "by hand")),
+                number(row["operations"]),
+            ]
+        )
+    means = {p: figures[p]["summary"]["mean NRMSE"] for p in presets}
+    good = means["good"]
+    rows.append(
+        ["mean NRMSE", "", *(number(means[p]["jaxnarx"]) for p in presets)]
+        + [number(good[k]) for k in ("trees", "LSTM", "by hand")]
+        + [""]
+    )
+    head = ["output", "one step", *presets, "trees", "LSTM", "by hand", "operations"]
+    return table(head, rows) + source(path)
+
+
+def open_sets() -> str:
+    """Public sets and virtual engines, 32 outputs, by the same command."""
+    path = RESULTS / "open_sets.json"
+    rows = []
+    for row in loaded(path)["figures"]["rows"]:
+        part = next(iter(row["jaxnarx"]["test"]))
+        columns = ("jaxnarx", "best linear", "trees", "SysIdentPy BIC")
+        tests = [(row.get(c) or {}).get("test", {}).get(part) or {} for c in columns]
+        left_out = row["jaxnarx"]["free_run"], row["jaxnarx"]["standard_error"]
+        rows.append(
+            [
+                f"{row['set']} {row['output']}",
+                row["jaxnarx"]["family"],
+                give_or_take(*(number(v, 2) for v in left_out if v is not None)),
+                *(number(test.get("nrmse")) for test in tests),
+            ]
+        )
+    head = ["set", "chosen", "left out", "test", "linear", "trees", "SysIdentPy, BIC"]
+    return table(head, rows) + source(path)
+
+
+def public() -> str:
+    """Public sets beside published figures and peers; NRMSE of whole tests."""
+    path = RESULTS / "public.json"
+    rows = []
+    columns = ("hidden states", "identify", "GRU", "jax-sysid", "fastcan")
+    figures = loaded(path)["figures"]
+    for row in figures["rows"]:
+        for part in row["hidden states"]["test"]:
+            found = [
+                (row.get(c) or {}).get("test", {}).get(part, {}).get("rmse")
+                for c in columns
+            ]
+            known = [
+                entry["rmse"][part]
+                for entry in figures["published"].get(row["set"], [])
+                if entry["rmse"].get(part) is not None
+            ]
+            name = f"{row['set']} {row['output']}, {part} [{row['unit']}]"
+            best = number(min(known)) if known else "–"
+            rows.append([name, *map(number, found), best])
+    head = ["set, part [unit]", *columns, "published, best found"]
+    return table(head, rows) + source(path)
+
+
+def recovery() -> str:
+    """How often the exact set of true terms is found."""
+    path = RESULTS / "recovery.json"
+    cells = loaded(path)["figures"]["cells"]
+    methods = list(next(iter(cells.values()))["methods"])
+    rows = [
+        [m, *(f"{c['methods'][m]['exact']} of {c['seeds']}" for c in cells.values())]
+        for m in methods
+    ]
+    return table(["method", *cells], rows) + source(path)
+
+
+def nelles() -> str:
+    """Four test processes with noise: LOLIMOT as grown, and refined."""
+    path = EXPERIMENTS / "nelles" / "results" / "nelles_processes.json"
+    rows = []
+    for name, row in loaded(path)["figures"]["summary"].items():
+        kinds = [k for k in ("LOLIMOT", "joint", "staged") if k in row]
+        cells = [_spread(row[k]["free_run"]) for k in kinds]
+        lost = sum(row[k]["diverged"] for k in kinds)
+        rows.append([name, *cells, str(lost)])
+    head = ["process", "LOLIMOT", "refined jointly", "refined in stages", "diverged"]
+    return table(head, rows) + source(path)
+
+
+def _spread(row: dict[str, float]) -> str:
+    ends = number(row["least"], 2), number(row["largest"], 2)
+    return f"{number(row['median'])} ({ends[0]} to {ends[1]})"
+
+
+def gains() -> str:
+    """What refinement of everything gains over LOLIMOT on virtual engines."""
+    path = EXPERIMENTS / "refinement" / "results" / "engines.json"
+    rows = [
+        [
+            bed,
+            str(row["seeds"]),
+            number(row["median_gain"]),
+            number(row["worst_gain"]),
+            str(row["validation_worse"]),
+            f"{row['only_lolimot_diverged']} / {row['refined_diverged']}",
+        ]
+        for bed, row in loaded(path)["figures"]["summary"].items()
+    ]
+    head = ["bed", "seeds", "median factor", "worst", "validation worse"]
+    return table([*head, "diverged before / after"], rows) + source(path)
+
+
+# Reliability ----------------------------------------------------------------------
+
+
+def coverage() -> str:
+    """How many samples the 95 % bands cover."""
+    told = []
+    for name in ("coverage", "coverage_coloured"):
+        path = RESULTS / f"{name}.json"
+        figures = loaded(path)["figures"]
+        parts = list(next(iter(figures["coverage"].values())))
+        rows = [
+            [kind, *(_share(row[part]) for part in parts)]
+            for kind, row in figures["coverage"].items()
+        ]
+        noise = "white" if name == "coverage" else "coloured"
+        title = f"**{noise} noise, {figures['sets']} simulated data sets**\n\n"
+        told.append(title + table(["bands of", *parts], rows) + source(path))
+    return "\n".join(told)
+
+
+def _share(row: dict[str, Any]) -> str:
+    miss = "" if row["met"] else " **(no)**"
+    return (
+        f"{100 * row['share']:.1f}\u00a0±\u00a0{100 * row['standard_error']:.1f}{miss}"
+    )
+
+
+def edge() -> str:
+    """The 90 % intervals and the index of the domain, output by output."""
+    path = RESULTS / "edge.json"
+    rows = []
+    for bed, entry in loaded(path)["figures"].items():
+        for output, row in entry["outputs"].items():
+            wild = [row[k]["wild"] for k in ("flag", "hold", "linear") if k in row]
+            lost = sum(w["diverged"] + w["not finite"] for w in wild)
+            rows.append(
+                [
+                    f"{bed} {output}",
+                    f"{100 * row['intervals']['held']:.1f}",
+                    number(row["intervals"]["half width"], 2),
+                    number(row[row["policy"]]["spearman"], 2),
+                    number(row["rate certified"]),
+                    f"{lost} of {sum(w['records'] for w in wild):,}",
+                ]
+            )
+    head = ["output", "held, %", "half width", "index and error"]
+    return table([*head, "certified rate", "wild records lost"], rows) + source(path)
+
+
+def promised() -> str:
+    """Errors on test records over those promised by records left out."""
+    path = RESULTS / "open_sets.json"
+    summary = loaded(path)["figures"]["summary"]
+    rows = [[name, number(value)] for name, value in summary["flattered by"].items()]
+    note = (
+        f"Of {summary['rows']} outputs {len(summary['diverged'])} diverge on a test "
+        f"record, {len(summary['worse than linear'])} are worse than the best linear "
+        f"model, and {len(rows)} are worse on the test than was promised:\n\n"
+    )
+    return note + table(["set and output", "test over left out"], rows) + source(path)
+
+
+def refinement() -> str:
+    """Accuracy of the measured engine: what was promised, what was kept."""
+    path = RESULTS / "gengine1_identify.json"
+    rows = []
+    for row in loaded(path)["figures"]["good"]["rows"]:
+        told, kept = row["cross_validated"], row["test"]["free_run"]["nrmse"]
+        spread = (
+            f"{number(told['chosen'])}\u00a0±\u00a0{number(told['standard_error'], 2)}"
+        )
+        ratio = number(kept / told["chosen"], 2)
+        rows.append([row["output"], row["chosen"], spread, number(kept), ratio])
+    head = ["output", "chosen", "left out", "test", "ratio"]
+    return table(head, rows) + source(path)
