@@ -10,6 +10,7 @@ from jaxnarx.data import Channel
 from jaxnarx.evaluation import metrics
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, ScoredSamples
+from jaxnarx.shown import page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,6 +27,8 @@ class ErrorBeside:
         if self.records > 1:
             text += f" (smaller in {self.better} of {self.records} records)"
         return text
+
+    _repr_html_ = page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +56,8 @@ class Effect:
         if self.outside is not None:
             told.append(f"outside of its domain {self.outside:.2g} times that inside")
         return f"{self.output}: {'; '.join(told) or 'no figure'}"
+
+    _repr_html_ = page
 
 
 def effects(

@@ -17,6 +17,7 @@ from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
+from jaxnarx.shown import page
 from jaxnarx.simulation import fitting, simulate
 
 CELLS = 12
@@ -86,6 +87,8 @@ class ErrorMap:
             f"{a[i + 1]:.4g} and {self.variables[1]} {b[j]:.4g} to {b[j + 1]:.4g}: "
             f"RMSE {self.rms[i, j]:.3g}{unit}{times if self.usual > 0 else ''}"
         )
+
+    _repr_html_ = page
 
 
 @guarded

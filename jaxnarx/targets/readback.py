@@ -46,7 +46,9 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
             or that no such network has, with the block and its line.
 
     Example:
-        changed = jnx.targets.read_parameters(network, Path("model.dcm").read_text())
+        found = jnx.export(network, to=["dcm"]).files["model.dcm"]
+        changed = jnx.targets.read_parameters(network, found.decode("latin-1"))
+        print(changed is network)
     """
     known = network.errors is not None and network.domain is not None
     program = lower(network, level=LEVELS[0] if known else None)  # with all its tables
