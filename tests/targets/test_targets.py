@@ -1,6 +1,8 @@
 """Exports of every kind of network beside its free run, and what they refuse."""
 
+import ctypes
 import dataclasses
+import importlib.util
 import subprocess
 from pathlib import Path
 
@@ -337,6 +339,53 @@ def test_index_and_intervals_are_those_of_the_network(trusted):
     half = 0.5 * (found.upper[0] - found.lower[0])[program.history :, 0]
     # s(t) spans orders of magnitude; rounding of the run goes through its logarithm
     np.testing.assert_allclose([r["half_y"] for r in rows], half, rtol=1e-8)
+
+
+@needs_compiler
+def test_c_and_python_tell_index_and_intervals_as_the_form_does(trusted, tmp_path):
+    net, data = trusted
+    program = lower(net, "m", level=0.9)
+    found = export(net, data, to=["c", "python"], name="m", level=0.9)
+    for name, text in found.texts.items():
+        (tmp_path / name).write_text(text)
+    compiler, library = runners.compiler(), tmp_path / "m.so"
+    command = [compiler, "-shared", "-fPIC", "-O1", tmp_path / "m.c", "-lm", "-o"]
+    subprocess.run([*map(str, command), str(library)], check=True)
+
+    class Out(ctypes.Structure):
+        _fields_ = [
+            ("reported", ctypes.c_double * len(program.reported)),
+            ("fed", ctypes.c_double * len(program.computed)),
+            ("limited", ctypes.c_int * len(program.computed)),
+            *((flag, ctypes.c_double) for flag in program.flags),
+        ]
+
+    kept = sum(d.length for d in program.delays) + len(program.states)
+    state, out = (ctypes.c_double * kept)(), Out()
+    called = ctypes.CDLL(str(library))
+    spec = importlib.util.spec_from_file_location("m", tmp_path / "m.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    model, instance = module.Model(), Instance(program)
+    (case,) = cases_of(net, program, data)
+
+    def numbers(x):
+        return (ctypes.c_double * len(x))(*x)
+
+    instance.begin(case.inputs[0], case.measured[0])
+    model.begin(case.inputs[0].tolist(), case.measured[0].tolist())
+    called.m_begin(state, numbers(case.inputs[0]), numbers(case.measured[0]))
+    seen = []
+    for u in case.inputs:
+        told = instance.step(u)
+        model.step(u.tolist())
+        called.m_step(state, numbers(u), ctypes.byref(out))
+        for flag in program.flags:
+            expected = pytest.approx(told[flag], rel=1e-9)
+            assert getattr(out, flag) == expected and getattr(model, flag) == expected
+        seen.append(told["index"])
+    assert min(seen) < 1 < max(seen)
 
 
 def test_intervals_of_a_network_without_errors_are_refused(trusted):
