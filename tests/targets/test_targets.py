@@ -393,3 +393,25 @@ def test_intervals_of_a_network_without_errors_are_refused(trusted):
     with pytest.raises(SpecError, match="does not know its errors"):
         export(net, to=["python"], level=0.9)
     assert set(lower(net, index=False).flags) == {"extrapolated"}
+
+
+def drawn(net, seed: int):
+    """The same structure with other numbers: coefficients, regions, scales and ranges
+    each off by some 20 %, so that nothing but the structure is as it was made."""
+    rng = np.random.default_rng(seed)
+
+    def moved(x):
+        if not jnp.issubdtype(x.dtype, jnp.floating):
+            return x
+        return x * jnp.asarray(np.exp(rng.uniform(-0.2, 0.2, x.shape)))
+
+    other = jax.tree.map(moved, net)
+    return dataclasses.replace(other, sample_time=net.sample_time)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("seed", range(5))
+def test_networks_of_random_numbers_run_as_their_form_does(name, seed):
+    net = drawn(NETWORKS[name](), seed)
+    assert beside(net, records(net)) < HERE
