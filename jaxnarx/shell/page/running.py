@@ -78,8 +78,8 @@ def model_script(program: SampleProgram) -> str:
     text = (
         f"const MODEL = (() => {{\n{text}\nreturn {{ {', '.join(OFFERED)} }};\n}})();"
     )
-    # Of the code itself only a comparison has this sign, and a blank behind it.
-    text = re.sub(r"<(?=\S)", r"\\u003c", text)
+    # Of the code itself only a comparison has this sign, and a blank or = behind it.
+    text = re.sub(r"<(?=[^\s=])", r"\\u003c", text)
     return text.encode("ascii", "backslashreplace").decode("ascii")
 
 
