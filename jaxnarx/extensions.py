@@ -68,10 +68,9 @@ class Registry(MutableMapping[str, T], Generic[T]):
     def find(self, name: str, field: str) -> T:
         """The one of that name; SpecError with the nearest ones where there is none."""
         if name not in self:
-            raise SpecError(
-                f"there is no {self.what} {name!r}. {suggest(name, list(self))}",
-                field=field,
-            )
+            known = list(self)
+            told = suggest(name, known) if known else "None is registered."
+            raise SpecError(f"there is no {self.what} {name!r}. {told}", field=field)
         return self[name]
 
     def example(self, name: str) -> Callable[..., Any] | None:

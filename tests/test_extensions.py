@@ -227,6 +227,7 @@ def test_all_examples_hold_to_their_contracts(tmp_path):
 
 
 def test_a_file_of_an_added_kind_is_read_as_any_other(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAXNARX_DATA", raising=False)
     monkeypatch.syspath_prepend(str(EXAMPLES))
     import reader  # pyright: ignore[reportMissingImports]
 

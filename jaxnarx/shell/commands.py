@@ -338,7 +338,7 @@ class Export:
     """Folder for the files."""
     level: Annotated[float | None, optional("SHARE")] = None
     """Tell half of the prediction interval of this probability as well, such as 0.9."""
-    no_index: Flag = False
+    without_index: Flag = False
     """Leave out the index of the model's domain, which takes most of the operations of
     a small model."""
     unproven: Flag = False

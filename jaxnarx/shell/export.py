@@ -25,7 +25,7 @@ def export_model(command: Export, typed: str) -> int:
             to=command.to,
             name=command.name,
             over=command.over or None,
-            index=not command.no_index,
+            index=not command.without_index,
             level=command.level,
             verify=not command.unproven,
         )

@@ -148,7 +148,7 @@ def test_wrong_use_says_what_to_do():
         grow(pool(), data(), Given(validity, scheduling=("u1[t]",)))
     with pytest.raises(SpecError, match="no partition to take"):
         grow(pool(), data(), Given(grow(pool(), data(), Global()).value))
-    with pytest.raises(SpecError, match="got str"):
+    with pytest.raises(SpecError, match="no partition 'speed'"):
         grow(pool(), data(), Given("speed"))
 
 

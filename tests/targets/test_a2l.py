@@ -101,5 +101,5 @@ def test_sizes_are_those_of_the_tables():
         assert found is not None
         sizes = [int(w) for w in found[1].split()]
         assert sizes == list(np.shape(table.values))[::-1]
-    with pytest.raises(SpecError, match="to must be"):
+    with pytest.raises(SpecError, match="no target 'a3l'"):
         export(test_dcm.rising(), to=["a3l"])
