@@ -1,4 +1,4 @@
-"""Models for other programs, with the proof that they equal, and the way back."""
+"""Models for other programs, from C to calibration files, proven to do the same."""
 
 from jaxnarx.targets.export import TARGETS as TARGETS
 from jaxnarx.targets.export import Exported as Exported
