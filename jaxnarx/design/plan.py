@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.checks import Number, Pair, positive, whole
+from jaxnarx.checks import Number, Pair, positive, require, span, whole
 from jaxnarx.data import Dataset, Record
 from jaxnarx.design.limits import PlanLimits, limits_for
 from jaxnarx.design.sensitivity import run_sensitivity
@@ -28,8 +28,12 @@ from jaxnarx.models import Network
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust import error_variables
 
-STRETCH, LEAD = 3.0, 5.0
-"""Length of a stretch, and what is run before and behind it, in memories."""
+HOLDS = 0.5, 4.0
+"""Shortest and longest hold, in memories of the network: long ones show gains, short
+ones dynamics."""
+STRETCH, LEAD = 0.75, 5.0
+"""Length of a stretch in longest holds, and what is run before and behind it in
+memories."""
 ROWS = 24
 """Samples of a stretch that are asked what they tell."""
 CANDIDATES = 48
@@ -76,14 +80,14 @@ def plan(
     rates: Mapping[str, Number] | None = None,
     forbidden: Sequence[str] = (),
     limits: Mapping[str, Number | Pair] | None = None,
+    hold: Pair | None = None,
     seed: int = 0,
 ) -> Solution[TestPlan]:
     """The test of this length that tells most about the network, chosen greedily.
 
-    Stretch by stretch, the one of many random ones (steps of all inputs, with holds
-    from half to four times the network's memory) that adds most to the information,
-    log det: about the coefficients through the free run, and about an error that the
-    network cannot express, larger where the index of its domain is
+    Stretch by stretch, the one of many random ones (steps of all inputs) that adds most
+    to the information, log det: about the coefficients through the free run, and about
+    an error that the network cannot express, larger where the index of its domain is
     (`jaxnarx.design.views`). It begins in the middle of what is known and comes to the
     full ranges within its first fifth.
 
@@ -99,6 +103,9 @@ def plan(
         limits: Highest value by output, or (lowest, highest). Kept by the free run with
             the 99 % prediction interval of a network that knows its errors
             (`jnx.intervals`), which widens outside of the domain.
+        hold: Shortest and longest time that an input keeps a level [s]; default half
+            and four times the network's memory, which may be far from that of parts of
+            the engine that it has not seen at work.
         seed: Of the random stretches.
 
     Returns:
@@ -118,7 +125,8 @@ def plan(
     kept = limits_for(network, ranges, rates, forbidden, limits)
     whole(seed, "seed", 0)
     length = round(positive(duration, "duration") / float(network.sample_time))
-    maker = _make(network, kept, np.random.default_rng(seed), length)
+    held = _holds(network, hold)
+    maker = _make(network, kept, np.random.default_rng(seed), length, held)
     u, steps = maker.run(length)
     return _solution(network, kept, maker, u, steps)
 
@@ -141,7 +149,7 @@ class Maker:
     limits: PlanLimits
     space: Space
     known: Space
-    memory: float
+    hold: tuple[int, int]
     size: int
     lead: int
     random: np.random.Generator
@@ -169,7 +177,7 @@ class Maker:
         count = CANDIDATES * (SCREENED if bounded else 1)
         near = count // 2 if bounded else 0
         drawn = stretches(
-            *(self.random, space, u[-1], count, self.size, self.memory), near=near
+            *(self.random, space, u[-1], count, self.size, self.hold), near=near
         )
         drawn = drawn[self.limits.allows(drawn).all(axis=1)]
         past = np.tile(u[-self.lead :], (len(drawn), 1, 1))
@@ -268,19 +276,39 @@ def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outpu
     return half
 
 
+def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
+    """Shortest and longest hold [samples]."""
+    if asked is None:
+        pair = tuple(h * memory_of(network) for h in HOLDS)
+    else:
+        low, high = span(asked, "hold")
+        require(
+            0 < low <= high,
+            "hold",
+            "hold must be (shortest, longest) in seconds, above zero, got "
+            f"({low:g}, {high:g})",
+        )
+        pair = low / float(network.sample_time), high / float(network.sample_time)
+    shortest, longest = (max(1, round(h)) for h in pair)
+    return shortest, longest
+
+
 def _make(
-    network: Network, limits: PlanLimits, random: np.random.Generator, length: int
+    network: Network,
+    limits: PlanLimits,
+    random: np.random.Generator,
+    length: int,
+    hold: tuple[int, int],
 ) -> Maker:
     """Sizes, spaces, and what the network is asked through."""
     binary = two_levels(network)
     space = Space(limits.low, limits.high, limits.rate, binary, limits.allows)
     low, high = (np.clip(a, limits.low, limits.high) for a in _trained(network))
     known = dataclasses.replace(space, low=low, high=high)
-    memory = memory_of(network)
-    size = min(max(2, round(STRETCH * memory)), max(length, 2))
-    lead = math.ceil(LEAD * memory) + network.history
+    size = min(max(2, round(STRETCH * hold[1])), max(length, 2))
+    lead = math.ceil(LEAD * memory_of(network)) + network.history
     middle = 0.5 * (space.low + space.high)
-    drawn = stretches(random, space, middle, CANDIDATES, size, memory)[1:]
+    drawn = stretches(random, space, middle, CANDIDATES, size, hold)[1:]
     sensitivity = run_sensitivity(network, lead)
     view = make_view(
         sensitivity, space, drawn[: max(1, 1000 // size)].reshape(-1, len(middle))
@@ -288,7 +316,7 @@ def _make(
     view = eqx.tree_at(lambda v: v.sensitivity, view, run_sensitivity(network, 0))
     return Maker(
         *(view, network, limits, space, known),
-        **{"memory": memory, "size": size, "lead": lead, "random": random},
+        **{"hold": hold, "size": size, "lead": lead, "random": random},
     )
 
 

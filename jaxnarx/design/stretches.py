@@ -10,11 +10,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.excitation import AprbsPlan, render
 
-HOLDS = 0.5, 4.0
-"""Shortest and longest hold, in memories of the network: long ones show gains, short
-ones dynamics."""
-
-
 Allows = Callable[[Float[np.ndarray, "*rows inputs"]], Bool[np.ndarray, "*rows"]]
 """Of levels of all inputs, whether they may be together."""
 
@@ -67,26 +62,26 @@ def stretches(
     begin: Float[np.ndarray, " inputs"],
     count: int,
     length: int,
-    memory: float,
+    hold: tuple[int, int],
     *,
     near: int = 0,
 ) -> Float[np.ndarray, "tests time inputs"]:
     """`count` tests of `length` samples behind the sample `begin`; the first of them
     stays there, and the last `near` of them do not go all the way.
 
-    Holds are as many in every octave of `HOLDS`; a test begins in the midst of the
-    first of them. Of every second test all inputs have the same, so that the levels
-    they are drawn at come together, of the others each has its own. Rates hold, at the
-    joint too.
+    Holds, from the shortest to the longest of `hold` [samples], are as many in every
+    octave; a test begins in the midst of the first of them. Of every second test all
+    inputs have the same, so that the levels they are drawn at come together, of the
+    others each has its own. Rates hold, at the joint too.
     """
-    shortest, longest = (max(1, round(h * memory)) for h in HOLDS)
+    shortest, longest = hold
     shape = count, 2 + -(-length // shortest), len(begin)
-    hold = np.exp(random.uniform(np.log(shortest), np.log(longest + 1), shape))
-    hold = np.maximum(hold.astype(int), 1)
-    hold[::2] = hold[::2, :, :1]
+    held = np.exp(random.uniform(np.log(shortest), np.log(longest + 1), shape))
+    held = np.maximum(held.astype(int), 1)
+    held[::2] = held[::2, :, :1]
     part = random.uniform(size=shape[::2])
     part[::2] = part[::2, :1]
-    hold[:, 0] = np.ceil(part * hold[:, 0])
+    held[:, 0] = np.ceil(part * held[:, 0])
     level = space.points(random, *shape[:2])
     way = np.ones(count)
     way[count - near :] = random.uniform(size=near)
@@ -94,9 +89,9 @@ def stretches(
     level = np.where(part < 1.0, begin + part * (level - begin), level)
     level[:, 0] = level[0] = begin
     # One sample more: the plan begins with the last of what is there.
-    leaves = level, hold, space.low, space.high, space.rate
-    level, hold, low, high, rate = jax.device_put(leaves)
-    return np.array(_rendered(level, hold, low, high, rate, length + 1))[:, 1:]
+    leaves = level, held, space.low, space.high, space.rate
+    level, held, low, high, rate = jax.device_put(leaves)
+    return np.array(_rendered(level, held, low, high, rate, length + 1))[:, 1:]
 
 
 @eqx.filter_jit

@@ -403,6 +403,9 @@ class Plan:
     """Combinations of inputs that must not be, each as "speed > 3000 & load < 5"."""
     limit: Annotated[tuple[str, ...], optional("NAME=HIGHEST [...]")] = ()
     """Limits of modelled outputs; NAME=LOWEST:HIGHEST for both."""
+    hold: Annotated[tuple[str, str] | None, optional("SHORTEST LONGEST")] = None
+    """Times between which inputs keep a level, such as 0.5s 5s; default: half and four
+    times the model's memory, which parts of the engine it has not seen may exceed."""
     seed: int = 0
     """Seed of the random stretches that the plan is chosen from."""
     out: Annotated[str, arg(metavar="FOLDER")] = "plan"

@@ -14,7 +14,13 @@ from jaxnarx.shell.messages import count, next_command, say, warn
 from jaxnarx.shell.record_files import describe, record_csv
 
 PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"
-FIELDS = {"ranges": "range", "rates": "rate", "forbidden": "forbid", "limits": "limit"}
+FIELDS = {
+    "ranges": "range",
+    "rates": "rate",
+    "forbidden": "forbid",
+    "limits": "limit",
+    "hold": "hold",
+}
 """Arguments of the verb, and the options that they are."""
 
 
@@ -65,6 +71,7 @@ def _asked(command: Plan) -> dict:
         "rates": dict(rates),
         "forbidden": command.forbid,
         "limits": {n: x[0] if len(x) == 1 else tuple(x) for n, *x in limits},
+        "hold": tuple(seconds(t, "--hold") for t in command.hold or ()) or None,
         "seed": command.seed,
     }
 

@@ -146,7 +146,11 @@ def _header(program: SampleProgram) -> str:
 
 def _port(port: Port) -> str:
     unit = f" [{port.unit}]" if port.unit else ""
-    text = f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}"
+    return _aside(f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}")
+
+
+def _aside(text: str) -> str:
+    """Of people's words, what ends no comment and continues no line."""
     return text.replace("*/", "* /").replace("\\", "/")
 
 
@@ -228,8 +232,9 @@ def _source(program: SampleProgram) -> str:
 
 def _table(name: str, table: ParameterTable) -> list[str]:
     rows = table.values.reshape(table.values.shape[0], -1) if table.values.size else []
+    about = _aside(table.about + (f" [{table.unit}]" if table.unit else ""))
     lines = [
-        f"/* {table.about}" + (f" [{table.unit}]" if table.unit else "") + " */",
+        f"/* {about} */",
         f"const {name}_real {name}_{table.name}[{table.values.size}] = {{",
     ]
     for row in rows:

@@ -21,8 +21,15 @@ SETTLED_SINGLE = 1e-6
 """The same in single precision."""
 STILL = 10
 """It rests when it has stood still for more samples than this."""
-STEADY, MEAN, GIVEN, ZEROS = STARTS = "steady", "mean", "given", "zeros"
-"""How a run may begin, in every target; see `Instance.start`."""
+STARTS = {
+    "steady": "the steady state at the first inputs, solved",
+    "mean": "outputs in the middle of their trained ranges, for ever",
+    "given": "given outputs, and measured history behind them",
+    "zeros": "outputs at zero, for ever",
+}
+"""How a run may begin, in every target and in this order: inputs have been as at first
+for ever, but for what is given. See `Instance.start`."""
+STEADY, MEAN, GIVEN, ZEROS = STARTS
 
 
 @dataclasses.dataclass(eq=False)

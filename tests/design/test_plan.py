@@ -7,6 +7,7 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.design.limits import limits_for
+from jaxnarx.design.plan import HOLDS
 from jaxnarx.design.stretches import Space, stretches
 from jaxnarx.design.views import memory_of, told
 from jaxnarx.errors import SpecError
@@ -110,7 +111,8 @@ def test_it_tells_more_than_random_stretches(known, found):
     )
     length = round(DURATION / TIME)
     rng = np.random.default_rng(2)
-    drawn = stretches(rng, space, free.value.inputs[0], 41, length, memory_of(known))
+    hold = tuple(max(1, round(h * memory_of(known))) for h in HOLDS)
+    drawn = stretches(rng, space, free.value.inputs[0], 41, length, hold)
     worth = np.array([log_det(u) for u in drawn[1:]])
     assert log_det(free.value.inputs) > np.quantile(worth, 0.75)
 
@@ -147,7 +149,7 @@ def test_stretches_go_on_from_where_the_test_is():
     )
     space = Space(low, high, rate, np.array([False, True]))
     begin = np.array([2.0, 1.0])
-    u = stretches(rng, space, begin, 20, 40, 10.0, near=5)
+    u = stretches(rng, space, begin, 20, 40, (5, 40), near=5)
     assert u.shape == (20, 40, 2) and np.all(u[0] == begin)
     step = np.abs(np.diff(np.concatenate([np.tile(begin, (20, 1, 1)), u], 1), axis=1))
     assert np.all(step[..., 0] <= 0.25 + 1e-14)
@@ -164,11 +166,21 @@ def test_of_every_second_test_all_inputs_switch_together_to_what_is_allowed():
     space = Space(low, high, free, never, apart)
     rng = np.random.default_rng(0)
     assert np.all(apart(space.points(rng, 500)))
-    u = stretches(rng, space, np.array([0.5, 0.5]), 20, 60, 10.0)
+    u = stretches(rng, space, np.array([0.5, 0.5]), 20, 60, (5, 40))
     moves = np.diff(u, axis=1) != 0
     together = np.all(moves[..., 0] == moves[..., 1], axis=1)
     assert together[::2].all() and not together[1::2].any()
     assert np.all(apart(u[::2])) and not np.all(apart(u[1::2]))
+
+
+def test_levels_are_held_as_long_as_is_asked(known):
+    """Of 120 samples with holds of 8, in stretches of 6: each input moves once in a
+    stretch at most, and in three of four if it were by chance alone."""
+    asked = {"rates": {"load": 1e6}, "forbidden": [], "limits": None}
+    held = made(known, hold=(8 * TIME, 8 * TIME), **asked)
+    assert len(held.stats["start"]) == 20
+    moves = np.count_nonzero(np.diff(held.value.inputs[:, 1]))
+    assert 8 <= moves <= 20
 
 
 def test_limits_are_those_of_the_training_unless_they_are_told(known):
@@ -199,6 +211,8 @@ def test_limits_are_those_of_the_training_unless_they_are_told(known):
         ({"limits": {"temp": (2, 1)}}, "highest value"),
         ({"limits": {"temp": -9}}, "there is no plan"),
         ({"forbidden": ["speed > -9"]}, "there is no plan"),
+        ({"hold": (2, 1)}, "hold must be"),
+        ({"hold": (0, 1)}, "above zero"),
     ],
 )
 def test_what_cannot_be_planned_is_told(known, options, message):

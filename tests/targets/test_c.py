@@ -16,7 +16,7 @@ from jaxnarx.models import Network
 from jaxnarx.targets import Instance, lower
 from jaxnarx.targets.c99 import sources
 from jaxnarx.targets.compilers import WARNINGS, compilers
-from jaxnarx.targets.fmu import STARTS
+from jaxnarx.targets.interpret import STARTS
 
 needs_compiler = pytest.mark.skipif(
     not compilers(), reason="there is no C compiler here"

@@ -20,7 +20,8 @@ from jaxnarx.regressors import Variables
 from jaxnarx.simulation import simulate
 from jaxnarx.targets import ExportError, Instance, export, lower
 from jaxnarx.targets.compilers import WARNINGS, compilers
-from jaxnarx.targets.fmu import STARTS, pack
+from jaxnarx.targets.fmu import pack
+from jaxnarx.targets.interpret import STARTS
 from jaxnarx.targets.proof import cases_of
 
 with warnings.catch_warnings():

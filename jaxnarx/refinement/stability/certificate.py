@@ -110,7 +110,7 @@ def _blocks(network: Network) -> list[Block] | None:
 
 
 def _matrices(
-    rows: list[Float[np.ndarray, "corners outputs depth"]],
+    rows: list[Float[np.ndarray, "_ outputs depth"]],
 ) -> Float[np.ndarray, "corners n n"] | None:
     """Companion matrices of all combinations of the outputs' corners."""
     if np.prod([float(len(corners)) for corners in rows]) > CORNERS:
@@ -121,7 +121,7 @@ def _matrices(
 
 def _slopes(
     network: Network,
-) -> list[Float[np.ndarray, "corners outputs depth"]] | None:
+) -> list[Float[np.ndarray, "_ outputs depth"]] | None:
     """Slopes of every output by the past outputs, at all corners of what they can be;
     None where they depend on the past outputs themselves."""
     if network.parallel:

@@ -3,4 +3,3 @@
 from jaxnarx.targets.fmu.pack import fmu as fmu
 from jaxnarx.targets.fmu.prove import prove_fmu2 as prove_fmu2
 from jaxnarx.targets.fmu.prove import prove_fmu3 as prove_fmu3
-from jaxnarx.targets.fmu.variables import STARTS as STARTS

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from jaxnarx.targets.code import digits
-from jaxnarx.targets.fmu.variables import STARTS, Quantity, units
+from jaxnarx.targets.fmu.variables import Quantity, units
 from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.interpret import STARTS
 
 NUMBERS = {"real": "Float64", "boolean": "Boolean", "choice": "Enumeration"}
 """Types of FMI 3.0."""

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from html import escape
 
-from jaxnarx.targets.fmu.variables import STARTS, Quantity
+from jaxnarx.targets.fmu.variables import Quantity
 from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.interpret import STARTS
 
 SAMPLES = """The model is sampled: y(t) is made from u(t) and from what came before, and
 is known at t = start time + n T only, with n counted and T = {step} s. Inputs and

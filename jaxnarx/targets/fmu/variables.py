@@ -9,15 +9,6 @@ from collections.abc import Iterable
 
 from jaxnarx.targets.form import Port, SampleProgram, Value
 
-STARTS = {
-    "steady": "the steady state at the first inputs, solved",
-    "mean": "outputs in the middle of their trained ranges, for ever",
-    "given": "given outputs, and measured history behind them",
-    "zeros": "outputs at zero, for ever",
-}
-"""What a run starts from, by number; inputs have been as at first for ever, but for
-what is given."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
