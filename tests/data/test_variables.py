@@ -145,6 +145,7 @@ def test_a_t_beside_a_time_is_a_channel(tmp_path, name):
     assert all(c.step == pytest.approx(0.1) for c in contents(path, Asked()))
     table = read_table(path, [name], Asked(table="thermo"))
     np.testing.assert_array_equal(table.columns[name].to_numpy(), SPEED)
+    assert table.time is not None
     np.testing.assert_allclose(table.time, T, atol=1e-12)
 
 
