@@ -35,6 +35,8 @@ def made() -> dict[str, str]:
         "_recovery.md": recovery,
         "_nelles.md": nelles,
         "_gains.md": gains,
+        "_cubic.md": cubic,
+        "_engine_sweep.md": engine_sweep,
         "_coverage.md": coverage,
         "_edge.md": edge,
         "_promised.md": promised,
@@ -239,6 +241,41 @@ def gains() -> str:
     ]
     head = ["bed", "seeds", "median factor", "worst", "validation worse"]
     return table([*head, "diverged before / after"], rows) + source(path)
+
+
+def cubic() -> str:
+    """One step says little: a cubic model of NOx, before and after the free run."""
+    path = RESULTS / "gengine1.json"
+    found = loaded(path)["figures"]["cubic NOx"]
+    rows = []
+    for name in found["free_run"]:
+        one, free = (found[mode][name]["pooled"] for mode in ("one_step", "free_run"))
+        run = number(free["rmse"], 2) if free["rmse"] else free["status"]
+        rows.append([name, number(one["rmse"], 2), run])
+    return table(["cubic model of NOx", "one step", "free run"], rows) + source(path)
+
+
+def engine_sweep() -> str:
+    """One model or four, and what refined borders are worth, on sister engines."""
+    path = EXPERIMENTS / "engine_sweep" / "results" / "engine_sweep.json"
+    beds = loaded(path)["figures"]["beds"]
+    kinds = {
+        "one model": "one model",
+        "four regions": "LOLIMOT",
+        "borders refined": "refined",
+    }
+    rows = []
+    for bed, found in beds.items():
+        scores = [found["test_free_run"][kind] for kind in kinds.values()]
+        cells = [
+            f"{number(s['median'])} ({number(s['p5'], 2)} to {number(s['p95'], 2)})"
+            for s in scores
+        ]
+        ratio = found["comparisons"]["refined against LOLIMOT"]["ratio"]
+        low, high = (number(v) for v in ratio[1:])
+        rows.append([bed, *cells, f"{number(ratio[0])} [{low}, {high}]"])
+    head = ["bed", *kinds, "borders refined over not"]
+    return table(head, rows) + source(path)
 
 
 # Reliability ----------------------------------------------------------------------

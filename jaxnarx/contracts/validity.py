@@ -14,26 +14,15 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.contracts.life import lives, plant, pool
 from jaxnarx.methods import Given
-from jaxnarx.models import VALIDITIES, AbstractValidity
+from jaxnarx.models import VALIDITIES, AbstractValidity, models_of
 from jaxnarx.partition import grow
 
 _weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 
 
-def count(validity: AbstractValidity, dims: int) -> int:
-    """How many local models it is for: the number that `check` accepts."""
-    for models in range(1, 257):
-        try:
-            validity.check(models, dims)
-        except ValueError:
-            continue
-        return models
-    raise AssertionError("`check` accepts no number of local models up to 256")
-
-
 def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
     """Weights are not negative and sum to one, in the range and far beyond it."""
-    models = count(validity, dims)
+    models = models_of(validity, dims)
     for distance in (1.0, 1e3, 1e100):
         z = distance * np.random.default_rng(0).uniform(-1.5, 2.5, size=(dims, 500))
         phi = _phi(validity, z, np.ones(models, bool))
@@ -45,7 +34,7 @@ def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
 
 def inactive_models_weigh_nothing(validity: AbstractValidity, dims: int) -> None:
     """A model that is not active has weight zero, and the others share the rest."""
-    models = count(validity, dims)
+    models = models_of(validity, dims)
     if models == 1:
         return
     z = np.random.default_rng(1).uniform(-0.2, 1.2, size=(dims, 300))
@@ -56,7 +45,7 @@ def inactive_models_weigh_nothing(validity: AbstractValidity, dims: int) -> None
 
 def samples_do_not_know_one_another(validity: AbstractValidity, dims: int) -> None:
     """One point alone has the weights that it has among many."""
-    models = count(validity, dims)
+    models = models_of(validity, dims)
     z = np.random.default_rng(2).uniform(size=(dims, 5))
     many = _phi(validity, z, np.ones(models, bool))
     for n in range(5):
@@ -68,7 +57,7 @@ def derivatives_are_central_differences(validity: AbstractValidity, dims: int) -
     """By the trained fields and by the place; piecewise constant ones have zeros."""
     if not validity.trained:
         return
-    models, rng = count(validity, dims), np.random.default_rng(4)
+    models, rng = models_of(validity, dims), np.random.default_rng(4)
     z = jnp.asarray(rng.uniform(size=(dims, 40)))
     share = jnp.asarray(rng.normal(size=(models, 40)))
 
@@ -106,7 +95,7 @@ def limits_enclose_the_present(validity: AbstractValidity, dims: int) -> None:
 
 def check_refuses_other_sizes(validity: AbstractValidity, dims: int) -> None:
     """A file whose arrays do not fit is refused by a ValueError of `check`."""
-    models = count(validity, dims)
+    models = models_of(validity, dims)
     validity.check(models, dims)
     try:
         validity.check(models + 1, dims)
@@ -119,7 +108,7 @@ def regions_are_told(validity: AbstractValidity, dims: int) -> None:
     """`regions` says something of every local model, with the names it is given."""
     names = [f"x{n}[t]" for n in range(dims)]
     found = validity.regions(names, np.zeros(dims), np.ones(dims))
-    assert len(found) == count(validity, dims)
+    assert len(found) == models_of(validity, dims)
     assert all(isinstance(region, dict) for region in found)
 
 

@@ -59,5 +59,6 @@ from jaxnarx.models.validity import Compact as Compact
 from jaxnarx.models.validity import Gaussians as Gaussians
 from jaxnarx.models.validity import LogSigmoids as LogSigmoids
 from jaxnarx.models.validity import SigmoidTree as SigmoidTree
+from jaxnarx.models.validity import models_of as models_of
 from jaxnarx.models.validity import register_validity as register_validity
 from jaxnarx.models.validity import weights_of as weights_of

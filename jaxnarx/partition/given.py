@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.methods import PARTITIONS, Given, Partitioner
-from jaxnarx.models import AbstractValidity, Network, OutputModel
-from jaxnarx.partition.grid import capacity, fitted
+from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
+from jaxnarx.partition.grid import fitted
 from jaxnarx.partition.ground import Ground
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
 
@@ -99,12 +99,10 @@ def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Reg
 
 def _checked(validity: AbstractValidity, dims: int) -> int:
     """The number of its regions."""
-    count = capacity(validity)
     try:
-        validity.check(count, dims)
+        return models_of(validity, dims)
     except ValueError as error:
         raise SpecError(str(error), field="partition") from error
-    return count
 
 
 def given_output(

@@ -14,7 +14,7 @@ from jaxnarx.models import (
     Gaussians,
     LogSigmoids,
     OutputModel,
-    SigmoidTree,
+    models_of,
 )
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import local_fit
@@ -33,7 +33,7 @@ def grid_output(
 ) -> tuple[OutputModel, list[int]]:
     """The model of one output, and which local models lack samples."""
     validity = given_validity(ground, method)
-    return fitted(ground, output, validity, capacity(validity), method)
+    return fitted(ground, output, validity, models_of(validity, len(ground.z)), method)
 
 
 def fitted(
@@ -48,7 +48,8 @@ def fitted(
     A local model whose validity sums to less than its number of parameters keeps the
     coefficients of the global model.
     """
-    phi = validity(ground.z, jnp.arange(capacity(validity)) < count)[:count]
+    room = models_of(validity, len(ground.z))
+    phi = validity(ground.z, jnp.arange(room) < count)[:count]
     weight = ground.weight(output)
     mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))
     p, y = ground.columns(output)
@@ -64,18 +65,9 @@ def fitted(
         theta = ground.coefficients(output, jnp.stack(fits))
     poor = np.flatnonzero(mass < need).tolist()
     theta = np.where((mass < need)[:, None], whole[None], theta)
-    theta = np.pad(theta, ((0, capacity(validity) - count), (0, 0)))
+    theta = np.pad(theta, ((0, room - count), (0, 0)))
     sparse = method.local is not None
     return ground.model(output, theta, validity, count, sparse=sparse), poor
-
-
-def capacity(validity: AbstractValidity) -> int:
-    """Regions that there is room for."""
-    if isinstance(validity, LogSigmoids):
-        return validity.border.shape[0] + 1
-    if isinstance(validity, SigmoidTree):
-        return validity.path.shape[0]
-    return jax.tree.leaves(validity)[0].shape[0]
 
 
 def given_validity(ground: Ground, method: Grid) -> AbstractValidity:

@@ -52,6 +52,21 @@ def test_several_are_brought_to_the_wanted_one_and_that_is_told():
     assert table.units["T"] == "degC"
 
 
+def test_a_channel_on_the_wanted_raster_stays_as_measured_and_is_not_told():
+    slow = signal("T", 0.5, 0.25, 60.0, lambda t: np.sin(9 * t))
+    fast = signal("p", 0.01, 0.0, 58.0, lambda t: t)
+    table = one_raster([fast, slow], PLACE, 0.5)
+    count = len(np.asarray(table.time))
+    np.testing.assert_allclose(columns(table)["T"], slow.values[:count], atol=1e-12)
+    assert table.notes == ("run.mf4: brought to 0.5 s: p filtered against aliasing",)
+    # half a sample beside the grid it is interpolated
+    late = signal("q", 0.5, 0.0, 60.0, lambda t: t)
+    (note,) = one_raster([slow, late], PLACE, 0.5).notes
+    assert note.endswith("q interpolated")
+    early = signal("q", 0.5, -0.25, 60.0, lambda t: t)
+    assert one_raster([slow, early], PLACE, 0.5).notes == ()  # cut alone
+
+
 def test_a_tone_above_the_new_raster_does_not_fold_back():
     # 9 Hz sampled at 100 Hz; at 10 Hz it would be a slow swing of 1 Hz
     tone = signal("p", 0.01, 0.0, 30.0, lambda t: np.sin(2 * np.pi * 9 * t))

@@ -136,6 +136,19 @@ def test_a_channel_is_found_with_its_unit_and_time(tmp_path, name):
         assert table.time is None
 
 
+@pytest.mark.parametrize("name", ["T", "t"])
+def test_a_t_beside_a_time_is_a_channel(tmp_path, name):
+    path = tmp_path / "thermo.mat"
+    savemat(path, {"thermo": {"time": T, name: SPEED}, "other": {name: T, "u": NOX}})
+    found = sorted((c.table, c.name) for c in contents(path, Asked()))
+    assert found == [("other", "u"), ("thermo", name)]
+    assert all(c.step == pytest.approx(0.1) for c in contents(path, Asked()))
+    table = read_table(path, [name], Asked(table="thermo"))
+    np.testing.assert_array_equal(table.columns[name].to_numpy(), SPEED)
+    assert table.time is not None
+    np.testing.assert_allclose(table.time, T, atol=1e-12)
+
+
 def test_names_that_matlab_does_not_allow_come_back(tmp_path):
     path = tmp_path / "named.mat"
     inside = {"NOx_raw": NOX[:, None], "speed": SPEED[:, None]}

@@ -12,7 +12,7 @@ import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import ForwardOLS, Given, Global, Grid, Lolimot
 from jaxnarx.methods import SigmoidTree as SigmoidTreeMethod
-from jaxnarx.models import Gaussians, SigmoidTree
+from jaxnarx.models import AbstractValidity, Gaussians, SigmoidTree
 from jaxnarx.partition import grow
 
 ROWS, SCHEDULE = 240, ("u1[t]", "u2[t]")
@@ -110,6 +110,40 @@ def test_a_gate_drawn_by_hand_in_physical_units():
         network.models[0].local.coefficient,
         rtol=1e-9,  # the data span that range
     )
+
+
+class Halves(AbstractValidity):
+    """Two models by a number: no size of a field tells how many there are."""
+
+    trained = ("border",)
+    border: Any
+
+    def __call__(self, z, active):
+        upper = jnp.where(z[0] > self.border, 1.0, 0.0)
+        return jnp.stack([1 - upper, upper])
+
+    def limits(self, width_band):
+        return Halves(self.border - 1.0), Halves(self.border + 1.0)
+
+    def check(self, models, dims):
+        if (models, dims) != (2, 1):
+            raise ValueError(f"halves are 2 of 1 variable, not {models} of {dims}")
+
+    def regions(self, names, offset, span):
+        border = float(offset[0] + span[0] * self.border)
+        return [{names[0]: {"below": border}}, {names[0]: {"above": border}}]
+
+
+def test_a_validity_function_tells_by_its_check_how_many_models_there_are():
+    found = grow(pool(), data(), Given(Halves(jnp.asarray(0.25)), scheduling=["u1[t]"]))
+    assert [len(m) for m in found.value.regions(0)] == [1, 1]
+    assert found.value.regions(0)[1] == {"u1[t]": {"above": pytest.approx(15.0)}}
+    boxes = Grid(["u1[t]"], borders=[[15.0]], validity="boxes")
+    same = grow(pool(), data(), boxes).value
+    runs = (jnx.simulate(n, data()).value.outputs[0] for n in (found.value, same))
+    np.testing.assert_allclose(*runs, rtol=1e-9)
+    with pytest.raises(SpecError, match="halves are 2 of 1 variable, not 1 of 2"):
+        grow(pool(), data(), Given(Halves(jnp.asarray(0.25)), scheduling=SCHEDULE))
 
 
 def test_terms_of_their_own_in_given_regions():

@@ -104,7 +104,7 @@ def one_raster(
         )
     grid = start + sample_time * np.arange(count)
     parts = [(s.name, s.unit, *_at(s, grid, sample_time, place)) for s in signals]
-    return as_table(parts, grid, place, _notes(signals, sample_time, place))
+    return as_table(parts, grid, place, _notes(signals, start, sample_time, place))
 
 
 def _require_increasing(signal: Signal, place: RowSource) -> None:
@@ -137,6 +137,12 @@ def _keeps(time: np.ndarray, step: float) -> bool:
     return bool(len(steps)) and abs(float(np.median(steps)) - step) <= SAME * step
 
 
+def _lies_on(time: np.ndarray, start: float, step: float) -> bool:
+    """Whether stamps are those of a grid of the step through `start`."""
+    at = (time - start) / step
+    return _keeps(time, step) and bool(np.all(np.abs(at - np.round(at)) <= SAME))
+
+
 def _at(
     signal: Signal, grid: np.ndarray, step: float, place: RowSource
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -156,10 +162,14 @@ def _at(
     return values, known & ~gap
 
 
-def _notes(signals: Sequence[Signal], step: float, place: RowSource) -> tuple[str, ...]:
-    """What happened to which channels."""
+def _notes(
+    signals: Sequence[Signal], start: float, step: float, place: RowSource
+) -> tuple[str, ...]:
+    """What happened to which channels; those that lie on the grid stay as they are."""
     how = {"held": [], "filtered against aliasing": [], "interpolated": []}
     for signal in signals:
+        if _lies_on(signal.time, start, step):
+            continue
         if signal.steps:
             how["held"].append(signal.name)
         elif signal.step < (1 - SAME) * step:
@@ -167,6 +177,8 @@ def _notes(signals: Sequence[Signal], step: float, place: RowSource) -> tuple[st
         else:
             how["interpolated"].append(signal.name)
     told = [f"{', '.join(names)} {what}" for what, names in how.items() if names]
+    if not told:
+        return ()
     return (f"{place.lead}brought to {step:g} s: {'; '.join(told)}",)
 
 

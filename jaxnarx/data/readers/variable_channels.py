@@ -53,6 +53,8 @@ class Variable:
     unit: str = ""
     labels: Sequence[str] = ()
     step: float | None = None
+    stamps: bool = False
+    """Whether it is the time of the channels beside it."""
 
     @property
     def path(self) -> str:
@@ -75,11 +77,7 @@ def contents(path: Path, folder: Path, *, max_bytes: float) -> list[dict[str, An
     """Columns as keyword arguments of `Column`."""
     _require(path, max_bytes)
     with opened(path) as tree:
-        found = [
-            one
-            for one in _channels(tree, "", None)
-            if not (_TIME.fullmatch(one.name) and _step(one))  # known already
-        ]
+        found = [one for one in _channels(tree, "", None) if not _is_known_time(one)]
         names = [one.name for one in found]
         return [
             {
@@ -213,14 +211,25 @@ def _with_time(own: list[Variable]) -> list[Variable]:
     times = [
         one for one in own if _TIME.fullmatch(one.name) and _kind(one.values) in "iufmM"
     ]
+    if len(times) > 1:  # a T beside a time is a temperature, or a torque
+        times = [one for one in times if one.name.lower() != "t"]
     if len(times) != 1:
         return own
     t = times[0]
     stamps = _stamps(t.read(), time_unit_in(t.unit, t.name))
     return [
-        dataclasses.replace(one, time=stamps) if one.rows == t.rows else one
+        dataclasses.replace(one, time=stamps, stamps=one is t)
+        if one.rows == t.rows
+        else one
         for one in own
     ]
+
+
+def _is_known_time(one: Variable) -> bool:
+    """Whether it is a time, and channels have that already."""
+    if one.name.lower() == "t" and one.time is not None and not one.stamps:
+        return False
+    return bool(_TIME.fullmatch(one.name) and _step(one))
 
 
 def _stamps(t: np.ndarray, unit: str | None) -> np.ndarray:

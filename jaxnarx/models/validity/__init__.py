@@ -4,7 +4,12 @@ import dataclasses
 
 from jaxnarx.errors import SpecError
 from jaxnarx.extensions import Registry
-from jaxnarx.models.validity.abstract import EDGE, AbstractValidity, weights_of
+from jaxnarx.models.validity.abstract import (
+    EDGE,
+    AbstractValidity,
+    models_of,
+    weights_of,
+)
 from jaxnarx.models.validity.boxes import Boxes
 from jaxnarx.models.validity.compact import Compact
 from jaxnarx.models.validity.gaussians import Gaussians
@@ -61,6 +66,7 @@ __all__ = [
     "LogSigmoids",
     "SigmoidTree",
     "VALIDITIES",
+    "models_of",
     "register_validity",
     "weights_of",
 ]

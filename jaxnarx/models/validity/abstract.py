@@ -69,6 +69,26 @@ class AbstractValidity(eqx.Module):
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
 
 
+MOST = 1024
+"""Local models of one output that are thought of where no size tells their number."""
+
+
+def models_of(validity: AbstractValidity, dims: int) -> int:
+    """The number of local models that there is room for: the one `check` accepts.
+
+    ValueError, what `check` says, where it accepts none for so many variables.
+    """
+    first = [leaf.shape[0] for leaf in jax.tree.leaves(validity) if leaf.ndim]
+    for models in (*first, *range(1, MOST + 1)):
+        try:
+            validity.check(models, dims)
+        except ValueError:
+            continue
+        return models
+    validity.check((*first, 1)[0], dims)
+    raise AssertionError("it has accepted what it refused before")
+
+
 @eqx.filter_jit
 def _called(validity: AbstractValidity, z, active):
     return validity(z, active)
