@@ -9,7 +9,7 @@ from jaxtyping import Bool
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Polynomial
-from jaxnarx.regressors import LowPass, Pool, polynomial_pool
+from jaxnarx.regressors import Pool, polynomial_pool
 
 
 def make_pool(method: Polynomial | Pool, channels: Channels) -> Pool:
@@ -28,15 +28,9 @@ def make_pool(method: Polynomial | Pool, channels: Channels) -> Pool:
         input_lags=method.input_lags,
         output_lags=method.output_lags,
         degree=method.degree,
-        filters=[_filter(f) for f in method.filters],
+        filters=method.filters,
         filter_lags=method.filter_lags,
     )
-
-
-def _filter(value: Any) -> Any:
-    """A filter, or that of a time constant."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return LowPass(float(value)) if number else value
 
 
 def joint_pool(methods: Sequence[Polynomial | Pool], channels: Channels) -> Pool:

@@ -16,7 +16,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.regressors.filters import AbstractFilter, require_filter
+from jaxnarx.regressors.filters import AbstractFilter, LowPass, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
 from jaxnarx.shown import page
@@ -25,7 +25,8 @@ LARGEST = 5_000_000
 """Terms a pool may hold; beyond that its index table alone takes over 100 MB."""
 
 Lags = Sequence[int] | Mapping[str, Sequence[int]]
-Filters = Sequence[AbstractFilter] | Mapping[str, Sequence[AbstractFilter]]
+Bank = Sequence[AbstractFilter | float | int]
+Filters = Bank | Mapping[str, Bank]
 
 
 def evaluate(
@@ -128,14 +129,15 @@ def _filtered(
     if filters is None:
         return []
     inputs = channels.input_names
-    by_name = filters
-    if not isinstance(by_name, Mapping):
-        by_name = {name: by_name for name in inputs}
-    for name, bank in by_name.items():
+    if not isinstance(filters, Mapping):
+        filters = {name: filters for name in inputs}
+    by_name: dict[str, list[AbstractFilter]] = {}
+    for name, bank in filters.items():
         known_name(
             name, inputs, "filters", f"filters names {name!r}, which is not an input"
         )
-        if len(set(map(require_filter, bank))) != len(bank):
+        by_name[name] = [_filter(each) for each in bank]
+        if len(set(by_name[name])) != len(bank):
             raise SpecError(f"filters of {name!r} repeat: {bank}", field="filters")
     (lags,) = _lags(lags, ["inputs"], lowest=0, kind="filter")
     return [
@@ -144,6 +146,13 @@ def _filtered(
         for filter_ in by_name.get(name, ())
         for lag in lags
     ]
+
+
+def _filter(value: object) -> AbstractFilter:
+    """A filter, or the first-order lag of a time constant."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return LowPass(float(value))
+    return require_filter(value)
 
 
 @guarded
@@ -174,6 +183,7 @@ def polynomial_pool(
         degree: Most factors of a term.
         filters: Filtered inputs as well, `LowPass(4.0)` and its like, which remember
             the inputs of long ago: a sequence for all inputs or a dict by channel name.
+            A number is the time constant of a `LowPass` [s].
         filter_lags: Samples at which each of them enters.
 
     Returns:

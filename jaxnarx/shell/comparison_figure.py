@@ -14,6 +14,8 @@ from jaxnarx.shell.style import CYCLE, GREY, INK, canvas, plain, styled
 
 POINTS = 900
 """Points of a line."""
+LETTERS, SPACE = 125, 7
+"""Letters that a row of the legend holds, and those that a line's sample takes."""
 
 
 def compared(found: ModelComparison, records: Sequence[ComparedRecord]) -> Figure:
@@ -48,8 +50,12 @@ def _record(axes: Axes, one: ComparedRecord) -> None:
         axes.set_ylim(max(least, low - room), min(most, high + room))
     axes.set_xlim(one.time[0], one.time[-1] if len(one.time) > 1 else 1.0)
     part = f"{one.part}, " if one.part not in ("", "data") else ""
-    axes.set_title(plain(f"{part}{one.record}", 60), fontsize=8.5, pad=17)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 0.99), ncols=5, fontsize=8)
+    labels = axes.get_legend_handles_labels()[1]
+    columns = max(1, min(len(labels), LETTERS // (max(map(len, labels)) + SPACE)))
+    rows = -(-len(labels) // columns)
+    axes.set_title(plain(f"{part}{one.record}", 60), fontsize=8.5, pad=5 + 12 * rows)
+    place = {"loc": "lower left", "bbox_to_anchor": (0, 0.99)}
+    axes.legend(**place, ncols=columns, fontsize=8)
 
 
 def by_size(found: SizeErrors) -> Figure:

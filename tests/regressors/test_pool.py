@@ -10,7 +10,7 @@ from oracles import full_pool, term_matrix
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.regressors import Variables, evaluate, polynomial_pool
+from jaxnarx.regressors import LowPass, Variables, evaluate, polynomial_pool
 
 CHANNELS = Channels(
     (Channel("speed", "rpm"), Channel("load")), (Channel("NOx", "ppm"), Channel("HC"))
@@ -147,3 +147,17 @@ def test_wrong_requests_say_what_and_why(change, field, message):
     with pytest.raises(SpecError, match=message) as caught:
         polynomial_pool(CHANNELS, **(options | change))
     assert caught.value.field == field
+
+
+def test_a_number_among_filters_is_the_time_constant_of_a_first_order_lag():
+    """As in the settings of an identification; what is neither is told."""
+    lags = {"input_lags": (1,), "output_lags": (), "degree": 1}
+    numbers, filters = (
+        polynomial_pool(CHANNELS, filters=bank, **lags)
+        for bank in ([0.5, 2], [LowPass(0.5), LowPass(2.0)])
+    )
+    assert numbers.variables == filters.variables
+    with pytest.raises(SpecError, match="repeat"):
+        polynomial_pool(CHANNELS, filters=[2, LowPass(2.0)], **lags)
+    with pytest.raises(SpecError, match="filters"):
+        polynomial_pool(CHANNELS, filters=["slow"], **lags)
