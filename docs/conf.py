@@ -6,11 +6,17 @@ results is written by the scripts of `making/` before Sphinx reads the first pag
 """
 
 import importlib.metadata
+import os
 import sys
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "making"))
+# Pages give commands too: those of this Python, on the files that the page has made.
+os.environ["PATH"] = os.pathsep.join(
+    [str(Path(sys.executable).parent), os.environ["PATH"]]
+)
+os.environ.pop("JAXNARX_DATA", None)
 
 project = "jaxnarx"
 copyright = "the jaxnarx authors, Apache-2.0"
