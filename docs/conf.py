@@ -17,6 +17,9 @@ os.environ["PATH"] = os.pathsep.join(
     [str(Path(sys.executable).parent), os.environ["PATH"]]
 )
 os.environ.pop("JAXNARX_DATA", None)
+# What one page has compiled serves the next one.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(DOCS / "_build" / "compiled"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 project = "jaxnarx"
 copyright = "the jaxnarx authors, Apache-2.0"
