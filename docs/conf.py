@@ -6,11 +6,20 @@ results is written by the scripts of `making/` before Sphinx reads the first pag
 """
 
 import importlib.metadata
+import os
 import sys
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "making"))
+# Pages give commands too: those of this Python, on the files that the page has made.
+os.environ["PATH"] = os.pathsep.join(
+    [str(Path(sys.executable).parent), os.environ["PATH"]]
+)
+os.environ.pop("JAXNARX_DATA", None)
+# What one page has compiled serves the next one.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(DOCS / "_build" / "compiled"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 project = "jaxnarx"
 copyright = "the jaxnarx authors, Apache-2.0"

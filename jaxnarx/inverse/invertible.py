@@ -22,6 +22,7 @@ from jaxnarx.inverse.reachable import Reach, reachable
 from jaxnarx.inverse.region import Region, find_region
 from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network
+from jaxnarx.shown import brief, page
 from jaxnarx.solution import RESULTS, Solution
 
 SOME = 0.02
@@ -35,7 +36,7 @@ LONGEST = 60
 """Additional lead [samples] beyond which no delayed inverse is offered."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Invertibility:
     """Local gains, zeros and dead times of a forward network, and what they forbid.
 
@@ -61,6 +62,15 @@ class Invertibility:
     dead_time: Int[np.ndarray, "targets commands"]
     lead: dict[str, int]
     reach: Reach | None = None
+
+    def __str__(self) -> str:
+        """What by what, the recommended leads, then the findings."""
+        targets, commands = map(", ".join, (self.target_names, self.command_names))
+        ahead = ", ".join(str(self.lead[name]) for name in self.target_names)
+        head = f"Invertibility: {targets} by {commands}, seen ahead by {ahead} samples"
+        return f"{head}\n{self.findings}".rstrip()
+
+    __repr__, _repr_html_ = brief, page
 
 
 @guarded

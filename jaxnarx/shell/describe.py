@@ -26,7 +26,7 @@ def describe(command: Describe) -> int:
         )
     files = measurement_files([Path(path) for path in command.files])
     root = _root(files)
-    say(f"Looking into {count(len(files), 'file')} in {root}")
+    say(f"Looking into {count(len(files), 'file')} in {_seen(root)}")
     found = survey(
         files,
         columns=command.columns,
@@ -64,6 +64,12 @@ def describe(command: Describe) -> int:
 def _root(files: Sequence[Path]) -> Path:
     """The folder that holds all of them."""
     return Path(os.path.commonpath([file.resolve().parent for file in files]))
+
+
+def _seen(folder: Path) -> Path:
+    """As seen from where the command runs, if it lies there."""
+    here = Path.cwd()
+    return folder.relative_to(here) if folder.is_relative_to(here) else folder
 
 
 def summary(found: Survey) -> str:

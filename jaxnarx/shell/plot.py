@@ -18,6 +18,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
 from jaxnarx.identification import Leaderboard, described
+from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
 from jaxnarx.refinement import Uncertainty
 from jaxnarx.selection import Selection, criteria_of
@@ -34,6 +35,8 @@ from jaxnarx.shell.leaderboard_figure import BY, error_over_operations
 from jaxnarx.shell.linear_figures import bode, poles, step_responses
 from jaxnarx.shell.local_models_figure import local_models
 from jaxnarx.shell.style import save
+from jaxnarx.shell.tracking_figure import draw_tracking
+from jaxnarx.solution import Solution
 
 __all__ = [
     "bode",
@@ -53,6 +56,7 @@ __all__ = [
     "save",
     "selection_path",
     "step_responses",
+    "tracking",
 ]
 
 
@@ -155,6 +159,26 @@ def compare(
             f"no record {record!r}. {suggest(record, names)}", field="record"
         )
     return comparison_figure.compared(found, named)
+
+
+def tracking(
+    ways: Solution[Tracking] | Mapping[str, Solution[Tracking]],
+    references: Dataset,
+    *,
+    record: int = 0,
+) -> Figure:
+    """What cascades make of a record of references, and their commands.
+
+    `ways` are what `jnx.inverse.cascade` returned for `references`, by name; one alone
+    is welcome.
+    """
+    if record not in range(len(references)):
+        raise SpecError(
+            f"record must be from 0 to {len(references) - 1}, got {record}",
+            field="record",
+        )
+    named = {"inverse": ways} if isinstance(ways, Solution) else ways
+    return draw_tracking(named, float(references.sample_time), record=record)
 
 
 def selection_path(selection: Selection, *, output: str | None = None) -> Figure:

@@ -16,6 +16,7 @@ from inverse_problems import (
     widened,
 )
 
+from jaxnarx import plot
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse import cascade, inverse_data
@@ -88,6 +89,20 @@ def test_equals_a_plain_loop(clean, forward, inverse, limits):
         # The fitted coefficients of the plant are exact to rounding.
         np.testing.assert_allclose(solution.value.commands[n][:, 0], u, atol=1e-9)
         np.testing.assert_allclose(solution.value.outputs[n][:, 0], y, atol=1e-9)
+
+
+def test_a_figure_has_a_panel_for_every_target_and_command(clean, forward, inverse):
+    ways = {"bold": None, "careful": LIMITS}
+    found = {n: cascade(inverse, forward, clean, kept) for n, kept in ways.items()}
+    figure = plot.tracking(found, clean, record=1)
+    assert [ax.get_ylabel() for ax in figure.axes] == ["y", "u"]
+    drawn = {line.get_label(): line.get_ydata() for line in figure.axes[1].get_lines()}
+    for name, way in found.items():
+        np.testing.assert_array_equal(drawn[name], way.value.commands[1][:, 0])
+    alone = plot.tracking(found["bold"], clean).axes[1]
+    assert alone.get_legend_handles_labels()[1] == ["inverse"]
+    with pytest.raises(SpecError, match="record must be from 0"):
+        plot.tracking(found, clean, record=len(clean))
 
 
 def test_a_forward_network_with_limits_sees_what_it_was_trained_on(

@@ -60,6 +60,11 @@ def test_a_gain_through_zero_is_named_with_its_region():
     # about forty on a range of two.
     assert region.border == pytest.approx(0.2, abs=0.1) and region.agreement == 1.0
     assert found.detail == finding.message
+    # In words, and not by six hundred gains.
+    head, *lines = str(found.value).splitlines()
+    assert head == "Invertibility: y by u, seen ahead by 1 samples"
+    assert f"error: {finding.message}" in lines
+    assert repr(found.value) == f"<{head}>"
 
 
 def test_a_zero_outside_the_unit_circle_asks_for_lead():
