@@ -11,15 +11,17 @@ import sys
 from pathlib import Path
 
 DOCS = Path(__file__).parent
-sys.path.insert(0, str(DOCS / "making"))
+sys.path[:0] = [str(DOCS / "making"), str(DOCS.parent / "tests")]
+
+from quick import compile_quickly  # noqa: E402 # pyright: ignore[reportMissingImports]
+
 # Pages give commands too: those of this Python, on the files that the page has made.
 os.environ["PATH"] = os.pathsep.join(
     [str(Path(sys.executable).parent), os.environ["PATH"]]
 )
 os.environ.pop("JAXNARX_DATA", None)
 # What one page has compiled serves the next one.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(DOCS / "_build" / "compiled"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+compile_quickly(str(DOCS / "_build" / "compiled"))
 
 project = "jaxnarx"
 copyright = "the jaxnarx authors, Apache-2.0"

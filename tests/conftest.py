@@ -3,24 +3,17 @@
 import gc
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
-# Compilation is nearly all of the tests' time, and here nothing is compiled to be run
-# often: a third of the time is saved. Child processes inherit it.
-os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-# What one process has compiled the others and later runs load. Two may write one file
-# at once: who reads half of it compiles (the warning is let through in pyproject.toml).
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR",
-    str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"),
-)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+from quick import compile_quickly
 
-import jax
-import pytest
-from jaxtyping import install_import_hook
+# Two may write one file at once: who reads half of it compiles (the warning is let
+# through in pyproject.toml).
+compile_quickly(str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -29,29 +22,6 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # The slow tests of CI do without: see .ci/run.
 if not os.environ.get("JAXTYPING_DISABLE"):
     install_import_hook("jaxnarx", "beartype.beartype")
-
-QUICK = "--xla_cpu_use_fusion_emitters=false"
-"""XLA's older code generator: programs compile in a third of the time."""
-
-
-def starts_with(flags: str) -> bool:
-    """Whether jaxlib starts with these flags; one that it does not know makes it abort.
-
-    Asked in a child process once a run: workers and children inherit the answer.
-    """
-    client = "from jaxlib.xla_client import make_cpu_client as c; c()"
-    environment = os.environ | {"XLA_FLAGS": flags}
-    done = subprocess.run(
-        [sys.executable, "-c", client], env=environment, capture_output=True
-    )
-    return done.returncode == 0
-
-
-if QUICK not in os.environ.get("XLA_FLAGS", ""):
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
-    if starts_with(flags):
-        os.environ["XLA_FLAGS"] = flags
-
 
 COMPILED = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
 COMPILED_MB = 2_000
