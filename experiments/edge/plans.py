@@ -16,7 +16,8 @@ where that is wrong; the record that fills the space does not know of the limit.
 
     python experiments/edge/plans.py [--beds gtdi diesel] [--seeds 20]
 
-Results: `experiments/benchmarks/results/plans.json`, seed by seed as they come.
+Results: `experiments/benchmarks/results/plans.json`, seed by seed as they come, each with
+the code that gave it; seeds that are there are not run again.
 """
 
 import argparse
@@ -264,13 +265,17 @@ def main() -> None:
     path = folder / "plans.json"
     figures = json.loads(path.read_text())["figures"] if path.exists() else {}
     for bed in options.beds:
-        rows: list[dict[str, Any]] = []
+        rows: list[dict[str, Any]] = figures.get(bed, {}).get("seeds", [])
+        known = {row["seed"] for row in rows}
         for seed in range(options.first, options.first + options.seeds):
-            rows.append(one(bed, seed, options.candidates))
-            print(bed, rows[-1], flush=True)
-            when = code() | {"date": time.strftime("%Y-%m-%d")}
-            task = conditions(bed, TASKS[bed])
-            figures[bed] = summary(rows) | {"asked": task, "seeds": rows, "code": when}
+            if seed in known:
+                continue
+            row = one(bed, seed, options.candidates)
+            row["code"] = code() | {"date": time.strftime("%Y-%m-%d")}
+            rows = sorted([*rows, row], key=lambda each: each["seed"])
+            print(bed, row, flush=True)
+            asked = conditions(bed, TASKS[bed])
+            figures[bed] = summary(rows) | {"asked": asked, "seeds": rows}
             record("plans", figures, folder=folder)
 
 
