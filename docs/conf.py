@@ -1,4 +1,4 @@
-"""The documentation: `sphinx-build -W -b html docs docs/_build`, without a network.
+"""The documentation: `sphinx-build -j auto -W docs docs/_build`, without a network.
 
 Pages are Markdown (MyST); those of `tutorials/` and `how_to/` that name a kernel are
 executed and their results cached. What can be told from the source or from recorded

@@ -16,8 +16,8 @@ where that is wrong; the record that fills the space does not know of the limit.
 
     python experiments/edge/plans.py [--beds gtdi diesel] [--seeds 20]
 
-Results: `experiments/benchmarks/results/plans.json`, seed by seed as they come, each with
-the code that gave it; seeds that are there are not run again.
+Results: `experiments/benchmarks/results/plans.json`, seed by seed as they come, each
+with the code that gave it; seeds that are there are not run again.
 """
 
 import argparse
