@@ -27,7 +27,7 @@ project = "jaxnarx"
 copyright = "the jaxnarx authors, Apache-2.0"
 version = release = importlib.metadata.version("jaxnarx")
 
-extensions = ["myst_nb", "mathml", "pages"]
+extensions = ["myst_nb", "streams", "mathml", "pages"]
 # The formulas are MathML, made at build by docutils (see making/mathml.py): no script
 # to vendor or to fetch, and readable without one.
 html_math_renderer = "mathml"

@@ -323,3 +323,18 @@ def test_what_a_page_would_fetch_is_found(page, fetched):
 def test_a_folder_without_pages_is_no_proof(tmp_path):
     with pytest.raises(SystemExit, match="no pages"):
         making("outside").in_folder(tmp_path)
+
+
+# What pages print -----------------------------------------------------------------
+
+
+def test_what_a_command_prints_in_chunks_is_shown_in_one_piece():
+    def chunk(name, *text):
+        return {"output_type": "stream", "name": name, "text": list(text)}
+
+    figure = {"output_type": "display_data"}
+    outputs = [chunk("stderr", "no"), chunk("stdout", "a\n", "lin"), figure]
+    outputs += [chunk("stdout", "e\n\n"), chunk("stderr", "te\n"), chunk("stdout", "b")]
+    found = making("streams").joined(outputs)
+    assert found[1] is figure and len(found) == 3
+    assert found[0]["text"] == "a\nline\n\nb\n" and found[2]["text"] == "note\n"

@@ -110,6 +110,8 @@ def test_a_network_prints_its_outputs_regions_terms_and_limits():
     assert text.splitlines()[0].endswith("history: a, b -> y, w")
     assert "y: 3 local models by Gaussians, held within -500 to 500 ppm" in text
     assert "1 (a[t] near -2.4, b[t-2] near -0.4): y[t] = 1 + 2.5 a[t]" in text
+    far = dataclasses.replace(net := common.named("coupled"), upper=1e9 + net.upper)
+    assert "y: 3 local models by Gaussians\n" in str(far)
     single = str(common.named("one model")).splitlines()
     assert (
         len(single) == 3 and "near" not in single[2] and "1 local model," in single[1]

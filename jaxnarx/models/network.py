@@ -36,6 +36,8 @@ from jaxnarx.shown import page
 FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
 """What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
 go on from the edge to first order."""
+FAR = 1e4
+"""Feedback bounds of more trained widths than these are none to speak of."""
 SHOWN = 6
 """Terms of a local model that `print` shows; `equations` has them all."""
 
@@ -159,17 +161,11 @@ class Network(eqx.Module):
         for o, (name, model) in enumerate(
             zip(self.computed_names, self.models, strict=True)
         ):
-            gain = float(np.asarray(self.gain)[self.signals[o]])
-            low, high = (
-                float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper)
-            )
-            unit = f" {unit}" if (unit := self.computed[o].unit) else ""
             active = np.flatnonzero(np.asarray(model.active)).tolist()
             kind = type(model.validity).__name__
             lines.append(
                 f"{name}: {len(active)} local "
-                f"{'model' if len(active) == 1 else f'models by {kind}'}, held within "
-                f"{low:.4g} to {high:.4g}{unit}"
+                f"{'model' if len(active) == 1 else f'models by {kind}'}{self._held(o)}"
             )
             for m in active:
                 where = _where(self.regions(o)[m]) if len(active) > 1 else ""
@@ -180,6 +176,19 @@ class Network(eqx.Module):
         return "\n".join(lines)
 
     _repr_html_ = page
+
+    def _held(self, o: int) -> str:
+        """The feedback bound of an output in words, if it is one: those with a
+        certificate have it far beyond all that can be."""
+        s = self.signals[o]
+        gain, least, most = (
+            float(np.asarray(a)[s]) for a in (self.gain, self.low, self.high)
+        )
+        low, high = (float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper))
+        if high - low > FAR * (most - least) > 0:
+            return ""
+        unit = f" {unit}" if (unit := self.computed[o].unit) else ""
+        return f", held within {low:.4g} to {high:.4g}{unit}"
 
     @property
     def limits(self) -> str:
