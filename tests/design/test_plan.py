@@ -111,7 +111,8 @@ def test_it_tells_more_than_random_stretches(known, found):
     )
     length = round(DURATION / TIME)
     rng = np.random.default_rng(2)
-    hold = tuple(max(1, round(h * memory_of(known))) for h in HOLDS)
+    shortest, longest = (max(1, round(h * memory_of(known))) for h in HOLDS)
+    hold = shortest, longest
     drawn = stretches(rng, space, free.value.inputs[0], 41, length, hold)
     worth = np.array([log_det(u) for u in drawn[1:]])
     assert log_det(free.value.inputs) > np.quantile(worth, 0.75)

@@ -1,6 +1,7 @@
 """Pools as tables: which terms they hold, what these evaluate to, what is refused."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -160,4 +161,5 @@ def test_a_number_among_filters_is_the_time_constant_of_a_first_order_lag():
     with pytest.raises(SpecError, match="repeat"):
         polynomial_pool(CHANNELS, filters=[2, LowPass(2.0)], **lags)
     with pytest.raises(SpecError, match="filters"):
-        polynomial_pool(CHANNELS, filters=["slow"], **lags)
+        wrong: Any = ["slow"]
+        polynomial_pool(CHANNELS, filters=wrong, **lags)
