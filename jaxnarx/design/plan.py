@@ -281,14 +281,8 @@ def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
     if asked is None:
         pair = tuple(h * memory_of(network) for h in HOLDS)
     else:
-        low, high = span(asked, "hold")
-        require(
-            0 < low <= high,
-            "hold",
-            "hold must be (shortest, longest) in seconds, above zero, got "
-            f"({low:g}, {high:g})",
-        )
-        pair = low / float(network.sample_time), high / float(network.sample_time)
+        pair = tuple(t / float(network.sample_time) for t in span(asked, "hold"))
+        require(pair[0] > 0, "hold", f"hold must be of times above zero, got {asked}")
     shortest, longest = (max(1, round(h)) for h in pair)
     return shortest, longest
 

@@ -213,7 +213,7 @@ def test_limits_are_those_of_the_training_unless_they_are_told(known):
         ({"limits": {"temp": -9}}, "there is no plan"),
         ({"forbidden": ["speed > -9"]}, "there is no plan"),
         ({"hold": (2, 1)}, "hold must be"),
-        ({"hold": (0, 1)}, "above zero"),
+        ({"hold": (0, 1)}, "hold must be of times above zero"),
     ],
 )
 def test_what_cannot_be_planned_is_told(known, options, message):
@@ -256,6 +256,8 @@ def test_the_command_writes_what_simulate_and_check_read(
         (["--duration", "1min", "--range", "speed"], "NAME=LOW:HIGH"),
         (["--duration", "1min", "--range", "sped=0:1"], "'speed'"),
         (["--duration", "1min", "--limit", "temp=x"], "NAME=HIGHEST"),
+        (["--duration", "1min", "--hold", "4s", "long"], "--hold"),
+        (["--duration", "1min", "--hold", "4s", "2s"], "--hold must be"),
     ):
         assert run(["plan", model, *wrong, "--out", str(tmp_path / "x")]) == 2
         assert message in capsys.readouterr().err
