@@ -18,6 +18,7 @@ def run(script: str, *arguments: str, results: Path) -> dict[str, dict[str, Any]
     done = subprocess.run(
         [*command, "--results", str(results)],
         cwd=results.parent,
+        env=_environment(),
         capture_output=True,
         text=True,
         timeout=900,
@@ -49,9 +50,16 @@ def experiment(script: str, *arguments: str) -> subprocess.CompletedProcess:
     """Run an experiment small; it must end well."""
     done = subprocess.run(
         [sys.executable, str(ROOT / "experiments" / script), "--smoke", *arguments],
+        env=_environment(),
         capture_output=True,
         text=True,
         timeout=900,
     )
     assert done.returncode == 0, done.stderr
     return done
+
+
+def _environment() -> dict[str, str]:
+    """That of the tests, with the folder of measured data where tests look for it."""
+    folder = Path(os.environ.get("JAXNARX_DATA", ROOT / "../shared/data")).resolve()
+    return os.environ | ({"JAXNARX_DATA": str(folder)} if folder.is_dir() else {})

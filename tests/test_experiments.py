@@ -87,8 +87,7 @@ def test_recovery_with_peers_that_may_be_missing(tmp_path):
 
 
 @pytest.mark.slow
-def test_bouc_wen(tmp_path, measured, monkeypatch):
-    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+def test_bouc_wen(tmp_path, measured):
     found = run("bouc_wen.py", "--peers", results=tmp_path / "results")["bouc_wen"]
     if "skipped" in found:
         pytest.skip(found["skipped"])
@@ -215,8 +214,7 @@ def test_simulation_with_peers_that_may_be_missing(tmp_path):
 
 
 @pytest.mark.slow
-def test_fitting_without_peers(tmp_path, measured, monkeypatch):
-    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+def test_fitting_without_peers(tmp_path, measured):
     figures = run("fitting.py", results=tmp_path / "results")["fitting"]
     (one,) = figures["sets"].values()
     if "skipped" in one:
@@ -271,8 +269,7 @@ def test_the_house_is_counted(tmp_path):
 
 
 @pytest.mark.slow
-def test_speed_and_memory_of_the_search(tmp_path, measured, monkeypatch):
-    monkeypatch.setenv("JAXNARX_DATA", str(measured.resolve()))
+def test_speed_and_memory_of_the_search(tmp_path, measured):
     found = run("search.py", "--peers", results=tmp_path / "results")["search"]
     for run_ in (*found["candidates"].values(), found["engine"]["quick"]):
         if isinstance(run_, dict) and "candidates" in run_:
