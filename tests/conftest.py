@@ -55,8 +55,10 @@ def pytest_sessionstart(session):
 
 
 def pytest_collection_finish(session):
-    # What is imported stays: the garbage collector need not look through it again.
+    # What is imported stays: the garbage collector need not look through it again, and
+    # programs are made of many small objects that it finds alive time and again.
     gc.freeze()
+    gc.set_threshold(100_000, 20, 100)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -67,6 +69,14 @@ def few_programs():
     if maps.exists() and maps.read_text().count("\n") > MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_layout():
+    """Figures are drawn whole, but nobody looks at their margins."""
+    from jaxnarx.shell import style
+
+    style.LAYOUT = "none"
 
 
 @pytest.fixture

@@ -125,7 +125,8 @@ def test_figures_draw_any_channel_name_as_text(i):
         assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page.split(">", 1)[1]
 
 
-def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine():
+def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine(monkeypatch):
+    monkeypatch.setattr(style, "LAYOUT", "constrained")
     figure, other, stream = trace(), trace(), io.StringIO()
     engine, canvas = figure.get_layout_engine(), figure.canvas
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
