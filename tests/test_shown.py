@@ -138,6 +138,17 @@ def test_runs_and_tables_are_one_line_in_a_list():
     assert str(table).splitlines()[-1].split() == ["a", "0.123457"]
 
 
+def test_a_table_of_many_columns_shows_what_a_line_holds_and_names_the_others():
+    errors = {f"rmse of record {n}": n for n in range(40)}
+    row = {"member": "a", "status": "ok"} | errors
+    lines = str(SweepTable.from_rows([row, row])).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert "rmse of record 3" in lines[1] and "rmse of record 39" not in lines[1]
+    rest = " ".join(line.strip() for line in lines[4:])
+    assert rest.startswith("and rmse of record 4, ")
+    assert rest.endswith("record 38, rmse of record 39")
+
+
 @pytest.mark.parametrize("kind", ["one model", "by inputs"])
 def test_a_network_of_long_equations_says_what_it_leaves_out(kind, monkeypatch):
     monkeypatch.setattr("jaxnarx.models.network.SHOWN", 2)

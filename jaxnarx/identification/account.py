@@ -12,7 +12,8 @@ UNEVEN = 1.25
 DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
 RULES = {
-    "near": "the cheapest to compute within one standard error of the best",
+    "near": "the cheapest to compute within one standard error of the best (that of "
+    "the difference, group by group) and 5 %",
     "share": "the cheapest to compute within 5 % of the best",
     "best": "the smallest error, whatever it costs",
 }

@@ -79,8 +79,8 @@ class Leaderboard:
     rows: tuple[Contender, ...]
     group_names: tuple[str, ...] = ()
     rule: str = "near"
-    """`near`: the cheapest to compute within one standard error of the best; `share`:
-    within 5 % of it; `best`."""
+    """`near`: the cheapest to compute within one standard error of the best (that of
+    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""

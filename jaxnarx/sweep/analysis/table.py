@@ -1,6 +1,7 @@
 """The rows of a sweep as a value."""
 
 import dataclasses
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from jaxtyping import Bool, Shaped
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.solution import NAMES, OKAY
+
+WIDTH = 100
+"""Characters of a printed line."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -33,13 +37,20 @@ class SweepTable:
         return cls(arrow_table(rows))
 
     def __str__(self) -> str:
-        """Every row; numbers with six digits."""
-        columns = [self.arrow.column(name).to_pylist() for name in self.names]
-        cells = zip(*columns, strict=True)
-        rows = [self.names, *([_cell(value) for value in row] for row in cells)]
+        """Columns as far as a line holds them, and the names of the others."""
+        columns = [
+            [name, *map(_cell, self.arrow.column(name).to_pylist())]
+            for name in self.names
+        ]
+        ends = np.cumsum([2 + max(map(len, column)) for column in columns])
+        shown = max(1, int(np.searchsorted(ends, WIDTH + 2, side="right")))
         place = f" in {self.folder}" if self.folder else ""
-        head = f"SweepTable: {len(self)} rows{place}"
-        return "\n".join([head, *some(aligned(rows), 24)])
+        lines = [f"SweepTable: {len(self)} rows{place}"]
+        if columns:
+            lines += some(aligned(zip(*columns[:shown], strict=True)), 24)
+        if rest := self.names[shown:]:
+            lines += textwrap.wrap(f"  and {', '.join(rest)}", WIDTH)
+        return "\n".join(lines)
 
     __repr__, _repr_html_ = brief, page
 
