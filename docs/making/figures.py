@@ -39,6 +39,7 @@ def made() -> dict[str, str]:
         "_engine_sweep.md": engine_sweep,
         "_coverage.md": coverage,
         "_edge.md": edge,
+        "_plans.md": plans,
         "_promised.md": promised,
         "_refinement.md": refinement,
     }
@@ -325,6 +326,28 @@ def edge() -> str:
             )
     head = ["output", "held, %", "half width", "index and error"]
     return table([*head, "certified rate", "wild records lost"], rows) + source(path)
+
+
+def plans() -> str:
+    """A planned record beside one that fills the space, bed by bed."""
+    path = RESULTS / "plans.json"
+    rows = []
+    for bed, entry in loaded(path)["figures"].items():
+        (output,), seeds = entry["asked"]["limits"], entry["seeds"]
+        outside = [100 * seed["outside"] for seed in seeds]
+        rows.append(
+            [
+                f"{bed} {output}",
+                *(number(entry[name]) for name in ("before", "filling", "plan")),
+                number(entry["ratio, geometric mean"]),
+                f"{entry['seeds with a lower error']} of {len(seeds)}",
+                f"{entry['limit: plans that broke it']} of {len(seeds)}",
+                f"{min(outside):.0f} to {max(outside):.0f}",
+            ]
+        )
+    head = ["output", "before", "filling", "plan", "plan over filling"]
+    head += ["lower error", "limit broken", "outside, %"]
+    return table(head, rows) + source(path)
 
 
 def promised() -> str:

@@ -42,6 +42,9 @@ SCREENED = 4
 """Times as many are drawn where there are limits that they may break."""
 OUTWARD = 0.2
 """Share of the plan in which levels move from the trained ranges to the allowed."""
+REFUSED = 0.75
+"""Share of stretches refused for limits of outputs from which that is told: there a
+record that fills the space told more (`experiments/edge/README.md`)."""
 LEVEL = 0.99
 """Probability of the intervals that keep a limit of an output."""
 
@@ -112,8 +115,9 @@ def plan(
         `value` is the `TestPlan`. `stats`: `information` gained, and `random`, what
         stretches drawn at random would have gained on average at the same places;
         `gain` and `start` [s] of every stretch, its mean `index`; `outside`, the share
-        of samples outside of the domain; `still`, the share of stretches in which
-        limits leave nothing but to stay; `room` by output with a limit: the least
+        of samples outside of the domain; `refused`, the share of the stretches drawn
+        that might have broken a limit of an output; `still`, the share of stretches in
+        which limits leave nothing but to stay; `room` by output with a limit: the least
         distance of the predicted output from it. Status `stalled` where the test stays
         still for most of its time. `SpecError` where no operating point is allowed.
 
@@ -133,11 +137,13 @@ def plan(
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """One stretch: what it gains, what a random one does, and whether it stays."""
+    """One stretch: what it gains, what a random one does, whether it stays, and the
+    share of all drawn that limits of outputs refuse."""
 
     gain: float
     random: float
     still: bool
+    refused: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,17 +168,18 @@ class Maker:
         steps: list[Step] = []
         while len(u) < self.lead + length:
             share = (len(u) - self.lead) / (OUTWARD * length)
-            tests = self.candidates(u, _between(self.known, self.space, share))
+            tests, refused = self.candidates(u, _between(self.known, self.space, share))
             k, step, information = self.choose(tests, information)
-            steps.append(step)
+            steps.append(dataclasses.replace(step, refused=refused))
             u = np.concatenate([u, tests[k, self.lead : self.lead + self.size]])
         return u[self.lead : self.lead + length], steps
 
     def candidates(
         self, u: Float[np.ndarray, "past inputs"], space: Space
-    ) -> Float[np.ndarray, "tests time inputs"]:
-        """Tests that keep all limits, with what is before and behind them; the first
-        stays where it is, which is allowed always."""
+    ) -> tuple[Float[np.ndarray, "tests time inputs"], float]:
+        """Tests that keep all limits, with what is before and behind them, and the
+        share that limits of outputs refuse; the first stays where it is, which is
+        allowed always."""
         bounded = bool(self.limits.forbidden) or self.limits.bounds_outputs
         count = CANDIDATES * (SCREENED if bounded else 1)
         near = count // 2 if bounded else 0
@@ -183,11 +190,10 @@ class Maker:
         past = np.tile(u[-self.lead :], (len(drawn), 1, 1))
         behind = np.repeat(drawn[:, -1:], self.behind, axis=1)
         tests = np.concatenate([past, drawn, behind], axis=1)
+        good = np.ones(len(tests), bool)
         if self.limits.bounds_outputs:
-            good = self.keeps(tests)
-            good[0] = True
-            tests = tests[good]
-        return tests[:CANDIDATES]
+            good[1:] = self.keeps(tests)[1:]
+        return tests[good][:CANDIDATES], 1.0 - float(good.mean())
 
     @property
     def behind(self) -> int:
@@ -379,6 +385,7 @@ def _solution(
         "start": starts * float(network.sample_time),
         "index": np.array([index[a : a + maker.size].mean() for a in starts]),
         "outside": float(np.mean(index > 1)),
+        "refused": float(np.mean([s.refused for s in steps])),
         "still": float(np.mean([s.still for s in steps])),
         "room": {
             n: float(r) for n, r in zip(names, room, strict=True) if np.isfinite(r)
@@ -399,6 +406,12 @@ def _told(stats: dict, maker: Maker) -> str:
         f"stretches), {100 * stats['outside']:.3g} % of the samples outside of the "
         "domain"
     )
+    if stats["refused"] > REFUSED:
+        told += (
+            f"; limits of outputs refuse {100 * stats['refused']:.3g} % of all "
+            "stretches, with what the network may err so far out: a record that fills "
+            "the space under your eyes may tell more"
+        )
     if stats["still"] > 0:
         told += (
             f"; {100 * stats['still']:.3g} % of the time at rest, for limits leave "

@@ -7,7 +7,7 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.design.limits import limits_for
-from jaxnarx.design.plan import HOLDS
+from jaxnarx.design.plan import HOLDS, REFUSED
 from jaxnarx.design.stretches import Space, stretches
 from jaxnarx.design.views import memory_of, told
 from jaxnarx.errors import SpecError
@@ -84,6 +84,13 @@ def test_no_limit_is_broken(known, found):
     assert found.stats["outside"] > 0.5 and found.stats["still"] < 0.2
 
 
+def test_how_much_limits_of_outputs_refuse_is_told(known, found):
+    tight = made(known, limits={"temp": (-0.25, 0.3)})
+    assert 0 < found.stats["refused"] < REFUSED < tight.stats["refused"]
+    assert "limits of outputs refuse" in tight.detail
+    assert "refuse" not in found.detail
+
+
 def test_it_begins_in_known_territory_and_goes_beyond(known, found):
     index = jnx.domain(known, found.value.data).value.index[0]
     np.testing.assert_allclose(index[20:], found.value.index[20:], rtol=1e-6)
@@ -103,6 +110,7 @@ def test_it_tells_more_than_random_stretches(known, found):
     assert found.stats["information"] > found.stats["random"]
     assert np.isclose(found.stats["information"], found.stats["gain"].sum())
     free = made(known, forbidden=[], limits=None)
+    assert free.stats["refused"] == 0
     space = Space(
         np.array([-3.0, -2.0, 0.0]),
         np.array([4.0, 2.0, 1.0]),
