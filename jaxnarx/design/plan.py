@@ -143,7 +143,7 @@ class Step:
     gain: float
     random: float
     still: bool
-    refused: float = 0.0
+    refused: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,8 +169,8 @@ class Maker:
         while len(u) < self.lead + length:
             share = (len(u) - self.lead) / (OUTWARD * length)
             tests, refused = self.candidates(u, _between(self.known, self.space, share))
-            k, step, information = self.choose(tests, information)
-            steps.append(dataclasses.replace(step, refused=refused))
+            k, step, information = self.choose(tests, refused, information)
+            steps.append(step)
             u = np.concatenate([u, tests[k, self.lead : self.lead + self.size]])
         return u[self.lead : self.lead + length], steps
 
@@ -217,6 +217,7 @@ class Maker:
     def choose(
         self,
         tests: Float[np.ndarray, "tests time inputs"],
+        refused: float,
         information: tuple[Float[np.ndarray, "_ _"], ...],
     ) -> tuple[int, Step, tuple[Float[np.ndarray, "_ _"], ...]]:
         """The test that adds most, and the information with it."""
@@ -234,7 +235,7 @@ class Maker:
             m + np.asarray(r[k]).T @ np.asarray(r[k])
             for m, r in zip(information, rows, strict=True)
         )
-        return k, Step(float(gain[k]), usual, k == 0), new
+        return k, Step(float(gain[k]), usual, k == 0, refused), new
 
     def begin(self) -> Float[np.ndarray, " inputs"]:
         """An operating point that is allowed: in the middle of what is known, or else
