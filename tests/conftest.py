@@ -74,7 +74,7 @@ def few_programs():
 @pytest.fixture(scope="session", autouse=True)
 def no_layout():
     """Figures are drawn whole, but nobody looks at their margins."""
-    from jaxnarx.shell import style
+    from jaxnarx.shell.figures import style
 
     style.LAYOUT = "none"
 

@@ -22,8 +22,8 @@ from jaxnarx import methods
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.methods.settings import changed
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.flags import with_options
-from jaxnarx.shell.parse import parse
+from jaxnarx.shell.commands.flags import with_options
+from jaxnarx.shell.commands.parse import parse
 from jaxnarx.solution import NAMES
 from jaxnarx.texts import field_texts
 
@@ -141,10 +141,10 @@ PASSED_ON = {
     "data/readers/apart.py",
     "models/consistent.py",
     "partition/given.py",
-    "shell/flags.py",
+    "shell/commands/flags.py",
     "shell/messages.py",
     "shell/plan.py",
-    "shell/sweep_description.py",
+    "shell/sweep/description.py",
     "solution.py",
     "sweep/folder/chunks.py",
 }

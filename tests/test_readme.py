@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.shell.cli import run
-from jaxnarx.shell.parse import parse
+from jaxnarx.shell.commands.parse import parse
 
 README = Path(__file__).parents[1] / "README.md"
 

@@ -11,7 +11,7 @@ import tyro
 
 from jaxnarx.methods.description import DESCRIPTION
 from jaxnarx.shell.commands import COMMANDS, help_of
-from jaxnarx.shell.flags import with_options
+from jaxnarx.shell.commands.flags import with_options
 
 
 def made() -> dict[str, str]:

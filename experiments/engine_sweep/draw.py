@@ -6,7 +6,7 @@ import numpy as np
 from beds import BEDS
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.style import BLUE, GREY, ORANGE, canvas, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, ORANGE, canvas, plain, styled
 
 Row = dict[str, Any]
 COLOURS = {"engine": BLUE, "noise": ORANGE, "excitation": GREY}

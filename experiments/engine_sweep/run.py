@@ -43,7 +43,7 @@ from structures import RefitWork, restricted
 
 import jaxnarx as jnx
 from jaxnarx.methods.settings import changed
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from PIL import Image
 
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 COLOURS = 160
 """Colours of a saved figure."""

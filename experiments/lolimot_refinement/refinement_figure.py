@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.style import BLUE, GREY, INK, RED, canvas, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, styled
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
 from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -43,7 +43,7 @@ from jaxnarx.models import Gaussians, LocalModels, Network, OutputModel
 from jaxnarx.refinement.bands import bands
 from jaxnarx.refinement.uncertainty import uncertainty
 from jaxnarx.regressors import Variables
-from jaxnarx.shell import style
+from jaxnarx.shell.figures import style
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]

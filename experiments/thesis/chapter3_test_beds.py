@@ -23,7 +23,7 @@ import numpy as np
 from jaxnarx.engines import BEDS, AbstractEngine, Diesel, Drive, Gtdi, Pfi, Vct, records
 from jaxnarx.engines.gtdi.state import GtdiDrive
 from jaxnarx.engines.vct import VctDrive
-from jaxnarx.shell.excitation_figure import excitation
+from jaxnarx.shell.figures.excitation import excitation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -24,7 +24,7 @@ from matplotlib.ticker import MaxNLocator
 
 import jaxnarx as jnx
 from jaxnarx.linear import NonlinearityCheck, OrderSearch, Spectra
-from jaxnarx.shell.style import (
+from jaxnarx.shell.figures.style import (
     BLUE,
     CYCLE,
     GREEN,

@@ -103,8 +103,8 @@ import jaxnarx as jnx
 from jaxnarx.engines import pfi_siso_records
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.linear import LinearModel, NonlinearityCheck, Spectra
-from jaxnarx.shell.residual_figure import correlations
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.residuals import correlations
+from jaxnarx.shell.figures.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -6,7 +6,7 @@ from chapter5_tables import MODES
 from matplotlib.axes import Axes
 
 from jaxnarx import Channel
-from jaxnarx.shell.style import BLUE, GREY, INK, ORANGE, RED, canvas, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, ORANGE, RED, canvas, styled
 
 COLORS = {"one_step": GREY, "free_run": BLUE}
 

@@ -84,7 +84,7 @@ from jaxnarx import (
 from jaxnarx.engines import PfiDyno, records
 from jaxnarx.regressors import term_name, variable_names
 from jaxnarx.selection.sizes import network_of
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -6,7 +6,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxnarx.shell.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, canvas, styled
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    canvas,
+    styled,
+)
 
 STRUCTURES = {
     **{"global linear": GREY, "global cubic": PURPLE},

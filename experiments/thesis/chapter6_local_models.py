@@ -60,7 +60,7 @@ from neural import Budget
 
 import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 NAME = "chapter6_local_models"
 SEEDS, LENGTH = 5, 1000

@@ -46,7 +46,7 @@ from multi_models import (
 
 import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 NAME = "chapter6_lolimot"
 SEEDS, LENGTH = 5, 1000

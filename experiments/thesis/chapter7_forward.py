@@ -64,7 +64,7 @@ from jaxnarx.engines.delays import lagging_speed
 from jaxnarx.engines.gtdi import scheduled
 from jaxnarx.excitation import aprbs
 from jaxnarx.models import SigmoidTree
-from jaxnarx.shell.style import save
+from jaxnarx.shell.figures.style import save
 
 NAME = "chapter7_forward"
 SEEDS, LENGTH, DOWN, WIDTH = 5, 1800, 4, 8

@@ -12,9 +12,9 @@ from inverse_spark import slope
 
 import jaxnarx as jnx
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.shell.partition_figure import partition
-from jaxnarx.shell.style import save
-from jaxnarx.shell.tree_figure import tree
+from jaxnarx.shell.figures.partition import partition
+from jaxnarx.shell.figures.style import save
+from jaxnarx.shell.figures.tree import tree
 
 SHOWN = 250
 """Samples drawn."""

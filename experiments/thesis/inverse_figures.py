@@ -8,7 +8,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.style import (
+from jaxnarx.shell.figures.style import (
     BLUE,
     CYCLE,
     GREY,

@@ -48,7 +48,7 @@ import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.evaluation.metrics import scores
-from jaxnarx.shell.style import BLUE, INK, canvas, save, styled, tone
+from jaxnarx.shell.figures.style import BLUE, INK, canvas, save, styled, tone
 from jaxnarx.simulation import Trajectories
 
 NAME = "multi_model_figures"

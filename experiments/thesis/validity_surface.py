@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.models import Network
-from jaxnarx.shell.style import canvas, plain, styled, tone
+from jaxnarx.shell.figures.style import canvas, plain, styled, tone
 
 FINENESS = 81
 """Points a side, at most: a surface is drawn face by face."""

@@ -177,7 +177,7 @@ class Report:
         # The one import of this floor that points up: a report that shows itself is
         # worth it, and inside the function neither matplotlib nor jinja2 is loaded
         # before somebody asks for a page.
-        from jaxnarx.shell.html import write_report
+        from jaxnarx.shell.report.html import write_report
 
         write_report(self, path)
 

@@ -63,7 +63,7 @@ def _run(arguments: list[str]) -> int:
 
         say(f"jaxnarx {importlib.metadata.version('jaxnarx')}")
         return OK
-    from jaxnarx.shell.parse import parse
+    from jaxnarx.shell.commands.parse import parse
 
     try:
         command = parse(arguments)
@@ -108,7 +108,7 @@ def _open_streams() -> None:
 
 def _as_flag(error: SpecError) -> str:
     """The message with the option it is about as it is typed."""
-    from jaxnarx.shell.flags import flag_of
+    from jaxnarx.shell.commands.flags import flag_of
 
     text, field = str(error), error.field
     return re.sub(rf"^{re.escape(field)}\b", flag_of(field), text) if field else text

@@ -22,20 +22,12 @@ from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
 from jaxnarx.refinement import Uncertainty
 from jaxnarx.selection import Selection, criteria_of
-from jaxnarx.shell import (
-    comparison_figure,
-    figures,
-    partition_figure,
-    relevance_figure,
-    residual_figure,
-    steady_state_figure,
-    tree_figure,
-)
-from jaxnarx.shell.leaderboard_figure import BY, error_over_operations
-from jaxnarx.shell.linear_figures import bode, poles, step_responses
-from jaxnarx.shell.local_models_figure import local_models
-from jaxnarx.shell.style import save
-from jaxnarx.shell.tracking_figure import draw_tracking
+from jaxnarx.shell import figures
+from jaxnarx.shell.figures.leaderboard import BY, error_over_operations
+from jaxnarx.shell.figures.linear import bode, poles, step_responses
+from jaxnarx.shell.figures.local_models import local_models
+from jaxnarx.shell.figures.style import save
+from jaxnarx.shell.figures.tracking import draw_tracking
 from jaxnarx.solution import Solution
 
 __all__ = [
@@ -71,7 +63,7 @@ def partition(
 
     `start`, the network before its refinement, stands beside it; `data` lie under it.
     """
-    return partition_figure.partition(_entry(network, data, start, output))
+    return figures.partition.partition(_entry(network, data, start, output))
 
 
 def gates(
@@ -87,7 +79,7 @@ def gates(
             "the regions are no tree and have no gates; jnx.plot.partition draws them",
             field="network",
         )
-    return tree_figure.tree(entry)
+    return figures.tree.tree(entry)
 
 
 def _entry(network: Network, data, start, output: str | None) -> dict[str, Any]:
@@ -124,7 +116,7 @@ def free_run(
     if trace is None:
         raise SpecError(f"no sample of {name} can be scored", field="data")
     error = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
-    return figures.measured_and_simulated(
+    return figures.report.measured_and_simulated(
         trace.time,
         trace.measured,
         trace.simulated,
@@ -151,14 +143,14 @@ def compare(
     """
     found = evaluation.compare(models, data, output=output)
     if record is None:
-        return comparison_figure.compared(found, [found.worst(p) for p in found.parts])
+        return figures.comparison.compared(found, [found.worst(p) for p in found.parts])
     named = [one for one in found.records if one.record == record]
     if not named:
         names = list(dict.fromkeys(one.record for one in found.records))
         raise SpecError(
             f"no record {record!r}. {suggest(record, names)}", field="record"
         )
-    return comparison_figure.compared(found, named)
+    return figures.comparison.compared(found, named)
 
 
 def tracking(
@@ -187,7 +179,7 @@ def selection_path(selection: Selection, *, output: str | None = None) -> Figure
     o = names.index(_named(output, names))
     count, table = selection.size(o), criteria_of(selection, o)
     shown = (("AICc", "aicc"), ("BIC", "bic"), ("FPE", "fpe"))
-    return figures.selection_path(
+    return figures.report.selection_path(
         selection.names_of(names[o]),
         selection.err[o, :count],
         criteria={label: table[key] for label, key in shown},
@@ -207,7 +199,7 @@ def errors_by_size(
     """
     names = selection.output_names
     found = evaluation.errors_by_size(selection, data)
-    return comparison_figure.by_size(found[names.index(_named(output, names))])
+    return figures.comparison.by_size(found[names.index(_named(output, names))])
 
 
 def leaderboard(
@@ -248,12 +240,12 @@ def residuals(
                 f"the free run of {name} was not tested: {solution.status_name}",
                 field="data",
             )
-        return residual_figure.free_run(free[0])
+        return figures.residuals.free_run(free[0])
     found = diagnose(network, data).value.outputs
     one = next(d for d in found if d.output.name == name)
     if over == "lags":
-        return residual_figure.correlations(one)
-    figure = residual_figure.operating_points(one)
+        return figures.residuals.correlations(one)
+    figure = figures.residuals.operating_points(one)
     if figure is None:
         raise SpecError("no variable moves over these data", field="over")
     return figure
@@ -271,7 +263,7 @@ def error_map(
     By default the variables that schedule; see `jnx.evaluation.error_map`.
     """
     found = evaluation.error_map(network, data, over=over, output=output)
-    return figures.error_map(found)
+    return figures.report.error_map(found)
 
 
 def relevance(
@@ -288,7 +280,7 @@ def relevance(
     change places.
     """
     found = evaluation.relevance(network, data, how=how, key=key, block=block)
-    return relevance_figure.relevance(found)
+    return figures.relevance.relevance(found)
 
 
 def intersections(
@@ -307,7 +299,7 @@ def intersections(
     found = evaluation.intersections(
         network, data, at=at, over=over, uncertainty=uncertainty
     )
-    return steady_state_figure.intersections(found)
+    return figures.steady_states.intersections(found)
 
 
 def response_surface(
@@ -323,7 +315,7 @@ def response_surface(
     found = evaluation.response_surface(
         network, data, over, output=output, at=at, cells=cells
     )
-    return steady_state_figure.response_surface(found)
+    return figures.steady_states.response_surface(found)
 
 
 def _named(output: str | None, names: list[str]) -> str:

@@ -8,8 +8,8 @@ from jaxnarx.evaluation import Verdict
 from jaxnarx.methods import Global, Lolimot, SigmoidTree, SimulationOLS
 from jaxnarx.methods.settings import KIND, changed
 from jaxnarx.shell.commands import Identify
-from jaxnarx.shell.flags import words_of
-from jaxnarx.shell.search_commands import Automatic
+from jaxnarx.shell.commands.flags import words_of
+from jaxnarx.shell.commands.search import Automatic
 
 SLOW = (4, 16, 64)
 """Time constants of filters that are proposed, in samples."""

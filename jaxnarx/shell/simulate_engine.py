@@ -198,7 +198,7 @@ def _remarks(engine: AbstractEngine, by_event: bool) -> list[str]:
 
 
 def _draw(engine: AbstractEngine, data: Dataset, path: Path) -> None:
-    from jaxnarx.shell.excitation_figure import excitation
+    from jaxnarx.shell.figures.excitation import excitation
 
     figure = excitation(data, ranges=engine.ranges, outputs=True)
     figure.savefig(path, dpi=110, facecolor="white")

@@ -214,20 +214,20 @@ def _demo(command: commands.Demo, typed: str) -> int:
 
 
 def _leaderboard(command: commands.Leaderboard) -> int:
-    from jaxnarx.shell.take import show
+    from jaxnarx.shell.search.take import show
 
     return show(command)
 
 
 def _take(command: commands.Take, typed: str) -> int:
-    from jaxnarx.shell.take import take
+    from jaxnarx.shell.search.take import take
 
     return take(command, typed)
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
     if isinstance(command.method, commands.Automatic):
-        from jaxnarx.shell.search import search
+        from jaxnarx.shell.search.run import search
 
         return search(command, command.method, typed)
     return _by_method(command, command.method, typed)
@@ -330,7 +330,7 @@ def _invert(command: commands.Invert, typed: str) -> int:
 
 
 def _sweep(command: commands.Sweep) -> int:
-    from jaxnarx.shell.sweep import sweep
+    from jaxnarx.shell.sweep.run import sweep
 
     sweep(command)
     return 0

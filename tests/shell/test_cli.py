@@ -171,7 +171,7 @@ def started(*arguments: str, **options):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_shows_an_example_that_parses(capsys, name):
-    from jaxnarx.shell.parse import parse
+    from jaxnarx.shell.commands.parse import parse
 
     assert run([name, "--help"]) == 0
     text = capsys.readouterr().out

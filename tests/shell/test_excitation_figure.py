@@ -6,8 +6,8 @@ import pytest
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.excitation import assess
-from jaxnarx.shell import style
-from jaxnarx.shell.excitation_figure import excitation
+from jaxnarx.shell.figures import style
+from jaxnarx.shell.figures.excitation import excitation
 
 EVIL = "<script>alert(1)</script> $x_$ & 転"
 

@@ -18,11 +18,13 @@ from jaxnarx.evaluation import (
 )
 from jaxnarx.evaluation.comparison import ComparedRecord
 from jaxnarx.evaluation.error_map import ErrorMap
-from jaxnarx.shell import figures, style
-from jaxnarx.shell.comparison_figure import by_size, compared
-from jaxnarx.shell.relevance_figure import relevance
-from jaxnarx.shell.steady_state_figure import intersections, response_surface
-from jaxnarx.shell.tree_figure import branches
+from jaxnarx.shell.figures import report as figures
+from jaxnarx.shell.figures import style
+from jaxnarx.shell.figures.comparison import by_size, compared
+from jaxnarx.shell.figures.partition import partition
+from jaxnarx.shell.figures.relevance import relevance
+from jaxnarx.shell.figures.steady_states import intersections, response_surface
+from jaxnarx.shell.figures.tree import branches
 
 EVIL = "<script>alert(1)</script> $x_$ & \x07 転"
 
@@ -81,10 +83,10 @@ def every(label):
         figures.selection_path(names, [0.9, 0.09, 0.01], criteria=criteria),
         figures.selection_path(names[:1], [1.0]),
         figures.refinement(history),
-        *(figures.partition(entry(label, dims)) for dims in (1, 2, 3)),
-        figures.partition(entry(label, 2, both=False, kind="box")),
-        figures.partition(entry(label, 3, kind="box")),
-        figures.partition(gated(label)),
+        *(partition(entry(label, dims)) for dims in (1, 2, 3)),
+        partition(entry(label, 2, both=False, kind="box")),
+        partition(entry(label, 3, kind="box")),
+        partition(gated(label)),
         figures.every_record(records(label)),
         figures.error_map(
             ErrorMap(
@@ -162,7 +164,7 @@ def test_powers_label_where_matplotlib_does_without_mathematics(limits):
 
 
 def test_svg_is_deterministic_and_its_text_is_text():
-    first, second = figures.svg(trace()), figures.svg(trace())
+    first, second = style.svg(trace()), style.svg(trace())
     assert first == second
     assert "NOx [ppm]" in first and "dc:date" not in first
 
@@ -207,20 +209,20 @@ def test_models_are_named_at_their_centre_or_inside_their_region():
         texts = [t for t in figure.axes[-1].texts if t.get_text() in ("1", "2")]
         return {t.get_text(): (getattr(t, "xy", t.get_position())) for t in texts}
 
-    named = numbers(figures.partition(entry("a", 2)))
+    named = numbers(partition(entry("a", 2)))
     assert named["1"] == (0.2, 0.2)
     # The other's centre is out of sight: where it leads, below 0.5 of the first.
     assert named["2"][0] < 0.5
-    named = numbers(figures.partition(entry("a", 2, kind="box")))
+    named = numbers(partition(entry("a", 2, kind="box")))
     assert named["1"][0] > 0.6 and named["2"][0] < 0.4
 
 
 def test_save_writes_whole_files(tmp_path):
     for name in ("a.svg", "a.png"):
-        figures.save(trace(), tmp_path / name)
+        style.save(trace(), tmp_path / name)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "a.svg"]
     with pytest.raises(ValueError, match="saved as"):
-        figures.save(trace(), tmp_path / "a.pdf")
+        style.save(trace(), tmp_path / "a.pdf")
 
 
 def test_branches_of_a_sum_tell_shares():

@@ -9,8 +9,8 @@ from search_fakes import board, row
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import Leaderboard, described
-from jaxnarx.shell.leaderboard_figure import error_over_operations
-from jaxnarx.shell.leaderboard_text import live_head, live_line, table
+from jaxnarx.shell.figures.leaderboard import error_over_operations
+from jaxnarx.shell.search.leaderboard import live_head, live_line, table
 
 
 def drawn(found: Leaderboard):

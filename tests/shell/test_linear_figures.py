@@ -6,7 +6,7 @@ import scipy.signal
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.linear import TransferFunction, spectra
-from jaxnarx.shell import style
+from jaxnarx.shell.figures import style
 from jaxnarx.shell.plot import bode, poles, step_responses
 
 EVIL = "<script>alert(1)</script>"

@@ -7,7 +7,7 @@ import pytest
 from common import CHANNELS, A, B, Part, network
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.shell import style
+from jaxnarx.shell.figures import style
 from jaxnarx.shell.plot import local_models
 
 EVIL = "<script>alert(1)</script>"

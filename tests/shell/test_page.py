@@ -17,10 +17,10 @@ from test_html import make
 
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
-from jaxnarx.shell.html import render, write_report
-from jaxnarx.shell.page import running
-from jaxnarx.shell.page.codec import COARSE, FINE, MIDDLE, packed
-from jaxnarx.shell.page.records import FARTHEST, chosen
+from jaxnarx.shell.report.html import render, write_report
+from jaxnarx.shell.report.page import running
+from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
+from jaxnarx.shell.report.page.records import FARTHEST, chosen
 from jaxnarx.simulation import simulate
 
 READY = "window.jaxnarx && jaxnarx.page.tried"

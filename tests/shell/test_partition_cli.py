@@ -12,7 +12,7 @@ from jaxnarx.methods import SigmoidTree as TreeOfSigmoids
 from jaxnarx.models import SigmoidTree, load
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import Identify
-from jaxnarx.shell.parse import parse
+from jaxnarx.shell.commands.parse import parse
 
 ROWS = 300
 NAMES = ("speed", "load", "temp")

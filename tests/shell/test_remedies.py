@@ -8,8 +8,8 @@ import pytest
 from jaxnarx.evaluation.verdict import REMEDIES, Reason, Verdict
 from jaxnarx.methods import Identification, Polynomial
 from jaxnarx.shell.commands import Identify
-from jaxnarx.shell.flags import words_of
-from jaxnarx.shell.parse import parse
+from jaxnarx.shell.commands.flags import words_of
+from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.remedies import next_words
 
 TYPED = (

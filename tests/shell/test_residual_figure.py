@@ -24,9 +24,9 @@ from jaxnarx.evaluation.residual_tests.diagnostics import (
 from jaxnarx.evaluation.residual_tests.operating_point import by_operating_point
 from jaxnarx.evaluation.residual_tests.residual import make_residual
 from jaxnarx.evaluation.residual_tests.scalar_tests import ljung_box
-from jaxnarx.shell import residual_figure
-from jaxnarx.shell.html import render
-from jaxnarx.shell.style import RED
+from jaxnarx.shell.figures import residuals
+from jaxnarx.shell.figures.style import RED
+from jaxnarx.shell.report.html import render
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def one() -> OutputDiagnostics:
 
 
 def test_the_lag_outside_its_band_is_red(one):
-    figure = residual_figure.correlations(one)
+    figure = residuals.correlations(one)
     square = next(a for a in figure.axes if a.get_title(loc="left").startswith("u²,"))
     red = [x for x in square.lines if x.get_color() == RED]
     assert [np.asarray(x.get_xdata()).tolist() for x in red] == [[1]]
@@ -74,7 +74,7 @@ def test_the_lag_outside_its_band_is_red(one):
 
 
 def test_bins_whose_mean_is_off_are_red(one):
-    figure = residual_figure.operating_points(one)
+    figure = residuals.operating_points(one)
     assert figure is not None
     (axes,) = figure.axes
     bars = [c for c in axes.collections if isinstance(c, LineCollection)]
@@ -84,7 +84,7 @@ def test_bins_whose_mean_is_off_are_red(one):
     assert off.sum() > 2 and len(red[0].get_segments()) == off.sum()
     assert axes.get_xlabel().endswith("[V]")
     bare = dataclasses.replace(one, operating_points=())
-    assert residual_figure.operating_points(bare) is None
+    assert residuals.operating_points(bare) is None
 
 
 def test_the_page_has_its_section_and_escapes_names(one):

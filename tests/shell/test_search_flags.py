@@ -8,13 +8,13 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.verdict import REMEDIES, Reason, Verdict
 from jaxnarx.methods import PRESETS, Identification
 from jaxnarx.shell.commands import Identify
-from jaxnarx.shell.flags import words_of
-from jaxnarx.shell.parse import parse
+from jaxnarx.shell.commands.flags import words_of
+from jaxnarx.shell.commands.parse import parse
+from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.commands.search_flags import seconds
 from jaxnarx.shell.remedies import next_search
-from jaxnarx.shell.search import folder_name
-from jaxnarx.shell.search_commands import Automatic
-from jaxnarx.shell.search_flags import seconds
-from jaxnarx.shell.search_progress import duration
+from jaxnarx.shell.search.progress import duration
+from jaxnarx.shell.search.run import folder_name
 
 
 def parsed(line: str) -> Identify:

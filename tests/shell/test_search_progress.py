@@ -4,7 +4,7 @@ import dataclasses
 
 from search_fakes import row
 
-from jaxnarx.shell.search_progress import _CandidateLines
+from jaxnarx.shell.search.progress import _CandidateLines
 
 
 def test_lines_have_one_head_and_tell_the_best_and_the_time_left():

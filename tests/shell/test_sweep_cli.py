@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import DataFileError
-from jaxnarx.shell import sweep as command
 from jaxnarx.shell.cli import run
-from jaxnarx.shell.sweep_description import Measured, Relatives, load_sweep
+from jaxnarx.shell.sweep import run as command
+from jaxnarx.shell.sweep.description import Measured, Relatives, load_sweep
 from jaxnarx.sweep import IdentificationWork, read_sweep
 
 BED = """

@@ -13,7 +13,7 @@ from browser import Browser, needs_browser
 from test_targets import NETWORKS, narrowed, records
 
 from jaxnarx.models import OUTSIDE
-from jaxnarx.shell.page.running import described, model_script, own_script
+from jaxnarx.shell.report.page.running import described, model_script, own_script
 from jaxnarx.targets import lower, runners
 from jaxnarx.targets.proof import Case, cases_of
 

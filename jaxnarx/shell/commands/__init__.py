@@ -1,0 +1,61 @@
+"""The commands and their flags. No jax here: `--help` answers at once.
+
+Each command is a frozen dataclass; its docstring and those of its fields are the help.
+The work is done by `jaxnarx.shell.work`, imported when a command runs.
+"""
+
+import inspect
+import re
+from typing import get_args
+
+from jaxnarx.methods.description import DESCRIPTION
+from jaxnarx.shell.commands.identify import Demo as Demo
+from jaxnarx.shell.commands.identify import Identify as Identify
+from jaxnarx.shell.commands.identify import Invert as Invert
+from jaxnarx.shell.commands.records import Check as Check
+from jaxnarx.shell.commands.records import Describe as Describe
+from jaxnarx.shell.commands.records import Prepare as Prepare
+from jaxnarx.shell.commands.records import SimulateEngine as SimulateEngine
+from jaxnarx.shell.commands.search import Automatic as Automatic
+from jaxnarx.shell.commands.search import Leaderboard as Leaderboard
+from jaxnarx.shell.commands.search import Take as Take
+from jaxnarx.shell.commands.sweep import Sweep as Sweep
+from jaxnarx.shell.commands.use import Export as Export
+from jaxnarx.shell.commands.use import ImportDcm as ImportDcm
+from jaxnarx.shell.commands.use import Plan as Plan
+from jaxnarx.shell.commands.use import Report as Report
+from jaxnarx.shell.commands.use import Simulate as Simulate
+
+
+def _kebab(name: str) -> str:
+    """A class name as it is typed: `SimulateEngine` is `simulate-engine`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+
+
+Command = (
+    Demo
+    | Identify
+    | Leaderboard
+    | Take
+    | Simulate
+    | Invert
+    | Report
+    | Describe
+    | Check
+    | Export
+    | ImportDcm
+    | Plan
+    | Prepare
+    | SimulateEngine
+    | Sweep
+)
+_RECORDS = (Identify, Invert, Report, Check, Prepare)
+
+
+def help_of(command: type) -> str:
+    """What help says of a command; where it reads records, with their description."""
+    text = inspect.getdoc(command) or ""
+    return f"{text}\n\n{DESCRIPTION}" if command in _RECORDS else text
+
+
+COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

@@ -1,0 +1,371 @@
+"""Options of commands that are settings of the identification, made from its tree."""
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from tyro.conf import arg
+
+from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.methods import Global, Identification
+from jaxnarx.methods.settings import (
+    KIND,
+    KINDS,
+    changed,
+    fields_of,
+    hint_at,
+    kinds_of,
+    made,
+    names_of,
+    paths,
+    plain,
+    spread,
+    value_at,
+)
+from jaxnarx.shell.commands import Identify, Invert
+from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.commands.search_flags import (
+    automatic,
+    refuse_search,
+    search_options,
+    words_of_search,
+)
+from jaxnarx.texts import field_texts
+
+FLAGS = {
+    "output": "pool.outputs",
+    "input_lags": "pool.input_lags",
+    "output_lags": "pool.output_lags",
+    "filters": "pool.filters",
+    "degree": "pool.degree",
+    "terms": "select.max_terms",
+    "select": "select",
+    "significance": "select.significance",
+    "constant": "select.constant",
+    "models": "grow.max_models",
+    "schedule": "grow.scheduling",
+    "partition": "grow",
+    "local_terms": "grow.local.max_terms",
+    "criterion": "grow.criterion",
+    "feedback": "grow.feedback",
+    "k_sigma": "grow.k_sigma",
+    "horizons": "refine.horizons",
+    "steps": "refine.max_steps",
+    "window_steps": "refine.window_steps",
+    "train": "refine.train",
+    "ridge": "refine.ridge",
+    "loss": "refine.loss",
+    "log": "refine.box_cox",
+    "starts": "refine.starts",
+}
+"""Options with a name of their own, and the settings they are."""
+OUTPUT = FLAGS["output"]
+"""The one setting of a method that a search has as well."""
+OPTIONS: dict[type, dict[str, str]] = {
+    Identify: FLAGS,
+    Invert: {
+        name: FLAGS[name]
+        for name in (
+            *("input_lags", "output_lags", "degree", "terms"),
+            *("models", "schedule", "partition"),
+        )
+    }
+    | {"direct_steps": "refine.max_steps"},
+}
+DIVIDED = {Identify: "lolimot", Invert: "axis-tree"}
+"""How the operating space is divided where only the number of models is told."""
+WORDS = {
+    "output": "NAME [NAME ...]",
+    "schedule": "NAME [NAME ...]",
+    "log": "NAME [NAME ...]",
+    "filters": "SECONDS [SECONDS ...]",
+    "input_lags": "[LAG ...]",
+    "output_lags": "[LAG ...]",
+    "horizons": "INT [INT ...]",
+}
+TEXTS = {
+    "log": "Outputs whose error is refined on a logarithmic scale, such as HC or "
+    "particle number; they must be positive.",
+    "local_terms": "Every region keeps this many of the chosen terms, chosen anew by "
+    "error reduction ratio; without it all of them.",
+    "steps": "Refinement steps on full records; 0 keeps the one-step model.",
+    "direct_steps": "Refinement steps of the inverse by itself, on its free run; 0 for "
+    "none.",
+}
+"""What an option says that its setting does not."""
+
+
+def with_options(command: type) -> type:
+    """The command's class for the parser: options in place of its `method`."""
+    if command not in OPTIONS:
+        return command
+    texts = field_texts(command)
+    hints = get_type_hints(command, include_extras=True)
+    made: list[Any] = []
+    for field in dataclasses.fields(command):
+        if field.name != "method":
+            hint = _explained(hints[field.name], texts[field.name])
+            usual = field.default
+            made.append(
+                (field.name, hint)
+                if usual is dataclasses.MISSING
+                else (field.name, hint, dataclasses.field(default=usual))
+            )
+            continue
+        base = _base(command)
+        for name, path in OPTIONS[command].items():
+            made.append((name, _option(command, name, path, base), None))
+            if name == "output":
+                made += search_options()
+        made.append(("set", _explained(tuple[str, ...], SET, _SET), ()))
+        made.append(("settings", _explained(str | None, SETTINGS, _FILE), None))
+    return dataclasses.make_dataclass(command.__name__, made, frozen=True)
+
+
+SET = """Any other setting of `jaxnarx.Identification` by its path, such as
+refine.tolerance=1e-5."""
+SETTINGS = """TOML file of settings in sections [pool], [select], [grow] and [refine],
+which the other options change."""
+_SET = arg(metavar="PATH=VALUE [...]", help_behavior_hint="")
+_FILE = arg(metavar="FILE", help_behavior_hint="")
+
+
+def settled(command: type, parsed: Any) -> Any:
+    """The command with its `method`, from what was parsed."""
+    if command not in OPTIONS:
+        return parsed
+    own = {f.name: f for f in dataclasses.fields(command)}
+    method = _base(command)
+    if parsed.settings is not None:
+        method = _of_file(Path(parsed.settings))
+    changes = {
+        path: value
+        for name, path in OPTIONS[command].items()
+        if (value := getattr(parsed, name)) is not None
+    }
+    changes |= dict(_assigned(text) for text in parsed.set)
+    kept = {name: getattr(parsed, name) for name in own if name != "method"}
+    if command is Identify:
+        told = ["settings"] if parsed.settings is not None else []
+        told += [_typed(command, path) for path in changes if path != OUTPUT]
+        if not told:
+            return command(**kept, method=automatic(parsed))
+        refuse_search(parsed, told[0])
+    return command(**kept, method=_changed(command, method, changes))
+
+
+def _base(command: type) -> Identification:
+    """The settings that options change."""
+    usual = next(f.default for f in dataclasses.fields(command) if f.name == "method")
+    return usual if isinstance(usual, Identification) else Identification()
+
+
+def _changed(
+    command: type, method: Identification, changes: dict[str, Any]
+) -> Identification:
+    """The method under the options, checked as far as can be without data."""
+    steps = OPTIONS[command].get("steps") or OPTIONS[command]["direct_steps"]
+    if changes.get(steps) == 0:
+        changes = {k: v for k, v in changes.items() if not k.startswith("refine")}
+        changes["refine"] = "none"
+    if "refine.box_cox" in changes and isinstance(changes["refine.box_cox"], tuple):
+        changes["refine.box_cox"] = dict.fromkeys(changes["refine.box_cox"], 0.0)
+    inside = [path for path in changes if path.startswith("grow.")]
+    if isinstance(method.grow, Global) and changes.get("grow", "global") == "global":
+        if changes.get("grow.max_models") == 1 and len(inside) == 1:
+            del changes["grow.max_models"]
+        elif inside:
+            changes["grow"] = DIVIDED[command]
+    models = changes.get("grow.max_models", 1)
+    if models < 1:
+        raise SpecError(
+            f"max_models must be at least 1, got {models}", field="max_models"
+        )
+    divides = changes.get("grow", "global") != "global"
+    scheduled = getattr(method.grow, "scheduling", ())
+    if divides and not changes.get("grow.scheduling", scheduled):
+        told = [f"--{_typed(command, path)}" for path in (*inside, "grow")]
+        raise SpecError(
+            f"{told[0]} needs --schedule, the variables that divide the operating "
+            "space, such as --schedule 'speed[t]'"
+        )
+    for path in changes:
+        _require_place(command, method, changes, path)
+    return changed(method, changes)
+
+
+def _require_place(
+    command: type, method: Identification, changes: Mapping[str, Any], path: str
+) -> None:
+    """SpecError where an option belongs to another kind than the one that is chosen."""
+    section, _, name = path.partition(".")
+    kind = changes.get(section) or spread(getattr(method, section)).get(KIND)
+    known = kinds_of(fields_of(Identification)[section])
+    chosen = [k for n, k, _ in KINDS if n == kind and k in known]
+    if name and chosen and name.partition(".")[0] not in fields_of(chosen[0]):
+        raise SpecError(
+            f"--{_typed(command, path)} does not go with --{_typed(command, section)} "
+            f"{kind}",
+            field=name,
+        )
+
+
+def flag_of(field: str) -> str:
+    """A setting, by its path or its last name, as it is typed."""
+    for name, path in FLAGS.items():
+        if field in (path, path.rpartition(".")[2]):
+            return "--" + name.replace("_", "-")
+    return f"--set {field}" if "." in field else "--" + field.replace("_", "-")
+
+
+def _typed(command: type, path: str) -> str:
+    for name, own in OPTIONS[command].items():
+        if own == path:
+            return name.replace("_", "-")
+    return f"set {path}"
+
+
+def words_of(command: Identify) -> list[str]:
+    """The command as it is typed: its description, and what differs from defaults."""
+    words = ["jaxnarx", "identify", command.description]
+    if isinstance(command.method, Automatic):
+        words += words_of_search(command.method)
+    else:
+        words += _words_of_method(command.method)
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        if field.name in ("description", "method") or value == field.default:
+            continue
+        words.append("--" + field.name.replace("_", "-"))
+        if not isinstance(value, bool):
+            words.append(_text(value))
+    return words
+
+
+def _words_of_method(method: Identification) -> list[str]:
+    """The options of a method that differ from defaults."""
+    words, usual = [], Identification()
+    kinds = {s: spread(getattr(method, s)).get(KIND) for s in ("select", "grow")}
+    if kinds["grow"] != "global":
+        kinds["grow.scheduling"] = value_at(method, "grow.scheduling")
+    if method.refine is None:
+        words += ["--steps", "0"]
+    base = changed(usual, kinds)
+    if kinds["select"] != "forward":
+        words += ["--select", str(kinds["select"])]
+    if kinds["grow"] not in ("global", DIVIDED[Identify]):
+        words += ["--partition", str(kinds["grow"])]
+    if kinds["grow"] != "global":
+        words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
+    named = {path: name for name, path in FLAGS.items()}
+    others = []
+    for path, value in paths(spread(method)).items():
+        if path.split(".")[-1] == KIND or path == "grow.scheduling":
+            continue
+        if value == value_at(base, path) or path == "refine":
+            continue
+        path = "refine.box_cox" if path.startswith("refine.box_cox.") else path
+        listed = value_at(method, path)
+        if path == "refine.box_cox" and isinstance(listed, Mapping):
+            listed = tuple(listed)
+        if path not in named:
+            others.append(f"{path}={_toml(listed)}")
+        elif "--" + named[path].replace("_", "-") not in words:
+            listed = listed if isinstance(listed, tuple) else (listed,)
+            words += ["--" + named[path].replace("_", "-"), *map(_text, listed)]
+    return words + (["--set", *others] if others else [])
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _toml(value: Any) -> str:
+    """A plain value as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(value) if isinstance(value, str) else str(value)
+
+
+def _assigned(text: str) -> tuple[str, Any]:
+    """`refine.tolerance=1e-5` as a path and a value."""
+    path, sign, value = text.partition("=")
+    if not sign:
+        raise SpecError(f"--set takes PATH=VALUE, got {text!r}", field="set")
+    hint_at(Identification, path)
+    try:
+        return path, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return path, value
+
+
+def _of_file(path: Path) -> Identification:
+    """The settings of a file."""
+    from jaxnarx.data import load_toml
+
+    try:
+        return made(Identification, load_toml(path))
+    except SpecError as error:
+        raise DataFileError(f"{path}: {error}", path=path) from error
+
+
+def _option(command: type, name: str, path: str, base: Identification) -> Any:
+    """The annotated type of one option, with its help."""
+    owner, hint = hint_at(Identification, path)
+    last = path.rpartition(".")[2]
+    words = TEXTS.get(name) or field_texts(owner)[last].partition(" In Python")[0]
+    conf = arg(
+        metavar=WORDS.get(name),
+        help=" ".join(words.split()),
+        help_behavior_hint=_usual(command, name, path, base),
+    )
+    return Annotated[_type(name, hint) | None, conf]
+
+
+def _usual(command: type, name: str, path: str, base: Identification) -> str:
+    """What help says of the default."""
+    owner, _ = hint_at(Identification, path)
+    if name == "models":
+        return f"(default: 1, with --schedule {owner.max_models})"
+    if name == "partition":
+        return f"(default: global, with --schedule {DIVIDED[command]})"
+    if name in ("log", "local_terms"):
+        return ""
+    usual = plain(value_at(base, path))
+    if usual is None:
+        usual = plain(getattr(owner, path.rpartition(".")[2], None))
+    if usual is None or usual == []:
+        return ""
+    shown = " ".join(map(str, usual)) if isinstance(usual, list) else usual
+    return f"(default: {'1/3' if shown == 1 / 3 else shown})"
+
+
+def _type(name: str, hint: Any) -> Any:
+    """The kind of value that is typed."""
+    if names_of(hint):
+        return Literal[tuple(dict.fromkeys(names_of(hint)))]
+    if name == "log":
+        return tuple[str, ...]
+    if name == "filters":
+        return tuple[float, ...]
+    for kind in (part for part in kinds_of(hint) if part is not type(None)):
+        if get_origin(kind) is Literal or kind is int and float not in kinds_of(hint):
+            return kind
+        if get_origin(kind) is Sequence:
+            return tuple[get_args(kind)[0], ...]
+    return float
+
+
+def _explained(hint: Any, text: str, conf: Any = None) -> Any:
+    """An annotation that carries its own help."""
+    kind, *told = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    text = " ".join(text.split())
+    known: Any = conf or next(
+        (c for c in told if hasattr(c, "help_behavior_hint")), arg()
+    )
+    rest = [c for c in told if c is not known]
+    return Annotated[(kind, *rest, dataclasses.replace(known, help=text))]

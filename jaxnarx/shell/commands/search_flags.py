@@ -1,0 +1,92 @@
+"""Options of a search, as they are typed. No jax here."""
+
+import re
+from typing import Annotated, Any, Literal
+
+from tyro.conf import arg
+
+from jaxnarx.errors import SpecError
+from jaxnarx.methods import PRESETS
+from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.texts import field_texts
+
+NAMES = ("preset", "budget", "candidates", "states")
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+"""Seconds of the units of a budget; without one it is in seconds."""
+
+
+def search_options() -> list[tuple[str, Any, None]]:
+    """Name, annotated type and default of every option, for the parser's class."""
+    texts = field_texts(Automatic)
+    kinds: dict[str, tuple[Any, str | None, str]] = {
+        "preset": (Literal[tuple(PRESETS)], None, f"(default: {Automatic.preset})"),
+        "budget": (str, "TIME", ""),
+        "candidates": (int, "INT", ""),
+        "states": (int, "INT", ""),
+    }
+    return [
+        (
+            name,
+            Annotated[
+                kind | None,
+                arg(metavar=word, help=texts[name], help_behavior_hint=hint),
+            ],
+            None,
+        )
+        for name, (kind, word, hint) in kinds.items()
+    ]
+
+
+def automatic(parsed: Any) -> Automatic:
+    """The search that was asked for; SpecError where there is none such."""
+    if parsed.hold_out is not None:
+        raise SpecError(
+            "--hold-out belongs to one method; a search leaves groups of records out"
+        )
+    budget = None if parsed.budget is None else seconds(parsed.budget)
+    if parsed.candidates is not None and parsed.candidates < 1:
+        raise SpecError(f"--candidates must be at least 1, got {parsed.candidates}")
+    if parsed.states is not None and parsed.states < 0:
+        raise SpecError(f"--states must not be negative, got {parsed.states}")
+    return Automatic(
+        preset=parsed.preset or Automatic.preset,
+        budget=budget,
+        candidates=parsed.candidates,
+        states=parsed.states,
+        outputs=tuple(parsed.output or ()),
+    )
+
+
+def refuse_search(parsed: Any, option: str) -> None:
+    """SpecError where an option of a search comes with one of a method."""
+    for name in NAMES:
+        if getattr(parsed, name, None) is not None:
+            raise SpecError(
+                f"--{name} belongs to a search, and --{option} makes this one method: "
+                "leave one of them out"
+            )
+
+
+def seconds(text: str) -> float:
+    """A time such as `90`, `600s`, `10m`, `1.5h` in seconds."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip().lower())
+    if found is None or found[2] not in UNITS or not float(found[1]):
+        raise SpecError(
+            f"--budget takes a time such as 600s, 10m or 1h, got {text!r}",
+            field="budget",
+        )
+    return float(found[1]) * UNITS[found[2]]
+
+
+def words_of_search(method: Automatic) -> list[str]:
+    """The options as they are typed, those that differ from defaults."""
+    words = ["--output", *method.outputs] if method.outputs else []
+    if method.preset != Automatic.preset:
+        words += ["--preset", method.preset]
+    if method.budget is not None:
+        words += ["--budget", f"{method.budget:g}s"]
+    if method.candidates is not None:
+        words += ["--candidates", str(method.candidates)]
+    if method.states is not None:
+        words += ["--states", str(method.states)]
+    return words

@@ -1,0 +1,214 @@
+"""Commands about a model: run, judge and export it, plan its next test. No jax here."""
+
+import dataclasses
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from jaxnarx.shell.commands.annotations import (
+    Description,
+    Flag,
+    Folder,
+    Model,
+    Outside,
+    Percent,
+    optional,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulate:
+    """Run a model freely on new files and write its outputs.
+
+    FILE holds columns named like the model's channels, in any order, at the model's
+    sample time; or it is one TOML description. Measured outputs are needed in
+    the first rows only, which the run starts from; later cells may be empty.
+
+    Example:
+        jaxnarx simulate runs/demo/model.safetensors new_run.csv --out simulated
+    """
+
+    model: Positional[Model]
+    """Model file."""
+    files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
+    """Data files, or one TOML description."""
+    steps: Annotated[int | None, optional("INT")] = None
+    """Predict this many steps ahead instead of running freely."""
+    root: Folder = None
+    """Folder of the data of a description; default as for `jaxnarx report`."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "simulated"
+    """Folder for the files."""
+    level: Annotated[float | None, optional("P")] = None
+    """Add columns with the interval that is to hold this share of what is measured, .5
+    to .99, around each output. For models that know their errors, as of `identify`."""
+    format: Literal["csv", "parquet", "mat", "mf4"] = "csv"
+    """Of the files that are written; with units where the format has them."""
+    through: Annotated[str | None, optional("MODEL")] = None
+    """MODEL is an inverse: run this model of the engine under its commands. The columns
+    of its outputs are then what they shall be; commands are needed in the first rows
+    only."""
+    prepare: Flag = False
+    """Prepare raw files first as the model's training records were prepared."""
+    no_limits: Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
+    outside: Outside = None
+    """What inputs do beyond their trained ranges: nothing, stay at the edge, or go on
+    from there to first order; default: as MODEL says."""
+    force: Flag = False
+    """Overwrite files of an earlier run."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """Score a model on described records: one step, ten steps and free run.
+
+    The first line is the verdict: good, usable with limits, or not usable, and why.
+
+    Example:
+        jaxnarx report runs/demo/model.safetensors engine.toml --out runs/check
+    """
+
+    model: Positional[Model]
+    """Model file."""
+    description: Positional[Description]
+    """TOML description of the records."""
+    root: Folder = None
+    """Folder of the data; default JAXNARX_DATA, else the description's folder."""
+    out: Folder = None
+    """Folder for report.html and report.json; default: only print."""
+    beside: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
+    """Other models to compare with on the same records, in free run."""
+    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    """Two channels over which the error is mapped, lagged ones as 'speed[t-1]';
+    default: the two that schedule most."""
+    no_limits: Flag = False
+    """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
+    outside: Outside = None
+    """What inputs do beyond their trained ranges: nothing, stay at the edge, or go on
+    from there to first order; default: as MODEL says."""
+    force: Flag = False
+    """Overwrite an earlier report."""
+    require_fit: Percent = None
+    """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Write a model as source files for another program, proven to do the same.
+
+    c is C99 with one header, one source and a self-test, without heap and with `exp` of
+    math.h alone, in double or single precision; fmu2 and fmu3 are units of FMI 2.0 and
+    3.0 for co-simulation, binary for this machine and source for others; python and
+    javascript are files of one page without dependencies; matlab is a function that
+    keeps its state, for a MATLAB Function block or Octave, and a test of it. Every one
+    is compiled where it must be and run over the records of FILE, without any over
+    steps within the trained ranges, beside the model; one that differs is not written.
+    For calibration, dcm (DCM 2.0) holds the parameters and maps of every output at rest
+    over two inputs, with the others in the middle of their trained ranges, `jaxnarx
+    import-dcm` takes it back; a2l (1.71) links names to the symbols of c, so that a
+    tool finds their addresses. README.md says what was found: differences, operations,
+    parameters, memory, and how to call it.
+
+    Example:
+        jaxnarx export runs/engine-good/model.safetensors engine.toml --to c python
+    """
+
+    model: Positional[Model]
+    """Model file."""
+    files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
+    """Data files, or one TOML description, for the proof."""
+    to: Annotated[
+        tuple[
+            Literal[
+                "c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"
+            ],
+            ...,
+        ],
+        arg(),
+    ] = ("c",)
+    """What is written."""
+    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    """The two inputs of the maps of dcm; default: of each output the inputs that
+    schedule it, then those that move it most at rest."""
+    name: str = "model"
+    """What files and functions are called."""
+    root: Folder = None
+    """Folder of the data of a description; default as for `jaxnarx report`."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "export"
+    """Folder for the files."""
+    level: Annotated[float | None, optional("SHARE")] = None
+    """Tell half of the prediction interval of this probability as well, such as 0.9."""
+    without_index: Flag = False
+    """Leave out the index of the model's domain, which takes most of the operations of
+    a small model."""
+    unproven: Flag = False
+    """Write without the proof."""
+    force: Flag = False
+    """Overwrite files of an earlier export."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportDcm:
+    """Take changed parameters of an exported model back into it.
+
+    FILE is the DCM 2.0 file, or the C source, that `jaxnarx export` has written of
+    MODEL, with numbers changed: coefficients, centres, widths, borders, gates and
+    scalings. Blocks may be left out; a block that is none of the model's, of another
+    size, or with anything but finite numbers is an error that names its line. Only
+    numbers that differ are taken. The new model has no prediction intervals any more,
+    and a certificate of stability only where one is found for the new numbers;
+    `jaxnarx report` tells what it is worth.
+
+    Example:
+        jaxnarx import-dcm runs/engine-good/model.safetensors changed.dcm --out changed
+    """
+
+    model: Positional[Model]
+    """Model file that was exported."""
+    file: Positional[Annotated[str, arg(metavar="FILE")]]
+    """DCM file or C source with changed numbers."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "imported"
+    """Folder for the new model.safetensors."""
+    force: Flag = False
+    """Write into a folder that already holds a model."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Plan the next test: the record that tells most about a model's free run.
+
+    Steps of all inputs, chosen through the model, from the middle of what it knows
+    outwards, within ranges, rates, forbidden combinations and limits of its outputs,
+    which its prediction intervals keep clear of. FOLDER receives plan.csv, one row per
+    sample, plan.toml, which describes it, and predicted.csv, what the model makes of
+    it. Output columns of plan.csv are filled in the first rows only, so that `jaxnarx
+    simulate` can begin; a test bench has no use for them.
+
+    Example:
+        jaxnarx plan runs/engine/model.safetensors --duration 20min
+        --range speed=800:4000 --rate speed=200 --forbid "speed > 3000 & load < 5"
+        --limit T_exhaust=900
+    """
+
+    model: Positional[Model]
+    """Model file; it must know its domain, as what `jaxnarx identify` finds does."""
+    duration: Annotated[str, arg(metavar="TIME")]
+    """Length of the test: 90s, 20min, 1h."""
+    range: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH [...]")] = ()
+    """Ranges of inputs; default: those of the training."""
+    rate: Annotated[tuple[str, ...], optional("NAME=RATE [...]")] = ()
+    """Largest change of inputs, in their unit per second; default: that of the
+    training from sample to sample."""
+    forbid: Annotated[tuple[str, ...], optional("COMPARISONS [...]")] = ()
+    """Combinations of inputs that must not be, each as "speed > 3000 & load < 5"."""
+    limit: Annotated[tuple[str, ...], optional("NAME=HIGHEST [...]")] = ()
+    """Limits of modelled outputs; NAME=LOWEST:HIGHEST for both."""
+    hold: Annotated[tuple[str, str] | None, optional("SHORTEST LONGEST")] = None
+    """Times between which inputs keep a level, such as 0.5s 5s; default: half and four
+    times the model's memory, which parts of the engine it has not seen may exceed."""
+    seed: int = 0
+    """Seed of the random stretches that the plan is chosen from."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "plan"
+    """Folder for the files."""
+    force: Flag = False
+    """Overwrite files of an earlier plan."""

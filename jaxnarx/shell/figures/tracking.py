@@ -1,0 +1,66 @@
+"""References, what follows them, and the commands behind it (thesis figure 7.14)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxnarx.inverse import Tracking
+from jaxnarx.shell.figures.style import CYCLE, INK, canvas, plain, styled
+from jaxnarx.solution import Solution
+
+SHOWN = 600
+"""Samples shown of a record; longer ones are cut, not thinned."""
+
+
+def draw_tracking(
+    ways: Mapping[str, Solution[Tracking]], sample_time: float, *, record: int = 0
+) -> Figure:
+    """One record of cascades that follow the same references, one panel a signal.
+
+    `ways` are cascades by name, such as the direct and the trained inverse. Targets
+    first, with the reference in ink and the NRMSE over all records in the legend (or
+    that the cascade diverges), then commands, the samples marked at which a limit holds
+    them.
+    """
+    first = next(iter(ways.values())).value
+    panels = len(first.targets) + len(first.command_names)
+    length = min(SHOWN, len(first.commands[record]))
+    time = np.arange(length) * sample_time
+    with styled():
+        figure, axes = canvas(9.0, 1.4 * panels + 0.6, rows=panels, sharex=True)
+        for i, name in enumerate(first.target_names):
+            ax = axes[i]
+            wanted = first.references[record][:length, i]
+            ax.plot(time, wanted, color=INK, linewidth=0.8, label="reference")
+            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+                followed = found.value.outputs[record][:length, first.targets[i]]
+                error = f"NRMSE {found.value.nrmse()[i]:.3g}"
+                end = error if found.is_okay else found.status_name
+                ax.plot(time, followed, color=colour, label=f"{way}, {end}")
+            _finished(ax, name)
+        for c, name in enumerate(first.command_names):
+            ax = axes[len(first.targets) + c]
+            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+                _command(ax, time, found.value, record, c, colour, way)
+            _finished(ax, name)
+        axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _command(
+    ax: Axes, time: np.ndarray, value: Tracking, record: int, c: int, colour, way: str
+) -> None:
+    length = len(time)
+    moved = value.commands[record][:length, c]
+    ax.plot(time, moved, color=colour, label=way)
+    held = (value.at_range[record] | value.at_rate[record])[:length, c]
+    if held.any():
+        ax.plot(time[held], moved[held], ".", color=colour, markersize=3)
+
+
+def _finished(ax: Axes, name: str) -> None:
+    ax.set_ylabel(plain(name, 16))
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderaxespad=0)
+    ax.margins(x=0)

@@ -1,5 +1,0 @@
-"""The part of a report's page that runs: the model, the records, and scripts."""
-
-from jaxnarx.shell.page.records import Budget as Budget
-from jaxnarx.shell.page.running import Running as Running
-from jaxnarx.shell.page.running import running as running

@@ -1,0 +1,328 @@
+"""A report as one offline HTML file: it runs, and reads well where scripts do not.
+
+The verdict comes first, then records, the map of the error, scores, what one can try,
+and equations, tests and provenance last. Figures are drawn beforehand; scripts put what
+runs in their place on a screen (`jaxnarx.shell.report.page`). No address is named, and
+the page's policy lets nothing in but its own scripts.
+
+Everything that comes from data is escaped by jinja2 or by the SVG writer, or stands in
+JSON and in strings of the model's script without any sign that could end them; the only
+text marked safe here is built from such pieces.
+"""
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+from jaxnarx.evaluation import Report, Row, region_sentence
+from jaxnarx.evaluation.domain_errors import EDGES
+from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
+from jaxnarx.files import write_whole
+from jaxnarx.shell import figures
+from jaxnarx.shell.figures.leaderboard import error_over_operations
+from jaxnarx.shell.figures.style import inline_svg
+from jaxnarx.shell.report.overview import overview
+from jaxnarx.shell.report.page import running
+
+MAX_RECORDS = 400
+"""Records listed per part; a page should stay readable, the JSON holds them all."""
+
+STATIC_POINTS = 600
+"""Of a line over time that is drawn beforehand."""
+
+TOP = 10
+"""Candidates of a search that are shown at once; the others are folded away."""
+
+MAX_PANELS = 48
+"""Records of an output that are drawn; the worst, the median and the best are among
+them."""
+
+POINT_BUDGET = 30_000
+"""Points of all lines over time together: about 0.5 MB of SVG."""
+
+
+def write_report(report: Report, path: str | os.PathLike[str]) -> None:
+    """Write the page to `path`, whole or not at all. The folder must exist."""
+    write_whole(Path(path), render(report).encode("utf-8"))
+
+
+def render(report: Report) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
+    )
+    environment.filters |= {"figure": figure_text, "term": term_html}
+    live = running(report)
+    return environment.get_template("report.html.jinja").render(
+        report=report,
+        running=live,
+        needed=_needed(report),
+        jumps=_jumps(report),
+        verdict=overview(report),
+        scores=_scores(report),
+        models=_models(report),
+        boards=_boards(report),
+        pictures=_pictures(report),
+        provenance=_flat(report.provenance),
+        max_records=MAX_RECORDS,
+        fitted=FITTED,
+    )
+
+
+def _needed(report: Report) -> list[str]:
+    """Names of the inputs that a file has to have."""
+    channels = getattr(report.network, "channels", None)
+    return [] if channels is None else list(channels.input_names)
+
+
+def _jumps(report: Report) -> list[tuple[int, int, int, int] | None]:
+    """Where the stretches with the largest error are: record, samples, output."""
+    names = {(r.part, r.name): n for n, r in reversed(list(enumerate(report.records)))}
+    order = [channel.name for channel in report.outputs]
+    step = float(getattr(report.network, "sample_time", 1.0))
+    found = []
+    for one in report.worst:
+        record = names.get((report.main, one.record))
+        ends = round(one.start / step), round(one.end / step)
+        at = order.index(one.output)
+        found.append(None if record is None else (record, *ends, at))
+    return found
+
+
+def figure_text(value: float | None, digits: int = 4) -> Markup:
+    """A number for people: true minus, powers of ten raised, infinity as its sign."""
+    if value is None:
+        return Markup("–")
+    if not math.isfinite(value):
+        return Markup("∞" if value > 0 else "−∞") if value == value else Markup("–")
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    text = mantissa.replace("-", "−")
+    if exponent:
+        text += f"&thinsp;·&thinsp;10<sup>{str(int(exponent)).replace('-', '−')}</sup>"
+    return Markup(text)
+
+
+def term_html(name: str) -> Markup:
+    """`speed[t-1]^2*load[t]` set with lags as subscripts and powers raised."""
+    text = str(escape(name))
+    text = re.sub(
+        r"\[t(?:\s*-\s*(\d+))?\]",
+        lambda m: f"<sub>t{'−' + m[1] if m[1] else ''}</sub>",
+        text,
+    )
+    text = re.sub(r"(?<=</sub>)\^(\d+)", r"<sup>\1</sup>", text)
+    return Markup(text.replace("</sub>*", "</sub> · ").replace("</sup>*", "</sup> · "))
+
+
+def _scores(report: Report) -> dict[str, Any]:
+    """Rows by part, output and record, modes side by side; pooled rows apart."""
+    table: dict[tuple[str, str, str], list[Row]] = {}
+    for row in report.rows:
+        table.setdefault((row.part, row.output, row.record), []).append(row)
+    lines = list(table.values())
+    order = [channel.name for channel in report.outputs]
+    pooled = [g for g in lines if g[0].record == "pooled"]
+    pooled.sort(key=lambda group: order.index(group[0].output))
+    single = [g for g in lines if g[0].record != "pooled"]
+    by_part = {p: [g for g in single if g[0].part == p] for p in report.parts}
+    return {"pooled": pooled, "records": by_part}
+
+
+def _boards(report: Report) -> list[dict[str, Any]]:
+    """By output: what the leaderboard says, its first rows and all of them."""
+    boards = []
+    for output, entry in (report.leaderboard or {}).items():
+        region = region_sentence(report.regions, output, report.main)
+        boards.append(
+            {
+                "output": output,
+                "text": [*entry["text"], *([region] if region else [])],
+                "top": [
+                    row
+                    for row in entry["rows"]
+                    if row["rank"] <= TOP or row["used"] or row in _linear(entry)
+                ],
+                "rows": entry["rows"],
+                "groups": list(entry["rows"][0]["groups"]) if entry["rows"] else [],
+            }
+        )
+    return boards
+
+
+def _linear(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The best linear candidates."""
+    return [row for row in entry["rows"] if row["linear"]][:2]
+
+
+def _models(report: Report) -> list[dict[str, Any]]:
+    """By output: its local models, and coefficients by term and model."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for equation in report.equations:
+        groups.setdefault(str(equation["output"]), []).append(equation)
+    out = []
+    for output, equations in groups.items():
+        columns = [{str(n): float(c) for n, c in e["terms"]} for e in equations]
+        names = dict.fromkeys(name for column in columns for name in column)
+        out.append(
+            {
+                "output": output,
+                "regions": [_words(e.get("region", "")) for e in equations],
+                "numbers": [e.get("model", i + 1) for i, e in enumerate(equations)],
+                "terms": [(n, [c.get(n) for c in columns]) for n in names],
+                "latex": [str(e.get("latex", "")) for e in equations],
+            }
+        )
+    return out
+
+
+def _words(value: object) -> str:
+    """A region as a sentence fragment, whatever form the network gives it."""
+    if value is None:
+        return ""
+    if isinstance(value, Mapping) and set(value) == {"centre", "width"}:
+        return f"about {_words(value['centre'])} ± {_words(value['width'])}"
+    if isinstance(value, Mapping) and value and set(value) <= {"above", "below"}:
+        if len(value) == 2:
+            return f"from {_words(value['above'])} to {_words(value['below'])}"
+        return " ".join(f"{side} {_words(level)}" for side, level in value.items())
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple | np.ndarray):
+        return "(" + ", ".join(_words(item) for item in value) + ")"
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
+    """(title, safe SVG text) of every figure by section; a trace holds its title."""
+    ranked = [trace for trace in report.traces if trace.rank]
+    lines = (4 if not report.coverage else 6) * max(len(ranked), 1)
+    points = min(max(POINT_BUDGET // lines, 200), STATIC_POINTS)
+    drawn: dict[str, list[tuple[str, Figure]]] = {
+        "leaderboard": [
+            (output, error_over_operations(entry))
+            for output, entry in (report.leaderboard or {}).items()
+        ],
+        "traces": [("", _trace(t, points)) for t in ranked],
+        "records": [
+            (f"{c.name}, every record", figures.report.every_record(own[:MAX_PANELS]))
+            for c in report.outputs
+            for own in [[t for t in report.traces if t.output.name == c.name]]
+            if len(own) > 1
+        ],
+        "domain": [
+            (e.output, figures.report.error_by_index(e, EDGES))
+            for e in (report.domain.errors if report.domain else ())
+        ],
+        "maps": [(m.output, figures.report.error_map(m)) for m in report.maps],
+        "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
+        "selection": [
+            (title, _selection(item))
+            for title, item in _by_output(report.selection, "names")
+        ],
+        "history": [],
+        "diagnostics": [],
+        "partition": [
+            picture
+            for title, item in _by_output(report.partition, "scheduling")
+            for picture in _partition(title, item)
+        ],
+    }
+    if report.diagnostics is not None:
+        drawn["diagnostics"] = figures.residuals.figures(report.diagnostics.outputs)
+    if report.history:
+        drawn["history"] = [("", figures.report.refinement(list(report.history)))]
+    return {
+        section: [
+            (title, _safe(figure, f"{section}{i}-", f"{section} {title}".strip()))
+            for i, (title, figure) in enumerate(items)
+        ]
+        for section, items in drawn.items()
+    }
+
+
+def _safe(figure: Figure, prefix: str, title: str) -> Markup:
+    return Markup(inline_svg(figure, prefix, title))  # escaped by the XML writer
+
+
+def _caption(trace: Any) -> str:
+    how = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
+    stated = trace.rmse is not None and trace.output.unit not in ("", "-", "1")
+    unit = f" {trace.output.unit}" if stated else ""
+    return f"{trace.output.name}, {trace.rank} record {trace.record}: {how}{unit}"
+
+
+def _trace(trace: Any, points: int) -> Figure:
+    return figures.report.measured_and_simulated(
+        trace.time,
+        trace.measured,
+        trace.simulated,
+        label=trace.output.label,
+        title=_caption(trace),
+        one_step=trace.one_step,
+        limited=trace.limited,
+        scored=trace.scored,
+        lower=trace.lower,
+        upper=trace.upper,
+        points=points,
+    )
+
+
+def _agreement(item: Any) -> Figure:
+    return figures.report.agreement(
+        item.measured,
+        item.simulated,
+        item.counts,
+        item.edges,
+        label=item.output.label,
+        unit=item.output.unit,
+    )
+
+
+def _selection(item: Mapping[str, Any]) -> Figure:
+    return figures.report.selection_path(
+        [str(n) for n in item["names"]],
+        item["err"],
+        item.get("cumulative"),
+        criteria=item.get("criteria"),
+    )
+
+
+def _partition(title: str, item: Mapping[str, Any]) -> list[tuple[str, Figure]]:
+    """The regions and, of a tree that is not the whole picture already, its gates."""
+    drawn = [(title, figures.partition.partition(item))]
+    if "gates" in item["after"] and "weights" in item["after"]:
+        drawn.append((f"{title} tree".strip(), figures.tree.tree(item)))
+    return drawn
+
+
+def _by_output(
+    value: Mapping[str, Any] | None, key: str
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """(output, entry) pairs; a flat entry, known by `key`, stands for all outputs."""
+    if not value:
+        return []
+    return [("", value)] if key in value else list(value.items())
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows = []
+    for key, item in value.items():
+        if isinstance(item, Mapping):
+            rows += _flat(item, f"{prefix}{key}: ")
+        else:
+            rows.append((f"{prefix}{key}", _words(item)))
+    return rows

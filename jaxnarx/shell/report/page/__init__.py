@@ -1,0 +1,5 @@
+"""The part of a report's page that runs: the model, the records, and scripts."""
+
+from jaxnarx.shell.report.page.records import Budget as Budget
+from jaxnarx.shell.report.page.running import Running as Running
+from jaxnarx.shell.report.page.running import running as running

@@ -1,0 +1,198 @@
+"""Which records a page holds, and in what detail, so that it stays small.
+
+All records are there at the whole rate if that fits, in fine or else in coarser steps,
+those with the largest errors in finer ones. Otherwise these alone are, as far as they
+fit, and of the others their envelope with the stretch where the error is largest.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.evaluation import ShownRecord
+from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
+
+BYTES = 1_900_000
+"""All records together, as they stand in the page."""
+BINS = 400
+"""Of an envelope."""
+STRETCH = 2_000
+"""Samples around the largest error."""
+WIDTHS, INDICES, SWITCH = 250, 1_000, 1
+"""Levels of half widths, of the index and of switches."""
+FARTHEST = 8.0
+"""Larger indices are shown as this."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """The records as JSON values, and in words what was done to make them small."""
+
+    records: tuple[dict[str, Any], ...]
+    told: str
+
+
+def chosen(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
+    """As much of them as fits; the order stays."""
+    for levels in (FINE, MIDDLE):
+        whole = [_whole(record, levels) for record in records]
+        if _sum(whole) <= limit:
+            told = f"every sample, rounded to {_share(levels)}"
+            return Budget(tuple(whole), told)
+    coarse = [_whole(record, COARSE) for record in records]
+    if _sum(coarse) <= limit:
+        found, kept = _with(coarse, whole, records, limit)
+        told = f"every sample, rounded to {_share(COARSE)}"
+        if kept:
+            told += f", to 1/{MIDDLE:,} in the {kept} of {len(records)} records with "
+            told += "the largest errors"
+        return Budget(found, told)
+    bins = min(BINS, max(limit // (40 * max(len(records), 1)), 8))
+    reduced = [_reduced(record, bins) for record in records]
+    found, kept = _with(reduced, coarse, records, limit)
+    told = (
+        f"every sample of the {kept} of {len(records)} records with the largest errors,"
+        f" rounded to {_share(COARSE)}; of the others the least and largest value of "
+        f"{bins} stretches of time, and up to {STRETCH:,} samples around the largest "
+        "error"
+    )
+    return Budget(found, told)
+
+
+def _share(levels: int) -> str:
+    return f"1/{levels:,} of each signal's range"
+
+
+def _with(
+    small: Sequence[dict[str, Any]],
+    large: Sequence[dict[str, Any]],
+    records: Sequence[ShownRecord],
+    limit: int,
+) -> tuple[tuple[dict[str, Any], ...], int]:
+    """Small ones, as many as fit of those with the largest errors large; how many."""
+    found, left, kept = list(small), limit - _sum(small), 0
+    for n in sorted(range(len(records)), key=lambda n: -_badness(records[n])):
+        more = _size(large[n]) - _size(small[n])
+        if more > left:
+            break
+        found[n], left, kept = large[n], left - more, kept + 1
+    return tuple(found), kept
+
+
+def _sum(records: Sequence[dict[str, Any]]) -> int:
+    return sum(map(_size, records))
+
+
+def _size(record: dict[str, Any]) -> int:
+    """Characters of its series in the page."""
+    blocks = (record["data"], record.get("stretch"))
+    return sum(len(block["text"]) for block in blocks if block)
+
+
+def _badness(record: ShownRecord) -> float:
+    """The largest error of any output, in shares of its spread."""
+    found = [0.0]
+    for o in range(record.simulated.shape[1]):
+        error = record.error(o)
+        if error is not None:
+            found.append(error / _spread(record, o))
+    return max(found)
+
+
+def _spread(record: ShownRecord, o: int) -> float:
+    """Standard deviation of the measurement, 1 of what does not move."""
+    y = record.measured(o)
+    y = y[np.isfinite(y)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = float(np.std(y)) if y.size else 0.0
+    return spread if spread > 0 and np.isfinite(spread) else 1.0
+
+
+def _about(record: ShownRecord) -> dict[str, Any]:
+    errors = [record.error(o) for o in range(record.simulated.shape[1])]
+    begin = record.begin
+    return {
+        "part": record.part,
+        "name": record.name,
+        "samples": len(record),
+        "start": record.start,
+        "begin": None if begin is None else numbers(begin),
+        "errors": numbers(errors),
+    }
+
+
+def numbers(value: Any) -> Any:
+    """Lists of numbers for JSON; None for what is no number."""
+    if value is None:
+        return None
+    if isinstance(value, list | tuple | np.ndarray):
+        return [numbers(item) for item in value]
+    return float(value) if np.isfinite(value) else None
+
+
+def _whole(record: ShownRecord, levels: int) -> dict[str, Any]:
+    return _about(record) | {"data": packed(_series(record), levels), "bins": 0}
+
+
+def _series(
+    record: ShownRecord, part: slice = slice(None)
+) -> Iterator[tuple[str, int, Float[np.ndarray, " samples"]]]:
+    """Every series by its name: a letter, and the number of the channel or output."""
+    for s, value in enumerate(record.signals.values()):
+        yield f"u{s}", FINE, value[part]
+    for o in range(record.simulated.shape[1]):
+        yield f"y{o}", FINE, record.simulated[part, o]
+        yield f"s{o}", SWITCH, record.scored[part, o].astype(float)
+        yield f"l{o}", SWITCH, record.limited[part, o].astype(float)
+        if record.lower is not None and record.upper is not None:
+            half = 0.5 * record.upper[part, o] - 0.5 * record.lower[part, o]
+            yield f"h{o}", WIDTHS, half
+        for n, run in enumerate(record.others.values()):
+            yield f"o{n}.{o}", FINE, run[part, o]
+    if record.index is not None:
+        yield "i", INDICES, np.minimum(record.index[part], FARTHEST)
+
+
+def _reduced(record: ShownRecord, bins: int) -> dict[str, Any]:
+    """Its envelope, residuals among it, and the stretch with the largest error."""
+    bins = min(bins, max(len(record) // 2, 1))
+    borders = np.linspace(0, len(record), bins + 1).astype(int)[:-1]
+    table = []
+    for name, levels, value in [*_series(record), *_residuals(record)]:
+        if name[0] in "sl":
+            continue
+        low, high = (
+            function.reduceat(value, borders) for function in (np.fmin, np.fmax)
+        )
+        table.append((name, levels, np.stack([low, high], axis=1).ravel()))
+    at = _stretch(record)
+    return _about(record) | {
+        "data": packed(table, COARSE),
+        "bins": bins,
+        "first": at.start,
+        "stretch": packed(_series(record, at), FINE),
+        "length": at.stop - at.start,
+    }
+
+
+def _residuals(
+    record: ShownRecord,
+) -> Iterator[tuple[str, int, Float[np.ndarray, " samples"]]]:
+    for o in range(record.simulated.shape[1]):
+        yield f"r{o}", FINE, record.residual(o)
+
+
+def _stretch(record: ShownRecord) -> slice:
+    """Samples around the largest error of any output, in shares of its spread."""
+    size = min(STRETCH, len(record))
+    at, most = 0, -1.0
+    for o in range(record.simulated.shape[1]):
+        off = np.abs(np.nan_to_num(record.residual(o)))
+        scale = _spread(record, o)
+        if off.size and off.max() / scale > most:
+            at, most = int(np.argmax(off)), float(off.max() / scale)
+    first = int(np.clip(at - size // 2, 0, len(record) - size))
+    return slice(first, first + size)

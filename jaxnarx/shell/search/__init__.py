@@ -1,0 +1,1 @@
+"""The search of `jaxnarx identify`: what it tells, keeps, and lets one take."""

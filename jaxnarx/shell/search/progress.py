@@ -1,0 +1,75 @@
+"""What a search tells while it runs: a line for every candidate, and a bar below."""
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from jaxnarx.identification import figure
+from jaxnarx.shell.messages import say
+from jaxnarx.shell.search.leaderboard import live_head, live_line
+
+Events = Callable[[dict[str, Any]], None]
+
+
+@contextmanager
+def search_progress() -> Iterator[Events]:
+    """A callback for `identify`: lines, on a terminal above a bar."""
+    if not sys.stdout.isatty():
+        yield _CandidateLines(say)
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (
+        TextColumn("  searching"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
+    with Progress(*columns, transient=True) as bar:
+        task = bar.add_task("looking at the data", total=None)
+        lines = _CandidateLines(functools.partial(_above, bar))
+
+        def tell(event: dict[str, Any]) -> None:
+            lines(event)
+            if "row" in event:
+                bar.update(task, total=event["of"], completed=event["done"])
+            bar.update(task, description=lines.now)
+
+        yield tell
+
+
+def _above(bar: Any, text: str) -> None:
+    """A line above the bar, as it is."""
+    bar.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+class _CandidateLines:
+    """The lines, and in `now` the best so far and the time left where it is known."""
+
+    def __init__(self, write: Callable[[str], object]):
+        self.write, self.head, self.now = write, False, ""
+
+    def __call__(self, event: dict[str, Any]) -> None:
+        if "row" not in event:
+            return
+        if not self.head:
+            self.write(live_head())
+            self.head = True
+        row, chosen, left = event["row"], event.get("chosen"), event.get("left")
+        self.write(live_line(row, chosen == row))
+        best = "" if chosen is None else f", so far {figure(chosen)}"
+        rest = "" if left is None else f"; about {duration(left)} left"
+        self.now = f"{row.output}{best}{rest}"
+
+
+def duration(seconds: float) -> str:
+    """`12 s`, `3 min 20 s`, `1 h 5 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"

@@ -1,0 +1,191 @@
+"""`jaxnarx identify` without a method: the search, from description to report."""
+
+import dataclasses
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from jaxnarx.data import Channels, Dataset
+from jaxnarx.errors import JaxnarxError, SpecError, suggest
+from jaxnarx.identification import Leaderboard, identify, read_search, sentences
+from jaxnarx.identification.search_folder import CANDIDATES, NAME
+from jaxnarx.models import Network, narrowed
+from jaxnarx.shell import interrupt
+from jaxnarx.shell.commands import Identify
+from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.description import read_description
+from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
+from jaxnarx.shell.output import RUN, run_folder, slug
+from jaxnarx.shell.remedies import next_search
+from jaxnarx.shell.search.folder import (
+    CSV,
+    ORIGIN,
+    Origin,
+    provenance,
+    scored,
+    scored_parts,
+    summary,
+    training,
+    write_run,
+)
+from jaxnarx.shell.search.leaderboard import TOP, table
+from jaxnarx.shell.search.progress import duration, search_progress
+from jaxnarx.solution import Solution
+
+SHOWN = 3
+"""Outputs that the name of a folder names."""
+GOES_ON = "the same command goes on where it stopped"
+
+
+def search(command: Identify, asked: Automatic, typed: str) -> int:
+    """Search, or go on searching, and report on the model; returns the exit code."""
+    begin = time.perf_counter()
+    require_finite("require_fit", command.require_fit)
+    split = read_description(command.description, command.root)
+    require_outputs(asked, split.all.channels)
+    about, told = provenance(typed, split.preparation)
+    if split.preparation is not None:
+        say(f"The records are prepared:\n{told['preparation']}")
+    out = command.out or str(Path("runs") / folder_name(command, asked))
+    with _search_folder(out, command.force) as folder:
+        train, validation = training(split)
+        Origin.of(command.description, command.root).write(folder)
+        fit, stopped = _run(asked, train, validation, folder)
+        network, board = narrowed(fit.value), fit.stats["leaderboard"]
+        parts = scored_parts(train, validation, split.test, network)
+        if look := fit.stats.get("look"):
+            told["seen in the data"] = look
+        result = scored(network, parts, read_search(folder), {}, told)
+        model = str(folder / RUN[0])
+        judgement = None if stopped else result.verdict
+        following = quoted(*next_search(command, asked, judgement, model=model))
+        result = dataclasses.replace(result, next_command=following)
+        files = write_run(folder, network, result, about, board)
+    say("\n" + first_lines(result))
+    say("\n" + summary(result))
+    _tell(board, network)
+    say(
+        f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
+    )
+    say(f"All candidates: jaxnarx leaderboard {folder}")
+    _tell_end(fit, stopped)
+    _left(asked, train.channels, network)
+    say(f"\nOpen {folder / 'report.html'}")
+    say(f"\nNext: {following}")
+    status = judged(result, command.require_fit)
+    return 130 if stopped else status
+
+
+def folder_name(command: Identify, asked: Automatic) -> str:
+    """Always the same for the same description, outputs and preset."""
+    words = [Path(command.description).stem, *asked.outputs[:SHOWN]]
+    if len(asked.outputs) > SHOWN:
+        words.append(f"{len(asked.outputs) - SHOWN}_more")
+    return slug("-".join([*words, asked.preset]))
+
+
+def require_outputs(asked: Automatic, channels: Channels) -> None:
+    """SpecError where there is no output of a name that is asked for."""
+    known = channels.output_names
+    for name in asked.outputs:
+        if name not in known:
+            raise SpecError(
+                f"outputs: there is no output {name!r}. {suggest(name, known)}",
+                field="outputs",
+            )
+
+
+@contextmanager
+def _search_folder(out: str, force: bool) -> Iterator[Path]:
+    """The folder, which is gone on with where it holds a search; with `force` it is
+    begun anew. Without any candidate nothing of ours stays in it.
+    """
+    goes_on = (Path(out) / NAME).is_file()
+    marks = (*RUN, CSV)
+    with run_folder(out, "", force=force or goes_on, marks=marks) as folder:
+        if force:
+            _clear(folder)
+        try:
+            with interrupt.last_words(lambda: _kept(folder)):
+                yield folder
+        except BaseException as error:
+            if not _tried(folder):
+                _clear(folder)
+            elif isinstance(error, KeyboardInterrupt) or interrupt.asked():
+                _kept(folder)
+            raise
+
+
+def _clear(folder: Path) -> None:
+    for name in (NAME, ORIGIN):
+        with suppress(FileNotFoundError):
+            (folder / name).unlink()
+    shutil.rmtree(folder / CANDIDATES, ignore_errors=True)
+
+
+def _tried(folder: Path) -> int:
+    """How many candidates the folder holds."""
+    try:
+        return len(read_search(folder).leaderboard)
+    except JaxnarxError:
+        return 0
+
+
+def _run(
+    asked: Automatic, train: Dataset, validation: Dataset | None, folder: Path
+) -> tuple[Solution[Network], bool]:
+    """The search, and whether Ctrl-C has ended it."""
+    if there := _tried(folder):
+        say(f"Going on with {count(there, 'candidate')} in {folder}")
+
+    def heard() -> None:
+        warn("ending with the best so far; Ctrl-C again ends at once")
+
+    with interrupt.patiently(heard) as patience, search_progress() as progress:
+        fit = identify(
+            train,
+            preset=asked.preset,
+            budget=asked.budget,
+            candidates=asked.candidates,
+            outputs=asked.outputs,
+            states=asked.states,
+            validation=validation,
+            folder=folder,
+            progress=progress,
+        )
+    return fit, patience.used
+
+
+def _kept(folder: Path) -> None:
+    if there := _tried(folder):
+        say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
+
+
+def _tell(board: Leaderboard, network: Network) -> None:
+    """The table of every output, the choice and why."""
+    for output in network.output_names:
+        say(f"\n{output}: free run on records left out, NRMSE")
+        say(table(board, output, top=TOP))
+        for sentence in sentences(board, output):
+            say(sentence)
+
+
+def _tell_end(fit: Solution[Network], stopped: bool) -> None:
+    if stopped:
+        warn(f"interrupted: this is the best so far, and {GOES_ON}")
+    elif fit.detail:
+        (say if fit.is_okay else warn)(f"{fit.status_name}: {fit.detail}")
+
+
+def _left(asked: Automatic, channels: Channels, network: Network) -> None:
+    wanted: Any = asked.outputs or channels.output_names
+    if missing := [name for name in wanted if name not in network.output_names]:
+        warn(f"not reached: {', '.join(missing)}; {GOES_ON}")
+
+
+def _listed(names: list[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"

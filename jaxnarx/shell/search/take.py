@@ -1,0 +1,116 @@
+"""`jaxnarx leaderboard` and `jaxnarx take`: what a search has found."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from jaxnarx.errors import SpecError
+from jaxnarx.identification import (
+    Contender,
+    SearchFolder,
+    read_search,
+    sentences,
+)
+from jaxnarx.models import Network, merged, narrowed
+from jaxnarx.shell.commands.search import Leaderboard, Take
+from jaxnarx.shell.description import read_description
+from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.messages import first_lines, next_command, quoted, say
+from jaxnarx.shell.output import RUN, run_folder
+from jaxnarx.shell.search.folder import (
+    Origin,
+    provenance,
+    read_origin,
+    scored,
+    scored_parts,
+    summary,
+    training,
+    write_run,
+)
+from jaxnarx.shell.search.leaderboard import table
+from jaxnarx.trust import knowing, released
+
+
+def show(command: Leaderboard) -> int:
+    """Print the candidates of a search."""
+    found = read_search(Path(command.run))
+    board = found.leaderboard
+    if command.csv:
+        say(board.to_csv(), end="")
+        return 0
+    if not len(board):
+        say("No candidate has been tried yet.")
+    for n, output in enumerate(board.outputs):
+        say("\n" * bool(n) + f"{output}: free run on records left out, NRMSE")
+        say(table(board, output))
+        for sentence in sentences(board, output):
+            say(sentence)
+    return 0
+
+
+def take(command: Take, typed: str) -> int:
+    """Write the model of other candidates, and the report on it."""
+    require_finite("require_fit", command.require_fit)
+    found = read_search(Path(command.run))
+    rows = _rows(found, command.numbers)
+    network = _network(found, rows)
+    origin = _origin(command, found)
+    split = read_description(origin.description, origin.root)
+    about, told = provenance(typed, split.preparation)
+    told["search"] = about["search"] = str(found.path)
+    numbers = "-".join(str(row.number) for row in rows)
+    out = command.out or f"{str(found.path).rstrip('/')}-{numbers}"
+    with run_folder(out, "", force=command.force, marks=RUN) as folder:
+        train, validation = training(split)
+        parts = scored_parts(train, validation, split.test, network)
+        network = knowing(released(network), parts["train"])
+        taken = {row.output: row.number for row in rows}
+        result = scored(network, parts, found, taken, told)
+        following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
+        result = dataclasses.replace(result, next_command=quoted(following))
+        files = write_run(folder, network, result, about)
+    say("\n" + first_lines(result))
+    say("\n" + summary(result))
+    for row in rows:
+        say(sentences(found.leaderboard, row.output, row.number)[0])
+    say(f"\nwrote {', '.join(files)} to {folder}")
+    say(f"\nOpen {folder / 'report.html'}")
+    next_command(*following)
+    return judged(result, command.require_fit)
+
+
+def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Contender]:
+    """The candidates of these numbers; SpecError where two are of one output."""
+    if not numbers:
+        raise SpecError(
+            "give the number of a candidate; `jaxnarx leaderboard` has them"
+        )
+    rows: dict[str, Contender] = {}
+    for number in numbers:
+        row = found.row(number)
+        if row.output in rows:
+            raise SpecError(
+                f"candidates {rows[row.output].number} and {number} are both of "
+                f"{row.output}; take one for each output"
+            )
+        rows[row.output] = row
+    return list(rows.values())
+
+
+def _network(found: SearchFolder, rows: Sequence[Contender]) -> Network:
+    networks = [found.network(row.number) for row in rows]
+    whole = networks[0] if len(networks) == 1 else merged(networks)
+    return narrowed(whole)
+
+
+def _origin(command: Take, found: SearchFolder) -> Origin:
+    """The records; DataFileError where the ones of the search are gone."""
+    if command.description is not None:
+        return Origin.of(command.description, command.root)
+    origin = read_origin(found.path)
+    if not Path(origin.description).is_file():
+        raise SpecError(
+            f"{origin.description}, which {found.path} was made from, is not there any "
+            "more; name it with --description"
+        )
+    return Origin(origin.description, command.root or origin.root)

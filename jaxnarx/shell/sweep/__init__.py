@@ -1,0 +1,1 @@
+"""`jaxnarx sweep`: its description, its engines, its run, its table."""
