@@ -4,7 +4,6 @@ from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -78,8 +77,11 @@ class Solution(eqx.Module, Generic[T]):
     @property
     def is_okay(self) -> Any:
         """True where the status is an informative end rather than a failure."""
-        okay = jnp.asarray(code(self.status)) < OKAY
-        return bool(okay) if okay.ndim == 0 else okay
+        status = code(self.status)
+        if isinstance(status, Tracer):
+            return status < OKAY
+        okay = np.asarray(status) < OKAY
+        return bool(okay) if okay.ndim == 0 else jax.device_put(okay)
 
     @property
     def status_name(self) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -81,7 +82,7 @@ def local_behaviour(
     gain = np.asarray(network.gain)
     v = columns(network.variables, gain=gain, ones=1)
     slope, phi = _slopes(
-        network, jnp.asarray(v), jnp.asarray(columns(model.scheduling)), output=o
+        network, *jax.device_put((v, columns(model.scheduling))), output=o
     )
     lead, shown = np.asarray(phi).argmax(axis=0), _shown(network, o, over)
     place, names = columns(shown).T, variable_names(network.channels, shown)

@@ -333,7 +333,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             raise ValueError(f"{name} is of another kind of numbers ({value.dtype})")
         if value.dtype.kind == "f" and not np.all(np.isfinite(value)):
             raise ValueError(f"{name} holds values that are not finite")
-        return jnp.asarray(value)
+        return jax.device_put(value)
 
     models = []
     for n, entry in enumerate(header["models"]):

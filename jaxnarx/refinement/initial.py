@@ -12,6 +12,7 @@ of the prior of `jaxnarx.simulation.observer`. Used they start from its windows.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -98,4 +99,4 @@ def initial_conditions(
     at = start[:, None] - 1 - np.arange(depth(network))[None]
     there = (start < time)[:, None] & (at >= 0)
     each = np.where(there[..., None], each, 0.0).astype(weight.dtype)
-    return Initial(jnp.asarray(start), jnp.asarray(each))
+    return Initial(*jax.device_put((start, each)))

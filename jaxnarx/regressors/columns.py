@@ -104,15 +104,12 @@ def row_columns(
     out = _aligned((ones + len(variables), len(at)), flat.dtype)
     out[:ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
-        column = flat[:, signal]
+        column = signals[..., signal]
         if filter_ is not None:
             require_sampled((filter_,), sample_time)
-            column = _filtered_records(
-                filter_table((filter_,))[0],
-                jnp.asarray(signals[..., signal]),
-                jnp.asarray(batch.valid[..., signal]),
-                jnp.asarray(sample_time, flat.dtype),
-            )
+            given = column, batch.valid[..., signal], flat.dtype.type(sample_time)
+            table = filter_table((filter_,))[0]
+            column = _filtered_records(table, *jax.device_put(given))
         column = np.array(column, order="C").reshape(-1)
         if gain is not None:
             column /= gain[signal]

@@ -113,7 +113,7 @@ def _frame_of(
 def make_part(padded: Padded, network: Network) -> Part:
     """The only member of `padded`, with its masks."""
     signals, valid = padded.signals[0], padded.valid[0]
-    masks = make_masks(network, Batch(jnp.asarray(signals), valid))
+    masks = make_masks(network, Batch(jax.device_put(signals), valid))
     # A record that is all padding ends where it begins.
     there = valid.any(axis=(1, 2))
     return Part(
@@ -138,4 +138,4 @@ def _row_weights(ground: Ground, part: Part) -> Float[np.ndarray, "records time"
 
 def stacked(trees: list):
     """Members, or settings, as one tree with a leading axis of lanes."""
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *trees)
+    return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *trees)

@@ -50,7 +50,7 @@ def network_of(work: IdentificationWork, row: Row) -> Network:
         raise SpecError(
             f"engine {row['engine']!r} has no network: {row['status']}", field="row"
         )
-    frame = jax.tree.map(jnp.asarray, prepared.member.network)
+    frame = jax.device_put(prepared.member.network)
     count = int(row["model_count"])
     dtype, dims = frame.models[0].offset.dtype, len(row["offset"])
     like = _like(row["validity"], count, dims, dtype)

@@ -87,7 +87,7 @@ def _outcome(
         "factor": pool.factor[terms],
         "condition": np.max(chosen.stats["cond"]),
     }
-    arrays = jax.tree.map(jnp.asarray, (found, values))
+    arrays = jax.device_put((found, values))
     own = Chosen(**arrays[0])
     return Outcome(chosen=own, validity=model.validity, scores=scores, **arrays[1])
 
