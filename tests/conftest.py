@@ -14,7 +14,7 @@ compile_quickly(str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
+import shape_checks  # noqa: E402
 
 # Begun in the background of a script we would ignore Ctrl-C, and so would every process
 # that a test starts and interrupts.
@@ -27,13 +27,13 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # The slow tests of CI do without: see .ci/run.
 if not os.environ.get("JAXTYPING_DISABLE"):
-    install_import_hook("jaxnarx", "beartype.beartype")
+    shape_checks.install()
 
 COMPILED = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
 COMPILED_MB = 2_000
 """What is kept for later runs is thrown away beyond this."""
 
-MAPS = 30_000
+MAPS = 45_000
 """Memory maps of a process beyond which compiled programs are let go. Every program
 takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
 

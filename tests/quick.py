@@ -22,6 +22,8 @@ def compile_quickly(cache: str) -> None:
     What one process has compiled the others and later runs load from `cache`.
     """
     os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+    # Nobody looks up in a program which line an operation comes from.
+    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", cache)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     known = os.environ.get("XLA_FLAGS", "").split()
