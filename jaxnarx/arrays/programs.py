@@ -16,7 +16,7 @@ ARRAY = object()
 MAPS, MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 """Memory maps of this process and how many it may have, where the system tells; every
 compiled program has about ten, and the compiler ends the process when none is left."""
-SHARE = 0.8
+SHARE = 0.6
 """Of them that may be in use."""
 LOOK = 50
 """New programs between looks at their number."""

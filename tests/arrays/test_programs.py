@@ -41,7 +41,7 @@ def test_programs_are_kept_while_there_is_room(system, made):
 def test_programs_are_forgotten_and_made_again(system, made):
     traces, twice = made
     assert float(twice(jnp.asarray(3.0), 1)) == 6.0
-    system.write_text("one\n" * 9)  # above eight of ten
+    system.write_text("one\n" * 7)  # above six of ten
     assert float(twice(jnp.asarray(3.0), 2)) == 18.0
     system.write_text("one\n")
     assert float(twice(jnp.asarray(3.0), 1)) == 6.0
