@@ -146,6 +146,18 @@ def test_a_missing_square_is_found(found):
     assert points["b[t-1]"] < 1e-9 and points["a[t-1]"] > 1e-3
 
 
+def test_what_a_residuals_past_foretells_is_a_share_of_its_variance(found):
+    own = found.test("autocorrelation")
+    assert found.effects["Ljung-Box"] == own.together < 0.1  # its noise is white
+    every = dataclasses.replace(own, tested=np.ones(len(own.lags), bool))
+    for pole in (0.3, -0.9, 0.99):
+        # e[t] = pole e[t-1] + w: all but 1 - pole^2 is known before, from one lag.
+        decaying = dataclasses.replace(every, value=pole**own.lags)
+        assert decaying.together == pytest.approx(pole**2, abs=1e-9)
+    none = dataclasses.replace(own, tested=np.zeros(len(own.lags), bool))
+    assert none.together == 0.0
+
+
 def test_what_many_samples_find_is_weighed_by_its_extent(data):
     """0.01 b^2 explains 0.5 % of the residual: certain at 15,000 samples, yet faint."""
     many = record(np.random.default_rng(5), 15_000, "many", square=0.01)

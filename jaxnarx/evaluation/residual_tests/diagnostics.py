@@ -81,7 +81,8 @@ class OutputDiagnostics:
         """By test of `rows`, the share of the residual's variance that it is about.
 
         Of a correlation test the squared correlation of its strongest lag, of Ljung and
-        Box's their sum, of a mean its square. Runs and normality have none.
+        Box's what the residual's past foretells of it, of a mean its square. Runs and
+        normality have none.
         """
         lags = {
             (f"{t.name}, {t.signal}" if t.signal else t.name): t.effect
@@ -90,7 +91,7 @@ class OutputDiagnostics:
         own = self.test("autocorrelation")
         whole = float(np.hypot(self.mean, self.deviation))
         single = {
-            "Ljung-Box": float(np.sum(own.value[own.tested] ** 2)),
+            "Ljung-Box": own.together,
             "mean": (self.mean / whole) ** 2 if whole > 0 else 0.0,
         }
         return (

@@ -9,6 +9,7 @@ T_k follows from the instruments as they are; see `linear_test` and `product_tes
 import dataclasses
 
 import numpy as np
+import scipy.linalg
 import scipy.special
 from jaxtyping import Bool, Float, Int
 
@@ -61,6 +62,17 @@ class LagTest:
     def effect(self) -> float:
         """Share of the variance that the strongest tested lag alone explains."""
         return float(np.max(self.value[self.tested] ** 2, initial=0.0))
+
+    @property
+    def together(self) -> float:
+        """Share of the variance that the tested lags of an autocorrelation explain.
+
+        r'R^-1 r of Yule and Walker's equations; lags that are not tested count as zero.
+        """
+        r = np.eye(1, self.lags.max(initial=0) + 1)[0]
+        r[self.lags] = np.where(self.tested, self.value, 0.0)
+        weights, *_ = np.linalg.lstsq(scipy.linalg.toeplitz(r[:-1]), r[1:])
+        return float(np.clip(r[1:] @ weights, 0.0, 1.0))
 
     @property
     def worst(self) -> int:
