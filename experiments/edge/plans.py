@@ -211,9 +211,8 @@ def one(bed: str, seed: int, candidates: int | None) -> dict[str, Any]:
     }
     for name, u in inputs.items():
         clean, measured = run_on(bed, jax.numpy.asarray(u), seed + 20_000, name)
-        both = (*train.records, *measured.records)
-        data = dataclasses.replace(train, records=both)
-        row[name] = error(identified(data), tests, task.output)
+        both = jnx.data.join([train, measured])
+        row[name] = error(identified(both), tests, task.output)
         row[f"{name} broke"] = broken(task, asked, first, clean)
     row["ratio"] = row["plan"] / row["filling"]
     return row

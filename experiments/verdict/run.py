@@ -176,6 +176,8 @@ def late(name: str, seed: int) -> Known:
 
 def one_bad(name: str, seed: int) -> Known:
     """Good, and one test record is of another plant."""
+    import jaxnarx as jnx
+
     one = dataclasses.replace(good(name, seed), kind="one bad record")
     other = dict(zip(PLANTS, [*list(PLANTS)[1:], "linear"], strict=True))[name]
 
@@ -184,7 +186,7 @@ def one_bad(name: str, seed: int) -> Known:
 
     def joined(data: Any, seed: int, noise: float) -> Any:
         bad = records(spoilt, range(seed, seed + 1), noise=noise)
-        return dataclasses.replace(data, records=(*data.records, *bad.records))
+        return jnx.data.join([data, bad])
 
     return dataclasses.replace(
         one,

@@ -22,6 +22,7 @@ from jaxnarx.data.groups import Fold as Fold
 from jaxnarx.data.groups import Groups as Groups
 from jaxnarx.data.groups import groups as groups
 from jaxnarx.data.hold_out import hold_out as hold_out
+from jaxnarx.data.join import join as join
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, Groups, match_channels
+from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.identification.automatic import search
@@ -205,6 +205,5 @@ def _require_moving(data: Dataset) -> None:
 
 def with_group(data: Dataset, more: Dataset, name: str) -> Dataset:
     """The records of both; the second ones are a group of that name."""
-    more = match_channels(more, data.channels)[0]
-    named = (dataclasses.replace(record, group=name) for record in more)
-    return dataclasses.replace(data, records=(*data.records, *named))
+    named = tuple(dataclasses.replace(record, group=name) for record in more)
+    return join([data, dataclasses.replace(more, records=named)])

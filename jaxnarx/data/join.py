@@ -1,0 +1,64 @@
+"""Several datasets as one."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.match import match_channels
+from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
+
+STEP = 1e-6
+"""Sample times may differ by this share."""
+
+
+@guarded
+def join(datasets: Sequence[Dataset]) -> Dataset:
+    """The records of several datasets behind one another, with the first's channels.
+
+    Channels are matched by name and converted to the first's units; what only others
+    have is left out, which `notes` tell. Records keep their groups; a record's name
+    that is there already gets a number behind it.
+
+    Raises:
+        SpecError: where there is none, or one lacks a channel of the first, has a unit
+            that cannot be converted, or another sample time.
+
+    Example:
+        >>> import jaxnarx as jnx, numpy as np
+        >>> u = np.zeros((50, 1))
+        >>> same = {"inputs": ["u"], "outputs": ["y"], "sample_time": 0.1}
+        >>> may = jnx.Dataset.from_arrays(u, u + 1, names=["ramp"], **same)
+        >>> june = jnx.Dataset.from_arrays(u, u + 2, names=["ramp"], **same)
+        >>> jnx.data.join([may, june]).names
+        ['ramp', 'ramp (2)']
+    """
+    if not datasets:
+        raise SpecError("join: no datasets are given", field="datasets")
+    first, *others = datasets
+    records, notes = list(first.records), list(first.notes)
+    taken = set(first.names)
+    for number, other in enumerate(others, 2):
+        if abs(other.sample_time - first.sample_time) > STEP * first.sample_time:
+            raise SpecError(
+                f"join: dataset {number} has a sample time of {other.sample_time:g} s, "
+                f"the first of {first.sample_time:g} s. Resample one of them first.",
+                field="sample_time",
+            )
+        matched, surplus = match_channels(other, first.channels)
+        notes += matched.notes
+        if surplus:
+            notes.append(f"dataset {number}: left out {', '.join(surplus)}")
+        for record in matched:
+            name = _new(record.name, taken)
+            taken.add(name)
+            records.append(dataclasses.replace(record, name=name))
+    return dataclasses.replace(first, records=tuple(records), notes=tuple(notes))
+
+
+def _new(name: str, taken: set[str]) -> str:
+    number, found = 1, name
+    while found in taken:
+        number += 1
+        found = f"{name} ({number})"
+    return found
