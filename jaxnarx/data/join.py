@@ -25,13 +25,7 @@ def join(datasets: Sequence[Dataset]) -> Dataset:
             that cannot be converted, or another sample time.
 
     Example:
-        >>> import jaxnarx as jnx, numpy as np
-        >>> u = np.zeros((50, 1))
-        >>> same = {"inputs": ["u"], "outputs": ["y"], "sample_time": 0.1}
-        >>> may = jnx.Dataset.from_arrays(u, u + 1, names=["ramp"], **same)
-        >>> june = jnx.Dataset.from_arrays(u, u + 2, names=["ramp"], **same)
-        >>> jnx.data.join([may, june]).names
-        ['ramp', 'ramp (2)']
+        both = jnx.data.join([data[:1], data[1:]])
     """
     if not datasets:
         raise SpecError("join: no datasets are given", field="datasets")
