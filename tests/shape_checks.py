@@ -1,4 +1,4 @@
-"""Run-time checks of types and shapes at every call, in half of jaxtyping's time.
+"""Run-time checks of types and shapes at every call, each of them once.
 
 `jaxtyping.jaxtyped` binds the arguments of each call by Python and has all of them
 checked twice, whatever they are. Here the typechecker wraps the function itself, and
@@ -32,10 +32,11 @@ def checked(*, typechecker: Any) -> Callable[[Any], Any]:
         hints = list(getattr(definition, "__annotations__", {}).values())
         if not hints:
             return definition
-        if any(isinstance(part, str) for hint in hints for part in _parts(hint)):
+        parts = [part for hint in hints for part in _parts(hint)]
+        if any(isinstance(part, str) for part in parts):
             # a type that is text until somebody imports it
             return _jaxtyped(definition, typechecker=typechecker)
-        shapes = any(_is_shape(part) for hint in hints for part in _parts(hint))
+        shapes = any(getattr(part, "__module__", "") == "jaxtyping" for part in parts)
         return _scoped(plain(definition)) if shapes else plain(definition)
 
     return decorate
@@ -57,7 +58,3 @@ def _parts(hint: Any) -> Iterator[Any]:
     yield hint
     for part in hint if isinstance(hint, list) else get_args(hint):
         yield from _parts(part)
-
-
-def _is_shape(hint: Any) -> bool:
-    return getattr(hint, "__module__", "") == "jaxtyping"

@@ -35,7 +35,7 @@ def join(datasets: Sequence[Dataset]) -> Dataset:
     for number, other in enumerate(others, 2):
         if abs(other.sample_time - first.sample_time) > STEP * first.sample_time:
             raise SpecError(
-                f"join: dataset {number} has a sample time of {other.sample_time:g} s, "
+                f"dataset {number} has a sample time of {other.sample_time:g} s, "
                 f"the first of {first.sample_time:g} s. Resample one of them first.",
                 field="sample_time",
             )
