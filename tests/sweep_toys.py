@@ -74,7 +74,7 @@ class Settings(Toy):
     """A row tells how the process that computes it is set."""
 
     def _row(self, i: int) -> dict[str, Any]:
-        names = ("OMP_NUM_THREADS", "JAX_ENABLE_X64", "XLA_FLAGS")
+        names = ("OMP_NUM_THREADS", "JAX_ENABLE_X64", "PYTHONSAFEPATH", "XLA_FLAGS")
         return {
             "status": "ok",
             "cores": sorted(os.sched_getaffinity(0)),

@@ -10,7 +10,6 @@ import os
 import pickle
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,6 +19,7 @@ from typing import Any
 
 import jax
 
+from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import write_whole
 from jaxnarx.identification.candidates import Candidate, Candidates, Tried
@@ -84,12 +84,10 @@ class Side:
         self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
         self.place, self.read = Path(self._folder.name), 0
         _write(self.place / TASK, (task, _settings()))
-        paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        given = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": paths}
         with open(self.place / SAID, "wb") as said:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", START, str(self.place)],
-                env=given,
+                python_command(START, str(self.place)),
+                env=python_environment(dict.fromkeys(THREADS, "1")),
                 stdin=subprocess.DEVNULL,
                 stdout=said,
                 stderr=said,

@@ -15,6 +15,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
+from jaxnarx.child_process import SAFE
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.sweep.cluster import compute_on_cluster, threads_of
 from jaxnarx.sweep.folder.run_folder import RunFolder
@@ -159,7 +160,7 @@ def _cores() -> list[int]:
 def _child_environment() -> dict[str, str]:
     """One thread for everything, and jax configured as it is here."""
     flags = os.environ.get("XLA_FLAGS", "")
-    settings = {f"{name}_NUM_THREADS": "1" for name in _POOLS}
+    settings = SAFE | {f"{name}_NUM_THREADS": "1" for name in _POOLS}
     settings["XLA_FLAGS"] = f"{flags} {_ONE_THREAD}".strip()
     settings["JAX_ENABLE_X64"] = str(int(is_float64()))
     for name in ("jax_compilation_cache_dir", "jax_platforms"):

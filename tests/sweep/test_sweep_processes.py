@@ -109,8 +109,8 @@ def test_a_worker_has_one_core_one_thread_and_our_number_type(tmp_path, monkeypa
     table = run_sweep(Settings(2), tmp_path / "x", chunk=1, workers=2).value
     for row in table.rows():
         assert len(row["cores"]) == 1
-        threads, wide, flags = row["set"]
-        assert (threads, wide) == ("1", "1")
+        threads, wide, safe, flags = row["set"]
+        assert (threads, wide, safe) == ("1", "1", "1")
         assert flags.startswith("--xla_force_host_platform_device_count=1 ")
         assert "intra_op_parallelism_threads=1" in flags
     assert dict(os.environ) == before

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.data.readers.columns import Asked, Table
 from jaxnarx.data.readers.rasters import Signal, as_table, one_raster
 from jaxnarx.data.record import RowSource
@@ -133,10 +134,9 @@ class Apart:
     def _running(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
             Path(self._folder.name).mkdir(exist_ok=True)
-            paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
             self._process = subprocess.Popen(
-                [sys.executable, "-c", START],
-                env=os.environ | {"PYTHONPATH": paths},
+                python_command(START),
+                env=python_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
