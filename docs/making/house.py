@@ -16,7 +16,7 @@ FLOORS = {
     "1 arrays": ["arrays"],
     "ground": [
         *("solution", "methods", "shown", "texts", "extensions"),
-        *("checks", "files", "guard", "errors"),
+        *("checks", "child_process", "files", "guard", "errors"),
     ],
 }
 """The rooms of every floor, the highest first; a test holds the imports to it."""

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.child_process import python_command, python_environment
-from jaxnarx.data.readers.columns import Asked, Table
+from jaxnarx.data.readers.columns import Asked, Table, require_limit
 from jaxnarx.data.readers.rasters import Signal, as_table, one_raster
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, JaxnarxError
@@ -55,6 +55,7 @@ def table_of(
     place = RowSource(str(path), 1, ", counted from 1")
     array = _APART[0].array
     found = answer["signals"]
+    _APART[0].require_limit(path, asked.max_bytes)
     times = {key: array(key) for key in {one["time"] for one in found} - {None}}
     parts = [
         (
@@ -76,6 +77,16 @@ def table_of(
     return Table(table.columns, place, table.units, table.time, notes)
 
 
+def table_file(name: str, path: Path, max_bytes: float) -> dict[str, Any]:
+    """Columns of an arrow file that was the last answer about `path`."""
+    import pyarrow as pa
+
+    _APART[0].require_limit(path, max_bytes)
+    with pa.OSFile(str(_APART[0].folder / name), "rb") as file:
+        table = pa.ipc.open_file(file).read_all()
+    return dict(zip(table.column_names, table.columns, strict=True))
+
+
 def close() -> None:
     """End the process, if there is one; the next file begins another."""
     while _APART:
@@ -95,6 +106,7 @@ class Apart:
         request = {"module": module, "function": function, "path": str(path)}
         request |= {"given": given, "folder": self._folder.name}
         process = self._running()
+        self._clear()
         assert process.stdin is not None and process.stdout is not None
         try:
             process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -117,9 +129,25 @@ class Apart:
             raise DataFileError(answer["error"], path=path)
         return answer["value"]
 
+    def _clear(self) -> None:
+        """Remove what the answer before has left."""
+        for file in self.folder.iterdir():
+            with contextlib.suppress(OSError):  # in use, where that forbids it
+                file.unlink()
+
+    @property
+    def folder(self) -> Path:
+        """Where the arrays of answers are."""
+        return Path(self._folder.name)
+
+    def require_limit(self, path: Path, max_bytes: float) -> None:
+        """DataFileError where the last answer takes more than `max_bytes`."""
+        size = sum(file.stat().st_size for file in self.folder.iterdir())
+        require_limit(path, size, max_bytes)
+
     def array(self, name: str) -> np.ndarray:
         """An array of the last answer, once: it is read from its file when used."""
-        path = Path(self._folder.name) / f"{name}.npy"
+        path = self.folder / f"{name}.npy"
         found = np.load(path, mmap_mode="r")
         with contextlib.suppress(OSError):  # where files in use may not be removed
             path.unlink()
@@ -133,7 +161,7 @@ class Apart:
 
     def _running(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
-            Path(self._folder.name).mkdir(exist_ok=True)
+            self.folder.mkdir(exist_ok=True)
             self._process = subprocess.Popen(
                 python_command(START),
                 env=python_environment(),
@@ -192,11 +220,16 @@ def _answer(request: dict[str, Any]) -> Any:
 
 
 def _bound(size: float) -> None:
-    """Of the memory of this process, where the system knows such a thing."""
+    """Limit the memory of this process [bytes], where the system can.
+
+    A limit that the system has set already stays, where it is lower.
+    """
     try:
         import resource
     except ImportError:
         return
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = int(size) + 4 * 2**30  # libraries reserve addresses that they never use
+    if hard != resource.RLIM_INFINITY:
+        most = min(most, hard)
     resource.setrlimit(resource.RLIMIT_AS, (most, hard))

@@ -62,16 +62,16 @@ class Column:
     text: bool = False
 
 
-FEW, TIMES = 64e6, 1000
+SMALL_BYTES, MOST_TIMES = 64e6, 1000
 """A file that unfolds to more bytes, and by more times, is taken for a bomb."""
 
 
 def require_size(
-    path: Path, expanded: int | float, max_bytes: float, times: int = TIMES
+    path: Path, expanded: int | float, max_bytes: float, times: int = MOST_TIMES
 ) -> None:
     """Refuse what takes too much when unfolded, or unfolds like no measurement."""
     require_limit(path, expanded, max_bytes)
-    if expanded > max(FEW, times * path.stat().st_size):
+    if expanded > max(SMALL_BYTES, times * path.stat().st_size):
         raise DataFileError(
             f"{path}: {expanded / 1e9:.3g} GB when read, more than {times:,} times "
             "the size of the file. Measurements are not as uniform as that, so it is "

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data.readers.columns import require_limit
+from jaxnarx.data.readers.mdf_formula import apply_formula
 from jaxnarx.errors import DataFileError, suggest
 
 _GROUP = re.compile(r"(.+) @ group (\d+)")
@@ -51,15 +52,18 @@ def signals(
         for group in {group for group, _ in places}:
             _require_time(path, mdf, group)
         found, stamped = [], set()
+        formulas = [_take_formula(mdf.groups[g].channels[c]) for g, c in places]
         asked = [(None, *place) for place in places]
         read = mdf.select(asked, copy_master=False, ignore_value2text_conversions=True)
-        for k, (name, (group, index), signal) in enumerate(
-            zip(wanted, places, read, strict=True)
+        for k, (name, (group, index), formula, signal) in enumerate(
+            zip(wanted, places, formulas, read, strict=True)
         ):
             if group not in stamped:
                 np.save(folder / f"t{group}.npy", np.asarray(signal.timestamps, float))
                 stamped.add(group)
             x, valid = _values(path, name, signal)
+            if formula:
+                x = _converted(path, name, formula, x)
             np.save(folder / f"x{k}.npy", x)
             if valid is not None:
                 np.save(folder / f"valid{k}.npy", valid)
@@ -177,6 +181,39 @@ def _values(path: Path, name: str, signal: Any) -> tuple[np.ndarray, np.ndarray 
     if invalid is None or not np.any(invalid):
         return np.asarray(x), None
     return np.asarray(x), ~np.asarray(invalid, bool)
+
+
+def _take_formula(channel: Any) -> str:
+    """The formula of a channel, which asammdf then does not evaluate; "" without one.
+
+    Formulas that a table of labels refers to are taken away as well.
+    """
+    conversion, formula = channel.conversion, ""
+    if conversion is None:
+        return ""
+    waiting = [conversion]
+    while waiting:
+        one = waiting.pop()
+        waiting += [
+            other
+            for other in (getattr(one, "referenced_blocks", None) or {}).values()
+            if hasattr(other, "conversion_type")
+        ]
+        if getattr(one, "formula", ""):
+            formula = _text(one.formula) if one is conversion else formula
+            one.formula = "X1"
+    return formula
+
+
+def _converted(path: Path, name: str, formula: str, x: np.ndarray) -> np.ndarray:
+    try:
+        return apply_formula(formula, x)
+    except ValueError as error:
+        raise DataFileError(
+            f"{path}: channel {name} is converted by the formula {formula[:80]!r}, "
+            f"which is not understood: {error}. Leave it out, or export it converted.",
+            path=path,
+        ) from None
 
 
 def _labels(channel: Any, x: np.ndarray) -> list[str]:

@@ -1,174 +1,38 @@
-"""Excel and OpenDocument spreadsheets, by python-calamine.
+"""Excel and OpenDocument spreadsheets.
 
 The first sheet that holds numbers is read, or the one that `table` names. Names stand
 in the first row behind `skip_rows`, units in the next where it holds text and the one
-below numbers.
+below numbers. They are read in a process of their own (`jaxnarx.data.readers.apart`).
 """
 
-import datetime
-import zipfile
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.data.readers.columns import (
-    Asked,
-    Column,
-    Table,
-    is_number,
-    require_limit,
-    require_size,
-)
+from jaxnarx.data.readers.apart import ask, table_file
+from jaxnarx.data.readers.columns import Asked, Column, Table
 from jaxnarx.data.record import RowSource
-from jaxnarx.errors import DataFileError, suggest
-
-_TIMES = 200
-"""A file that unfolds to more times its size is taken for a bomb."""
-_CELL = 40
-"""Bytes of a number as text in a sheet, with its place."""
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
     """Every named column of every sheet that has any."""
-    found = []
-    for sheet, rows in _sheets(path, asked):
-        names, units, body = _parts(path, sheet, rows, asked)
-        for k, name in enumerate(names):
-            if name:
-                text = any(isinstance(row[k], str) and row[k] for row in body[:100])
-                unit = units.get(name, "")
-                found.append(Column(name, unit, len(body), table=sheet, text=text))
-    return found
+    found = ask("spreadsheet_cells", "contents", path, **_given(asked))
+    return [Column(**one) for one in found]
 
 
 def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` columns of one sheet; empty cells and errors are missing samples."""
-    import pyarrow as pa
-
-    every = _sheets(path, asked)
-    sheets = [(n, rows) for n, rows in every if rows and asked.table in ("", n)]
-    if not sheets:
-        names = [sheet for sheet, rows in every if rows]
-        raise DataFileError(
-            f"{path}: there is no sheet {asked.table!r} with cells. "
-            f"{suggest(asked.table, names)}",
-            path=path,
-        )
-    parts = [(sheet, *_parts(path, sheet, rows, asked)) for sheet, rows in sheets]
-    having = [part for part in parts if set(wanted) <= set(part[1])]
-    sheet, names, units, body = (having or parts)[0]
-    if len(having) > 1:
-        raise DataFileError(
-            f"{path}: the sheets {', '.join(repr(p[0]) for p in having)} hold these "
-            "columns. Say which by table = ... under [data].",
-            path=path,
-        )
-    columns: dict[str, Any] = {}
-    for name in wanted:
-        if names.count(name) != 1:
-            what = f"there is no single column {name!r} in sheet {sheet!r}"
-            raise DataFileError(
-                f"{path}: {what}. {suggest(name, [n for n in names if n])}", path=path
-            )
-        k = names.index(name)
-        columns[name] = _column([row[k] for row in body])
-    if not body:
-        raise DataFileError(f"{path}: sheet {sheet!r} has no data rows.", path=path)
-    first = asked.layout.skip_rows + (not asked.layout.columns) + bool(units) + 1
-    place = RowSource(f"{path}, sheet {sheet}", first, ", as the sheet counts them")
-    return Table({n: pa.array(c) for n, c in columns.items()}, place, units)
-
-
-def _sheets(path: Path, asked: Asked) -> list[tuple[str, list[list[Any]]]]:
-    """Name and rows of every sheet of cells."""
-    import python_calamine as calamine
-
-    _require_size(path, asked.max_bytes)
-    try:
-        with calamine.CalamineWorkbook.from_path(str(path)) as book:
-            return [
-                (name, book.get_sheet_by_name(name).to_python(skip_empty_area=False))
-                for name in book.sheet_names
-            ]
-    except calamine.PasswordError:
-        raise DataFileError(
-            f"{path}: the file is protected by a password. Save it without one.",
-            path=path,
-        ) from None
-    except (calamine.CalamineError, OSError, ValueError) as error:
-        raise DataFileError(
-            f"{path}: cannot be read as a spreadsheet ({error}). Save it anew.",
-            path=path,
-        ) from error
-
-
-def _require_size(path: Path, max_bytes: float) -> None:
-    """Refuse by what the archive says of itself, before it is unfolded."""
-    size = path.stat().st_size
-    expanded = size
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            expanded = sum(part.file_size for part in archive.infolist())
-    require_limit(path, expanded / _CELL * 8, max_bytes)
-    require_size(path, expanded, float("inf"), _TIMES)
-
-
-def _parts(
-    path: Path, sheet: str, rows: list[list[Any]], asked: Asked
-) -> tuple[list[str], dict[str, str], list[list[Any]]]:
-    """Names, units by name, and the rows below; trailing empty rows are left out."""
-    layout = asked.layout
-    rows = rows[layout.skip_rows :]
-    while rows and not any(_filled(x) for x in rows[-1]):
-        rows.pop()
-    if not rows:
-        return [], {}, []
-    if layout.columns:
-        names = list(layout.columns)
-        if len(rows[0]) < len(names):
-            raise DataFileError(
-                f"{path}, sheet {sheet}: rows have {len(rows[0])} cells, but columns = "
-                f"[...] names {len(names)}.",
-                path=path,
-            )
-    else:
-        names, rows = [str(x).strip() for x in rows[0]], rows[1:]
-    units = {}
-    if rows and (layout.unit_row or _is_unit_row(rows)):
-        units = {n: str(x).strip() for n, x in zip(names, rows[0], strict=False) if n}
-        rows = rows[1:]
-    return names, units, rows
-
-
-def _filled(cell: Any) -> bool:
-    return cell is not None and cell != ""
-
-
-def _is_unit_row(rows: list[list[Any]]) -> bool:
-    """Whether all that fills the first row is text, and numbers are below it."""
-    if len(rows) < 2:
-        return False
-    top = [(k, x) for k, x in enumerate(rows[0]) if _filled(x)]
-    texts = [(k, x) for k, x in top if isinstance(x, str) and not is_number(x)]
-    numeric = [k for k, _ in texts if isinstance(rows[1][k], int | float)]
-    return bool(texts) and len(texts) == len(top) and len(numeric) >= len(texts) / 2
-
-
-def _column(cells: list[Any]) -> list[Any]:
-    """Numbers, or where a cell is something else, what the cells say as one kind."""
-    cells = [x if _filled(x) and not _is_error(x) else None for x in cells]
-    known = [x for x in cells if x is not None]
-    if all(isinstance(x, int | float) for x in known):
-        return [None if x is None else float(x) for x in cells]
-    kinds = {type(x) for x in known}
-    moments = (datetime.datetime, datetime.date, datetime.time, datetime.timedelta)
-    if len(kinds) == 1 and issubclass(kinds.pop(), moments):
-        return cells
-    return [None if x is None else str(x) for x in cells]
-
-
-def _is_error(cell: Any) -> bool:
-    """`#N/A` and its like."""
-    return (
-        isinstance(cell, str) and cell.startswith("#") and cell.rstrip("!?").isupper()
+    words = {"wanted": list(wanted), **_given(asked)}
+    answer = ask("spreadsheet_cells", "columns", path, **words)
+    columns = table_file("cells.arrow", path, asked.max_bytes)
+    place = RowSource(
+        f"{path}, sheet {answer['sheet']}",
+        answer["first"],
+        ", as the sheet counts them",
     )
+    return Table(columns, place, answer["units"])
+
+
+def _given(asked: Asked) -> dict[str, Any]:
+    return dataclasses.asdict(asked)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data.readers.columns import require_size
+from jaxnarx.data.readers.columns import require_limit, require_size
 from jaxnarx.data.readers.variable_logs import logged
 from jaxnarx.data.readers.variable_trees import (
     TimedColumns,
@@ -100,6 +100,7 @@ def signals(
     with opened(path, wanted) as tree:
         found = list(_channels(tree, "", None))
         chosen = [_chosen(path, found, name, table) for name in wanted]
+        require_limit(path, 8 * sum(one.rows for one in chosen), max_bytes)
         times = _times(path, chosen)
         answer = []
         for k, (name, one, time) in enumerate(zip(wanted, chosen, times, strict=True)):

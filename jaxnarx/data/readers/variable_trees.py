@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.errors import DataFileError
+
 
 @dataclasses.dataclass(frozen=True)
 class TimedColumns:
@@ -54,7 +56,7 @@ def opened(path: Path, wanted: Sequence[str] | None = None) -> Iterator[dict[str
         import h5py
 
         with h5py.File(path) as file:
-            yield _hdf5(file)
+            yield _hdf5(path, file)
 
 
 def unfolded(path: Path) -> int:
@@ -88,40 +90,104 @@ def _mat_size(path: Path) -> int:
 
 
 def _hdf5_size(path: Path) -> int:
+    """Bytes of all datasets, each as often as it has a name."""
     import h5py
-
-    total = 0
-
-    def add(_, item: Any) -> None:
-        nonlocal total
-        if isinstance(item, h5py.Dataset):
-            total += int(item.size or 0) * item.dtype.itemsize
 
     with h5py.File(path) as file:
-        file.visititems(add)
-    return total
+        return sum(
+            int(item.size or 0) * item.dtype.itemsize
+            for _, item in _walk(path, file)
+            if isinstance(item, h5py.Dataset)
+        )
 
 
-def _hdf5(group: Any, depth: int = 0) -> dict[str, Any]:
+def _walk(path: Path, group: Any) -> Iterator[tuple[str, Any]]:
+    """Name and item of all that a group holds, at every depth; each group once."""
     import h5py
 
-    found: dict[str, Any] = {}
-    for name, item in group.items():
-        if isinstance(item, h5py.Group) and depth < DEPTH:
-            found[name] = _hdf5(item, depth + 1)
-        elif not isinstance(item, h5py.Dataset) or item.shape is None:
+    visited = {group}
+    waiting = [(group, "")]
+    while waiting:
+        group, place = waiting.pop()
+        for name, item in _own_items(path, group, place):
+            yield f"{place}{name}", item
+            if isinstance(item, h5py.Group) and item not in visited:
+                visited.add(item)
+                waiting.append((item, f"{place}{name}/"))
+
+
+def _own_items(path: Path, group: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """What a group holds itself, in the file itself.
+
+    DataFileError for links to other files and datasets stored in others: they could
+    hold any bytes of this machine, and any number of them. A soft link is another name
+    of what the file holds anyway, so it is passed over.
+    """
+    import h5py
+
+    for name in group:
+        link = group.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise _outside(path, place + name, f"a link to {link.filename!r}")
+        if not isinstance(link, h5py.HardLink):
             continue
-        elif h5py.check_string_dtype(item.dtype):
-            found[name] = plain(np.asarray(item.asstr()[()], object))
-        elif item.dtype.names:
-            found[name] = plain(item[()])
-        elif item.dtype.kind != "O":
-            unit = next((item.attrs[n] for n in _UNIT if n in item.attrs), "")
-            found[name] = WithUnit(item, _text(unit))
-    for name, value in group.attrs.items():  # a sample time may stand there
+        item = group[name]
+        if isinstance(item, h5py.Dataset) and item.external:
+            raise _outside(path, place + name, f"stored in {item.external[0][0]!r}")
+        if isinstance(item, h5py.Dataset) and item.is_virtual:
+            raise _outside(path, place + name, "put together from other datasets")
+        yield name, item
+
+
+def _outside(path: Path, name: str, what: str) -> DataFileError:
+    return DataFileError(
+        f"{path}: {name} is {what}, which is not followed. Copy its samples into this "
+        "file.",
+        path=path,
+    )
+
+
+def _hdf5(path: Path, file: Any) -> dict[str, Any]:
+    """The tree of a file; a group that has several names has one here."""
+    import h5py
+
+    tree: dict[str, Any] = {}
+    _add_attributes(tree, file)
+    for place, item in _walk(path, file):
+        *above, name = place.split("/")
+        if len(above) > DEPTH:
+            continue
+        branch = tree
+        for part in above:
+            branch = branch[part]
+        if isinstance(item, h5py.Group):
+            branch[name] = {}
+            _add_attributes(branch[name], item)
+        elif isinstance(item, h5py.Dataset):
+            _add_dataset(branch, name, item)
+    return tree
+
+
+def _add_attributes(branch: dict[str, Any], group: Any) -> None:
+    """Numbers among the attributes: a sample time may stand there."""
+    for name, value in group.attrs.items():
         if isinstance(value, int | float | np.number):
-            found.setdefault(name, np.asarray(value))
-    return found
+            branch.setdefault(name, np.asarray(value))
+
+
+def _add_dataset(branch: dict[str, Any], name: str, item: Any) -> None:
+    """A dataset as one of the forms of this module; numbers are not read yet."""
+    import h5py
+
+    if item.shape is None:
+        return
+    if h5py.check_string_dtype(item.dtype):
+        branch[name] = plain(np.asarray(item.asstr()[()], object))
+    elif item.dtype.names:
+        branch[name] = plain(item[()])
+    elif item.dtype.kind != "O":
+        unit = next((item.attrs[n] for n in _UNIT if n in item.attrs), "")
+        branch[name] = WithUnit(item, _text(unit))
 
 
 _UNIT = ("unit", "units", "Unit", "Units")
