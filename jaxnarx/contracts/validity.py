@@ -21,7 +21,10 @@ _weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 
 
 def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
-    """Weights are not negative and sum to one, in the range and far beyond it."""
+    """Weights are not negative and sum to one, in the range and far beyond it.
+
+    What `is_convex` claims is tried by this.
+    """
     models = models_of(validity, dims)
     for distance in (1.0, 1e3, 1e100):
         z = distance * np.random.default_rng(0).uniform(-1.5, 2.5, size=(dims, 500))

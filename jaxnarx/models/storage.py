@@ -11,12 +11,17 @@ outputs are, as format 8, one with prediction intervals, or that says nothing be
 ranges, as format 9, so that older programs say what they lack; any other is still
 written as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a
 group is a local model alone.
+
+The last key of the header, `sha256`, is a digest of the rest of it and the arrays: a
+file that was changed after it was written is refused. Files of before have none.
 """
 
 import dataclasses
+import hashlib
 import importlib.metadata
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -164,6 +169,8 @@ def save(
                 path=path,
             )
     header = json.dumps(_header(network, about), allow_nan=False)
+    _require_readable(header, tensors, path)
+    header = f'{header[:-1]}, "sha256": "{_digest(header, tensors)}"}}'
     path = Path(path)
     try:
         write_whole(path, to_bytes(tensors, metadata={"jaxnarx": header}))
@@ -171,6 +178,36 @@ def save(
         raise ModelFileError(
             f"{path}: cannot be written ({error.strerror or error}); what was there "
             "before is kept. Name another place.",
+            path=path,
+        ) from error
+
+
+def _digest(header: str, tensors: dict[str, np.ndarray]) -> str:
+    """SHA-256 of the header and of the name, kind, size and bytes of every array."""
+    found = hashlib.sha256(header.encode())
+    for name, value in sorted(tensors.items()):
+        found.update(f"{name} {value.dtype.str} {value.shape}".encode())
+        found.update(np.ascontiguousarray(value).tobytes())
+    return found.hexdigest()
+
+
+def _has_its_digest(header: str, tensors: dict[str, np.ndarray]) -> bool:
+    """Whether the digest is that of the file; True where the header has none."""
+    signed = re.fullmatch(r'(.*), "sha256": "([0-9a-f]{64})"\}', header, re.DOTALL)
+    if signed is None:
+        return '"sha256"' not in header[-100:]
+    return signed[2] == _digest(signed[1] + "}", tensors)
+
+
+def _require_readable(
+    header: str, tensors: dict[str, np.ndarray], path: str | os.PathLike[str]
+) -> None:
+    """ModelFileError where `load` would refuse what is to be written."""
+    try:
+        _build(json.loads(header), tensors)
+    except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+        raise ModelFileError(
+            f"{path}: not written, because no program could read it again: {error}",
             path=path,
         ) from error
 
@@ -288,6 +325,12 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         raise ModelFileError(
             f"{path}: format {version!r}, written by jaxnarx {header.get('jaxnarx')}; "
             f"this program reads formats up to {FORMAT}. Update jaxnarx.",
+            path=path,
+        )
+    if not _has_its_digest(text, tensors):
+        raise ModelFileError(
+            f"{path}: changed after it was written (its digest is another). Restore "
+            "the file from a copy, or identify anew.",
             path=path,
         )
     return header, tensors

@@ -96,6 +96,8 @@ def learn_domain(
     found = _made(features, rows, weight, points)
     border = jax.device_put(_border(found, rows))
     domain = dataclasses.replace(found, border=border)
+    kind = network.gain.dtype  # a model file holds numbers of one type
+    domain = jax.tree.map(lambda x: jax.device_put(np.asarray(x, kind)), domain)
     return dataclasses.replace(network, domain=domain)
 
 
@@ -163,7 +165,7 @@ def followed(
             for r, m in zip(data, moved, strict=True)
         ]
         weight.append(np.sqrt(np.mean(np.concatenate(run(only)))))
-    weight = np.array(weight)
+    weight = np.array(weight, float)
     longest = max(len(r) for r in data)
     left = np.zeros(longest)
     for cut in CUTS:
@@ -235,8 +237,10 @@ def _layers(domain: Domain, x, step):
 def layers_of(
     domain: Domain, rows: InputRows
 ) -> tuple[Float[np.ndarray, "time layers"], Int[np.ndarray, "time layers"]]:
-    """`Domain.layers` of these samples, on the host."""
-    values, blamed = _layers(domain, *jax.device_put((rows.x, rows.step)))
+    """`Domain.layers` of these samples, on the host, in the domain's precision."""
+    kind = domain.middle.dtype
+    samples = rows.x.astype(kind), rows.step.astype(kind)
+    values, blamed = _layers(domain, *jax.device_put(samples))
     return np.asarray(values), np.asarray(blamed)
 
 
@@ -278,14 +282,15 @@ def _spread_out(
 def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time layers"]:
     """Layers of all samples, of every group by a domain of the others, with the borders
     of this one; of samples that are in no group, by this one."""
-    weight, points = np.asarray(domain.weight), len(domain.points)
+    weight, points = np.asarray(domain.weight, float), len(domain.points)
     values = layers_of(domain, rows)[0].copy()
     for g in range(rows.group.max(initial=-1) + 1):
         out = rows.group == g
         train = rows.at(~out & (rows.group >= 0))
         if out.any() and len(train.group):
             fold = _made(domain.features, train, weight, points)
-            fold = dataclasses.replace(fold, border=domain.border)
+            border = domain.border.astype(fold.border.dtype)
+            fold = dataclasses.replace(fold, border=border)
             values[out] = layers_of(fold, rows.at(out))[0]
     return values
 

@@ -279,9 +279,8 @@ def test_it_is_kept_in_a_file_of_its_own_format(name, tmp_path):
 )
 def test_a_file_with_groups_that_cannot_be_is_damaged(own, tmp_path):
     wrong = eqx.tree_at(lambda n: n.models[0].own, network("shared"), jnp.array(own))
-    save(wrong, tmp_path / "m.safetensors")
-    with pytest.raises(ModelFileError, match="damaged"):
-        load(tmp_path / "m.safetensors")
+    with pytest.raises(ModelFileError, match="not written"):
+        save(wrong, tmp_path / "m.safetensors")
 
 
 def test_a_list_of_local_models_in_a_file_of_format_four_is_read(tmp_path):

@@ -51,6 +51,11 @@ def test_a_validity_function_holds_to_its_contract(name, check):
 # one variable ---------------------------------------------------------------------
 
 
+def test_log_sigmoids_with_borders_that_fall_are_refused():
+    with pytest.raises(ValueError, match=r"borders .* must rise, got \[0.8, 0.2\]"):
+        LogSigmoids(jnp.array([0.8, 0.2]), jnp.asarray(1.0))
+
+
 def test_log_sigmoids_are_one_half_at_every_border():
     f = sigmoids(200.0)
     phi = np.asarray(weights(f, jnp.asarray(BORDERS[None]), jnp.ones(4, bool)))

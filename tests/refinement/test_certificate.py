@@ -3,7 +3,9 @@
 import dataclasses
 
 import common
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from common import A
@@ -11,7 +13,14 @@ from common import A
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import FLAG, HOLD, LINEAR, hold_to_range
+from jaxnarx.models import (
+    FLAG,
+    HOLD,
+    LINEAR,
+    AbstractValidity,
+    LogSigmoids,
+    hold_to_range,
+)
 from jaxnarx.refinement import certificate, certified, rate_of
 from jaxnarx.refinement.stability.certificate import _blocks
 from jaxnarx.trust import knowing, released
@@ -49,6 +58,47 @@ def test_a_network_that_shares_its_feedback_has_one():
     assert found is not None
     modulus = np.abs(np.roots([1, -1.2, 0.5])).max()
     assert modulus <= found.rate < 1.05 * modulus
+
+
+class Negative(AbstractValidity):
+    """Weights (1.5, -0.5): they sum to one and are no average."""
+
+    trained = ()
+    spare: jax.Array
+
+    def __call__(self, z, active):
+        return jnp.stack([1.5 + 0 * z[0], -0.5 + 0 * z[0]])
+
+    def limits(self, width_band):
+        return self, self
+
+    def check(self, models, dims):
+        pass
+
+    def regions(self, names, offset, span):
+        return [{}, {}]
+
+
+def test_weights_that_are_no_average_have_none():
+    net = network([local(1.2, -0.5)] * 2)
+    borders = LogSigmoids(jnp.array([0.4]), jnp.array(3.0))
+    for validity, known in ((borders, True), (Negative(jnp.zeros(1)), False)):
+        model = dataclasses.replace(net.models[0], validity=validity)
+        other = dataclasses.replace(net, models=(model,))
+        assert (certificate(other) is not None) == known
+        assert (rate_of(certified(other)) < 1) == known
+
+
+def test_borders_that_were_moved_past_one_another_have_none():
+    net = network([local(1.2, -0.5)] * 3)
+    borders = LogSigmoids(jnp.array([0.2, 0.8]), jnp.array(3.0))
+    model = dataclasses.replace(net.models[0], validity=borders)
+    net = dataclasses.replace(net, models=(model,))
+    assert certificate(net) is not None
+    turned = eqx.tree_at(
+        lambda n: n.models[0].validity.border, net, borders.border[::-1]
+    )
+    assert certificate(turned) is None
 
 
 def test_every_product_of_mixtures_shrinks_as_it_says():

@@ -221,13 +221,27 @@ def test_a_file_keeps_it(known, tmp_path):
     np.testing.assert_array_equal(a, b)
 
 
+def test_a_network_of_single_precision_keeps_its_kind_and_its_file(tmp_path):
+    records = [
+        dataclasses.replace(r, u=r.u.astype(np.float32), y=r.y.astype(np.float32))
+        for r in plant(drawn(0))
+    ]
+    data = dataclasses.replace(plant(drawn(0)), records=tuple(records))
+    known = jnx.trust.learn_errors(jnx.trust.learn_domain(fitted(data), data), data)
+    kinds = {str(x.dtype) for x in jax.tree.leaves(known) if x.dtype.kind == "f"}
+    assert kinds == {"float32"}
+    jnx.save(known, tmp_path / "m")
+    np.testing.assert_array_equal(
+        jnx.load(tmp_path / "m").domain.whiten, known.domain.whiten
+    )
+
+
 def test_a_damaged_one_is_refused(known, tmp_path):
     path = tmp_path / "model.safetensors"
     border = jax.device_put(np.ones(len(LAYERS) - 1))
     bad = dataclasses.replace(known.domain, border=border)
-    jnx.save(dataclasses.replace(known, domain=bad), path)
     with pytest.raises(ModelFileError, match="the domain's border"):
-        jnx.load(path)
+        jnx.save(dataclasses.replace(known, domain=bad), path)
 
 
 def test_without_a_domain_it_says_how_to_have_one(known, data):

@@ -30,6 +30,12 @@ class AbstractValidity(eqx.Module):
 
     trained: ClassVar[tuple[str, ...]]
     """Fields that a refinement may move."""
+    is_convex: ClassVar[bool] = False
+    """Whether the weights are never negative and sum to one for all that `check` takes.
+
+    A certificate is given to such validity functions alone. Say so of a class of your
+    own where it holds; its contract tries it.
+    """
 
     @abc.abstractmethod
     def __call__(

@@ -26,6 +26,7 @@ class Boxes(AbstractValidity):
     """
 
     trained: ClassVar[tuple[str, ...]] = ()
+    is_convex: ClassVar[bool] = True
 
     low: Float[Array, "models dims"]
     high: Float[Array, "models dims"]

@@ -31,6 +31,7 @@ class Compact(AbstractValidity):
     """
 
     trained: ClassVar[tuple[str, ...]] = ("low", "high", "log_margin")
+    is_convex: ClassVar[bool] = True
 
     low: Float[Array, "models dims"]
     high: Float[Array, "models dims"]

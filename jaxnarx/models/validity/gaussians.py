@@ -30,6 +30,7 @@ class Gaussians(AbstractValidity):
     """
 
     trained: ClassVar[tuple[str, ...]] = ("centre", "log_width")
+    is_convex: ClassVar[bool] = True
 
     centre: Float[Array, "models dims"]
     log_width: Float[Array, "models dims"]

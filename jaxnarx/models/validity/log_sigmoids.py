@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,9 +30,13 @@ class LogSigmoids(AbstractValidity):
     """
 
     trained: ClassVar[tuple[str, ...]] = ("border", "log_steepness")
+    is_convex: ClassVar[bool] = True
 
     border: Float[Array, " gates"]
     log_steepness: Float[Array, ""]
+
+    def __check_init__(self):
+        _require_rising(self.border)
 
     def __call__(
         self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
@@ -67,6 +72,7 @@ class LogSigmoids(AbstractValidity):
             raise ValueError(f"log-sigmoids divide one variable, not {dims}")
         require_shape("border", self.border, (models - 1,))
         require_shape("log_steepness", self.log_steepness, ())
+        _require_rising(self.border)
 
     def regions(
         self,
@@ -79,3 +85,16 @@ class LogSigmoids(AbstractValidity):
         lower = [{}, *({"above": b} for b in border)]
         upper = [*({"below": b} for b in border), {}]
         return [{names[0]: a | b} for a, b in zip(lower, upper, strict=True)]
+
+
+def _require_rising(border: Array) -> None:
+    """ValueError where known borders fall: weights would be negative.
+
+    Borders of a program that is being traced are not known.
+    """
+    if isinstance(border, jax.core.Tracer) or not eqx.is_inexact_array(border):
+        return
+    if np.any(np.diff(np.asarray(border)) < 0):
+        raise ValueError(
+            f"borders of log-sigmoids must rise, got {np.asarray(border).tolist()}"
+        )

@@ -35,6 +35,7 @@ class SigmoidTree(AbstractValidity):
     """
 
     trained: ClassVar[tuple[str, ...]] = ("direction", "border", "log_steepness")
+    is_convex: ClassVar[bool] = True
 
     direction: Float[Array, "gates dims"]
     border: Float[Array, " gates"]

@@ -1,6 +1,7 @@
 """A certificate: one norm in which a network contracts for every input there is.
 
-Where the weights of the local models depend on inputs alone and every term holds at
+Where the weights of the local models are known to be non-negative and to sum to one
+(`is_convex` of their class), they depend on inputs alone and every term holds at
 most one past output, two runs with the same inputs differ by d_t = A_t d_(t-1), and A_t
 is a mean, by the weights, of the companion matrices A_i of the local models. If
 
@@ -124,7 +125,7 @@ def _slopes(
 ) -> list[Float[np.ndarray, "_ outputs depth"]] | None:
     """Slopes of every output by the past outputs, at all corners of what they can be;
     None where they depend on the past outputs themselves."""
-    if network.parallel:
+    if network.parallel or not all(map(_has_convex_weights, network.models)):
         return None
     own = fed_back(network.variables, network.signals)
     if any(fed_back(model.scheduling, network.signals) for model in network.models):
@@ -137,6 +138,15 @@ def _slopes(
             return None
         found.append(corners)
     return found
+
+
+def _has_convex_weights(model: OutputModel) -> bool:
+    """Whether the local models are averaged: weights from zero on that sum to one."""
+    try:
+        model.validity.check(len(model.active), len(model.scheduling))
+    except ValueError:
+        return False
+    return model.validity.is_convex
 
 
 def _corners(
