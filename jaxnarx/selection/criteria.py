@@ -15,12 +15,17 @@ def criteria(
     total: float | None = None,
     press: Float[np.ndarray, " sizes"] | None = None,
     variance: float | None = None,
+    gain: float = 1.0,
 ) -> dict[str, Float[np.ndarray, " sizes"]]:
     """Criteria of models with 1, 2, ... terms from their sums of squared errors.
 
-    With N samples and n terms those of `information`, and Cp (5.33, 5.34) = SSE/s^2 -
-    N + 2 n with s^2 = `variance`, that of the residuals of the largest candidate model;
-    without it the largest of these sizes stands in, and Cp = n there.
+    With N samples and n terms those of `information`, of errors times `gain`: in the
+    output's unit where that undoes its scaling.
+
+    With `variance`, that of the residuals of the largest candidate model, in the units
+    of `sse`, also Mallows' Cp (5.33, 5.34) = SSE/s^2 - N + 2 n. The largest size of a
+    search does not stand in for that model: Cp = n there, whatever the search has left
+    out.
 
     With `total`, the sum of squares about the mean, also R2 = 1 - SSE/total (4.44), its
     adjusted form 1 - (SSE/(N - n)) / (total/(N - 1)), and the overall F (5.9) =
@@ -30,11 +35,11 @@ def criteria(
     n = np.arange(1, len(sse) + 1)
     tiny = np.finfo(sse.dtype).tiny
     positive = np.maximum(sse, tiny)
-    table = information(sse, n, samples)
-    if variance is None:
-        variance = sse[-1] / max(samples - len(sse), 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        table["cp"] = sse / max(variance, tiny) - samples + 2 * n
+    unit = 2 * samples * np.log(gain)  # ln(SSE gain^2), without overflow
+    table = {k: x + unit for k, x in information(sse, n, samples).items()}
+    if variance is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            table["cp"] = sse / max(variance, tiny) - samples + 2 * n
     if press is not None:
         table["press"] = press
     if total is not None:

@@ -104,10 +104,11 @@ def select(
 
     Returns:
         `value` holds the terms of every output in order of choice. `stats` holds, per
-        output and nested size, the criteria of `criteria` ("aic", "bic", "press", ...)
-        and `sse` (scaled); per output `count`, `samples`, `cond`; per output and term
-        the `t` values and two-sided `p_value` of the coefficients, which know nothing
-        of the search before them; and why channels and terms were `passed_over`.
+        output and nested size, the criteria of `criteria` ("aic", "bic", "fpe" of
+        errors in the output's unit, "press", ...) and `sse` (scaled); per output
+        `count`, `samples`, `cond`; per output and term the `t` values and two-sided
+        `p_value` of the coefficients, which know nothing of the search before them;
+        and why channels and terms were `passed_over`.
         Partial F adds `f_level`, the level at the end, and as `history`, per output,
         the partial F of all terms in the model after each round (thesis Table 5.2), by
         term text in order of entry; `Anova` as `anova` a table of effects per output;

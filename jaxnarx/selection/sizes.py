@@ -24,7 +24,12 @@ ALIASES = {"mdl": "bic"}
 def criteria_of(
     selection: Selection, output: int = 0, *, variance: float | None = None
 ) -> dict[str, Float[np.ndarray, " sizes"]]:
-    """Criteria of the nested models of one output; see `criteria`."""
+    """Criteria of the nested models of one output, in its unit; see `criteria`.
+
+    `variance` as `largest_variance` gives it adds "cp".
+    """
+    channels = selection.pool.channels
+    signal = len(channels.inputs) + selection.pool.outputs[output]
     size = max(selection.size(output), 1)
     return criteria(
         selection.sse[output, :size],
@@ -32,6 +37,7 @@ def criteria_of(
         total=float(selection.total[output]),
         press=selection.press[output, :size],
         variance=variance,
+        gain=float(selection.gain[signal]),
     )
 
 
@@ -76,12 +82,13 @@ def choose(
 ) -> int:
     """The size, 1, 2, ..., that `criterion` calls best among the nested models.
 
-    "aic", "aicc", "bic" (or "mdl"), "fpe", "cp", "press", "adjusted_r2" and "overall_f"
-    come from the search itself, "cp" with the noise of the largest chosen model, or,
-    where `train` is given and has rows enough, of the whole pool; "one_step" and
-    "free_run" are the normalised errors on the records of `validation`, with bounds and
-    ranges from `train`. A size whose free run diverges counts as infinitely bad. Of
-    several outputs `output` names one; among equals the smallest size wins.
+    "aic", "aicc", "bic" (or "mdl"), "fpe", "press", "adjusted_r2" and "overall_f" come
+    from the search itself. "cp" takes the noise of the model with all terms of the pool
+    (5.34), estimated on `train`, which must have more rows than the pool has terms.
+    "one_step" and "free_run" are the normalised errors on the records of `validation`,
+    with bounds and ranges from `train`. A size whose free run diverges counts as
+    infinitely bad. Of several outputs `output` names one; among equals the smallest
+    size wins.
     `selection.head(size)` is the selection of that size.
     """
     place = _place(selection, output)
@@ -94,9 +101,7 @@ def choose(
             )
         values = errors_along(selection, train, validation)[name][:, place]
         return int(np.argmin(values[: selection.size(place)])) + 1
-    noise = None
-    if name == "cp" and train is not None:
-        noise = largest_variance(selection, train, place)
+    noise = _noise(selection, train, place) if name == "cp" else None
     table = criteria_of(selection, place, variance=noise)
     if name not in table:
         known = [*table, *ALIASES, *MEASURED]
@@ -106,6 +111,24 @@ def choose(
         )
     values = -table[name] if name in GREATER_IS_BETTER else table[name]
     return int(np.argmin(values)) + 1
+
+
+def _noise(selection: Selection, train: Dataset | None, place: int) -> float:
+    """The noise variance that Cp takes; SpecError where it cannot be estimated."""
+    if train is None:
+        raise SpecError(
+            "criterion 'cp' needs the records of the selection as `train`: its noise "
+            "is that of the model with all terms of the pool",
+            field="train",
+        )
+    noise = largest_variance(selection, train, place)
+    if noise is None:
+        raise SpecError(
+            f"criterion 'cp' needs more rows than the {len(selection.pool)} terms of "
+            "the pool; choose another, such as 'bic'",
+            field="criterion",
+        )
+    return noise
 
 
 def _place(selection: Selection, output: str | None) -> int:

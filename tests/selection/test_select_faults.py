@@ -63,7 +63,7 @@ def test_terms_are_found_all_the_same(method, fault):
     assert "y[t-1]" in value.names
     for name in ("err", "coefficient", "error", "sse", "press", "nested"):
         assert np.all(np.isfinite(getattr(value, name))), name
-    for name in ("bic", "cp", "t", "p_value", "adjusted_r2", "overall_f"):
+    for name in ("bic", "fpe", "t", "p_value", "adjusted_r2", "overall_f"):
         assert np.all(np.isfinite(solution.stats[name])), name
     if fault in ("constant channel", "zero channel", "copy", "near copy"):
         assert not any("b[" in name for name in value.names)

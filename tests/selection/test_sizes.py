@@ -4,10 +4,11 @@ import common
 import numpy as np
 import pytest
 import selection_oracles as oracles
-from test_select import formed, pool, rows_of
+from common import Y
+from test_select import formed, pool, rms, rows_of
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Global
+from jaxnarx.methods import ForwardOLS, Global, StepwiseF
 from jaxnarx.partition import grow
 from jaxnarx.selection import choose, criteria_of, errors_along, select
 from jaxnarx.selection.sizes import largest_variance
@@ -32,7 +33,7 @@ def solution(data):
     return select(pool(), data, METHOD)
 
 
-@pytest.mark.parametrize("name", ["aic", "aicc", "bic", "fpe", "cp", "press"])
+@pytest.mark.parametrize("name", ["aic", "aicc", "bic", "fpe", "press"])
 def test_the_smallest_criterion_names_the_size(solution, name):
     values = solution.stats[name][0]
     size = choose(solution.value, name)
@@ -50,9 +51,34 @@ def test_cp_takes_the_noise_of_the_whole_pool(solution, data):
     assert choose(solution.value, "cp", train=data) == np.argmin(expected) + 1
 
 
-def test_a_pool_with_more_terms_than_rows_tells_no_noise(solution):
+def test_cp_of_a_stepwise_search_is_not_its_size_by_construction(data):
+    value = select(pool(), data, StepwiseF()).value
+    noise = largest_variance(value, data)
+    assert "cp" not in criteria_of(value)
+    cp = criteria_of(value, variance=noise)["cp"]
+    assert abs(cp[-1] - len(cp)) > 0.1
+
+
+def test_a_pool_with_more_terms_than_rows_tells_no_noise(solution, data):
     few = common.from_rows([rows_of("white")[0][: len(pool())]])
     assert largest_variance(solution.value, few) is None
+    with pytest.raises(SpecError, match="more rows than the .* terms of the pool"):
+        choose(solution.value, "cp", train=few)
+    with pytest.raises(SpecError, match="as `train`"):
+        choose(solution.value, "cp")
+
+
+def test_criteria_are_of_errors_in_the_unit_of_the_output(solution, data):
+    """(5.35) by hand from the residual of the chosen terms, refitted."""
+    p, y, _ = formed(rows_of("white"), pool())
+    y = y * rms(rows_of("white"))[Y]
+    terms = solution.value.terms()
+    found = solution.stats["fpe"][0]
+    for n in (1, len(terms)):
+        theta = np.linalg.lstsq(p[:, terms[:n]], y, rcond=None)[0]
+        sse, size = np.sum((y - p[:, terms[:n]] @ theta) ** 2), len(y)
+        fpe = size * np.log(sse / size) + size * np.log((size + n) / (size - n))
+        assert found[n - 1] == pytest.approx(fpe, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["adjusted_r2", "overall_f"])

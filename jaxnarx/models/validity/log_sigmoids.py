@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.models.validity.abstract import (
@@ -92,7 +93,7 @@ def _require_rising(border: Array) -> None:
 
     Borders of a program that is being traced are not known.
     """
-    if isinstance(border, jax.core.Tracer) or not eqx.is_inexact_array(border):
+    if isinstance(border, Tracer) or not eqx.is_inexact_array(border):
         return
     if np.any(np.diff(np.asarray(border)) < 0):
         raise ValueError(
