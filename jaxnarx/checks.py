@@ -23,15 +23,23 @@ def require(holds: bool, field: str, message: str) -> None:
 def known_name(name: Any, names: Iterable[str], field: str, told: str = "") -> Any:
     """`name` if it is one of `names`; else what was `told`, and the nearest of them."""
     names = list(names)
-    if name not in names:
+    if not _is_among(name, names):
         told = told or f"unknown {field} {name!r}"
         raise SpecError(f"{told}. {suggest(str(name), names)}", field=field)
     return name
 
 
+def _is_among(value: Any, words: Collection[Any]) -> bool:
+    """Whether it is one of some words; arrays and what has no hash are none."""
+    try:
+        return bool(value in words)
+    except (TypeError, ValueError):
+        return False
+
+
 def choice(value: Any, words: Collection[str], field: str) -> str:
     """`value` if it is one of a few `words`."""
-    if value not in words:
+    if not _is_among(value, words):
         listed = ", ".join(map(repr, words))
         meant = nearest(str(value), words)
         raise SpecError(
@@ -82,6 +90,21 @@ def not_negative(value: Number, field: str) -> float:
             f"{field} must be finite and must not be negative, got {value}", field=field
         )
     return float(value)
+
+
+def random_key(key: Any, field: str = "key") -> Any:
+    """`key` if `jax.random` takes it."""
+    import jax
+
+    try:
+        jax.random.key_data(key)
+    except (TypeError, ValueError):
+        raise SpecError(
+            f"{field} must be a key such as jax.random.key(0), got a "
+            f"{type(key).__name__}",
+            field=field,
+        ) from None
+    return key
 
 
 def span(pair: Pair, field: str) -> tuple[float, float]:

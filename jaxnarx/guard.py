@@ -8,18 +8,24 @@ call, and what is being traced passes, as arrays are not looked at.
 import collections.abc
 import functools
 import inspect
+import numbers
 import os
+import pathlib
 import types
 import typing
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
+
 from jaxnarx.errors import SpecError
 
 F = TypeVar("F", bound=Callable[..., Any])
+C = TypeVar("C", bound=type)
 
 OURS = "jaxnarx."
-PLAIN = (str, bytes, bool, int, float, complex, list, tuple, dict, set, type(None))
+PLAIN = ("builtins", "numpy", "pathlib", "jaxlib", "jax")
+"""Packages none of whose objects is a method."""
 
 
 def guarded(verb: F) -> F:
@@ -29,51 +35,134 @@ def guarded(verb: F) -> F:
     dictionaries, paths, and single numbers. A method of a class of the user's own
     passes: the verb says what it needs of it.
     """
-    wanted = {n: p.annotation for n, p in inspect.signature(verb).parameters.items()}
-    names = tuple(wanted)
+    return typing.cast(F, _held(verb, verb.__name__))
+
+
+def guarded_fields(noun: C) -> C:
+    """A class whose constructor is held to the annotations of its fields likewise."""
+    vars(noun)["__init__"]  # its own: one that is inherited would be guarded for others
+    noun.__init__ = _held(noun.__init__, noun.__name__)
+    return noun
+
+
+def _held(verb: Callable[..., Any], called: str) -> Callable[..., Any]:
+    parameters = inspect.signature(verb).parameters
+    names = tuple(parameters)
+    wanted = {
+        n: p.annotation for n, p in parameters.items() if p.annotation is not p.empty
+    }
 
     @functools.wraps(verb)
     def call(*args: Any, **kwargs: Any) -> Any:
         for name, value in (*zip(names, args, strict=False), *kwargs.items()):
             if name not in wanted or _fits(value, wanted[name]):
                 continue
-            if name != "method" or isinstance(value, PLAIN) or _is_noun(value):
+            if name != "method" or not _may_be_method(value):
                 raise SpecError(
-                    f"{verb.__name__}: {name} is {_what(value)}, but must be "
+                    f"{called}: {name} is {_what(value)}, but must be "
                     f"{_listed(wanted[name])}{_advice(value)}",
                     field=name,
                 )
         return verb(*args, **kwargs)
 
-    return typing.cast(F, call)
+    return call
 
 
 def _fits(value: Any, wanted: Any) -> bool:
     """Whether a value is what an annotation asks for; True where that is not known."""
     if wanted is Any or getattr(wanted, "_is_protocol", False) and not _is_ours(wanted):
         return True
-    if wanted in (float, int):
-        return hasattr(value, "__float__" if wanted is float else "__index__")
-    if typing.get_origin(wanted) in (typing.Union, types.UnionType):
-        return any(_fits(value, each) for each in typing.get_args(wanted))
+    origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin in (typing.Union, types.UnionType):
+        paths = {os.PathLike, pathlib.Path} & {typing.get_origin(e) or e for e in inner}
+        named = not paths or _may_be_path(value)
+        return named and any(_fits(value, each) for each in inner)
     if wanted is None or wanted is type(None):
         return value is None
-    origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin is typing.Literal:  # the verb says which words there are
+        return isinstance(value, tuple({type(each) for each in inner}))
+    if wanted in _NUMBERS:
+        return _is_number(value, wanted)
     if origin is collections.abc.Callable:
         return callable(value) and not isinstance(value, type)
-    if origin in (collections.abc.Sequence, collections.abc.Mapping):
-        if not _is_ours(inner[-1]):
-            table = origin is collections.abc.Mapping
-            fits = isinstance(value, origin) if table else value is not None
-            return fits and not _is_noun(value)
-        several = isinstance(value, origin) and not isinstance(value, str)
-        values = value.values() if isinstance(value, collections.abc.Mapping) else value
-        return several and all(_fits(each, inner[-1]) for each in values)
+    if origin in (collections.abc.Mapping, dict):
+        return isinstance(value, collections.abc.Mapping) and all(
+            _fits(k, inner[0]) and _fits(each, inner[1]) for k, each in value.items()
+        )
+    if origin in _SEVERAL:
+        return _is_several(value, inner[0]) and all(_fits(e, inner[0]) for e in value)
+    if hasattr(wanted, "array_type"):
+        return _is_array(value, wanted.dims)
     wanted = origin or wanted
-    if wanted in (str, os.PathLike) or _is_ours(wanted):
+    if wanted in (str, os.PathLike, pathlib.Path) or _is_ours(wanted):
         # A class can be called as a function of one's own can, and is none.
-        return isinstance(value, wanted) and not isinstance(value, type)
+        fits = isinstance(value, wanted) and not isinstance(value, type)
+        solved = fits and wanted.__name__ == "Solution" and inner
+        return _fits(value.value, inner[0]) if solved else fits
     return not _is_noun(value)
+
+
+LONGEST_FILE_NAME = 255
+"""Bytes of a part of a path on the usual file systems."""
+
+
+def _may_be_path(value: Any) -> bool:
+    """Whether the system could name a file so; True for what is no text or path."""
+    if not isinstance(value, str | os.PathLike):
+        return True
+    try:
+        name = os.fsencode(value)
+    except (UnicodeError, TypeError):
+        return False
+    parts = name.split(os.sep.encode())
+    return b"\0" not in name and max(map(len, parts)) <= LONGEST_FILE_NAME
+
+
+_NUMBERS: dict[Any, Any] = {int: numbers.Integral, float: numbers.Real, bool: np.bool_}
+"""Annotations of one number, and what else than that class is one."""
+_SEVERAL = (collections.abc.Sequence, collections.abc.Iterable, list, tuple)
+
+
+def _is_number(value: Any, wanted: type) -> bool:
+    """One number of a kind; a real one may be an array without axes, too.
+
+    True and False are no whole numbers.
+    """
+    if _is_numpy_or_jax(value):
+        kind = getattr(value.dtype, "kind", "?")
+        return wanted is float and np.ndim(value) == 0 and kind in "iuf"
+    fits = isinstance(value, (wanted, _NUMBERS[wanted]))
+    if wanted is int and fits:
+        return not isinstance(value, bool) and -(2**63) <= int(value) < 2**63
+    return fits
+
+
+def _is_several(value: Any, inner: Any) -> bool:
+    """Things one after the other that can be looked through twice; numbers, also as an
+    array."""
+    if _is_numpy_or_jax(value):
+        alone = {inner, *typing.get_args(inner)}
+        return np.ndim(value) == 1 and not alone.isdisjoint({int, float, complex, Any})
+    several = isinstance(value, collections.abc.Sequence)
+    return several and not isinstance(value, str | bytes)
+
+
+def _is_array(value: Any, dims: tuple[Any, ...]) -> bool:
+    """Numbers, or lists of them, with as many axes as an annotation names."""
+    if not _is_numpy_or_jax(value):
+        if not _is_several(value, None):
+            return False
+        try:
+            value = np.asarray(value)
+        except (TypeError, ValueError):
+            return False
+    kind = getattr(value.dtype, "kind", "?")
+    return kind in "biufc" and np.ndim(value) == len(dims)
+
+
+def _is_numpy_or_jax(value: Any) -> bool:
+    """Whether it is an array, of known numbers or not; scalars of numpy are none."""
+    return isinstance(value, np.ndarray) or hasattr(value, "aval")
 
 
 def _is_ours(wanted: Any) -> bool:
@@ -83,6 +172,12 @@ def _is_ours(wanted: Any) -> bool:
     is_class = isinstance(wanted, type) and wanted.__module__.startswith(OURS)
     vague = getattr(wanted, "_is_protocol", False)
     return is_class and (not vague or getattr(wanted, "_is_runtime_protocol", False))
+
+
+def _may_be_method(value: Any) -> bool:
+    """Whether it could be a method of the user's own: what a verb needs, it says."""
+    root = (value if isinstance(value, type) else type(value)).__module__.split(".")[0]
+    return root not in PLAIN and not _is_noun(value)
 
 
 def _is_noun(value: Any) -> bool:
@@ -108,6 +203,7 @@ def _listed(wanted: Any) -> str:
     if wanted is type(None):
         return "None"
     words = {int: "a whole number", float: "a number", str: "a text"}
+    words |= {bool: "True or False"}
     if wanted in words:
         return words[wanted]
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)

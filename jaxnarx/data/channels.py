@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded_fields
 from jaxnarx.shown import page
 
 
@@ -28,6 +29,7 @@ def require_plain(text: str, what: str, *, field: str) -> None:
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
+@guarded_fields
 @dataclasses.dataclass(frozen=True)
 class Channel:
     """One measured signal. `unit` is free text; the empty string means not stated."""
@@ -41,6 +43,7 @@ class Channel:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
+@guarded_fields
 @dataclasses.dataclass(frozen=True)
 class Channels:
     """Input and output channels in the order of the arrays' columns.
@@ -113,8 +116,8 @@ class Channels:
 
 
 def make_channels(
-    inputs: Sequence[str | Channel],
-    outputs: Sequence[str | Channel],
+    inputs: str | Channel | Sequence[str | Channel],
+    outputs: str | Channel | Sequence[str | Channel],
     units: Mapping[str, str] | None,
 ) -> Channels:
     """The schema; a unit for a channel that does not exist is a SpecError."""

@@ -11,6 +11,7 @@ from jaxnarx.data.missing import assemble, require_missing
 from jaxnarx.data.overview import overview
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
+from jaxnarx.guard import guarded
 from jaxnarx.shown import brief, page
 
 
@@ -67,16 +68,17 @@ class Dataset:
         return [r.name for r in self.records]
 
     @classmethod
+    @guarded
     def from_arrays(
         cls,
         u: Any,
         y: Any,
         *,
-        inputs: Sequence[str | Channel],
-        outputs: Sequence[str | Channel],
+        inputs: str | Channel | Sequence[str | Channel],
+        outputs: str | Channel | Sequence[str | Channel],
         sample_time: float | int,
         units: Mapping[str, str] | None = None,
-        names: Sequence[str] | None = None,
+        names: str | Sequence[str] | None = None,
         missing: str = "refuse",
     ) -> "Dataset":
         """Records from (time, channels) arrays in physical units.
@@ -117,12 +119,13 @@ class Dataset:
         return cls(assemble(sources, channels, step, missing), channels, step)
 
     @classmethod
+    @guarded
     def from_frame(
         cls,
         frame: Any,
         *,
-        inputs: Sequence[str | Channel],
-        outputs: Sequence[str | Channel],
+        inputs: str | Channel | Sequence[str | Channel],
+        outputs: str | Channel | Sequence[str | Channel],
         sample_time: float | int | None = None,
         time: str | None = None,
         time_unit: str | None = None,

@@ -5,6 +5,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
+from jaxnarx.checks import require
 from jaxnarx.data import Channel, Dataset, in_units
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
@@ -75,7 +76,7 @@ def report(
     partition: Mapping[str, Any] | None = None,
     stability: Any = True,
     diagnostics: Diagnostics | bool = True,
-    beside: Mapping[str, Any] | None = None,
+    beside: Mapping[str, Reportable] | None = None,
     leaderboard: Mapping[str, Any] | None = None,
     over: Sequence[str] | None = None,
     provenance: Mapping[str, Any] | None = None,
@@ -118,6 +119,8 @@ def report(
     """
     parts = dict(data) if isinstance(data, Mapping) else {"data": data}
     _check(parts, horizons)
+    if not (stability is None or isinstance(stability, bool)):
+        _require_result(stability, "summary", "stability")
     parts = {part: in_units(data, network.channels) for part, data in parts.items()}
     outputs = tuple(network.output_channels)
     known = simulated if isinstance(simulated, Mapping) else {}
@@ -274,7 +277,19 @@ def _diagnostics(
 def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:
     from jaxnarx.simulation import simulate
 
-    return simulate(network, data) if simulated is None else simulated
+    if simulated is None:
+        return simulate(network, data)
+    _require_result(getattr(simulated, "value", simulated), "outputs", "simulated")
+    return simulated
+
+
+def _require_result(value: Any, attribute: str, field: str) -> None:
+    """SpecError unless it is a result of a verb, by what such a one has."""
+    require(
+        hasattr(value, attribute),
+        field,
+        f"{field} is of type {type(value).__name__}, but must be what the verb returns",
+    )
 
 
 def _runs(

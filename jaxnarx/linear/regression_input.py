@@ -51,7 +51,7 @@ def _numbered(terms: int) -> tuple[str, ...]:
 def _array(value: Any, field: str) -> np.ndarray:
     try:
         array = np.asarray(value)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise SpecError(
             f"{field} must be an array of numbers: {error}", field=field
         ) from error

@@ -178,6 +178,6 @@ def _listed(hint: Any, value: Any) -> Any:
     if alone:
         single = fits(of, value) and not any(fits(k, value) for k in kinds)
         return (value,) if single else value
-    if not isinstance(value, Iterable):
+    if not isinstance(value, Iterable) or getattr(value, "shape", None) == ():
         return value
     return tuple(_listed(of, item) for item in value)

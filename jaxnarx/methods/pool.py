@@ -1,6 +1,6 @@
 """Settings of the candidate terms."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Annotated, Any
 
 from jaxnarx.checks import require
@@ -34,7 +34,13 @@ class Polynomial:
 
     def __post_init__(self):
         for field in ("outputs", "filters"):
-            once = tuple(dict.fromkeys(getattr(self, field)))
+            given = getattr(self, field)
+            require(
+                all(isinstance(each, Hashable) for each in given),
+                field,
+                f"{field} must be one after the other, got {given!r}",
+            )
+            once = tuple(dict.fromkeys(given))
             object.__setattr__(self, field, once)
         times = [f for f in self.filters if isinstance(f, int | float)]
         require(

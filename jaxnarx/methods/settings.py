@@ -273,7 +273,7 @@ def _is_added(hint: Any, name: str) -> bool:
 def _value(hint: Any, value: Any, path: str) -> Any:
     """A value that a field may hold, trees made from their tables."""
     if names_of(hint):
-        if value == "none" and "none" in names_of(hint):
+        if isinstance(value, str) and value == "none" and "none" in names_of(hint):
             return None
         if isinstance(value, str) and _is_added(hint, value):
             return SELECTORS[value]
@@ -283,7 +283,7 @@ def _value(hint: Any, value: Any, path: str) -> Any:
             own = dict(value)
             kind, told = _kind(hint, own.pop(KIND, None), path, tuple(own))
             return made(kind, told | own, path)
-    elif value == "none" and type(None) in kinds_of(hint):
+    elif isinstance(value, str) and value == "none" and type(None) in kinds_of(hint):
         return None
     if not fits(hint, value):
         told = ", ".join(names_of(hint))

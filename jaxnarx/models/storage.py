@@ -172,11 +172,14 @@ def save(
     _require_readable(header, tensors, path)
     header = f'{header[:-1]}, "sha256": "{_digest(header, tensors)}"}}'
     path = Path(path)
+    if not path.name:
+        raise ModelFileError(f"{path}: a folder; name a file in it", path=path)
     try:
         write_whole(path, to_bytes(tensors, metadata={"jaxnarx": header}))
-    except OSError as error:
+    except (OSError, ValueError) as error:  # the latter: no name for a file
+        told = getattr(error, "strerror", None) or error
         raise ModelFileError(
-            f"{path}: cannot be written ({error.strerror or error}); what was there "
+            f"{path!s}: cannot be written ({told}); what was there "
             "before is kept. Name another place.",
             path=path,
         ) from error
@@ -280,13 +283,17 @@ def load_about(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     from safetensors import SafetensorError, safe_open
 
-    if path.is_dir():
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except (OSError, ValueError):  # no name for a file
+        is_folder = is_file = False
+    if is_folder:
         raise ModelFileError(
             f"{path}: a folder; name the model file in it, "
             f"{path / 'model.safetensors'}",
             path=path,
         )
-    if not path.is_file():
+    if not is_file:
         raise ModelFileError(f"{path}: there is no such model file", path=path)
     try:
         with safe_open(path, framework="numpy") as file:

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
+from jaxnarx.checks import not_negative
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
@@ -147,8 +148,7 @@ def uncertainty(
     """
     _one_of(noise, ("white", "coloured"), "noise")
     _one_of(start, ("measured", "exact"), "start")
-    if not (np.isfinite(ridge) and ridge >= 0):
-        raise SpecError(f"ridge must not be negative, got {ridge}", field="ridge")
+    ridge = not_negative(ridge, "ridge")
     network.require_measured("The uncertainty of parameters")
     data = fitting(network, data)
     task, _ = make_task(network, data)

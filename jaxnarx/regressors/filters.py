@@ -21,9 +21,9 @@ import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
-from jaxnarx.checks import positive, whole
+from jaxnarx.checks import positive, require, whole
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.guard import guarded, guarded_fields
 
 LARGEST_ORDER = 30
 """Functions a cascade may have; the state grows with them."""
@@ -160,6 +160,7 @@ class Kautz(AbstractFilter):
         return self.order
 
 
+@guarded_fields
 @dataclasses.dataclass(frozen=True)
 class Orthonormal(AbstractFilter):
     """Takenaka-Malmquist function number `order` of the cascade with given poles.
@@ -226,6 +227,7 @@ def low_pass_bank(time_constants: Iterable[float | int]) -> tuple[LowPass, ...]:
 @guarded
 def laguerre_bank(time_constant: float | int, orders: int) -> tuple[Laguerre, ...]:
     """Laguerre functions 1 to `orders` with one time constant [s]."""
+    orders = whole(orders, "orders", 0, LARGEST_ORDER)
     return tuple(Laguerre(time_constant, k + 1) for k in range(orders))
 
 
@@ -234,6 +236,7 @@ def kautz_bank(
     frequency: float | int, damping: float | int, orders: int
 ) -> tuple[Kautz, ...]:
     """Kautz functions 1 to `orders` with one pair of poles [rad/s, damping ratio]."""
+    orders = whole(orders, "orders", 0, LARGEST_ORDER)
     return tuple(Kautz(frequency, damping, k + 1) for k in range(orders))
 
 
@@ -245,8 +248,15 @@ def orthonormal_bank(
 
     Without `orders`, one per pole and two per complex one.
     """
+    for pole in poles:
+        require(
+            isinstance(pole, numbers.Complex),
+            "poles",
+            f"poles must be numbers [1/s], got {pole!r}",
+        )
     if orders is None:
         orders = sum(2 if complex(p).imag else 1 for p in poles)
+    orders = whole(orders, "orders", 0, LARGEST_ORDER)
     return tuple(Orthonormal(tuple(poles), k + 1) for k in range(orders))
 
 

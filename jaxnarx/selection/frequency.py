@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.checks import random_key
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
@@ -54,6 +55,7 @@ def selection_frequency(
         raise SpecError(
             f"replicates must be at least 1, got {replicates}", field="replicates"
         )
+    random_key(key)
     unit = _units(data, block)
     count = int(max(u.max() for u in unit)) + 1
     if count < 2:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.special
 
+from jaxnarx.checks import whole
 from jaxnarx.guard import guarded
 from jaxnarx.selection.selection import Selection
 
@@ -28,6 +29,7 @@ def coefficient_table(selection: Selection, output: int = 0) -> str:
     those of the term's factors. t and p test each coefficient in the model as it is;
     they know nothing of the search that chose it, which makes small p look smaller.
     """
+    output = whole(output, "output", 0, len(selection.index) - 1)
     pool, terms = selection.pool, selection.terms(output)
     signal = [s for s, _ in pool.variables]
     scale = np.concatenate([[1.0], selection.gain[signal]])

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import Identification
@@ -40,9 +41,8 @@ def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]
     A range is `("log", low, high)`, uniform in the logarithm, `("uniform", low, high)`,
     `("integer", low, high)` with both ends, or a list to choose from.
     """
-    if count < 1:
-        raise SpecError(f"count must be at least 1, got {count}", field="count")
-    rng = np.random.default_rng(seed)
+    count = whole(count, "count")
+    rng = np.random.default_rng(whole(seed, "seed", 0))
     columns = {path: _drawn(path, r, count, rng) for path, r in ranges.items()}
     return [{path: column[n] for path, column in columns.items()} for n in range(count)]
 

@@ -1,11 +1,13 @@
 """Coefficients with standard errors, and the samples that hold most sway over them."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import scipy.stats
 
+from jaxnarx.checks import require
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.residual_tests.one_step import OneStep, slots
 from jaxnarx.models import Network
@@ -145,6 +147,12 @@ def err_of(selection: Any, output: str) -> dict[str, float]:
         place = selection.output_names.index(output)
         names = selection.names_of(output)
         return dict(zip(names, selection.err[place].tolist(), strict=False))
+    require(
+        isinstance(selection, Mapping),
+        "selection",
+        "selection must be a Selection, or a mapping as a Report stores it, got a "
+        f"{type(selection).__name__}",
+    )
     entry = selection if "names" in selection else selection.get(output, {})
     pairs = zip(entry.get("names", ()), entry.get("err", ()), strict=False)
     return {str(name): float(value) for name, value in pairs if value is not None}

@@ -40,7 +40,7 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import (
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.simulation import fitting, predict
+from jaxnarx.simulation import Trajectories, fitting, predict
 from jaxnarx.solution import RESULTS, Solution
 
 SPARE = 10
@@ -57,7 +57,7 @@ def diagnose(
     selection: Any = None,
     over: Sequence[str] = (),
     estimated: Literal["global", "local", "no"] | None = None,
-    predicted: Any = None,
+    predicted: Trajectories | Solution[Trajectories] | None = None,
 ) -> Solution[Diagnostics]:
     """Test the one-step residuals of every output; see `Diagnostics`.
 

@@ -6,6 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.guard import guarded
@@ -189,6 +190,8 @@ def stability(
         `value` holds `poles`, `bounds` and the `certificate`, if there is one; `stats`
         has `contracts`, `rate`, `fails`, `time_constant`, `certified`.
     """
+    if samples is not None:
+        samples = whole(samples, "samples")
     run = simulate(network, data) if simulated is None else simulated
     matched = fitting(network, data)
     batch = stack(matched)

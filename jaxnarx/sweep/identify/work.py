@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
 from jaxnarx.methods import Identification
 from jaxnarx.methods.settings import changed, spread
@@ -37,6 +38,7 @@ KEPT = 64
 MADE = ("pool", "methods", "shapes", "frames", "settings", "prepared", "labels")
 
 
+@guarded_fields
 @dataclasses.dataclass(frozen=True, eq=False)
 class IdentificationWork:
     """Every engine of a fleet under every case.
