@@ -7,6 +7,7 @@ from jaxnarx.targets.c_selftest import selftest
 from jaxnarx.targets.c_start import starts
 from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
+from jaxnarx.targets.notes import wrapped
 from jaxnarx.targets.target import Files, Golden
 
 
@@ -61,6 +62,23 @@ _DEVIATIONS = [
 ]
 
 
+_IEEE = (
+    "Comparisons tell whether a value is missing, so the compiler must keep to IEEE "
+    "754: -ffast-math, -Ofast and -ffinite-math-only are refused."
+)
+_REFUSED = [
+    "#ifdef __FAST_MATH__",
+    '#error "compile without -ffast-math: a missing input would not be found"',
+    "#endif",
+    "#ifdef __FINITE_MATH_ONLY__",
+    "#if __FINITE_MATH_ONLY__",
+    '#error "compile without -ffinite-math-only: a missing input would not be found"',
+    "#endif",
+    "#endif",
+    "",
+]
+
+
 def _header(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
     lines = [
@@ -72,6 +90,8 @@ def _header(program: SampleProgram) -> str:
         " * Physical units. Inputs, then outputs (name [unit], trained range):",
         *(f" *   u[{k}] {_port(p)}" for k, p in enumerate(program.inputs)),
         *(f" *   y[{k}] {_port(p)}" for k, p in enumerate(program.computed)),
+        *wrapped(program.notes, " * "),
+        *wrapped([_IEEE], " * "),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
@@ -105,7 +125,7 @@ def _header(program: SampleProgram) -> str:
         f"}} {name}_state;",
         "",
         "/* reported: what the model says; fed: what is fed back, hidden channels too;",
-        " * limited: whether the feedback bound acted; then what is told beside. */",
+        " * limited, and the flags behind it: see above. */",
         "typedef struct {",
         f"    {name}_real reported[{len(program.reported)}];",
         f"    {name}_real fed[{len(program.computed)}];",
@@ -165,6 +185,7 @@ def _source(program: SampleProgram) -> str:
         "",
         "#include <math.h>",
         "",
+        *_REFUSED,
         f"#ifdef {upper}_SINGLE",
         *(f"#define {upper}_{f.upper()}(x) {f}f(x)" for f in functions),
         f"#define {upper}_STILL ({name}_real)1e-6",

@@ -11,7 +11,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.extensions import Registry
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network
+from jaxnarx.models import HOLD, Network
 from jaxnarx.shown import page
 from jaxnarx.targets import c99, octave, proof, runners
 from jaxnarx.targets.a2l import a2l_files, prove_a2l
@@ -121,7 +121,9 @@ def export(
     over the records of `data` (without: over steps within the trained ranges) beside
     `simulate`; one that differs by more than 1e-10 of an output's largest value, in
     single precision 1e-3, raises `ExportError`. A run begins from measured history, or
-    from the steady state at the first inputs.
+    from the steady state at the first inputs. Inputs that are not finite are held, and
+    outputs are as the network's `nan` says (`jaxnarx.models.set_nan_policy`); the proof
+    runs over such inputs too.
 
     Args:
         network: The model, with any of the package's validity functions.
@@ -157,6 +159,8 @@ def export(
             "others, or none",
             field="data",
         )
+    gapped = proof.dropouts(network, records)
+    cases += proof.cases_of(network, program, gapped, missing=HOLD)
     axes = {"axes": axes_of(network, program, over)}
     golden = golden_of(program, cases[0]) | axes
     files: Files = {}

@@ -90,7 +90,8 @@ class SampleProgram:
     it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o by
     the inputs of this sample and then by the `past` outputs, (line, k), as they are in
     the lines: divided by the gain. `history` samples of measured inputs and outputs
-    begin a run, if there are any.
+    begin a run, if there are any. `notes` are what whoever calls the code has to know,
+    a paragraph each, for the comments of every target.
     """
 
     name: str
@@ -109,17 +110,11 @@ class SampleProgram:
     fed: tuple[Value, ...]
     limited: tuple[Value, ...]
     flags: Mapping[str, Value]
+    notes: tuple[str, ...] = ()
 
     def needed(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
-        found: set[Value] = set()
-        left = list(values)
-        while left:
-            n = left.pop()
-            if n not in found:
-                found.add(n)
-                left += self.ops[n].args
-        return sorted(found)
+        return _taken(self.ops, values)
 
     @property
     def step(self) -> list[Value]:
@@ -152,6 +147,18 @@ class SampleProgram:
     def table(self, name: str) -> ParameterTable:
         """The table of a name."""
         return next(table for table in self.tables if table.name == name)
+
+
+def _taken(ops: Sequence[Op], values: Iterable[Value]) -> list[Value]:
+    """The operations that values take, in order."""
+    found: set[Value] = set()
+    left = list(values)
+    while left:
+        n = left.pop()
+        if n not in found:
+            found.add(n)
+            left += ops[n].args
+    return sorted(found)
 
 
 class Builder:
@@ -203,6 +210,10 @@ class Builder:
         """The largest of some values."""
         return self._chain("max", args, -math.inf)
 
+    def smallest(self, args: Sequence[Value]) -> Value:
+        """The smallest of some values."""
+        return self._chain("min", args, math.inf)
+
     def dot(self, a: Iterable[Value], b: Iterable[Value]) -> Value:
         """The sum of products."""
         return self.add(*(self.mul(x, y) for x, y in zip(a, b, strict=True)))
@@ -210,6 +221,10 @@ class Builder:
     def clip(self, x: Value, low: Value, high: Value) -> Value:
         """x, not below low nor above high."""
         return self.op("min", self.op("max", x, low), high)
+
+    def no(self, x: Value) -> Value:
+        """1 where x is 0, else 0."""
+        return self.op("where", x, self.const(0.0), self.const(1.0))
 
     def square(self, x: Value) -> Value:
         """x x."""
@@ -226,6 +241,16 @@ class Builder:
         return self.op(
             "div", one, self.op("add", one, self.op("exp", self.op("neg", a)))
         )
+
+    def replaced(self, value: Value, by: Mapping[Value, Value]) -> Value:
+        """The value with others in place of some that it takes."""
+        found = dict(by)
+        for n in _taken(self.ops, [value]):
+            if n not in found:
+                op = self.ops[n]
+                args = (found[a] for a in op.args)
+                found[n] = self.op(op.kind, *args, source=op.source)
+        return found[value]
 
     def _chain(self, kind: str, args: Sequence[Value], empty: float) -> Value:
         if not args:

@@ -20,9 +20,10 @@ from jaxnarx.targets.target import Files, Golden
 
 TAKEN = frozenset(
     "abs all any begun break case catch clear compare double else elseif empty end "
-    "error exp for fprintf function global if isempty isnan length max min nan "
-    "nargin observed ones otherwise parameters parfor persistent realmin repmat "
-    "return settled size sqrt stepped struct switch true false try while zeros".split()
+    "error exp for fprintf function global if invalid isempty isnan length max min "
+    "missing nan nargin observed ones otherwise parameters parfor persistent realmin "
+    "repmat return settled size sqrt stepped struct switch true false try while "
+    "zeros".split()
 )
 """Words of the language, and of the page, that a function cannot be called."""
 STARTED = 10
@@ -140,6 +141,7 @@ MATLAB = Language(
 % Physical units; what was trained:
 $inputs_about
 $outputs_about
+$notes
 %#codegen
 persistent s
 middle = $middle;
@@ -236,6 +238,7 @@ end
     table=_table,
     names=_texts,
     between="; ",
+    remark="% ",
 )
 """Columns of doubles; what is kept is a structure that functions hand on."""
 

@@ -52,6 +52,7 @@ PYTHON = Language(
 A run starts at its first inputs, as if they had been so for ever: in the steady state
 there, with outputs in the middle of their trained ranges, at zero, or as given.
 Physical units; limited, fed and the flags are of the last step.
+$notes
 """
 
 import math

@@ -13,6 +13,7 @@ from string import Template
 from jaxnarx.targets.code import Syntax, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, SampleProgram, Value
 from jaxnarx.targets.interpret import LONGEST, SETTLED
+from jaxnarx.targets.notes import wrapped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,8 +24,8 @@ class Language:
     delay line of {length} zeros, `filled` one that is {value} throughout, `entered` the
     {line} after {value} has entered it; `set` sets {name} to {value}, `row` is a list
     of {items}, which `between` separates. `names` writes texts, `table` a parameter
-    table with its comment. `page` has the places that `written` fills, `indent` is that
-    of statements.
+    table with its comment; `remark` leads a line of the comment at the top. `page` has
+    the places that `written` fills, `indent` is that of statements.
     """
 
     page: Template
@@ -40,6 +41,7 @@ class Language:
     names: Callable[[Sequence[str]], str] = json.dumps
     between: str = ", "
     indent: str = "    "
+    remark: str = ""
 
 
 def written(
@@ -84,6 +86,7 @@ def written(
     places = {
         "name": program.name,
         "about": about(program),
+        "notes": "\n".join(wrapped(program.notes, language.remark)),
         "sample_time": digits(program.sample_time),
         "history": str(program.history),
         "inputs": language.names([p.name for p in program.inputs]),
