@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from jaxnarx.targets.c_selftest import selftest
 from jaxnarx.targets.c_start import starts
-from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
 from jaxnarx.targets.notes import wrapped
 from jaxnarx.targets.target import Files, Golden
@@ -166,12 +166,7 @@ def _header(program: SampleProgram) -> str:
 
 def _port(port: Port) -> str:
     unit = f" [{port.unit}]" if port.unit else ""
-    return _aside(f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}")
-
-
-def _aside(text: str) -> str:
-    """Of people's words, what ends no comment and continues no line."""
-    return text.replace("*/", "* /").replace("\\", "/")
+    return comment(f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}")
 
 
 def _source(program: SampleProgram) -> str:
@@ -253,7 +248,7 @@ def _source(program: SampleProgram) -> str:
 
 def _table(name: str, table: ParameterTable) -> list[str]:
     rows = table.values.reshape(table.values.shape[0], -1) if table.values.size else []
-    about = _aside(table.about + (f" [{table.unit}]" if table.unit else ""))
+    about = comment(table.about + (f" [{table.unit}]" if table.unit else ""))
     lines = [
         f"/* {about} */",
         f"const {name}_real {name}_{table.name}[{table.values.size}] = {{",

@@ -2,7 +2,7 @@
 
 from string import Template
 
-from jaxnarx.targets.code import INFIX, Syntax, digits
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits
 from jaxnarx.targets.form import ParameterTable, SampleProgram
 from jaxnarx.targets.scripts import Language, number, sources, written
 from jaxnarx.targets.target import Files, Golden
@@ -39,7 +39,7 @@ def _syntax(program: SampleProgram) -> Syntax:
 
 def _table(table: ParameterTable) -> list[str]:
     numbers = ", ".join(digits(x) for x in table.values.ravel())
-    return [f"  // {table.about}", f"  {table.name}: [{numbers}],"]
+    return [f"  // {comment(table.about)}", f"  {table.name}: [{numbers}],"]
 
 
 JAVASCRIPT = Language(

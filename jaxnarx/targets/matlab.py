@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import require
-from jaxnarx.targets.code import INFIX, Syntax, digits
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits
 from jaxnarx.targets.form import ParameterTable, SampleProgram
 from jaxnarx.targets.interpret import MEAN, STEADY, ZEROS, Instance
 from jaxnarx.targets.scripts import Language, number, sources, written
@@ -60,7 +60,7 @@ _PARAMETERS = "    p = parameters();"
 
 def _ports(letter: str, ports) -> str:
     return "\n".join(
-        f"%   {letter}({k}) {p.name}{f' [{p.unit}]' if p.unit else ''}, "
+        f"%   {letter}({k}) {comment(p.name + (f' [{p.unit}]' if p.unit else ''))}, "
         f"{p.low:.6g} to {p.high:.6g}"
         for k, p in enumerate(ports, start=1)
     )
@@ -100,7 +100,7 @@ def _matrix(name: str, rows: Float[np.ndarray, "rows columns"]) -> list[str]:
 
 def _table(table: ParameterTable) -> Sequence[str]:
     matrix = _matrix(f"p.{table.name}", table.values.reshape(table.values.shape[0], -1))
-    return ["    % " + table.about, *(f"    {line}" for line in matrix)]
+    return ["    % " + comment(table.about), *(f"    {line}" for line in matrix)]
 
 
 def _texts(names: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Template
 
-from jaxnarx.targets.code import Syntax, digits, shown, statements
+from jaxnarx.targets.code import Syntax, comment, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, SampleProgram, Value
 from jaxnarx.targets.interpret import LONGEST, SETTLED
 from jaxnarx.targets.notes import wrapped
@@ -165,12 +165,11 @@ def number(nan: str, infinity: str) -> Callable[[float], str]:
 
 
 def about(program: SampleProgram) -> str:
-    """One line of what it is; names cannot end the comment it stands in."""
+    """One line of what it is, for a comment."""
     ports = [
         ", ".join(f"{p.name} [{p.unit}]" if p.unit else p.name for p in some)
         for some in (program.inputs, program.computed)
     ]
-    text = f"{ports[1]} from {ports[0]}, a sample every {program.sample_time:g} s."
-    for mark, other in (("\\", "/"), ('"""', "'"), ("*/", "* /")):
-        text = text.replace(mark, other)
-    return " ".join(text.split())
+    return comment(
+        f"{ports[1]} from {ports[0]}, a sample every {program.sample_time:g} s."
+    )

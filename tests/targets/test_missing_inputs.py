@@ -318,7 +318,7 @@ def test_limited_means_the_same_in_simulate_and_exports():
     """A sample of which a hidden channel is held is limited for all outputs."""
     net = hidden_problems.network()
     tight = np.asarray(net.upper).copy()
-    tight[2:] = 1.0, 1.8
+    tight[2:] = 0.7, 1.2
     net = dataclasses.replace(net, upper=jax.device_put(tight))
     data, program = hidden_problems.truth().data, lower(net)
     run = simulate(net, data).value

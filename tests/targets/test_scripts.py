@@ -159,6 +159,25 @@ def test_names_of_channels_stay_texts(name, tmp_path):
     assert scope["INPUTS"] == [name, "b"]
 
 
+HOSTILE = [
+    ["/*", "*/ int x; /*", "//", "x\\", "??/"],
+    ["/*/**/", '"""\\"', "'%{ --", "]]>&", "\\u002a/"],
+]
+
+
+@pytest.mark.parametrize("names", HOSTILE)
+def test_hostile_names_go_through_every_target(names):
+    """Proven where there are the programs for it: warnings of compilers are errors."""
+    net, (a, b, unit, y, w) = common.named("by inputs"), names
+    channels = Channels((Channel(a, "V"), Channel(b, unit)), (Channel(y), Channel(w)))
+    net = dataclasses.replace(net, channels=channels)
+    to = ["c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"]
+    found = export(net, to=to, name="m")
+    assert len(found.files) == 10
+    if runners.compiler():
+        assert {"c, double", "c, single", "fmu2", "fmu3"} <= set(found.difference)
+
+
 @pytest.mark.parametrize("word", ["class", "end", "exp", "Clear"])
 def test_words_of_a_language_name_no_model(word):
     to = "python" if word == "class" else "matlab"
