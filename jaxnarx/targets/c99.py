@@ -6,7 +6,14 @@ from collections.abc import Iterable
 from jaxnarx.targets.c_selftest import selftest
 from jaxnarx.targets.c_start import starts
 from jaxnarx.targets.code import INFIX, Syntax, comment, digits, shown, statements
-from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
+from jaxnarx.targets.form import (
+    ONLY_DOUBLE,
+    ONLY_SINGLE,
+    ParameterTable,
+    Port,
+    SampleProgram,
+    Value,
+)
 from jaxnarx.targets.notes import wrapped
 from jaxnarx.targets.target import Files, Golden
 
@@ -91,16 +98,12 @@ def _header(program: SampleProgram) -> str:
         *(f" *   u[{k}] {_port(p)}" for k, p in enumerate(program.inputs)),
         *(f" *   y[{k}] {_port(p)}" for k, p in enumerate(program.computed)),
         *wrapped(program.notes, " * "),
-        *wrapped([_IEEE], " * "),
+        *wrapped([_IEEE, f"{program.cost.capitalize()}."], " * "),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
         "",
-        f"#ifdef {upper}_SINGLE",
-        f"typedef float {name}_real;",
-        "#else",
-        f"typedef double {name}_real;",
-        "#endif",
+        *_number_type(program),
         "",
         f"#define {upper}_SAMPLE_TIME {digits(program.sample_time)}",
         f"#define {upper}_HISTORY {program.history}",
@@ -162,6 +165,23 @@ def _header(program: SampleProgram) -> str:
         "#endif",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _number_type(program: SampleProgram) -> list[str]:
+    """The type of numbers; one that is not asked for or not proven does not compile."""
+    name, upper = program.name, program.name.upper()
+    single = [f"typedef float {name}_real;"]
+    if program.precision == ONLY_SINGLE:
+        return [f"#ifndef {upper}_SINGLE", f"#define {upper}_SINGLE", "#endif", *single]
+    if program.precision == ONLY_DOUBLE:
+        single = ['#error "this model is not proven in single precision"']
+    return [
+        f"#ifdef {upper}_SINGLE",
+        *single,
+        "#else",
+        f"typedef double {name}_real;",
+        "#endif",
+    ]
 
 
 def _port(port: Port) -> str:

@@ -25,6 +25,12 @@ from typing import Any
 
 import numpy as np
 
+ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
+"""Number types that C is written and proven for."""
+
+INDEX, HALF = "index", "half_"
+"""Flags: the index of the domain, and half of a prediction interval by output."""
+
 Value = int
 """Number of the operation that makes a value."""
 
@@ -91,7 +97,8 @@ class SampleProgram:
     the inputs of this sample and then by the `past` outputs, (line, k), as they are in
     the lines: divided by the gain. `history` samples of measured inputs and outputs
     begin a run, if there are any. `notes` are what whoever calls the code has to know,
-    a paragraph each, for the comments of every target.
+    a paragraph each, for the comments of every target. `precision` says which of the
+    number types of C the source may be compiled in.
     """
 
     name: str
@@ -111,6 +118,7 @@ class SampleProgram:
     limited: tuple[Value, ...]
     flags: Mapping[str, Value]
     notes: tuple[str, ...] = ()
+    precision: str = BOTH
 
     def needed(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
@@ -141,8 +149,34 @@ class SampleProgram:
     @property
     def operations(self) -> int:
         """Additions, multiplications, comparisons and functions of one sample."""
+        return self._count(self.step)
+
+    @property
+    def model_operations(self) -> int:
+        """The same without what the index and intervals take."""
+        flags = [n for f, n in self.flags.items() if f != INDEX and f[:5] != HALF]
+        found = self.needed([*self.outputs, *self.fed, *self.limited, *flags])
+        count = -1
+        while count < len(found):
+            count = len(found)
+            kept = {op.source for op in (self.ops[n] for n in found) if op.source}
+            names = {at[0] if isinstance(at, tuple) else at for at in kept}
+            lines = [k.source for k in (*self.delays, *self.states) if k.name in names]
+            found = self.needed([*found, *lines])
+        return self._count(found)
+
+    def _count(self, values: Iterable[Value]) -> int:
         sources = ("const", "table", "input", "measured", "delay", "state")
-        return sum(self.ops[n].kind not in sources for n in self.step)
+        return sum(self.ops[n].kind not in sources for n in values)
+
+    @property
+    def cost(self) -> str:
+        """The operations in words."""
+        text, model = f"{self.operations} operations a sample", self.model_operations
+        if model == self.operations:
+            return text
+        extra = "the index of the domain" if INDEX in self.flags else "the intervals"
+        return f"{text}, {model} of them without {extra}"
 
     def table(self, name: str) -> ParameterTable:
         """The table of a name."""

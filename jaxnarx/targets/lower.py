@@ -17,6 +17,8 @@ from jaxnarx.targets.confidence import domain_index, half_width
 from jaxnarx.targets.derivatives import gradient
 from jaxnarx.targets.entrance import Entrance
 from jaxnarx.targets.form import (
+    HALF,
+    INDEX,
     Builder,
     DelayLine,
     Port,
@@ -416,7 +418,7 @@ class _Lowering:
         ]
         far = domain_index(b, domain, x, step)
         far = b.op("where", self.entrance.missing, b.const(FARTHEST), far)
-        flags = {"index": far} if index else {}
+        flags = {INDEX: far} if index else {}
         if level is None or errors is None:
             return flags
         used = len(x) // 2
@@ -431,7 +433,7 @@ class _Lowering:
             moved = b.size(b.op("sub", physical[o], before), 1.0)
             z = [*x, *apart, physical[o], moved, far]
             name = self.names[o]
-            flags[f"half_{name}"] = half_width(b, errors, o, level, z, name)
+            flags[f"{HALF}{name}"] = half_width(b, errors, o, level, z, name)
         return flags
 
     def _feature(self, signal: int, lag: int, filter_: AbstractFilter | None) -> Value:

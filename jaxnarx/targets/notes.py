@@ -13,6 +13,7 @@ from jaxnarx.models import (
     memory_of,
     trusted_samples,
 )
+from jaxnarx.targets.form import INDEX
 
 OUTSIDE = {
     FLAG: "Inputs beyond their trained ranges are taken as they are",
@@ -35,7 +36,7 @@ def _missing(network: Network, flags: Iterable[str]) -> str:
     policy = NAN if network.outside == NAN else network.nan
     count = trusted_samples(network)
     time = f"{count * float(network.sample_time):.4g} s"
-    index = f", its index is {FARTHEST:g}" if "index" in flags else ""
+    index = f", its index is {FARTHEST:g}" if INDEX in flags else ""
     return (
         f"An input that is NaN, infinite, or {FARTHEST:.0e} times as large as in "
         "training is missing: its last value is held, before the first one the middle "

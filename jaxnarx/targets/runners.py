@@ -11,9 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.targets import form
 from jaxnarx.targets.compilers import WARNINGS, compiler, compilers
 from jaxnarx.targets.form import SampleProgram
-from jaxnarx.targets.proof import DOUBLE, SINGLE, Case, ExportError, Runner, worst
+from jaxnarx.targets.proof import (
+    DOUBLE,
+    SINGLE,
+    Case,
+    ExportError,
+    Runner,
+    SinglePrecisionError,
+    worst,
+)
 from jaxnarx.targets.target import Proof
 
 
@@ -161,13 +170,22 @@ def prove_javascript(
 
 
 def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
-    """The same, in both precisions, by every compiler that is here."""
+    """The same, in the precisions of the program, by every compiler that is here."""
     if compiler() is None:
         return {}, ["c: there is no C compiler here"]
-    found = {}
-    for n, cc in enumerate(compilers()):
-        for kind, most in (("double", DOUBLE), ("single", SINGLE)):
-            run = c_runner(folder, program, folder, single=kind == "single", cc=cc)
+    found: dict[str, float] = {}
+    for kind, most in ((form.ONLY_DOUBLE, DOUBLE), (form.ONLY_SINGLE, SINGLE)):
+        if program.precision not in (kind, form.BOTH):
+            continue
+        for n, cc in enumerate(compilers()):
+            run = c_runner(
+                folder, program, folder, single=kind == form.ONLY_SINGLE, cc=cc
+            )
             what = f"c, {kind}" + (f", {Path(cc).name}" if n else "")
-            found[what] = worst(cases, run, most, what)
+            try:
+                found[what] = worst(cases, run, most, what)
+            except ExportError as error:
+                if kind == form.ONLY_SINGLE:
+                    raise SinglePrecisionError(str(error)) from error
+                raise
     return found, []
