@@ -316,7 +316,7 @@ def _text(value: object) -> str:
 
 def _whole(value: object, what: str) -> int:
     if type(value) is not int:
-        raise ValueError(f"{what} is {value!r}")
+        raise ValueError(f"{what} is {value!r}, no count of samples")
     return value
 
 
