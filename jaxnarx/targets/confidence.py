@@ -27,7 +27,7 @@ def domain_index(
         for value, m, s in zip(x, center, spread, strict=True)
     ]
     # |W x| = |R x| with W = Q R, which has half of the entries
-    triangle = np.linalg.qr(np.asarray(domain.whiten, float) / border[2], mode="r")
+    _, triangle = np.linalg.qr(np.asarray(domain.whiten, float) / border[2])
     at = np.triu_indices(len(unit))
     entries = b.parameters(
         "domain_ellipsoid",

@@ -15,6 +15,7 @@ import test_targets
 from test_targets import HERE, NETWORKS, needs_compiler
 
 import jaxnarx as jnx
+from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     FARTHEST,
     LINEAR,
@@ -26,8 +27,10 @@ from jaxnarx.models import (
 )
 from jaxnarx.models.limits import overshoot
 from jaxnarx.simulation import simulate
-from jaxnarx.targets import Instance, export, lower, runners
+from jaxnarx.targets import Instance, export, lower, octave, runners
+from jaxnarx.targets.fmu import documentation
 from jaxnarx.targets.fmu.prove import fmu_runner
+from jaxnarx.targets.fmu.variables import quantities
 from jaxnarx.targets.proof import cases_of
 
 JUNK = np.array([np.nan, np.inf, -np.inf, 1e300])
@@ -111,6 +114,12 @@ def held(inputs: np.ndarray, net) -> np.ndarray:
     return found
 
 
+def absent(inputs: np.ndarray, net) -> np.ndarray:
+    """Samples at which an input that the network uses is missing."""
+    there = np.abs(inputs) < largest_sizes(net)[:2]
+    return np.logical_not(np.all(there[:, list(net.used)], axis=1))
+
+
 def spiked(samples: int, seed: int = 0) -> np.ndarray:
     """Inputs of which one in a hundred is no number that a sensor gives."""
     rng = np.random.default_rng(seed)
@@ -135,8 +144,7 @@ def test_c_runs_over_spikes_as_over_held_inputs(tmp_path, name, nan):
     y = np.zeros((program.history + 1, len(program.computed)))
     clean = held(u, net)
     found, expected = run(u, y), run(clean, y)
-    gone = ~(np.abs(u) < largest_sizes(net)[:2])[:, list(net.used)].all(axis=1)
-    gone = gone[program.history :]
+    gone = absent(u, net)[program.history :]
     assert 1000 < gone.sum() < 3000
     assert np.isfinite(expected[~gone]).all()
     if nan == NAN:
@@ -288,11 +296,44 @@ def test_fmus_hold_missing_inputs(tmp_path, version):
     np.testing.assert_array_equal(run(u, y), run(held(u, net), y))
 
 
+SCRIPTS = {
+    "python": (lambda folder, _: runners.python_runner(folder / "m.py"), True),
+    "javascript": (
+        lambda folder, _: runners.javascript_runner(folder / "m.mjs"),
+        runners.node(),
+    ),
+    "matlab": (octave.octave_runner, octave.octave()),
+}
+
+
+@pytest.mark.parametrize("kind", SCRIPTS)
+def test_scripts_hold_missing_inputs(kind, tmp_path):
+    runner, here = SCRIPTS[kind]
+    if not here:
+        pytest.skip(f"nothing runs {kind} here")
+    net = set_nan_policy(test_targets.narrowed(NETWORKS["filters"](), LINEAR), "nan")
+    program = lower(net, "m")
+    for name, text in export(net, to=[kind], name="m", verify=False).texts.items():
+        (tmp_path / name).write_text(text)
+    u, y = spiked(300), np.zeros((program.history + 1, 1))
+    u[0] = np.nan, 0.1
+    run = runner(tmp_path, program)
+    found, expected = run(u, y), run(held(u, net), y)
+    gone = absent(u, net)[program.history :]
+    assert 3 < gone.sum() < 20 and np.isfinite(expected).all()
+    np.testing.assert_array_equal(np.isnan(found[:, 0]), gone)
+    np.testing.assert_array_equal(found[~gone], expected[~gone])
+
+
 def test_every_target_says_so():
     net = set_nan_policy(common.named("coupled"), "nan", invalid_after=2.0)
     to = ["c", "python", "javascript", "matlab"]
     texts = export(net, to=to, name="m", verify=False).texts
-    for name in ("m.h", "m.py", "m.mjs", "m.m"):
+    program = lower(net, "m")
+    texts["page"] = documentation.page(program, quantities(program, 3), 3)
+    about = {v.name: v.about for v in quantities(program, 3)}
+    assert "missing for too long" in about["invalid"]
+    for name in ("m.h", "m.py", "m.mjs", "m.m", "page"):
         text = " ".join(texts[name].replace("%", "").replace("*", "").split())
         assert "An input that is NaN, infinite, or 1e+06 times as large" in text
         assert "outputs are NaN, while the states go on with held inputs" in text
@@ -332,3 +373,30 @@ def test_limited_means_the_same_in_simulate_and_exports():
         assert np.all(found[:, :outputs] >= found[:, outputs:].max(axis=1)[:, None])
         seen += found[:, outputs:].sum()
     assert seen > 5
+
+
+def test_simulate_holds_numbers_that_no_sensor_gives():
+    """A spike is no gap of the records, and is none without being asked."""
+    net, rows = common.named("by inputs"), [common.signals(60)]
+    spike = rows[0].copy()
+    spike[0, 0], spike[30:33, 1] = 1e9, [1e20, np.nan, -1e20]
+    clean = rows[0].copy()
+    clean[:, :2] = held(spike[:, :2], net)
+    found = simulate(net, common.from_rows([spike]), missing="hold")
+    expected = simulate(net, common.from_rows([clean]))
+    np.testing.assert_array_equal(found.value[0], expected.value[0])
+    assert np.flatnonzero(found.value.missing[0]).tolist() == [0, 30, 31, 32]
+    assert np.flatnonzero(found.value.invalid[0]).tolist() == [0]
+    assert found.stats["missing"] == 4 and found.stats["invalid"] == 1
+    assert simulate(net, common.from_rows([spike])).value.missing == ()
+    with pytest.raises(SpecError, match="missing must be one of 'hold'"):
+        simulate(net, common.from_rows([spike]), missing="drop")
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.inf])
+def test_a_policy_that_is_none_is_refused(wrong):
+    net = common.named("one model")
+    with pytest.raises(SpecError, match="invalid_after"):
+        set_nan_policy(net, invalid_after=wrong)
+    with pytest.raises(SpecError, match="nan must be one of hold, nan"):
+        set_nan_policy(net, "guess")
