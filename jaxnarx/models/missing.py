@@ -33,6 +33,8 @@ from jaxnarx.regressors import Variables
 
 LEAST = 10
 """Samples for which held inputs are trusted at least."""
+ROUNDING = 1e-12
+"""Largest size of a channel that counts as zero throughout, in its unit."""
 HISTORIES = 10
 """Memory of a network without a domain or filters, in samples of its history."""
 
@@ -98,7 +100,7 @@ def largest_sizes(network: Network) -> Float[np.ndarray, " signals"]:
     """Size from which a value of every signal is none, physical units."""
     ends = np.abs([np.asarray(network.low, float), np.asarray(network.high, float)])
     size = ends.max(axis=0)
-    return FARTHEST * np.where(size > 0, size, 1.0)
+    return FARTHEST * np.where(size > ROUNDING, size, 1.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

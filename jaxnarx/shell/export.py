@@ -21,7 +21,7 @@ from jaxnarx.targets import (
 )
 
 README = "README.md"
-DEAR = 3.0
+DEAR = 2.0
 """The index is said to be dear where a sample takes so many times the operations of
 the model."""
 

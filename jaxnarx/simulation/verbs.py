@@ -157,9 +157,10 @@ def simulate(
     matched by name; extra ones are ignored. Outputs are held within the model's
     feedback bound; status `diverged` when that bound acts on more than 5 % or on 50
     successive samples of a record, `too_short` when a record has no valid start. Never
-    NaN. A model with limits (`jnx.models.hold_to_range`) sees inputs no farther than at
-    the edge of their trained ranges, and reports no output far beyond its own; neither
-    what is fed back nor the status depends on that margin.
+    NaN, unless the model says nothing of a sample (its `outside` or `nan`). A model
+    with limits (`jnx.models.hold_to_range`) sees inputs no farther than at the edge of
+    their trained ranges, and reports no output far beyond its own; neither what is fed
+    back nor the status depends on that margin.
 
     `time_parallel` solves for the whole trajectory at once (Newton's method, see
     `jaxnarx.arrays.time_parallel`) with the same outputs to 1e-9; the records for which

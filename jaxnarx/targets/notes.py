@@ -38,9 +38,9 @@ def _missing(network: Network, flags: Iterable[str]) -> str:
     time = f"{count * float(network.sample_time):.4g} s"
     index = f", its index is {FARTHEST:g}" if INDEX in flags else ""
     return (
-        f"An input that is NaN, infinite, or {FARTHEST:.0e} times as large as in "
-        "training is missing: its last value is held, before the first one the middle "
-        "of its trained range. missing counts such samples in a row. The sample is "
+        f"An input that is NaN, infinite, or {FARTHEST:,.0f} times as large as in "
+        "training is missing: its last value is held, before the first one the "
+        "middle of its trained range. missing counts such samples in a row. The sample is "
         f"extrapolated{index}, and {SILENT[policy]}. invalid is 1 from {count} samples "
         f"in a row ({time}) on, and where an input has been missing since the start. "
         "Measured outputs of the start are treated alike."

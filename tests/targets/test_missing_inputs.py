@@ -335,7 +335,7 @@ def test_every_target_says_so():
     assert "missing for too long" in about["invalid"]
     for name in ("m.h", "m.py", "m.mjs", "m.m", "page"):
         text = " ".join(texts[name].replace("%", "").replace("*", "").split())
-        assert "An input that is NaN, infinite, or 1e+06 times as large" in text
+        assert "An input that is NaN, infinite, or 1,000,000 times as large" in text
         assert "outputs are NaN, while the states go on with held inputs" in text
         assert "invalid is 1 from 20 samples in a row (2 s) on" in text
 
@@ -400,3 +400,14 @@ def test_a_policy_that_is_none_is_refused(wrong):
         set_nan_policy(net, invalid_after=wrong)
     with pytest.raises(SpecError, match="nan must be one of hold, nan"):
         set_nan_policy(net, "guess")
+
+
+def test_an_input_that_was_zero_in_training_may_be_something():
+    """Rounding of zeros is no size that others could be absurd beside."""
+    net = common.named("coupled")
+    for low, high in ((0.0, 0.0), (-1e-17, 1e-17)):
+        ends = np.asarray(net.low).copy(), np.asarray(net.high).copy()
+        ends[0][0], ends[1][0] = low, high
+        ranges = dict(zip(("low", "high"), jax.device_put(ends), strict=True))
+        sizes = largest_sizes(dataclasses.replace(net, **ranges))
+        np.testing.assert_array_equal(sizes[:2], [1e6, 5e6])

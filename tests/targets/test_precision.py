@@ -103,7 +103,7 @@ def test_the_command_names_what_failed_and_ends_with_one(
     assert "outputs are NaN" in text and "20 samples in a row (2 s)" in text
 
 
-def test_the_cost_is_told_with_and_without_the_index():
+def test_the_cost_is_told_with_and_without_the_index(tmp_path, monkeypatch, capsys):
     net, data = common.named("by inputs"), common.dataset((160, 140), seed=3)
     net = jnx.trust.learn_domain(net, data, points=6)
     program, bare = lower(net), lower(net, index=False)
@@ -114,3 +114,11 @@ def test_the_cost_is_told_with_and_without_the_index():
     assert f"{told} without the index of the domain" in str(found)
     assert told in " ".join(found.texts["model.h"].replace("*", "").split())
     assert "of them" not in bare.cost
+    monkeypatch.chdir(tmp_path)
+    jnx.save(net, "model.safetensors")
+    words = ["export", "model.safetensors", "--to", "python", "--unproven"]
+    assert run(words) == 0
+    said = capsys.readouterr().out
+    assert told in said and "(--without-index)" in said
+    assert run([*words, "--without-index", "--force"]) == 0
+    assert "without" not in capsys.readouterr().out
