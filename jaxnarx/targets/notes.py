@@ -41,8 +41,8 @@ def _missing(network: Network, flags: Iterable[str]) -> str:
         f"An input that is NaN, infinite, or {FARTHEST:,.0f} times as large as in "
         "training is missing: its last value is held, before the first one the "
         "middle of its trained range. missing counts such samples in a row. The sample "
-        f"is extrapolated{index}, and {SILENT[policy]}. invalid is 1 from {count} samples "
-        f"in a row ({time}) on, and where an input has been missing since the start. "
+        f"is extrapolated{index}, and {SILENT[policy]}. invalid is 1 from {count} "
+        f"samples in a row ({time}) on, and where an input has been missing since the start. "
         "Measured outputs of the start are treated alike."
     )
 
