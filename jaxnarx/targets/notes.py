@@ -42,8 +42,8 @@ def _missing(network: Network, flags: Iterable[str]) -> str:
         "training is missing: its last value is held, before the first one the "
         "middle of its trained range. missing counts such samples in a row. The sample "
         f"is extrapolated{index}, and {SILENT[policy]}. invalid is 1 from {count} "
-        f"samples in a row ({time}) on, and where an input has been missing since the start. "
-        "Measured outputs of the start are treated alike."
+        f"samples in a row ({time}) on, and where an input has been missing since the "
+        "start. Measured outputs of the start are treated alike."
     )
 
 
