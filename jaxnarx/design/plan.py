@@ -19,12 +19,11 @@ from jaxnarx.design.views import (
     View,
     gains,
     make_view,
-    memory_of,
     watch,
 )
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network
+from jaxnarx.models import Network, memory_of
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust import error_variables
 

@@ -129,13 +129,6 @@ def _gain(network: Network) -> Float[Array, " outputs"]:
     return network.gain[np.array(network.signals[: len(network.modelled)])]
 
 
-def memory_of(network: Network) -> float:
-    """Samples for which the network remembers its inputs, as its domain knows."""
-    assert network.domain is not None
-    slow: Any = next(f for *_, f in network.domain.features.entries if f is not None)
-    return slow.time_constant / float(network.sample_time)
-
-
 def make_view(
     sensitivity: NetworkSensitivity,
     space: Space,

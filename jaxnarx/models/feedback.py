@@ -25,7 +25,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.recurrence import polynomial_step
-from jaxnarx.models.network import Network, OutputModel, scheduling_values
+from jaxnarx.models.network import Network, OutputModel
+from jaxnarx.models.scheduling import scheduling_values
 from jaxnarx.regressors import Variables, evaluate
 
 WIDEST = 128

@@ -17,8 +17,13 @@ output's range, widened by the margin m on either side:
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
 
 Where inputs are beyond their ranges outputs may be, too: unless inputs are held, the
-farthest that one of them has been beyond its own so far, as a share of its width, adds
-to m. Outputs are held when all is computed. What is fed back is as it was, so that
+overshoot of the inputs in use adds to m. It is the farthest that one of them is beyond
+its own range, as a share of its width, and fades with the network's memory of n samples
+(`memory_of`) once the input is back, as what is left of it in the outputs does:
+
+    overshoot(t) = max(beyond(t), exp(-1/n) overshoot(t-1)) .
+
+Outputs are held when all is computed. What is fed back is as it was, so that
 neither derivatives nor the judgement of divergence, which rest on the feedback bound,
 depend on the margin.
 
@@ -27,6 +32,7 @@ that was constant in training is held at that constant.
 """
 
 import dataclasses
+import math
 
 import jax
 import numpy as np
@@ -35,6 +41,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import not_negative
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
+from jaxnarx.models.missing import memory_of
 from jaxnarx.models.network import FLAG, HOLD, LINEAR, Network
 
 WIDER = 0.02
@@ -87,18 +94,34 @@ def reported_range(
 def overshoot(
     network: Network, inputs: Float[np.ndarray, "*rows time inputs"]
 ) -> Float[np.ndarray, "*rows time"]:
-    """How far an input has been beyond its range so far, in widths of that range.
+    """How far an input in use has been beyond its range, in widths of that range,
+    fading with the network's memory.
 
     Zero where inputs are held, and of inputs that were constant in training.
     """
-    count = inputs.shape[-1]
-    low, high = (np.asarray(a)[:count] for a in (network.low, network.high))
-    if network.outside == HOLD or not np.any(high > low):
+    moved, rate = overshoot_rule(network)
+    if not moved:
         return np.zeros(inputs.shape[:-1], inputs.dtype)
-    moved = high > low
-    low, high, inputs = low[moved], high[moved], inputs[..., moved]
+    at = list(moved)
+    low, high = (np.asarray(a)[at] for a in (network.low, network.high))
+    inputs = inputs[..., at]
     beyond = np.maximum(low - inputs, inputs - high) / (high - low)
-    return np.maximum.accumulate(np.maximum(beyond.max(axis=-1), 0.0), axis=-1)
+    beyond = np.maximum(beyond.max(axis=-1), 0.0)
+    if not beyond.any():
+        return beyond
+    fade = np.frompyfunc(lambda before, now: max(now, rate * before), 2, 1)
+    return fade.accumulate(beyond, axis=-1, dtype=object).astype(inputs.dtype)
+
+
+def overshoot_rule(network: Network) -> tuple[tuple[int, ...], float]:
+    """The inputs whose overshoot widens what is reported, and the share of it that is
+    left a sample later."""
+    if network.outside == HOLD:
+        return (), 0.0
+    low, high = np.asarray(network.low), np.asarray(network.high)
+    inputs = range(len(network.channels.inputs))
+    moved = tuple(s for s in network.used if s in inputs and high[s] > low[s])
+    return moved, math.exp(-1.0 / memory_of(network))
 
 
 def reported(

@@ -85,6 +85,8 @@ def merged(networks: Sequence[Network]) -> Network:
         first.hold,
         window=max(n.window for n in networks),
         outside=first.outside,
+        nan=first.nan,
+        invalid_after=first.invalid_after,
     )
 
 

@@ -47,6 +47,8 @@ def narrowed(network: Network) -> Network:
         hold=network.hold,
         window=network.window,
         outside=network.outside,
+        nan=network.nan,
+        invalid_after=network.invalid_after,
         domain=network.domain,
         certificate=network.certificate,
         errors=network.errors,

@@ -17,12 +17,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxnarx.arrays.programs import twin
+from jaxnarx.checks import whole
 from jaxnarx.data import Channel, Channels
 from jaxnarx.data.channels import numbered
 from jaxnarx.errors import SpecError
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
-from jaxnarx.models.validity import AbstractValidity, weights_of
+from jaxnarx.models.validity import AbstractValidity
 from jaxnarx.regressors import (
     Variables,
     equation,
@@ -36,6 +37,9 @@ from jaxnarx.shown import page
 FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
 """What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
 go on from the edge to first order."""
+MISSING = HOLD, NAN
+"""What outputs are where an input is missing: those of the last finite input, or not a
+number."""
 FAR = 1e4
 """Feedback bounds of more trained widths than these are none to speak of."""
 SHOWN = 6
@@ -106,13 +110,16 @@ class Network(eqx.Module):
     bound what is simulated (scaled); `low` and `high` are the training ranges in
     physical units. `outside` says what inputs beyond theirs do, "flag", "hold",
     "linear" or "nan" (`jaxnarx.models.limits`), `hold`, if any, by which share of its
-    range a reported output may leave it. `domain` is what the network knows of its
-    training (`jaxnarx.models.domain`), `certificate` a norm of the past outputs, newest
-    first, in which it contracts (`jaxnarx.refinement.stability.certificate`), `errors`
-    how far measurements lie from its free run (`jaxnarx.models.error_model`). A free
-    run starts from `history` measured samples, those of local models with their own
-    feedback too; hidden channels start from what the
-    outputs of `window` samples before tell about them (`jaxnarx.simulation.observer`).
+    range a reported output may leave it. `nan` says what outputs are where an input is
+    not finite, "hold" or "nan", and `invalid_after` for how many samples in a row they
+    are to be trusted then (`jaxnarx.models.missing`). `domain` is what the network
+    knows of its training (`jaxnarx.models.domain`), `certificate` a norm of the past
+    outputs, newest first, in which it contracts
+    (`jaxnarx.refinement.stability.certificate`), `errors` how far measurements lie from
+    its free run (`jaxnarx.models.error_model`). A free run starts from `history`
+    measured samples, those of local models with their own feedback too; hidden channels
+    start from what the outputs of `window` samples before tell about them
+    (`jaxnarx.simulation.observer`).
     """
 
     channels: Channels = eqx.field(static=True)
@@ -128,6 +135,8 @@ class Network(eqx.Module):
     hold: Float[Array, ""] | None = None
     window: int = eqx.field(static=True, default=0, kw_only=True)
     outside: str = eqx.field(static=True, default=FLAG, kw_only=True)
+    nan: str = eqx.field(static=True, default=HOLD, kw_only=True)
+    invalid_after: int | None = eqx.field(static=True, default=None, kw_only=True)
     domain: Domain | None = eqx.field(default=None, kw_only=True)
     certificate: Float[Array, "states states"] | None = eqx.field(
         default=None, kw_only=True
@@ -135,11 +144,15 @@ class Network(eqx.Module):
     errors: ErrorModel | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
-        if self.outside not in OUTSIDE:
-            raise SpecError(
-                f"outside must be one of {', '.join(OUTSIDE)}, got {self.outside!r}",
-                field="outside",
-            )
+        for field, words in (("outside", OUTSIDE), ("nan", MISSING)):
+            if getattr(self, field) not in words:
+                raise SpecError(
+                    f"{field} must be one of {', '.join(words)}, got "
+                    f"{getattr(self, field)!r}",
+                    field=field,
+                )
+        if self.invalid_after is not None:
+            whole(self.invalid_after, "invalid_after")
         if len(self.models) != len(self.modelled) + len(self.channels.hidden):
             raise ValueError(
                 f"{len(self.modelled)} modelled outputs and "
@@ -212,6 +225,7 @@ class Network(eqx.Module):
         own = self.channels
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
         bare = dict(domain=None, certificate=None, errors=None)
+        bare |= dict(nan=HOLD, invalid_after=None)
         return twin(self, channels=numbered(*counts), **bare)
 
     @property
@@ -242,6 +256,13 @@ class Network(eqx.Module):
         inputs, measured = len(self.channels.inputs), len(self.channels.measured.all)
         hidden = range(measured, measured + self.hidden)
         return (*(inputs + o for o in self.modelled), *hidden)
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """Signals that a term or the scheduling looks at and that are not computed."""
+        tables = (self.variables, *(m.scheduling for m in self.models))
+        rows = {s for table in tables for s, _ in table}
+        return tuple(sorted(rows - set(self.signals)))
 
     @property
     def hidden(self) -> int:
@@ -422,27 +443,3 @@ def _where(region: dict[str, dict[str, float]]) -> str:
         if key in words
     ]
     return f" ({', '.join(parts)})" if parts else ""
-
-
-def scheduling_values(
-    model: OutputModel, x: Float[Array, "dims *rows"]
-) -> Float[Array, "dims *rows"]:
-    """Min-max scaled scheduling variables from physical ones."""
-    tail = (1,) * (x.ndim - 1)
-    return (x - model.offset.reshape(-1, *tail)) / model.span.reshape(-1, *tail)
-
-
-def weights_at(
-    model: OutputModel, x: Float[np.ndarray, "points dims"]
-) -> Float[np.ndarray, "models points"]:
-    """The active local models' weights at points in physical units, on the host."""
-    active = np.asarray(model.active)
-    return weights_of(model.validity, scaled_points(model, x).T, active)[active]
-
-
-def scaled_points(
-    model: OutputModel, x: Float[np.ndarray, "points dims"]
-) -> Float[np.ndarray, "points dims"]:
-    """`scheduling_values` of points, on the host; float64."""
-    offset, span = np.asarray(model.offset, float), np.asarray(model.span, float)
-    return (x - offset[None]) / span[None]

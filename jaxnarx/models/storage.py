@@ -8,9 +8,10 @@ Gaussians as format 3, one that is held to its trained ranges as format 5, one w
 hidden channels as format 6, one with groups of local models that have feedback of their
 own as format 7, one with a domain, a certificate, or inputs that are not held where its
 outputs are, as format 8, one with prediction intervals, or that says nothing beyond its
-ranges, as format 9, so that older programs say what they lack; any other is still
-written as format 1. Files of formats 1 to 4 hold none to their ranges. In format 4 a
-group is a local model alone.
+ranges, as format 9, one whose outputs are not a number where an input is missing, or
+with a time of its own from which they are invalid then, as format 10, so that older
+programs say what they lack; any other is still written as format 1. Files of formats 1
+to 4 hold none to their ranges. In format 4 a group is a local model alone.
 
 The last key of the header, `sha256`, is a digest of the rest of it and the arrays: a
 file that was changed after it was written is refused. Files of before have none.
@@ -54,8 +55,10 @@ from jaxnarx.regressors import (
     filter_to_dict,
 )
 
-FORMAT = 9
+FORMAT = 10
 """Newest format read."""
+WINDOW = "the window of hidden channels"
+AFTER = "the number of samples from which outputs are invalid"
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
@@ -90,11 +93,21 @@ def _hidden(network: Network) -> dict[str, Any]:
 
 def _edge(network: Network) -> dict[str, Any]:
     """What inputs do beyond their ranges, and the features of the domain."""
-    out: dict[str, Any] = {}
+    out: dict[str, Any] = _missing(network)
     if network.outside != _usual(network.hold):
         out["outside"] = network.outside
     if network.domain is not None:
         out["domain"] = _described("features", network.domain.features)
+    return out
+
+
+def _missing(network: Network) -> dict[str, Any]:
+    """What outputs are where an input is missing, if it is not as usual."""
+    out: dict[str, Any] = {}
+    if network.nan != HOLD:
+        out["nan"] = network.nan
+    if network.invalid_after is not None:
+        out["invalid_after"] = network.invalid_after
     return out
 
 
@@ -106,6 +119,8 @@ def _usual(hold: object) -> str:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if _missing(network):
+        return 10
     if network.errors is not None or network.outside == NAN:
         return 9
     if _edge(network) or network.certificate is not None:
@@ -349,9 +364,9 @@ def _text(value: object) -> str:
     return value
 
 
-def _whole(value: object) -> int:
+def _whole(value: object, what: str) -> int:
     if type(value) is not int:
-        raise ValueError(f"the window of hidden channels is {value!r}")
+        raise ValueError(f"{what} is {value!r}, no count of samples")
     return value
 
 
@@ -408,6 +423,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
                 _groups(get(f"{lead}.own", "b")) if f"{lead}.own" in tensors else None,
             )
         )
+    after = header.get("invalid_after")
     hold = get(".hold") if ".hold" in tensors else None
     network = Network(
         channels,
@@ -419,8 +435,10 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
         hold=hold,
-        window=_whole(header["window"]) if channels.hidden else 0,
+        window=_whole(header["window"], WINDOW) if channels.hidden else 0,
         outside=_text(header.get("outside", _usual(hold))),
+        nan=_text(header.get("nan", HOLD)),
+        invalid_after=None if after is None else _whole(after, AFTER),
         domain=_domain(header, get),
         certificate=get(".certificate") if ".certificate" in tensors else None,
         errors=_errors(get) if ".errors.knots" in tensors else None,

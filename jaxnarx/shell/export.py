@@ -1,22 +1,34 @@
 """`jaxnarx export`: a model as files for another program."""
 
+import dataclasses
 from pathlib import Path
 
 from jaxnarx.data import Dataset, match_channels, read_files
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, load
+from jaxnarx.models import Network, load, set_nan_policy
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import Exported, SampleProgram, export, write_files
+from jaxnarx.targets import (
+    BOTH,
+    ONLY_DOUBLE,
+    ONLY_SINGLE,
+    Exported,
+    SampleProgram,
+    export,
+    write_files,
+)
 
 README = "README.md"
+DEAR = 2.0
+"""The index is said to be dear where a sample takes so many times the operations of
+the model."""
 
 
 def export_model(command: Export, typed: str) -> int:
     """Write the files, and what the proof has found; returns the exit code."""
-    network = load(command.model)
+    network = _with_policy(load(command.model), command)
     data = _records(command, network) if command.files else None
     with about(command.model, but=("over", "name")):
         found = export(
@@ -27,6 +39,7 @@ def export_model(command: Export, typed: str) -> int:
             over=command.over or None,
             index=not command.without_index,
             level=command.level,
+            precision=command.precision,
             verify=not command.unproven,
         )
     files = {**found.files, README: readme(found, typed, data)}
@@ -40,12 +53,26 @@ def export_model(command: Export, typed: str) -> int:
         warn(f"not proven: {one}")
     if command.unproven:
         warn("not proven: --unproven")
-    say(
-        f"{found.operations} operations a sample, {found.parameters} parameters in "
-        f"tables, {found.kept} numbers kept"
-    )
+    for one, why in found.failed.items():
+        warn(f"not written: {one}: {why}")
+    cost = found.program.cost
+    if found.operations > DEAR * found.program.model_operations:
+        cost += " (--without-index)"
+    say(f"{cost}; {found.parameters} parameters in tables, {found.kept} numbers kept")
     say(f"wrote {', '.join(files)} to {folder}")
-    return 0
+    return 1 if found.failed else 0
+
+
+def _with_policy(network: Network, command: Export) -> Network:
+    """The model with what the command says of inputs that are not finite."""
+    if command.nan is None and command.invalid_after is None:
+        return network
+    policy = set_nan_policy(
+        network, command.nan or network.nan, invalid_after=command.invalid_after
+    )
+    if command.invalid_after is None:
+        policy = dataclasses.replace(policy, invalid_after=network.invalid_after)
+    return policy
 
 
 def readme(found: Exported, typed: str, data: Dataset | None) -> str:
@@ -67,6 +94,10 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         "|---|---|",
         *rows,
         *(f"| {one} | not proven |" for one in found.left_out),
+        *(
+            f"| {one} | not written: {_cell(why)} |"
+            for one, why in found.failed.items()
+        ),
     ]
     lines = [
         f"# {program.name}",
@@ -80,6 +111,7 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         f"for {program.history} samples of history behind it. `step` takes the inputs "
         "at t and returns the outputs at t, in physical units.",
         "",
+        *(line for note in program.notes for line in (note, "")),
         *_units(found, program),
         "| place | name | unit | trained from | to |",
         "|---|---|---|---|---|",
@@ -87,8 +119,7 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
         "",
         "## What it takes",
         "",
-        f"- {found.operations} additions, multiplications, comparisons and functions a "
-        "sample",
+        f"- {program.cost}: additions, multiplications, comparisons and functions",
         f"- {found.parameters} parameters in tables: {8 * found.parameters} bytes, "
         f"{4 * found.parameters} in single precision",
         f"- {found.kept} numbers kept from sample to sample: {8 * found.kept} bytes, "
@@ -134,13 +165,17 @@ def _calibration(program: SampleProgram, found: Exported) -> list[str]:
 def _units(found: Exported, program: SampleProgram) -> list[str]:
     """What a file of FMI or C is that one has to know before it is used."""
     lines = []
+    precision = {
+        ONLY_DOUBLE: "Numbers are double",
+        ONLY_SINGLE: "Numbers are float",
+        BOTH: f"`-D{program.name.upper()}_SINGLE` makes it single precision",
+    }
     if f"{program.name}.c" in found.files:
         lines += [
             "The C has neither heap nor recursion, and is clean under cppcheck with "
             "its MISRA C:2012 rules but for 2.5 and 8.7: macros and functions of the "
-            f"header are an interface. `-D{program.name.upper()}_SINGLE` makes it "
-            "single precision; `start` knows the steady state, the mean, given outputs "
-            "and zeros.",
+            f"header are an interface. {precision[program.precision]}; `start` knows "
+            "the steady state, the mean, given outputs and zeros.",
             "",
         ]
     if any(name.endswith(".fmu") for name in found.files):

@@ -23,3 +23,4 @@ from jaxnarx.simulation.trajectories import limited as limited
 from jaxnarx.simulation.verbs import fitting as fitting
 from jaxnarx.simulation.verbs import predict as predict
 from jaxnarx.simulation.verbs import simulate as simulate
+from jaxnarx.simulation.verbs import stacked as stacked

@@ -33,7 +33,10 @@ class Trajectories:
     an input outside its training range, or in a prediction a measured or computed
     output; `diverged` tells per output whether the record counts as diverged. `hidden`
     are the hidden channels in their own unit; a sample of which one is held by its
-    bound is `limited` for all outputs.
+    bound is `limited` for all outputs, as in exported code. Of a run with
+    `missing="hold"`, `missing` marks samples at which an input is missing, which are
+    `extrapolated` too, and `invalid` those at which it has been for too long; empty
+    otherwise.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
@@ -46,6 +49,8 @@ class Trajectories:
     names: tuple[str, ...]
     output_names: tuple[str, ...]
     hidden: tuple[Float[np.ndarray, "_ hidden"], ...] = ()
+    missing: tuple[Bool[np.ndarray, " _"], ...] = ()
+    invalid: tuple[Bool[np.ndarray, " _"], ...] = ()
 
     def __str__(self) -> str:
         """Range, and samples that count or that the bound has held, by record."""
@@ -125,7 +130,7 @@ def _extrapolated(
 
 
 def make_trajectories(
-    network, data, batch, scaled, scored, start, ahead=None
+    network, data, batch, scaled, scored, start, ahead=None, gaps=None
 ) -> Trajectories:
     """Of a free run, or of a prediction so many steps `ahead` = (k, limited)."""
     own = np.array(network.signals)
@@ -140,6 +145,10 @@ def make_trajectories(
     silent = np.zeros_like(extrapolated)
     if network.outside == NAN:
         silent = _extrapolated(network, batch, None)
+    if gaps is not None:
+        extrapolated |= gaps.missing
+        if NAN in (network.nan, network.outside):
+            silent |= gaps.missing
     if ahead is None:
         limited = lost | (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
     else:
@@ -170,9 +179,14 @@ def make_trajectories(
         parts = *values, scored[n, :length], *masks, extrapolated[n, :length], bad
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
+    marks = {} if gaps is None else {"missing": gaps.missing, "invalid": gaps.invalid}
     return Trajectories(
         *map(tuple, columns),
         names=tuple(data.names),
         output_names=tuple(network.output_names),
         hidden=tuple(h[: len(r)] for h, r in zip(hidden, data, strict=True)),
+        **{
+            name: tuple(m[: len(r)] for m, r in zip(mask, data, strict=True))
+            for name, mask in marks.items()
+        },
     )

@@ -6,11 +6,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxnarx.checks import choice
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network
+from jaxnarx.models import HOLD, Gaps, Network, hold_missing
 from jaxnarx.simulation.masks import Masks, first_anchor, make_masks
 from jaxnarx.simulation.observer import begun, observed
 from jaxnarx.simulation.runs import RunInputs, make_drive, run, run_parallel, run_steps
@@ -19,10 +20,10 @@ from jaxnarx.solution import NAMES, RESULTS, Solution
 
 
 def _prepare(
-    network: Network, data: Dataset
-) -> tuple[Dataset, Batch, Masks, RunInputs]:
+    network: Network, data: Dataset, missing: str | None = None
+) -> tuple[Dataset, Batch, Masks, RunInputs, Gaps | None]:
     matched = fitting(network, data)
-    batch = stack(matched)
+    batch, gaps = stacked(network, matched, missing)
     masks = make_masks(network, batch, network.window)
     if np.all(masks.start == masks.anchors.shape[1]):
         shortest = min(data, key=len)
@@ -31,7 +32,18 @@ def _prepare(
             f"measured samples to start from (record {shortest.name!r} has "
             f"{len(shortest)} rows)"
         )
-    return matched, batch, masks, make_drive(network, batch)
+    return matched, batch, masks, make_drive(network, batch), gaps
+
+
+def stacked(
+    network: Network, data: Dataset, missing: str | None
+) -> tuple[Batch, Gaps | None]:
+    """The records side by side; with `missing="hold"` inputs held where they are
+    missing, and where that is."""
+    if missing is None:
+        return stack(data), None
+    choice(missing, (HOLD,), "missing")
+    return hold_missing(network, stack(data), [len(record) for record in data])
 
 
 def fitting(network: Network, data: Dataset) -> Dataset:
@@ -88,6 +100,9 @@ def _solution(
         "held": np.array([h.sum(axis=0) for h in value.held]),
         "extrapolated": np.array([e.mean() for e in value.extrapolated]),
     }
+    if value.missing:
+        stats["missing"] = np.array([m.sum() for m in value.missing])
+        stats["invalid"] = np.array([m.sum() for m in value.invalid])
     status, detail = RESULTS.ok, ""
     if bad.any():
         n = int(np.argmax(bad))
@@ -128,7 +143,11 @@ def _solution(
 
 @guarded
 def simulate(
-    network: Network, data: Dataset, *, time_parallel: bool | None = None
+    network: Network,
+    data: Dataset,
+    *,
+    time_parallel: bool | None = None,
+    missing: str | None = None,
 ) -> Solution[Trajectories]:
     """Free run of every record on the network's own outputs (physical units).
 
@@ -138,9 +157,10 @@ def simulate(
     matched by name; extra ones are ignored. Outputs are held within the model's
     feedback bound; status `diverged` when that bound acts on more than 5 % or on 50
     successive samples of a record, `too_short` when a record has no valid start. Never
-    NaN. A model with limits (`jnx.models.hold_to_range`) sees inputs no farther than at
-    the edge of their trained ranges, and reports no output far beyond its own; neither
-    what is fed back nor the status depends on that margin.
+    NaN, unless the model says nothing of a sample (its `outside` or `nan`). A model
+    with limits (`jnx.models.hold_to_range`) sees inputs no farther than at the edge of
+    their trained ranges, and reports no output far beyond its own; neither what is fed
+    back nor the status depends on that margin.
 
     `time_parallel` solves for the whole trajectory at once (Newton's method, see
     `jaxnarx.arrays.time_parallel`) with the same outputs to 1e-9; the records for which
@@ -153,6 +173,12 @@ def simulate(
         network: The model.
         data: Records with its channels, at its sample time.
         time_parallel: Solve for the whole trajectory at once; see above.
+        missing: `"hold"`: run over gaps of the inputs as exported models do
+            (`jaxnarx.models.missing`): the last value that was not missing stands in
+            their place, before the first the middle of the trained range, outputs are
+            as the network's `nan` says, and samples are marked in `missing` and
+            `invalid`. Default: samples whose inputs have gaps in their window are not
+            scored.
 
     Returns:
         `value` holds the outputs record by record, `value[0]` (time, outputs), with
@@ -164,7 +190,7 @@ def simulate(
         run = jnx.simulate(network, data)
         print(run.status_name, run.value[0].shape)
     """
-    matched, batch, masks, drive = _prepare(network, data)
+    matched, batch, masks, drive, gaps = _prepare(network, data, missing)
     drive = begun(network, drive, jax.device_put(masks.start))
     anchor = jax.device_put(first_anchor(masks))
     stats = {}
@@ -174,7 +200,7 @@ def simulate(
     else:
         scaled = run(network, drive, anchor)
     value = make_trajectories(
-        network, matched, batch, scaled, masks.scored, masks.first
+        network, matched, batch, scaled, masks.scored, masks.first, gaps=gaps
     )
     solution = _solution(network, matched, value, masks.first, _ignored(network, data))
     return dataclasses.replace(solution, stats=solution.stats | stats)
@@ -205,7 +231,7 @@ def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectorie
     """
     if k < 1:
         raise SpecError(f"k must be at least 1, got {k}", field="k")
-    matched, batch, masks, drive = _prepare(network, data)
+    matched, batch, masks, drive, _ = _prepare(network, data)
     drive = observed(network, drive)
     scaled, held = run_steps(network, drive, jax.device_put(np.asarray(k)))
     ready = np.zeros_like(masks.anchors)

@@ -22,8 +22,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.models import LocalModels, Network, OutputModel, SigmoidTree, weights_at
-from jaxnarx.models.network import scaled_points
+from jaxnarx.models import (
+    LocalModels,
+    Network,
+    OutputModel,
+    SigmoidTree,
+    scaled_points,
+    weights_at,
+)
 from jaxnarx.simulation import fitting, simulate
 
 STEEPNESS = 2.0

@@ -4,6 +4,9 @@ from jaxnarx.targets.export import TARGETS as TARGETS
 from jaxnarx.targets.export import Exported as Exported
 from jaxnarx.targets.export import export as export
 from jaxnarx.targets.export import write_files as write_files
+from jaxnarx.targets.form import BOTH as BOTH
+from jaxnarx.targets.form import ONLY_DOUBLE as ONLY_DOUBLE
+from jaxnarx.targets.form import ONLY_SINGLE as ONLY_SINGLE
 from jaxnarx.targets.form import SampleProgram as SampleProgram
 from jaxnarx.targets.interpret import Instance as Instance
 from jaxnarx.targets.javascript import javascript as javascript

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxnarx.targets.code import digits
 from jaxnarx.targets.dcm import plain
-from jaxnarx.targets.form import ParameterTable, Port, SampleProgram
+from jaxnarx.targets.form import ONLY_DOUBLE, ParameterTable, Port, SampleProgram
 from jaxnarx.targets.names import identifiers
 from jaxnarx.targets.proof import ExportError
 from jaxnarx.targets.target import Files, Golden, Proof
@@ -41,7 +41,9 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     )
     tables = [t for t in program.tables if t.values.size]
     inputs = len(program.inputs)
-    yield f"/* For {name}.c in single precision ({name.upper()}_SINGLE), in a program"
+    single = f"single precision ({name.upper()}_SINGLE)"
+    kind = "double precision" if program.precision == ONLY_DOUBLE else single
+    yield f"/* For {name}.c in {kind}, in a program"
     yield f"   that holds {name}_real {name}_in[{inputs}] and {name}_out {name}_now."
     yield f"   Addresses: a2ltool {name}.a2l --elffile PROGRAM --update ADDRESSES"
     yield f"   --output {name}_linked.a2l */"
@@ -52,7 +54,7 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     yield "  BYTE_ORDER MSB_LAST"
     yield "/end MOD_COMMON"
     yield f"/begin RECORD_LAYOUT {name}_numbers"
-    yield "  FNC_VALUES 1 FLOAT32_IEEE ROW_DIR DIRECT"
+    yield f"  FNC_VALUES 1 {_type(program)} ROW_DIR DIRECT"
     yield "/end RECORD_LAYOUT"
     measured = list(_measured(program))
     for unit in dict.fromkeys(port.unit for _, port, _ in measured):
@@ -77,6 +79,10 @@ def _lines(program: SampleProgram) -> Iterable[str]:
 def quoted(text: str) -> str:
     """A text in quotation marks that it cannot leave."""
     return '"' + plain(text).replace("\\", "/").replace("/*", "/ *") + '"'
+
+
+def _type(program: SampleProgram) -> str:
+    return "FLOAT64_IEEE" if program.precision == ONLY_DOUBLE else "FLOAT32_IEEE"
 
 
 def _measured(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
@@ -116,7 +122,7 @@ def _measurement(
     wide = np.abs([port.low, port.high]).max() < LARGEST / 4
     if port.high > port.low and wide:
         low, high = 2 * port.low - port.high, 2 * port.high - port.low
-    yield f"/begin MEASUREMENT {word} {quoted(port.name)} FLOAT32_IEEE"
+    yield f"/begin MEASUREMENT {word} {quoted(port.name)} {_type(program)}"
     yield f"  {_method(program, port.unit)} 0 0 {digits(low)} {digits(high)}"
     yield "  ECU_ADDRESS 0x0"
     yield f'  SYMBOL_LINK "{symbol}" 0'

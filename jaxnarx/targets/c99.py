@@ -5,8 +5,16 @@ from collections.abc import Iterable
 
 from jaxnarx.targets.c_selftest import selftest
 from jaxnarx.targets.c_start import starts
-from jaxnarx.targets.code import INFIX, Syntax, digits, shown, statements
-from jaxnarx.targets.form import ParameterTable, Port, SampleProgram, Value
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits, shown, statements
+from jaxnarx.targets.form import (
+    ONLY_DOUBLE,
+    ONLY_SINGLE,
+    ParameterTable,
+    Port,
+    SampleProgram,
+    Value,
+)
+from jaxnarx.targets.notes import wrapped
 from jaxnarx.targets.target import Files, Golden
 
 
@@ -61,6 +69,23 @@ _DEVIATIONS = [
 ]
 
 
+_IEEE = (
+    "Comparisons tell whether a value is missing, so the compiler must keep to IEEE "
+    "754: -ffast-math, -Ofast and -ffinite-math-only are refused."
+)
+_REFUSED = [
+    "#ifdef __FAST_MATH__",
+    '#error "compile without -ffast-math: a missing input would not be found"',
+    "#endif",
+    "#ifdef __FINITE_MATH_ONLY__",
+    "#if __FINITE_MATH_ONLY__",
+    '#error "compile without -ffinite-math-only: a missing input would not be found"',
+    "#endif",
+    "#endif",
+    "",
+]
+
+
 def _header(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
     lines = [
@@ -72,15 +97,13 @@ def _header(program: SampleProgram) -> str:
         " * Physical units. Inputs, then outputs (name [unit], trained range):",
         *(f" *   u[{k}] {_port(p)}" for k, p in enumerate(program.inputs)),
         *(f" *   y[{k}] {_port(p)}" for k, p in enumerate(program.computed)),
+        *wrapped(program.notes, " * "),
+        *wrapped([_IEEE, f"{program.cost.capitalize()}."], " * "),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
         "",
-        f"#ifdef {upper}_SINGLE",
-        f"typedef float {name}_real;",
-        "#else",
-        f"typedef double {name}_real;",
-        "#endif",
+        *_number_type(program),
         "",
         f"#define {upper}_SAMPLE_TIME {digits(program.sample_time)}",
         f"#define {upper}_HISTORY {program.history}",
@@ -105,7 +128,7 @@ def _header(program: SampleProgram) -> str:
         f"}} {name}_state;",
         "",
         "/* reported: what the model says; fed: what is fed back, hidden channels too;",
-        " * limited: whether the feedback bound acted; then what is told beside. */",
+        " * limited, and the flags behind it: see above. */",
         "typedef struct {",
         f"    {name}_real reported[{len(program.reported)}];",
         f"    {name}_real fed[{len(program.computed)}];",
@@ -144,14 +167,26 @@ def _header(program: SampleProgram) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _number_type(program: SampleProgram) -> list[str]:
+    """The type of numbers; one that is not asked for or not proven does not compile."""
+    name, upper = program.name, program.name.upper()
+    single = [f"typedef float {name}_real;"]
+    if program.precision == ONLY_SINGLE:
+        return [f"#ifndef {upper}_SINGLE", f"#define {upper}_SINGLE", "#endif", *single]
+    if program.precision == ONLY_DOUBLE:
+        single = ['#error "this model is not proven in single precision"']
+    return [
+        f"#ifdef {upper}_SINGLE",
+        *single,
+        "#else",
+        f"typedef double {name}_real;",
+        "#endif",
+    ]
+
+
 def _port(port: Port) -> str:
     unit = f" [{port.unit}]" if port.unit else ""
-    return _aside(f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}")
-
-
-def _aside(text: str) -> str:
-    """Of people's words, what ends no comment and continues no line."""
-    return text.replace("*/", "* /").replace("\\", "/")
+    return comment(f"{port.name}{unit}, {port.low:.6g} to {port.high:.6g}")
 
 
 def _source(program: SampleProgram) -> str:
@@ -165,6 +200,7 @@ def _source(program: SampleProgram) -> str:
         "",
         "#include <math.h>",
         "",
+        *_REFUSED,
         f"#ifdef {upper}_SINGLE",
         *(f"#define {upper}_{f.upper()}(x) {f}f(x)" for f in functions),
         f"#define {upper}_STILL ({name}_real)1e-6",
@@ -232,7 +268,7 @@ def _source(program: SampleProgram) -> str:
 
 def _table(name: str, table: ParameterTable) -> list[str]:
     rows = table.values.reshape(table.values.shape[0], -1) if table.values.size else []
-    about = _aside(table.about + (f" [{table.unit}]" if table.unit else ""))
+    about = comment(table.about + (f" [{table.unit}]" if table.unit else ""))
     lines = [
         f"/* {about} */",
         f"const {name}_real {name}_{table.name}[{table.values.size}] = {{",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 
 from jaxnarx.targets.form import Op, SampleProgram, Value
@@ -66,6 +67,13 @@ def statements(
 def shown(program: SampleProgram, n: Value, syntax: Syntax) -> str:
     """What stands for value `n`."""
     return syntax.value(program.ops[n], n)
+
+
+def comment(text: str) -> str:
+    """People's words as they may stand in a comment of any language: they end none,
+    begin none, continue no line and are no trigraph."""
+    text = " ".join(text.replace("\\", "/").replace('"""', "'").split())
+    return re.sub(r"(?<=[/*])(?=[/*])|(?<=\?)(?=\?)", " ", text)
 
 
 def digits(x: float) -> str:

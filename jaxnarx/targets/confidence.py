@@ -26,29 +26,52 @@ def domain_index(
         b.mul(b.op("sub", value, b.const(m)), b.const(1 / s))
         for value, m, s in zip(x, center, spread, strict=True)
     ]
-    whiten = b.parameters(
+    # |W x| = |R x| with W = Q R, which has half of the entries
+    _, triangle = np.linalg.qr(np.asarray(domain.whiten, float) / border[2])
+    at = np.triu_indices(len(unit))
+    entries = b.parameters(
         "domain_ellipsoid",
-        np.asarray(domain.whiten, float) / border[2],
-        "rows that make features of unit size uncorrelated, one at the border",
+        triangle[at],
+        "upper triangle, by rows, that makes features of unit size uncorrelated, one "
+        "at the border",
     )
-    joint = b.add(*(b.square(b.dot(row, unit)) for row in whiten))
-    points = b.parameters(
-        "domain_points",
-        np.asarray(domain.points, float) / border[3],
-        "a row for every stored point of the training, weighted features, one at the "
-        "border",
-    )
-    weight = np.asarray(domain.weight, float) / border[3]
-    seen = [b.mul(u, b.const(w)) for u, w in zip(unit, weight.tolist(), strict=True)]
-    apart = [
-        b.add(*(b.square(b.op("sub", u, p)) for u, p in zip(seen, row, strict=True)))
-        for row in points
+    rows = [
+        b.dot(entries[at[0] == k], np.asarray(unit, object)[at[1][at[0] == k]])
+        for k in range(len(unit))
     ]
-    near = apart[0]
-    for one in apart[1:]:
-        near = b.op("min", near, one)
+    joint = b.add(*(b.square(row) for row in rows))
+    near = _nearest(b, domain, border[3], unit)
     far = b.op("sqrt", b.op("max", joint, near))
     return b.op("min", b.largest([far, *alone, *fast]), b.const(FARTHEST))
+
+
+def _nearest(b: Builder, domain: Domain, border: float, unit: list[Value]) -> Value:
+    """Squared distance to the nearest point,
+
+        min_p |x - p|^2 = |x|^2 + 2 min_p (|p|^2 / 2 - p . x) ,
+
+    with two operations by feature and point in place of three. Rounding makes less than
+    1e-15 (|x|^2 + |p|^2) of it, which is nothing where the index is near one.
+    """
+    values = np.asarray(domain.points, float) / border
+    # the mean of the points is the origin, which keeps |x| and |p| small
+    middle = values.mean(axis=0)
+    values = values - middle[None]
+    table = b.parameters(
+        "domain_points",
+        np.column_stack([0.5 * np.sum(values**2, axis=1), -values]),
+        "a row for every stored point of the training: half of its squared length, "
+        "then minus its weighted features from their mean, one at the border",
+    )
+    weight = np.asarray(domain.weight, float) / border
+    seen = [
+        b.op("sub", b.mul(u, b.const(w)), b.const(m))
+        for u, w, m in zip(unit, weight.tolist(), middle.tolist(), strict=True)
+    ]
+    least = b.smallest([b.add(half, b.dot(row, seen)) for half, *row in table])
+    length = b.add(*(b.square(x) for x in seen))
+    near = b.add(length, b.add(least, least))
+    return b.op("max", near, b.const(0.0))
 
 
 def half_width(

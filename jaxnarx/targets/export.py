@@ -7,25 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.extensions import Registry
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network
+from jaxnarx.models import HOLD, Network
 from jaxnarx.shown import page
 from jaxnarx.targets import c99, octave, proof, runners
 from jaxnarx.targets.a2l import a2l_files, prove_a2l
+from jaxnarx.targets.causes import cause
 from jaxnarx.targets.dcm import dcm_files, prove_dcm
 from jaxnarx.targets.fmu import fmu, prove_fmu2, prove_fmu3
-from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.form import BOTH, ONLY_DOUBLE, PRECISIONS, SampleProgram
 from jaxnarx.targets.interpret import Instance
 from jaxnarx.targets.javascript import javascript_files
 from jaxnarx.targets.lower import lower
 from jaxnarx.targets.maps import axes_of
 from jaxnarx.targets.matlab import matlab_files
-from jaxnarx.targets.proof import Case
+from jaxnarx.targets.proof import Case, ExportError, SinglePrecisionError
 from jaxnarx.targets.python import python_files
-from jaxnarx.targets.target import Files, Proof, Target, as_bytes
+from jaxnarx.targets.target import Files, Golden, Target, as_bytes
 
 _OWN: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
@@ -57,13 +59,15 @@ class Exported:
 
     `difference` is the largest difference to the model's free run over all records, in
     shares of the output's largest value, by what was run (`"c, double"`, `"python"`);
-    `left_out` says what could not be run here and why.
+    `left_out` says what could not be run here and why, `failed` what was run and is not
+    among the files, because it does not do what the model does, and why.
     """
 
     program: SampleProgram
     files: Mapping[str, str | bytes]
     difference: Mapping[str, float]
     left_out: tuple[str, ...]
+    failed: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def operations(self) -> int:
@@ -89,9 +93,10 @@ class Exported:
         proofs = self.difference.items()
         lines += [f"{run}: differs from the model by {d:.2g}" for run, d in proofs]
         lines += [f"not run: {one}" for one in self.left_out]
+        lines += [f"not written: {one}: {why}" for one, why in self.failed.items()]
         lines.append(
-            f"{self.operations} operations a sample, {self.parameters} numbers in "
-            f"tables, {self.kept} kept from sample to sample"
+            f"{self.program.cost}, {self.parameters} numbers in tables, {self.kept} "
+            "kept from sample to sample"
         )
         return "\n".join(lines)
 
@@ -113,6 +118,7 @@ def export(
     over: Sequence[str] | None = None,
     index: bool = True,
     level: float | None = None,
+    precision: str = BOTH,
     verify: bool = True,
 ) -> Exported:
     """The network as source files that do the same, sample by sample.
@@ -120,8 +126,11 @@ def export(
     Every target is written from one list of operations (`jaxnarx.targets.form`) and run
     over the records of `data` (without: over steps within the trained ranges) beside
     `simulate`; one that differs by more than 1e-10 of an output's largest value, in
-    single precision 1e-3, raises `ExportError`. A run begins from measured history, or
-    from the steady state at the first inputs.
+    single precision 1e-3, is left out (`Exported.failed`), and `ExportError` is raised
+    where none is left. A run begins from measured history, or
+    from the steady state at the first inputs. Inputs that are not finite are held, and
+    outputs are as the network's `nan` says (`jaxnarx.models.set_nan_policy`); the proof
+    runs over such inputs too.
 
     Args:
         network: The model, with any of the package's validity functions.
@@ -137,10 +146,14 @@ def export(
         index: Whether a network that knows its domain tells its index at every sample.
         level: Probability of prediction intervals, whose half widths are told at every
             sample of a network that knows its errors; default without.
+        precision: Number types of C that are written and proven: `"double"`,
+            `"single"` or `"both"`. With both, a model that single precision cannot
+            follow is written for double, and `failed` says why.
         verify: Whether it is proven.
 
     Returns:
-        The files, texts or bytes, and the figures of the proof.
+        The files, texts or bytes, and the figures of the proof. Targets that do not
+        pass it are not among the files; `failed` names them with the cause.
 
     Example:
         found = jnx.export(network, data, to=["c", "python"], name="NOx")
@@ -148,7 +161,9 @@ def export(
     """
     for one in to:
         TARGETS.find(one, "to")
+    choice(precision, PRECISIONS, "precision")
     program = lower(network, name, index=index, level=level)
+    program = dataclasses.replace(program, precision=precision)
     records = proof.excited(network) if data is None else data
     cases = proof.cases_of(network, program, records)
     if not cases:
@@ -157,13 +172,17 @@ def export(
             "others, or none",
             field="data",
         )
+    gapped = proof.dropouts(network, records)
+    cases += proof.cases_of(network, program, gapped, missing=HOLD)
     axes = {"axes": axes_of(network, program, over)}
     golden = golden_of(program, cases[0]) | axes
-    files: Files = {}
-    for one in to:
-        files |= TARGETS[one].write(program, golden)
-    difference, left_out = _proven(program, files, to, cases) if verify else ({}, [])
-    return Exported(program, files, difference, tuple(left_out))
+    found = _made(program, golden, to, cases, verify)
+    if found.failed:
+        found = _explained(found, network, records)
+    if not found.files:
+        told = "; ".join(found.failed.values())
+        raise ExportError(f"{told}. Nothing was written.")
+    return found
 
 
 def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
@@ -177,20 +196,50 @@ def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     return {"inputs": inputs, "measured": case.measured, "outputs": np.array(rows)}
 
 
-def _proven(
-    program: SampleProgram, files: Files, to: Sequence[str], cases: Sequence[Case]
-) -> Proof:
-    """Of all targets."""
-    found: dict[str, float] = {}
-    left_out: list[str] = []
+def _made(
+    program: SampleProgram,
+    golden: Golden,
+    to: Sequence[str],
+    cases: Sequence[Case],
+    verify: bool,
+) -> Exported:
+    """Targets that are written and pass their proof, and the errors of the others.
+
+    A program that fails in single precision alone is written for double.
+    """
+    made, found, left_out, failed = Files(), {}, [], {}
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        write_files(folder, files)
         for one in to:
-            differences, missing = TARGETS[one].prove(program, folder, cases)
-            found |= differences
-            left_out += missing
-    return found, left_out
+            try:
+                files = TARGETS[one].write(program, golden)
+                write_files(Path(place), files)
+                proof = ({}, [])
+                if verify:
+                    proof = TARGETS[one].prove(program, Path(place), cases)
+            except SinglePrecisionError as error:
+                if program.precision != BOTH:
+                    failed[f"{one}, single"] = str(error)
+                    continue
+                double = dataclasses.replace(program, precision=ONLY_DOUBLE)
+                again = _made(double, golden, to, cases, verify)
+                failed = {f"{one}, single": str(error)} | dict(again.failed)
+                return dataclasses.replace(again, failed=failed)
+            except ExportError as error:
+                failed[one] = str(error)
+                continue
+            made |= files
+            found |= proof[0]
+            left_out += proof[1]
+    return Exported(program, made, found, tuple(left_out), failed)
+
+
+def _explained(found: Exported, network: Network, data: Dataset) -> Exported:
+    """With the cause of what failed in single precision, as far as it is known."""
+    failed = {
+        name: f"{text}. {cause(network, data)}" if name.endswith("single") else text
+        for name, text in found.failed.items()
+    }
+    return dataclasses.replace(found, failed=failed)
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:

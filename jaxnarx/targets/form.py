@@ -25,6 +25,12 @@ from typing import Any
 
 import numpy as np
 
+ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
+"""Number types that C is written and proven for."""
+
+INDEX, HALF = "index", "half_"
+"""Flags: the index of the domain, and half of a prediction interval by output."""
+
 Value = int
 """Number of the operation that makes a value."""
 
@@ -90,7 +96,9 @@ class SampleProgram:
     it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o by
     the inputs of this sample and then by the `past` outputs, (line, k), as they are in
     the lines: divided by the gain. `history` samples of measured inputs and outputs
-    begin a run, if there are any.
+    begin a run, if there are any. `notes` are what whoever calls the code has to know,
+    a paragraph each, for the comments of every target. `precision` says which of the
+    number types of C the source may be compiled in.
     """
 
     name: str
@@ -109,17 +117,12 @@ class SampleProgram:
     fed: tuple[Value, ...]
     limited: tuple[Value, ...]
     flags: Mapping[str, Value]
+    notes: tuple[str, ...] = ()
+    precision: str = BOTH
 
     def needed(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
-        found: set[Value] = set()
-        left = list(values)
-        while left:
-            n = left.pop()
-            if n not in found:
-                found.add(n)
-                left += self.ops[n].args
-        return sorted(found)
+        return _taken(self.ops, values)
 
     @property
     def step(self) -> list[Value]:
@@ -146,12 +149,50 @@ class SampleProgram:
     @property
     def operations(self) -> int:
         """Additions, multiplications, comparisons and functions of one sample."""
+        return self._count(self.step)
+
+    @property
+    def model_operations(self) -> int:
+        """The same without what the index and intervals take."""
+        flags = [n for f, n in self.flags.items() if f != INDEX and f[:5] != HALF]
+        found = self.needed([*self.outputs, *self.fed, *self.limited, *flags])
+        count = -1
+        while count < len(found):
+            count = len(found)
+            kept = {op.source for op in (self.ops[n] for n in found) if op.source}
+            names = {at[0] if isinstance(at, tuple) else at for at in kept}
+            lines = [k.source for k in (*self.delays, *self.states) if k.name in names]
+            found = self.needed([*found, *lines])
+        return self._count(found)
+
+    def _count(self, values: Iterable[Value]) -> int:
         sources = ("const", "table", "input", "measured", "delay", "state")
-        return sum(self.ops[n].kind not in sources for n in self.step)
+        return sum(self.ops[n].kind not in sources for n in values)
+
+    @property
+    def cost(self) -> str:
+        """The operations in words."""
+        text, model = f"{self.operations} operations a sample", self.model_operations
+        if model == self.operations:
+            return text
+        extra = "the index of the domain" if INDEX in self.flags else "the intervals"
+        return f"{text}, {model} of them without {extra}"
 
     def table(self, name: str) -> ParameterTable:
         """The table of a name."""
         return next(table for table in self.tables if table.name == name)
+
+
+def _taken(ops: Sequence[Op], values: Iterable[Value]) -> list[Value]:
+    """The operations that values take, in order."""
+    found: set[Value] = set()
+    left = list(values)
+    while left:
+        n = left.pop()
+        if n not in found:
+            found.add(n)
+            left += ops[n].args
+    return sorted(found)
 
 
 class Builder:
@@ -203,6 +244,10 @@ class Builder:
         """The largest of some values."""
         return self._chain("max", args, -math.inf)
 
+    def smallest(self, args: Sequence[Value]) -> Value:
+        """The smallest of some values."""
+        return self._chain("min", args, math.inf)
+
     def dot(self, a: Iterable[Value], b: Iterable[Value]) -> Value:
         """The sum of products."""
         return self.add(*(self.mul(x, y) for x, y in zip(a, b, strict=True)))
@@ -210,6 +255,10 @@ class Builder:
     def clip(self, x: Value, low: Value, high: Value) -> Value:
         """x, not below low nor above high."""
         return self.op("min", self.op("max", x, low), high)
+
+    def no(self, x: Value) -> Value:
+        """1 where x is 0, else 0."""
+        return self.op("where", x, self.const(0.0), self.const(1.0))
 
     def square(self, x: Value) -> Value:
         """x x."""
@@ -226,6 +275,16 @@ class Builder:
         return self.op(
             "div", one, self.op("add", one, self.op("exp", self.op("neg", a)))
         )
+
+    def replaced(self, value: Value, by: Mapping[Value, Value]) -> Value:
+        """The value with others in place of some that it takes."""
+        found = dict(by)
+        for n in _taken(self.ops, [value]):
+            if n not in found:
+                op = self.ops[n]
+                args = (found[a] for a in op.args)
+                found[n] = self.op(op.kind, *args, source=op.source)
+        return found[value]
 
     def _chain(self, kind: str, args: Sequence[Value], empty: float) -> Value:
         if not args:

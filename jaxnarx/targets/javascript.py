@@ -2,7 +2,7 @@
 
 from string import Template
 
-from jaxnarx.targets.code import INFIX, Syntax, digits
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits
 from jaxnarx.targets.form import ParameterTable, SampleProgram
 from jaxnarx.targets.scripts import Language, number, sources, written
 from jaxnarx.targets.target import Files, Golden
@@ -39,7 +39,7 @@ def _syntax(program: SampleProgram) -> Syntax:
 
 def _table(table: ParameterTable) -> list[str]:
     numbers = ", ".join(digits(x) for x in table.values.ravel())
-    return [f"  // {table.about}", f"  {table.name}: [{numbers}],"]
+    return [f"  // {comment(table.about)}", f"  {table.name}: [{numbers}],"]
 
 
 JAVASCRIPT = Language(
@@ -52,7 +52,9 @@ JAVASCRIPT = Language(
 
    A run starts at its first inputs, as if they had been so for ever: in the steady
    state there, with outputs in the middle of their trained ranges, at zero, or as
-   given. Physical units; limited, fed and the flags are of the last step. */
+   given. Physical units; limited, fed and the flags are of the last step.
+$notes
+*/
 export const SAMPLE_TIME = $sample_time;
 export const HISTORY = $history;
 export const INPUTS = $inputs;
@@ -117,5 +119,6 @@ $keep
     set="{name} = {value};",
     row="[{items}]",
     table=_table,
+    remark="   ",
 )
 """Arrays of numbers; what is kept are fields of an instance."""

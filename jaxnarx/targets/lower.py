@@ -1,4 +1,9 @@
-"""A network as a program: what one sample of its free run takes."""
+"""A network as a program: what one sample of its free run takes.
+
+Inputs and measured outputs are cleaned once, where they enter
+(`jaxnarx.targets.entrance`), by the rule of `jaxnarx.models.missing`: every target has
+it from here.
+"""
 
 import dataclasses
 from typing import Any
@@ -6,11 +11,14 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.errors import SpecError
-from jaxnarx.models import HOLD, LINEAR, NAN, Network, OutputModel
+from jaxnarx.models import FARTHEST, LINEAR, Network, OutputModel
 from jaxnarx.regressors import AbstractFilter, Variables, realise
 from jaxnarx.targets.confidence import domain_index, half_width
 from jaxnarx.targets.derivatives import gradient
+from jaxnarx.targets.entrance import Entrance
 from jaxnarx.targets.form import (
+    HALF,
+    INDEX,
     Builder,
     DelayLine,
     Port,
@@ -18,7 +26,9 @@ from jaxnarx.targets.form import (
     StateValue,
     Value,
 )
+from jaxnarx.targets.limits import limited_outputs
 from jaxnarx.targets.names import identifier, identifiers
+from jaxnarx.targets.notes import notes_of
 from jaxnarx.targets.parameters import (
     THETA,
     OutputAt,
@@ -76,15 +86,11 @@ class _Lowering:
             np.asarray(a, float) for a in (network.low, network.high)
         )
         self.given = len(network.channels.inputs)
-        used = {s for table in self._all_tables() for s, _ in table}
         self.inputs = [
             *range(self.given),
-            *(
-                self.given + o
-                for o in range(len(network.channels.outputs))
-                if o not in network.modelled and self.given + o in used
-            ),
+            *(s for s in network.used if s >= self.given),
         ]
+        self.entrance = Entrance(self.b, network, self.inputs)
         self.names = identifiers(network.computed_names)
 
     def _all_tables(self) -> list[Variables]:
@@ -93,8 +99,7 @@ class _Lowering:
     def program(self, *, index: bool, level: float | None) -> SampleProgram:
         network, b = self.network, self.b
         for o in range(len(network.models)):
-            start = self._scaled_measurement(o)
-            self.lines[f"y_{self.names[o]}"] = _Line(None, start, start)
+            self.lines[f"y_{self.names[o]}"] = self._measured_line(o, self.names[o])
         fed: list[Value] = []
         limited: list[Value] = []
         for o, model in enumerate(network.models):
@@ -108,8 +113,11 @@ class _Lowering:
             b.mul(y, b.const(float(self.gain[s])))
             for y, s in zip(fed, own, strict=True)
         ]
+        limited = self._limited(limited)
         flags = {"extrapolated": self._extrapolated()}
-        outputs = self._reported(physical[: len(network.modelled)], flags)
+        reported = physical[: len(network.modelled)]
+        outputs, kept = limited_outputs(b, network, self.entrance, reported, flags)
+        self.states |= kept
         ports = self._ports(network.computed, own)
         past = [
             (f"y_{name}", k + 1)
@@ -123,10 +131,22 @@ class _Lowering:
         jacobian = [gradient(b, y, sources) for y in physical]
         if index or level is not None:
             flags |= self._confidence(physical, index=index, level=level)
+        flags |= self.entrance.flags()
+        first = self.entrance.first
         lines = [
-            DelayLine(name, line.length, line.source, line.start, line.measured)
+            DelayLine(
+                name,
+                line.length,
+                line.source,
+                b.replaced(line.start, first),
+                line.measured,
+            )
             for name, line in self.lines.items()
             if line.length and line.source is not None
+        ]
+        states = [
+            dataclasses.replace(s, start=b.replaced(s.start, first))
+            for s in (*self.states.values(), *self.entrance.states())
         ]
         channels = (*network.channels.inputs, *network.channels.outputs)
         return SampleProgram(
@@ -139,13 +159,14 @@ class _Lowering:
             ops=tuple(b.ops),
             tables=tuple(b.tables.values()),
             delays=tuple(lines),
-            states=tuple(self.states.values()),
+            states=tuple(states),
             outputs=tuple(outputs),
             jacobian=tuple(jacobian),
             past=tuple(past),
             fed=tuple(physical),
             limited=tuple(limited),
             flags=flags,
+            notes=notes_of(network, flags),
         )
 
     def _ports(self, channels: Any, signals: Any) -> tuple[Port, ...]:
@@ -157,7 +178,8 @@ class _Lowering:
     # inputs ------------------------------------------------------------------------
 
     def _raw(self, signal: int) -> Value:
-        return self.b.op("input", source=self.inputs.index(signal))
+        """A signal as it is, held where it is missing."""
+        return self.entrance.signal(signal)
 
     def _seen(self, signal: int) -> Value:
         """A signal as the network sees it, physical."""
@@ -239,9 +261,16 @@ class _Lowering:
 
     # feedback ----------------------------------------------------------------------
 
-    def _scaled_measurement(self, o: int) -> Value:
-        b, signal = self.b, self.network.signals[o]
-        return b.mul(b.op("measured", source=o), b.const(1 / self.gain[signal]))
+    def _measured_line(self, o: int, name: str) -> _Line:
+        """A delay line `y_` of a name that the measured output o begins."""
+        b, scale = self.b, self.b.const(1 / self.gain[self.network.signals[o]])
+        line = f"y_{name}"
+        start = b.mul(self.entrance.measured(o), scale)
+        before = b.op("delay", source=(line, 1))
+        measured = self.entrance.measured(
+            o, b.mul(b.op("measured", source=o), scale), before
+        )
+        return _Line(None, start, measured)
 
     def _fed(self, o: int, lag: int, group: int | None = None) -> Value:
         name = f"y_{self.names[o]}" + ("" if group is None else f"_group{group + 1}")
@@ -255,8 +284,15 @@ class _Lowering:
             b.const(float(np.asarray(a)[o]))
             for a in (self.network.lower, self.network.upper)
         )
-        below, above = b.op("less", value, low), b.op("less", high, value)
-        return b.clip(value, low, high), b.op("max", below, above)
+        inside = b.op("min", b.op("less", low, value), b.op("less", value, high))
+        return b.clip(value, low, high), b.no(inside)
+
+    def _limited(self, acted: list[Value]) -> list[Value]:
+        """Where the bound acted on an output or on any hidden channel, which enters
+        all outputs; then of every hidden channel alone."""
+        count = len(self.network.modelled)
+        hidden = acted[count:]
+        return [self.b.largest([one, *hidden]) for one in acted[:count]] + hidden
 
     # local models ------------------------------------------------------------------
 
@@ -278,9 +314,9 @@ class _Lowering:
         if own is not None:
             groups, members = np.nonzero(own)
             group_of = dict(zip(members.tolist(), groups.tolist(), strict=True))
-            start = self._scaled_measurement(o)
             for g in range(len(own)):
-                self.lines[f"y_{name}_group{g + 1}"] = _Line(None, start, start)
+                group = f"{name}_group{g + 1}"
+                self.lines[f"y_{group}"] = self._measured_line(o, group)
         local = []
         for m in range(len(active)):
             parts = [
@@ -348,7 +384,8 @@ class _Lowering:
     # limits ------------------------------------------------------------------------
 
     def _extrapolated(self) -> Value:
-        """Where a signal that a term or the scheduling looks at leaves its range."""
+        """Where a signal that a term or the scheduling looks at leaves its range, or is
+        missing."""
         b, found = self.b, []
         rows = dict.fromkeys(row for table in self._all_tables() for row in table)
         for s, lag in rows:
@@ -364,7 +401,8 @@ class _Lowering:
                 line.length = max(line.length, lag)
                 out = b.op("delay", source=(f"out_{s}", lag))
             found.append(out)
-        return b.largest(found) if found else b.const(0.0)
+        gap = [self.entrance.missing] if self.network.used else []
+        return b.largest([*found, *gap]) if found else b.const(0.0)
 
     def _confidence(
         self, physical: list[Value], *, index: bool, level: float | None
@@ -379,7 +417,8 @@ class _Lowering:
             for s, now in zip(domain.inputs, raw, strict=True)
         ]
         far = domain_index(b, domain, x, step)
-        flags = {"index": far} if index else {}
+        far = b.op("where", self.entrance.missing, b.const(FARTHEST), far)
+        flags = {INDEX: far} if index else {}
         if level is None or errors is None:
             return flags
         used = len(x) // 2
@@ -394,7 +433,7 @@ class _Lowering:
             moved = b.size(b.op("sub", physical[o], before), 1.0)
             z = [*x, *apart, physical[o], moved, far]
             name = self.names[o]
-            flags[f"half_{name}"] = half_width(b, errors, o, level, z, name)
+            flags[f"{HALF}{name}"] = half_width(b, errors, o, level, z, name)
         return flags
 
     def _feature(self, signal: int, lag: int, filter_: AbstractFilter | None) -> Value:
@@ -403,40 +442,3 @@ class _Lowering:
         if filter_ is not None:
             raw, base = self._filtered(raw, base, filter_)
         return raw if lag == 0 else self._lagged(base, lag, raw)
-
-    def _reported(self, physical: list[Value], flags: dict[str, Value]) -> list[Value]:
-        network, b = self.network, self.b
-        outputs = list(physical)
-        if network.hold is not None:
-            over = self._overshoot()
-            share = b.const(float(network.hold))
-            for o, s in enumerate(network.signals[: len(network.modelled)]):
-                width = b.const(self.high[s] - self.low[s])
-                wider = b.mul(b.add(share, over), width)
-                outputs[o] = b.clip(
-                    physical[o],
-                    b.op("sub", b.const(self.low[s]), wider),
-                    b.add(b.const(self.high[s]), wider),
-                )
-        if network.outside == NAN:
-            nothing = b.const(float("nan"))
-            outputs = [
-                b.op("where", flags["extrapolated"], nothing, y) for y in outputs
-            ]
-        return outputs
-
-    def _overshoot(self) -> Value:
-        """The farthest that an input has been beyond its range so far, in widths."""
-        b = self.b
-        moved = [s for s in range(self.given) if self.high[s] > self.low[s]]
-        if self.network.outside == HOLD or not moved:
-            return b.const(0.0)
-        parts = [b.op("state", source="overshoot")]
-        now = [b.const(0.0)]
-        for s in moved:
-            raw, scale = self._raw(s), b.const(1 / (self.high[s] - self.low[s]))
-            now.append(b.mul(b.op("sub", b.const(self.low[s]), raw), scale))
-            now.append(b.mul(b.op("sub", raw, b.const(self.high[s])), scale))
-        value = b.largest([*parts, *now])
-        self.states["overshoot"] = StateValue("overshoot", value, b.const(0.0))
-        return value

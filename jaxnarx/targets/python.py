@@ -4,7 +4,7 @@ import keyword
 from string import Template
 
 from jaxnarx.checks import require
-from jaxnarx.targets.code import INFIX, Syntax, digits
+from jaxnarx.targets.code import INFIX, Syntax, comment, digits
 from jaxnarx.targets.form import ParameterTable, SampleProgram
 from jaxnarx.targets.scripts import Language, number, sources, written
 from jaxnarx.targets.target import Files, Golden
@@ -38,7 +38,7 @@ def _syntax(program: SampleProgram) -> Syntax:
 
 def _table(table: ParameterTable) -> list[str]:
     numbers = ", ".join(digits(x) for x in table.values.ravel())
-    return [f"    # {table.about}", f"    {table.name} = [{numbers}]"]
+    return [f"    # {comment(table.about)}", f"    {table.name} = [{numbers}]"]
 
 
 PYTHON = Language(
@@ -52,6 +52,7 @@ PYTHON = Language(
 A run starts at its first inputs, as if they had been so for ever: in the steady state
 there, with outputs in the middle of their trained ranges, at zero, or as given.
 Physical units; limited, fed and the flags are of the last step.
+$notes
 """
 
 import math

@@ -11,9 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.targets import form
 from jaxnarx.targets.compilers import WARNINGS, compiler, compilers
 from jaxnarx.targets.form import SampleProgram
-from jaxnarx.targets.proof import DOUBLE, SINGLE, Case, ExportError, Runner, worst
+from jaxnarx.targets.proof import (
+    DOUBLE,
+    SINGLE,
+    Case,
+    ExportError,
+    Runner,
+    SinglePrecisionError,
+    worst,
+)
 from jaxnarx.targets.target import Proof
 
 
@@ -49,8 +58,9 @@ def javascript_runner(path: Path) -> Runner:
         with tempfile.TemporaryDirectory() as folder:
             module, main = Path(folder, "model.mjs"), Path(folder, "main.mjs")
             module.write_text(path.read_text("utf-8"), "utf-8")
-            case = {"u": inputs.tolist(), "y": measured.tolist()}
-            Path(folder, "case.json").write_text(json.dumps(case))
+            for name, values in (("u", inputs), ("y", measured)):
+                # JSON has no NaN
+                Path(folder, name).write_bytes(values.astype("<f8").tobytes())
             main.write_text(_NODE)
             done = subprocess.run(
                 [program, str(main)], capture_output=True, text=True, cwd=folder
@@ -64,12 +74,17 @@ def javascript_runner(path: Path) -> Runner:
 
 
 _NODE = """import { readFileSync } from 'node:fs';
-import { Model, HISTORY } from './model.mjs';
-const given = JSON.parse(readFileSync('case.json', 'utf8'));
+import { Model, HISTORY, INPUTS, OUTPUTS } from './model.mjs';
+function rows(file, width) {
+  const all = new Float64Array(new Uint8Array(readFileSync(file)).buffer);
+  return Array.from({ length: all.length / width },
+    (_, t) => Array.from(all.subarray(t * width, (t + 1) * width)));
+}
+const u = rows('u', INPUTS.length), y = rows('y', OUTPUTS.length);
 const model = new Model();
-model.begin(given.u[0], given.y[0]);
-for (let t = 0; t < HISTORY; t++) model.observe(given.u[t], given.y[t]);
-console.log(JSON.stringify(given.u.slice(HISTORY).map((u) => model.step(u))));
+model.begin(u[0], y[0]);
+for (let t = 0; t < HISTORY; t++) model.observe(u[t], y[t]);
+console.log(JSON.stringify(u.slice(HISTORY).map((now) => model.step(now))));
 """
 
 
@@ -155,13 +170,22 @@ def prove_javascript(
 
 
 def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
-    """The same, in both precisions, by every compiler that is here."""
+    """The same, in the precisions of the program, by every compiler that is here."""
     if compiler() is None:
         return {}, ["c: there is no C compiler here"]
-    found = {}
-    for n, cc in enumerate(compilers()):
-        for kind, most in (("double", DOUBLE), ("single", SINGLE)):
-            run = c_runner(folder, program, folder, single=kind == "single", cc=cc)
+    found: dict[str, float] = {}
+    for kind, most in ((form.ONLY_DOUBLE, DOUBLE), (form.ONLY_SINGLE, SINGLE)):
+        if program.precision not in (kind, form.BOTH):
+            continue
+        for n, cc in enumerate(compilers()):
+            run = c_runner(
+                folder, program, folder, single=kind == form.ONLY_SINGLE, cc=cc
+            )
             what = f"c, {kind}" + (f", {Path(cc).name}" if n else "")
-            found[what] = worst(cases, run, most, what)
+            try:
+                found[what] = worst(cases, run, most, what)
+            except ExportError as error:
+                if kind == form.ONLY_SINGLE:
+                    raise SinglePrecisionError(str(error)) from error
+                raise
     return found, []

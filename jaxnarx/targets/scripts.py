@@ -10,9 +10,10 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Template
 
-from jaxnarx.targets.code import Syntax, digits, shown, statements
+from jaxnarx.targets.code import Syntax, comment, digits, shown, statements
 from jaxnarx.targets.form import ParameterTable, SampleProgram, Value
 from jaxnarx.targets.interpret import LONGEST, SETTLED
+from jaxnarx.targets.notes import wrapped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,8 +24,8 @@ class Language:
     delay line of {length} zeros, `filled` one that is {value} throughout, `entered` the
     {line} after {value} has entered it; `set` sets {name} to {value}, `row` is a list
     of {items}, which `between` separates. `names` writes texts, `table` a parameter
-    table with its comment. `page` has the places that `written` fills, `indent` is that
-    of statements.
+    table with its comment; `remark` leads a line of the comment at the top. `page` has
+    the places that `written` fills, `indent` is that of statements.
     """
 
     page: Template
@@ -40,6 +41,7 @@ class Language:
     names: Callable[[Sequence[str]], str] = json.dumps
     between: str = ", "
     indent: str = "    "
+    remark: str = ""
 
 
 def written(
@@ -84,6 +86,7 @@ def written(
     places = {
         "name": program.name,
         "about": about(program),
+        "notes": "\n".join(wrapped(program.notes, language.remark)),
         "sample_time": digits(program.sample_time),
         "history": str(program.history),
         "inputs": language.names([p.name for p in program.inputs]),
@@ -162,12 +165,11 @@ def number(nan: str, infinity: str) -> Callable[[float], str]:
 
 
 def about(program: SampleProgram) -> str:
-    """One line of what it is; names cannot end the comment it stands in."""
+    """One line of what it is, for a comment."""
     ports = [
         ", ".join(f"{p.name} [{p.unit}]" if p.unit else p.name for p in some)
         for some in (program.inputs, program.computed)
     ]
-    text = f"{ports[1]} from {ports[0]}, a sample every {program.sample_time:g} s."
-    for mark, other in (("\\", "/"), ('"""', "'"), ("*/", "* /")):
-        text = text.replace(mark, other)
-    return " ".join(text.split())
+    return comment(
+        f"{ports[1]} from {ports[0]}, a sample every {program.sample_time:g} s."
+    )

@@ -9,8 +9,9 @@ from jaxnarx.data import Dataset
 from jaxnarx.design.limits import limits_for
 from jaxnarx.design.plan import HOLDS, REFUSED
 from jaxnarx.design.stretches import Space, stretches
-from jaxnarx.design.views import memory_of, told
+from jaxnarx.design.views import told
 from jaxnarx.errors import SpecError
+from jaxnarx.models import memory_of
 from jaxnarx.shell.cli import run
 
 DURATION, TIME = 60.0, 0.5

@@ -25,6 +25,7 @@ from jaxnarx.models import (
     scheduling_values,
 )
 from jaxnarx.models.limits import overshoot
+from jaxnarx.models.missing import memory_of
 from jaxnarx.simulation.masks import first_anchor, make_masks
 from jaxnarx.simulation.runs import make_drive, run_record
 
@@ -158,9 +159,10 @@ def test_the_slope_by_inputs_is_that_of_differences():
 
 def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
     inputs = np.array([[0.0, 0.0], [1.25, 0.0], [0.0, 0.0], [0.0, -1.7], [2.0, 0.0]])
-    # widths are 2.5 and 0.7: beyond by 0.1, then 2.0, then 0.4 of them
-    farthest = np.array([0.0, 0.1, 0.1, 2.0, 2.0])
     net = ranged("coupled", FLAG)
+    # widths are 2.5 and 0.7: beyond by 0.1, then 2.0, then 0.4 of them
+    fade = np.exp(-1 / memory_of(net))
+    farthest = np.array([0.0, 0.1, 0.1 * fade, 2.0, 2.0 * fade])
     np.testing.assert_allclose(overshoot(net, inputs), farthest, atol=1e-12)
     assert np.all(overshoot(ranged("coupled", HOLD), inputs) == 0)
     net, y = hold_to_range(net, 0.1), np.tile([100.0, -100.0], (5, 1))
@@ -170,6 +172,24 @@ def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
     np.testing.assert_allclose(value, edge, atol=1e-12)
     assert mask.all()
     np.testing.assert_allclose(reported(net, y)[0], edge[:1].repeat(5, axis=0))
+
+
+def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
+    """And one of an input that no term looks at does not."""
+    net = hold_to_range(ranged("coupled", FLAG), 0.1)
+    inputs = np.zeros((1000, 2))
+    inputs[100] = 1e5
+    far = overshoot(net, inputs)
+    memory = memory_of(net)
+    assert memory == 10 * net.history and np.all(far[:100] == 0) and far[100] > 1e4
+    assert np.all(far[100 + int(25 * memory) :] < 1e-5)
+    y = np.full((1000, 2), 50.0)
+    edges = reported(net, y, inputs)[0]
+    np.testing.assert_allclose(edges[-1], edges[0], rtol=1e-9)
+    assert edges[100, 0] == 50
+    blind = common.network([common.Part([[((0,), 0.3)]])], variables=((A, 0),))
+    inputs[:, A] = 0
+    assert not overshoot(blind, inputs).any() and overshoot(net, inputs).any()
 
 
 def test_of_constant_inputs_nothing_is_beyond():

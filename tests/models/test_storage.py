@@ -22,7 +22,14 @@ from safetensors.numpy import load_file, save_file
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import ModelFileError, SpecError
-from jaxnarx.models import AbstractValidity, hold_to_range, load, save, validity
+from jaxnarx.models import (
+    AbstractValidity,
+    hold_to_range,
+    load,
+    save,
+    set_nan_policy,
+    validity,
+)
 from jaxnarx.models.storage import FORMAT, load_about
 from jaxnarx.simulation import simulate
 
@@ -604,3 +611,30 @@ def test_a_type_that_numpy_does_not_have_is_refused(tmp_path):
     file = tmp_path / "model.safetensors"
     file.write_bytes(len(head).to_bytes(8, "little") + head + bytes(4))
     refused(file)
+
+
+@pytest.mark.parametrize("policy", [("nan", None), ("hold", 2.0), ("nan", 0.4)])
+def test_what_missing_inputs_do_comes_back_in_the_newest_format(tmp_path, policy):
+    network = set_nan_policy(build("coupled"), policy[0], invalid_after=policy[1])
+    save(network, tmp_path / "m")
+    again = load(tmp_path / "m")
+    assert (again.nan, again.invalid_after) == (network.nan, network.invalid_after)
+    assert contents(tmp_path / "m")[1]["format"] == 10
+
+
+def test_inputs_of_an_older_model_are_held(tmp_path):
+    save(build("coupled"), tmp_path / "m")
+    assert "nan" not in contents(tmp_path / "m")[1]
+    again = load(tmp_path / "m")
+    assert again.nan == "hold" and again.invalid_after is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"nan": "guess"}, {"nan": 1}, {"invalid_after": 0}, {"invalid_after": 1.5}],
+)
+def test_an_unknown_policy_of_missing_inputs_is_refused(tmp_path, damage):
+    save(build("coupled"), tmp_path / "m")
+    tensors, header = contents(tmp_path / "m")
+    write(tmp_path / "m", tensors, header | {"format": 10} | damage)
+    refused(tmp_path / "m", "damaged")

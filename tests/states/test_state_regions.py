@@ -8,8 +8,7 @@ import pytest
 from state_plants import made, plant, records
 
 from jaxnarx.methods import HiddenStates
-from jaxnarx.models import SigmoidTree, load, save
-from jaxnarx.models.network import weights_at
+from jaxnarx.models import SigmoidTree, load, save, weights_at
 from jaxnarx.simulation import simulate
 from jaxnarx.states import fit_states, settled, state_network
 from jaxnarx.states.regions import divisions, roomy, trimmed

@@ -15,6 +15,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.targets import Instance, export, lower, octave, runners
 from jaxnarx.targets.interpret import STARTS
 from jaxnarx.targets.matlab import TAKEN
+from jaxnarx.targets.proof import cases_of
 
 FIRST = np.array([0.7, 0.2])
 MEASURED = np.array([4.0])
@@ -139,6 +140,24 @@ def test_octave_runs_it_and_its_own_test_finds_what_is_wrong(page, tmp_path):
         octave.run_octave(tmp_path, "m_test")
 
 
+def test_the_test_of_matlab_leaves_out_a_steady_state_that_is_far(monkeypatch):
+    """Of a model that swings for ever, and says so."""
+    part = common.Part([[((0, 0), 1.0), ((0, 3), -2.0)]])
+    net = common.network([part], variables=common.VARIABLES[:4])
+    files = export(net, to=["matlab"], name="m", verify=False).texts
+    assert "from_steady" not in files["m_test.m"]
+    assert "'steady' takes more than 2000 samples" in files["m_test.m"]
+    program, ran = lower(net, "m"), []
+    monkeypatch.setattr(octave, "octave", lambda: "octave")
+    monkeypatch.setattr(octave, "run_octave", lambda *words: ran.append(words) or "")
+    monkeypatch.setattr(octave, "worst", lambda *words: 0.0)
+    cases = cases_of(net, program, common.dataset((60,), seed=3))
+    _, left_out = octave.prove_matlab(program, Path("."), cases)
+    assert len(ran) == 1 and "the start 'steady', which takes more than" in left_out[0]
+    settled = export(common.named("one model"), to=["matlab"], verify=False).texts
+    assert "from_steady" in settled["model_test.m"]
+
+
 def odd(name: str):
     net = common.named("by inputs")
     channels = Channels(
@@ -159,6 +178,25 @@ def test_names_of_channels_stay_texts(name, tmp_path):
     assert scope["INPUTS"] == [name, "b"]
 
 
+HOSTILE = [
+    ["/*", "*/ int x; /*", "//", "x\\", "??/"],
+    ["/*/**/", '"""\\"', "'%{ --", "]]>&", "\\u002a/"],
+]
+
+
+@pytest.mark.parametrize("names", HOSTILE)
+def test_hostile_names_go_through_every_target(names):
+    """Proven where there are the programs for it: warnings of compilers are errors."""
+    net, (a, b, unit, y, w) = common.named("by inputs"), names
+    channels = Channels((Channel(a, "V"), Channel(b, unit)), (Channel(y), Channel(w)))
+    net = dataclasses.replace(net, channels=channels)
+    to = ["c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"]
+    found = export(net, to=to, name="m")
+    assert len(found.files) == 11 and not found.failed
+    if runners.compiler():
+        assert {"c, double", "c, single", "fmu2", "fmu3"} <= set(found.difference)
+
+
 @pytest.mark.parametrize("word", ["class", "end", "exp", "Clear"])
 def test_words_of_a_language_name_no_model(word):
     to = "python" if word == "class" else "matlab"
@@ -167,9 +205,10 @@ def test_words_of_a_language_name_no_model(word):
     assert word == "class" or word.lower() in TAKEN
 
 
-def test_a_model_without_memory_is_a_page_too():
+def test_a_model_without_memory_keeps_its_input_alone():
+    """Its last value, and for how many samples it has been missing."""
     variables = ((A, 0),)
     net = common.network([Part([[((0,), 0.3), ((1,), 0.5)]])], variables=variables)
     to = ["python", "javascript"] + ["matlab"] * bool(octave.octave())
     found = export(net, to=to)
-    assert found.kept == 0 and max(found.difference.values()) < 1e-14
+    assert found.kept == 2 and max(found.difference.values()) < 1e-14

@@ -392,7 +392,11 @@ def test_intervals_of_a_network_without_errors_are_refused(trusted):
     net = dataclasses.replace(trusted[0], errors=None)
     with pytest.raises(SpecError, match="does not know its errors"):
         export(net, to=["python"], level=0.9)
-    assert set(lower(net, index=False).flags) == {"extrapolated"}
+    assert set(lower(net, index=False).flags) == {
+        "extrapolated",
+        "missing",
+        "invalid",
+    }
 
 
 def drawn(net, seed: int):

@@ -102,7 +102,8 @@ class Export:
     javascript are files of one page without dependencies; matlab is a function that
     keeps its state, for a MATLAB Function block or Octave, and a test of it. Every one
     is compiled where it must be and run over the records of FILE, without any over
-    steps within the trained ranges, beside the model; one that differs is not written.
+    steps within the trained ranges, beside the model, and over inputs that drop out;
+    one that differs is not written, and the exit code is 1.
     For calibration, dcm (DCM 2.0) holds the parameters and maps of every output at rest
     over two inputs, with the others in the middle of their trained ranges, `jaxnarx
     import-dcm` takes it back; a2l (1.71) links names to the symbols of c, so that a
@@ -141,6 +142,15 @@ class Export:
     without_index: Flag = False
     """Leave out the index of the model's domain, which takes most of the operations of
     a small model."""
+    nan: Annotated[Literal["hold", "nan"] | None, optional("hold|nan")] = None
+    """Outputs where an input is not finite: by its last finite value (hold), or not a
+    number (nan). Such samples are flagged either way. Default: as MODEL says."""
+    invalid_after: Annotated[float | None, optional("SECONDS")] = None
+    """Flag outputs as invalid once an input has not been finite for so long; default:
+    as MODEL says, which is its memory."""
+    precision: Literal["double", "single", "both"] = "both"
+    """Number types of C that are written and proven. With both, a model that single
+    precision cannot follow is written for double alone."""
     unproven: Flag = False
     """Write without the proof."""
     force: Flag = False

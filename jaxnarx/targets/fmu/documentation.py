@@ -41,6 +41,7 @@ def page(program: SampleProgram, variables: Sequence[Quantity], version: int) ->
     texts = [SAMPLES.format(step=f"{program.sample_time:g}"), INITIAL]
     texts += [EVENTS] if version == 3 else []
     texts += [LATE, STEPS, SLOPES, STATE]
+    texts += [escape(note) for note in program.notes]
     texts += [SOURCES.format(version=version, name=program.name)]
     starts = "".join(f"<li><code>{k}</code>: {v}</li>\n" for k, v in STARTS.items())
     rows = "".join(

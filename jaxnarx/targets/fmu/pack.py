@@ -1,5 +1,6 @@
 """The archive: description, sources, documentation, and a binary where one is made."""
 
+import dataclasses
 import functools
 import hashlib
 import io
@@ -17,7 +18,7 @@ from jaxnarx.targets.fmu import description
 from jaxnarx.targets.fmu.documentation import page
 from jaxnarx.targets.fmu.glue import text_of, wrapper
 from jaxnarx.targets.fmu.variables import quantities
-from jaxnarx.targets.form import SampleProgram
+from jaxnarx.targets.form import BOTH, ONLY_SINGLE, SampleProgram
 from jaxnarx.targets.proof import ExportError
 from jaxnarx.targets.target import Files, Golden, as_bytes
 
@@ -49,6 +50,8 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
     """Everything but a binary, by its place in the archive."""
     name = program.name
     variables = quantities(program, version)
+    if program.precision == ONLY_SINGLE:  # the binary is of double
+        program = dataclasses.replace(program, precision=BOTH)
     code = c99.sources(program, golden)
     whole = "".join(map(str, [*code.values(), variables, text_of("unit.c"), version]))
     token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"

@@ -9,6 +9,15 @@ from collections.abc import Iterable
 
 from jaxnarx.targets.form import Port, SampleProgram, Value
 
+LIMITED = "the bound of what is fed back has acted on"
+ABOUT = {
+    "extrapolated": "1: an input is beyond its trained range, or missing",
+    "index": "distance from the training, one at its border",
+    "missing": "samples in a row at which an input is NaN or infinite; it is held",
+    "invalid": "1: an input has been missing for too long, or since the start",
+}
+"""Descriptions of the flags."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
@@ -47,13 +56,10 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         for p, n in zip(program.reported, program.outputs, strict=True)
     ]
     flags = [
-        output(name(flag), n, "real", f"{flag} at this sample")
-        for flag, n in program.flags.items()
+        output(name(flag), n, "real", _flag(flag)) for flag, n in program.flags.items()
     ]
     limited = [
-        output(
-            name(f"limited.{p.name}"), n, "boolean", f"the bound of {p.name} has acted"
-        )
+        output(name(f"limited.{p.name}"), n, "boolean", f"{LIMITED} {p.name}")
         for p, n in zip(program.computed, program.limited, strict=True)
     ]
     past = [
@@ -111,6 +117,10 @@ def past_gains(program: SampleProgram) -> list[float]:
         factors = [program.ops[a] for a in program.ops[n].args if a != lines[line]]
         found.append(1.0 if n == lines[line] else float(factors[0].source))
     return found
+
+
+def _flag(flag: str) -> str:
+    return ABOUT.get(flag, f"{flag} at this sample")
 
 
 def _trained(port: Port) -> str:
