@@ -97,9 +97,12 @@ def compared(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
         budget=60 * options.minutes * pairs,
         folder=folder,
         candidates=options.candidates,
-        progress=lambda event: print(
-            f"{event['seconds']:6.0f} s {event['row'].output}: {event['row'].family}",
-            flush=True,
+        progress=lambda event: (
+            "row" in event
+            and print(
+                f"{event['seconds']:6.0f} s {event['row'].output}: {event['row'].family}",
+                flush=True,
+            )
         ),
     )
     board, store, rows = fit.stats["leaderboard"], read_search(folder), []

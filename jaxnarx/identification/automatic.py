@@ -5,6 +5,7 @@ them. What was tried is on the disk after every candidate.
 """
 
 import dataclasses
+import functools
 import math
 import tempfile
 import time
@@ -18,7 +19,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
-from jaxnarx.identification.candidates import CANDIDATES
+from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.shares import Shares
@@ -83,8 +84,7 @@ def search(
             )
             for name, one in looks.items()
         }
-        usual = PRESETS[preset].budget * -(-len(outputs) // min(cores(), len(outputs)))
-        until = begin + (usual if budget is None else budget)
+        until = math.inf if budget is None else begin + budget
         race = Race(store, list(outputs), tell, begin, until)
         stopped = False
         try:
@@ -94,7 +94,7 @@ def search(
                 raise
             stopped = True
         facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
-        found = _solution(race.store, list(outputs), stopped, facts)
+        found = _solution(race.store, list(outputs), stopped, race.late, facts)
         left = _left_out(race.store.leaderboard, found.value, data)
         network = knowing(released(found.value), data, groups, left)
         return dataclasses.replace(found, value=network)
@@ -113,6 +113,8 @@ class Race:
     ):
         self.store, self.outputs, self.tell = store, outputs, tell
         self.begin, self.shares = begin, Shares(until, 0, 1)
+        self.late: list[str] = []
+        """Outputs whose search the budget has ended."""
 
     def run(self, tasks: dict[str, OutputTask]) -> None:
         """Search every output."""
@@ -123,7 +125,7 @@ class Race:
         if workers < 2:
             for name, task in tasks.items():
                 task = self._begun(name, task)
-                for tried in task.run():
+                for tried in task.run(functools.partial(self.watch, name)):
                     self.add(name, *tried)
                 self._finish(name, task)
         else:
@@ -132,6 +134,18 @@ class Race:
     def _begun(self, name: str, task: OutputTask) -> OutputTask:
         """The task with its share of the time."""
         return dataclasses.replace(task, until=self.shares.begin(name, time.time()))
+
+    def watch(self, output: str, trying: Trying) -> None:
+        """Tell what is being tried."""
+        event = {"verb": "search", "output": output, "number": self._next(output)}
+        chosen = self.store.leaderboard.chosen(output)
+        seconds = time.time() - self.begin
+        self.tell(event | {"trying": trying, "chosen": chosen, "seconds": seconds})
+
+    def _next(self, output: str) -> int:
+        """Number of the next candidate of an output."""
+        own = (r.number for r in self.store.leaderboard.rows if r.output == output)
+        return 1 + max(own, default=SHARE * self.outputs.index(output))
 
     def add(self, output: str, row: Contender, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
@@ -143,10 +157,7 @@ class Race:
         ]
         if same:
             return
-        first = SHARE * self.outputs.index(output)
-        own = (r.number for r in rows if r.output == output)
-        number = 1 + max(own, default=first)
-        row = dataclasses.replace(row, number=number)
+        row = dataclasses.replace(row, number=self._next(output))
         self.store = self.store.added(row, network)
         board = self.store.leaderboard
         self.tell(
@@ -167,6 +178,8 @@ class Race:
         self.shares.finish(name, now)
         if now < task.until:
             self.store.finish(self.outputs.index(name))
+        else:
+            self.late.append(name)
 
     def _side_by_side(self, tasks: dict[str, OutputTask]) -> None:
         """A process for every output, as many at a time as there are cores."""
@@ -182,6 +195,8 @@ class Race:
                     ended = side.ended
                     for row, network in side.found():
                         self.add(name, row, network)
+                    if (trying := side.trying()) is not None:
+                        self.watch(name, trying)
                     if ended:
                         side.close()
                         del running[name]
@@ -210,7 +225,11 @@ def _left_out(
 
 
 def _solution(
-    store: SearchFolder, outputs: list[str], stopped: bool, facts: dict
+    store: SearchFolder,
+    outputs: list[str],
+    stopped: bool,
+    late: list[str],
+    facts: dict,
 ) -> Solution[Network]:
     """The chosen networks as one; the safest where all candidates are vetoed."""
     board, networks, vetoed = store.leaderboard, [], []
@@ -228,6 +247,9 @@ def _solution(
         status, detail = RESULTS.budget_spent, "interrupted; the best so far"
         if missing := [name for name in outputs if name not in board.outputs]:
             detail += f", and none of {', '.join(missing)}"
+    elif late:
+        status = RESULTS.budget_spent
+        detail = f"the budget ended the search of {', '.join(late)}; the best so far"
     if vetoed:
         status = RESULTS.diverged
         detail = f"every candidate of {', '.join(vetoed)} diverges"

@@ -34,6 +34,20 @@ and methods to be tried, those that promise most first."""
 CANDIDATES: Registry[Candidate] = Registry("candidate of identify", {})
 """Families of other packages. Tried behind what is found in closed form; functions of
 modules, for outputs are searched in processes of their own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trying:
+    """A candidate that is being tried: `fold` of `folds` groups is left out (0: none
+    yet)."""
+
+    family: str
+    name: str = ""
+    fold: int = 0
+    folds: int = 0
+
+
+Watch = Callable[[Trying], None]
 Tried = tuple[Contender, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
@@ -51,13 +65,15 @@ class Candidates:
         known: Sequence[Contender] = (),
         late: Callable[[], bool] = lambda: False,
         added: Mapping[str, Candidate] | None = None,
+        watch: Watch = lambda trying: None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
-        time is up; `added` are those of other packages."""
+        time is up; `added` are those of other packages; `watch` hears what is tried."""
         self.added = dict(added or {})
         self.data, self.look, self.groups, self.preset = data, look, groups, preset
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
+        self.watch = watch
         self.best: np.ndarray | None = None
 
     def __iter__(self) -> Iterator[Tried]:
@@ -67,6 +83,7 @@ class Candidates:
         limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
         if self.preset.linear:
             limits = dict(max_models=1, degree=1)
+        self.watch(Trying("closed form"))
         for found in search.candidates(**limits, grown_roots=self.preset.grown):
             self.passed += 1
             row, network = self._closed(found, time.perf_counter() - begin)
@@ -76,6 +93,7 @@ class Candidates:
             yield row, network
             if self.late():
                 break
+            self.watch(Trying(found.family, f"after {found.name}"))
             begin = time.perf_counter()
         begin = time.perf_counter()
         added = best_sum(parts, self.preset.sums)
@@ -155,8 +173,10 @@ class Candidates:
                         self._remember(_losses(row))
                 continue
             begin = time.perf_counter()
+            trying = Trying(family, names[0], folds=len(self.groups))
+            self.watch(trying)
             try:
-                found = self._judge(method)
+                found = self._judge(method, trying)
             except (JaxnarxError, np.linalg.LinAlgError) as error:
                 row = self._row(family, names[0], time.perf_counter() - begin, None)
                 yield dataclasses.replace(row, status="failed", detail=str(error)), None
@@ -173,9 +193,16 @@ class Candidates:
             return row.eligible
         return bool(np.nansum(_losses(row)) <= NEAR**2 * np.nansum(self.best))
 
-    def _judge(self, method: Identification | HiddenStates) -> list[JudgedMethod]:
-        rows = self.preset.longest
-        return judge(method, self.data, self.groups, self.spread, self.best, rows)
+    def _judge(
+        self, method: Identification | HiddenStates, trying: Trying
+    ) -> list[JudgedMethod]:
+        def watch(fold: int) -> None:
+            self.watch(dataclasses.replace(trying, fold=fold))
+
+        rows, best = self.preset.longest, self.best
+        return judge(
+            method, self.data, self.groups, self.spread, best, rows, watch=watch
+        )
 
     def _judged(
         self, family: str, name: str, found: JudgedMethod, seconds: float

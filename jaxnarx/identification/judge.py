@@ -1,6 +1,7 @@
 """Free-run errors on groups left out, of methods that are trained step by step."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -51,6 +52,7 @@ def judge(
     rows: int | None = None,
     *,
     one_step: bool | None = None,
+    watch: Callable[[int], None] = lambda fold: None,
 ) -> list[JudgedMethod]:
     """Train without every group in turn, run freely over it; then train on everything.
 
@@ -60,7 +62,8 @@ def judge(
     samples train; runs go over all samples of a group, held to the ranges of all data,
     as the network of all is in use. The error one step ahead is left
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
-    estimate of these for every sample, and takes longer than the training.
+    estimate of these for every sample, and takes longer than the training. `watch` is
+    called with the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
@@ -84,6 +87,7 @@ def judge(
         if told := _hopeless(whole, data, spread, best):
             return [one.judged(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
+        watch(g + 1)
         train = groups.parted(data, g) if parted else fold.train
         if isinstance(method, HiddenStates):
             last = max(n for n, one in enumerate(every, 1) if not one.told)

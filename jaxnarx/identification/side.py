@@ -22,13 +22,19 @@ import jax
 from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import write_whole
-from jaxnarx.identification.candidates import Candidate, Candidates, Tried
+from jaxnarx.identification.candidates import (
+    Candidate,
+    Candidates,
+    Tried,
+    Trying,
+    Watch,
+)
 from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, load, save
 from jaxnarx.output_error import Look
 
-TASK, END, ERROR, SAID = "task", "end", "error", "said.txt"
+TASK, END, ERROR, NOW, SAID = "task", "end", "error", "now", "said.txt"
 START = f"import sys; from {__name__} import main; main(sys.argv[1])"
 """The module by its name, so that classes of pickles are its own."""
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -51,8 +57,8 @@ class OutputTask:
     states: int | None = None
     added: Mapping[str, Candidate] = dataclasses.field(default_factory=dict)
 
-    def run(self) -> Iterator[Tried]:
-        """Its candidates."""
+    def run(self, watch: Watch) -> Iterator[Tried]:
+        """Its candidates; `watch` hears of each while it is tried."""
         found = Candidates(
             self.data,
             self.look,
@@ -61,6 +67,7 @@ class OutputTask:
             known=self.known,
             late=lambda: self._late(found.passed),
             added=self.added,
+            watch=watch,
         )
         yield from found
 
@@ -83,6 +90,7 @@ class Side:
     def __init__(self, task: OutputTask):
         self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
         self.place, self.read = Path(self._folder.name), 0
+        self.told: Trying | None = None
         _write(self.place / TASK, (task, _settings()))
         with open(self.place / SAID, "wb") as said:
             self.process = subprocess.Popen(
@@ -112,6 +120,14 @@ class Side:
                 f"the search in process {self.process.pid} ended with "
                 f"{self.process.returncode}: {said or 'it said nothing'}"
             )
+
+    def trying(self) -> Trying | None:
+        """What is being tried, where that is new."""
+        path = self.place / NOW
+        if not path.exists() or (now := _read(path)) == self.told:
+            return None
+        self.told = now
+        return now
 
     def _network(self) -> Network:
         return load(self.place / f"{self.read}.safetensors")
@@ -151,10 +167,14 @@ def main(folder: str) -> None:
     watch = threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True)
     watch.start()
     task, settings = _read(place / TASK)
+
+    def watch(trying: Trying) -> None:
+        _write(place / NOW, trying)
+
     for name, value in settings.items():
         jax.config.update(name, value)
     try:
-        for n, (row, network) in enumerate(task.run()):
+        for n, (row, network) in enumerate(task.run(watch)):
             if network is not None:
                 save(network, place / f"{n}.safetensors")
             _write(place / str(n), (row, network is not None))

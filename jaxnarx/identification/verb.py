@@ -58,13 +58,13 @@ def identify(
         data: Records to be trained on.
         method: The settings of all steps. Without it the search decides; the arguments
             that follow, up to `groups` and also `folder`, are the search's own.
-        preset: `"quick"` (a minute or two), `"good"`, `"best"` (an hour, or the budget;
-            the smallest error whatever it costs, also of sums of up to four candidates
-            in closed form), `"ecu"` (the fewest operations within
-            5 % of the best, stable for certain) or `"linear"`; see
-            `jaxnarx.methods.PRESETS`.
-        budget: Time for the search [s], shared by the outputs; default the preset's for
-            every output.
+        preset: `"quick"` (about a minute), `"good"`, `"best"` (an hour and more; the
+            smallest error whatever it costs, also of sums of up to four candidates in
+            closed form), `"ecu"` (the fewest operations within 5 % of the best, stable
+            for certain) or `"linear"`; see `jaxnarx.methods.PRESETS`.
+        budget: Time for the search [s], shared by the outputs, after which no further
+            candidate is begun; the result then depends on the machine. Default: none,
+            the preset's counts bound the search.
         candidates: Most candidates of every output; default the preset's.
         outputs: Names of the outputs to be modelled; default all.
         states: Number of hidden states of the candidates that have some; 0 for none
@@ -81,17 +81,19 @@ def identify(
         progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,
             and after every candidate its `row`, the row `chosen` so far, how many are
             `done` `of` how many, `seconds` passed and `left` (None where that is not
-            known). Of a method: `verb` is `"select"`, `"grow"` or `"refine"`; with
-            `candidates`, their number, before the first, with `solution` after each,
-            else with a row of that verb's own progress.
+            known); while one is tried, its `output`, its `number` and as `trying` its
+            `family`, `name` and `fold` of `folds`. Of a method: `verb` is `"select"`,
+            `"grow"` or `"refine"`; with `candidates`, their number, before the first,
+            with `solution` after each, else with a row of that verb's own progress.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates
         and `stats["look"]` what was seen in the data; `status` is `ok`, `budget_spent`
-        where it was interrupted (`value` is the best so far), or `diverged` where every
-        candidate diverges (`value` is the safest). Of a method: `status` and `detail`
-        are those of the last verb, or of the first that failed, and `stats` holds their
-        solutions, `selection`, `grown` and `refined` (None without refinement).
+        where it was interrupted or its budget ran out (`value` is the best so far), or
+        `diverged` where every candidate diverges (`value` is the safest). Of a method:
+        `status` and `detail` are those of the last verb, or of the first that failed,
+        and `stats` holds their solutions, `selection`, `grown` and `refined` (None
+        without refinement).
 
     Example:
         fit = jnx.identify(data, jnx.Identification(select=jnx.ForwardOLS(max_terms=2)))

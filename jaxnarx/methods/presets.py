@@ -30,8 +30,6 @@ class Preset:
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
-    budget: float = 3600.0
-    """Seconds for an output, beyond which no further candidate is begun."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 %; `best`: the smallest error."""
@@ -51,17 +49,16 @@ class Preset:
 
 PRESETS = {
     "quick": Preset(
-        "a minute or two",
+        "about a minute of processor; no hidden states",
         max_models=6,
         grown=2,
-        fed_back=2,
-        states=2,
+        fed_back=1,
+        states=0,
         longest=5_000,
-        budget=120.0,
     ),
     "good": Preset("minutes for every output"),
     "best": Preset(
-        "an hour, or what the budget says; the smallest error whatever it costs",
+        "the smallest error whatever it costs: an hour and more",
         max_models=24,
         grown=5,
         fed_back=16,

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import numpy as np
@@ -72,8 +73,8 @@ def stopped_after(count: int):
     seen = []
 
     def progress(event):
-        seen.append(event["row"])
-        if len(seen) == count:
+        seen.extend([event["row"]] if "row" in event else [])
+        if "row" in event and len(seen) == count:
             raise KeyboardInterrupt
 
     return progress
@@ -144,7 +145,7 @@ def test_killed_and_gone_on_with_is_the_same_table(whole, tiny, tmp_path, count)
     told = []
     done = jnx.identify(plant(), preset=tiny, folder=folder, progress=told.append)
     assert table(board_of(done)) == table(board_of(expected))
-    assert len(told) == len(board_of(done)) - count
+    assert sum("row" in event for event in told) == len(board_of(done)) - count
     assert done.is_okay
     files = [saved(f.value, tmp_path / f"{n}") for n, f in enumerate((expected, done))]
     assert files[0] == files[1]
@@ -203,12 +204,18 @@ def test_events_tell_how_far_it_is(tiny):
     for event in after:
         sofar = Leaderboard(tuple(rows[: event["done"]]), board_of(found).group_names)
         assert event["chosen"] == sofar.chosen("y")
+    before = [event for event in told if "trying" in event]
+    assert [e["trying"].family for e in before][:2] == ["closed form", "constant"]
+    assert {e["output"] for e in before} == {"y"}
+    assert [e["number"] for e in before][:3] == [1, 2, 3]
     seconds = [event["seconds"] for event in after]
     assert seconds == sorted(seconds) and seconds[0] >= 0
 
 
 def test_a_budget_too_small_for_anything_still_gives_a_model(tmp_path):
     told = jnx.identify(plant(), preset="linear", budget=1e-9, folder=tmp_path)
+    assert told.status_name == "budget_spent" and told.is_okay
+    assert "the budget ended the search of y" in told.detail
     (row,) = board_of(told)
     assert row.family == "constant" and told.value.history == 0
     run = jnx.simulate(told.value, plant()).value
@@ -219,6 +226,17 @@ def test_a_budget_too_small_for_anything_still_gives_a_model(tmp_path):
     more = jnx.identify(plant(), preset="linear", folder=tmp_path)
     assert len(board_of(more)) == LINEAR
     assert list(board_of(more))[0] == row
+
+
+def test_without_a_budget_the_clock_decides_nothing(tiny, whole, monkeypatch):
+    def late(self, passed):
+        """As `OutputTask._late` on a machine that is slower by a year."""
+        return time.time() + 3.2e7 > self.until
+
+    monkeypatch.setattr("jaxnarx.identification.side.OutputTask._late", late)
+    found = jnx.identify(plant(), preset=tiny)
+    names = [(row.family, row.name) for row in board_of(found)]
+    assert names == [(row.family, row.name) for row in board_of(whole[1])]
 
 
 def test_where_all_are_vetoed_the_mean_is_given_with_its_reason(monkeypatch):

@@ -15,11 +15,13 @@ class Automatic:
     """A search among candidates from cheap to rich, and its options."""
 
     preset: str = "good"
-    """How much the search tries, and what it takes: quick needs a minute or two, best
-    an hour (or the budget) and may add models up, ecu takes the fewest operations
-    within 5 % of the best, linear tries linear models only."""
+    """How much the search tries, and what it takes: quick (about a minute), good
+    (minutes for every output), best (an hour and more; may add models up), ecu (the
+    fewest operations within 5 % of the best) or linear (linear models only)."""
     budget: float | None = None
-    """Time for the search, such as 10m, 600s or 1h; default: the preset's."""
+    """Time for the search, such as 10m, 600s or 1h, after which no further candidate is
+    begun: the result then depends on the machine. Default: no limit of time, the
+    preset's counts bound the search."""
     candidates: int | None = None
     """Most candidates of every output; default: the preset's."""
     states: int | None = None

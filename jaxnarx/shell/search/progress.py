@@ -2,6 +2,8 @@
 
 import functools
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,18 +15,30 @@ from jaxnarx.shell.search.leaderboard import live_head, live_line
 Events = Callable[[dict[str, Any]], None]
 
 
+QUIET = 5.0
+"""Seconds without a line after which one says what is being tried."""
+
+
 @contextmanager
 def search_progress() -> Iterator[Events]:
     """A callback for `identify`: lines, on a terminal above a bar."""
     if not sys.stdout.isatty():
-        yield _CandidateLines(say)
+        with _CandidateLines(say).beating(QUIET) as lines:
+            yield lines
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
 
     columns = (
         TextColumn("  searching"),
         BarColumn(bar_width=20),
         MofNCompleteColumn(),
+        TimeElapsedColumn(),
         TextColumn("{task.description}", markup=False),
     )
     with Progress(*columns, transient=True) as bar:
@@ -46,22 +60,59 @@ def _above(bar: Any, text: str) -> None:
 
 
 class _CandidateLines:
-    """The lines, and in `now` the best so far and the time left where it is known."""
+    """The lines, and in `now` what is tried, the best so far and the time left where it
+    is known."""
 
     def __init__(self, write: Callable[[str], object]):
-        self.write, self.head, self.now = write, False, ""
+        self.write, self.head, self.now = write, False, "looking at the data"
+        self.last = self.begin = time.monotonic()
+
+    @contextmanager
+    def beating(self, seconds: float) -> Iterator["_CandidateLines"]:
+        """With a line about what is being tried wherever so long none was written."""
+        ended = threading.Event()
+
+        def beat() -> None:
+            while not ended.wait(seconds / 10):
+                if time.monotonic() - self.last > seconds:
+                    passed = duration(time.monotonic() - self.begin)
+                    self._write(f"  ... {passed}: {self.now}")
+
+        beating = threading.Thread(target=beat, daemon=True)
+        beating.start()
+        try:
+            yield self
+        finally:
+            ended.set()
+            beating.join()
+
+    def _write(self, text: str) -> None:
+        self.last = time.monotonic()
+        self.write(text)
 
     def __call__(self, event: dict[str, Any]) -> None:
+        if "trying" in event:
+            self.now = _trying(event)
         if "row" not in event:
             return
         if not self.head:
-            self.write(live_head())
+            self._write(live_head())
             self.head = True
         row, chosen, left = event["row"], event.get("chosen"), event.get("left")
-        self.write(live_line(row, chosen == row))
+        self._write(live_line(row, chosen == row))
         best = "" if chosen is None else f", so far {figure(chosen)}"
         rest = "" if left is None else f"; about {duration(left)} left"
         self.now = f"{row.output}{best}{rest}"
+
+
+def _trying(event: dict[str, Any]) -> str:
+    """`torque, candidate 12: hidden states, 2 states (group 1 of 4 left out), so far
+    0.125`."""
+    trying, chosen = event["trying"], event["chosen"]
+    words = ", ".join(filter(None, (trying.family, trying.name)))
+    fold = f" (group {trying.fold} of {trying.folds} left out)" * bool(trying.fold)
+    best = "" if chosen is None else f", so far {figure(chosen)}"
+    return f"{event['output']}, candidate {event['number']}: {words}{fold}{best}"
 
 
 def duration(seconds: float) -> str:
