@@ -36,6 +36,9 @@ _NEIGHBOURS = 17
 _LEAST = 1e-3
 """Part of an output's variance that an answer has; less is misfit of the others."""
 
+_STILL = 1e-9
+"""Move within a piece, in standard deviations over all, that counts as rounding."""
+
 _CYCLES = 3
 
 _COARSER = 8
@@ -82,6 +85,8 @@ class Answer:
     def _passed(self, share: float) -> float:
         """Steps until a share of the response is over, between steps."""
         part = np.cumsum(np.abs(self.fit.impulse()))
+        if not part[-1] > 0:  # no response: nothing to wait for
+            return float(self.fit.dead_time)
         part = part / part[-1]
         after = int(np.argmax(part >= share))
         before = part[after - 1] if after else 0.0
@@ -92,8 +97,8 @@ class Answer:
 class Dynamics:
     """The answer of every output to every input, by their places.
 
-    None where one of them is constant or records are too short. `reach` is the longest
-    dead time looked for, in samples.
+    None where one of them is constant within every record, or records are too short.
+    `reach` is the longest dead time looked for, in samples.
     """
 
     answers: dict[tuple[int, int], Answer]
@@ -166,6 +171,8 @@ class _Fitting:
     """What is left of the outputs while answers are fitted in turn."""
 
     def __init__(self, parts: list[Piece], reach: int, times: list[float]):
+        # no level counts: without the pieces' own, small moves keep all their digits
+        parts = [Piece(_levelled(p.u), _levelled(p.y)) for p in parts]
         self.parts, self.reach, self.times = parts, reach, times
         self.inputs = _moving([p.u for p in parts])
         self.outputs = _moving([p.y for p in parts])
@@ -245,8 +252,15 @@ class _Fitting:
         )
 
 
+def _levelled(x: Float[np.ndarray, "channels time"]):
+    return x - x.mean(axis=1, keepdims=True)
+
+
 def _moving(channels: list[Float[np.ndarray, "channels _"]]) -> list[int]:
-    return [j for j in range(len(channels[0])) if any(c[j].any() for c in channels)]
+    """Channels that move within a piece: differences between pieces have no
+    dynamics."""
+    moves = np.max([np.abs(c).max(axis=1) for c in channels], axis=0)
+    return np.flatnonzero(moves > _STILL).tolist()
 
 
 def _chance(s: Float[np.ndarray, " time"], e: Float[np.ndarray, " time"]) -> float:
