@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data.check_inputs import correlations, excitation_order
+from jaxnarx.data.compare_records import far_levels, other_units
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.dynamics import dynamics
 from jaxnarx.data.files import fingerprint
@@ -17,9 +18,9 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     """What a careful engineer would ask about `data` before modelling.
 
     Constant, copied, saturated, stuck and outlying channels, and those far from zero;
-    gaps; records that are too short or repeated; missing units; whether inputs excite a
-    model; dead times; long memory; and signs of feedback from outputs to inputs.
-    Nothing is changed.
+    gaps; records that are too short or repeated, or have a channel in another unit than
+    the others; missing units; whether inputs excite a model; dead times; long memory;
+    and signs of feedback from outputs to inputs. Nothing is changed.
 
     Args:
         data: The records.
@@ -40,6 +41,8 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *_units(data),
         *_rows(data, max_lag),
         *_identical(data),
+        *other_units(data),
+        *far_levels(data),
         *samples.precision(data),
         *samples.constant(data),
         *samples.offsets(data),
