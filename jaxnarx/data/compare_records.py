@@ -134,7 +134,7 @@ class Blocks:
     def of(cls, data: Dataset) -> "Blocks":
         """Of every record."""
         unit = unit_of(*(r.signals.T for r in data)).astype(np.float64)
-        low, high = np.moveaxis([_limits(r, unit) for r in data], 1, 0)
+        low, high = np.stack([_limits(r, unit) for r in data], axis=1)
         blocks = [_averages(r, unit) for r in data]
         channels = len(unit)
         gram = [np.cov(b.T, bias=True).reshape(channels, channels) for b in blocks]
