@@ -7,7 +7,7 @@ from jaxnarx.data import check_samples as samples
 from jaxnarx.data.check_inputs import correlations, excitation_order
 from jaxnarx.data.compare_records import far_levels, other_units
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.dynamics import dynamics
+from jaxnarx.data.dynamics import Answer, dynamics
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
 from jaxnarx.guard import guarded
@@ -129,7 +129,7 @@ def _dynamics(data: Dataset, max_lag: int) -> Iterator[Finding]:
         for o, y in enumerate(outputs):
             answer = found[i, o]
             if answer is not None and answer.dead_time:
-                yield _dead_time(u, y, answer.dead_time, max_lag, step)
+                yield _dead_time(u, y, answer, max_lag, step)
             memory = 0 if answer is None else answer.settling or 0
             if answer is not None and memory > max_lag:
                 yield _memory(u, y, memory, answer.rise, max_lag, step)
@@ -142,27 +142,30 @@ def _memory(
     return Finding(
         "note",
         "memory",
-        f"{y} remembers {u} for about {memory} samples, "
-        f"{memory * step:.4g} s: lags up to {max_lag} do not reach that far. "
-        f"Let {u} enter through first-order lags of about {rise * step:.2g} s "
-        "as well (--filters), feed the output back, or take longer samples.",
+        f"{y} remembers {u} for about {memory} samples, {memory * step:.4g} s, longer "
+        f"than lags up to {max_lag}: beside them let {u} enter through first-order "
+        f"lags of about {rise * step:.2g} s (--filters), or feed the output back.",
         channel=u,
     )
 
 
-def _dead_time(u: str, y: str, dead: int, max_lag: int, step: float) -> Finding:
-    late = dead > max_lag
-    advice = (
-        f"This is beyond the largest lag, {max_lag}: use lags from {dead} on."
-        if late
-        else f"Include lag {dead}."
-    )
-    return Finding(
-        "warning" if late else "note",
-        "dead time",
-        f"{y} answers {u} after about {dead} sample(s), {dead * step:.6g} s. {advice}",
-        channel=u,
-    )
+def _dead_time(u: str, y: str, answer: Answer, max_lag: int, step: float) -> Finding:
+    dead = answer.dead_time or 0
+    low, high = answer.dead_times or (dead, dead)
+    told = f"{y} answers {u} after about {_samples(dead)}, {dead * step:.6g} s"
+    if high > low:
+        told += f" ({low} to {high} explain nearly as much)"
+    if late := low > max_lag:
+        told += (
+            f". Lags up to {max_lag} do not reach it: add some from {max(low, 1)} to "
+            f"{high + 1} beside the recent ones"
+        )
+    severity = "warning" if late else "note"
+    return Finding(severity, "dead time", f"{told}.", channel=u)
+
+
+def _samples(count: int) -> str:
+    return f"{count} sample" + "s" * (count != 1)
 
 
 def _feedback(seen, i, u, outputs, step) -> Iterator[Finding]:

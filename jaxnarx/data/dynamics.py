@@ -65,6 +65,13 @@ class Answer:
         return self.fit.dead_time * self.every if self.clear else None
 
     @property
+    def dead_times(self) -> tuple[int, int] | None:
+        """Least and largest number of samples that explain the output nearly as well;
+        None where no answer is clear."""
+        low, high = self.fit.range
+        return (low * self.every, high * self.every) if self.clear else None
+
+    @property
     def settling(self) -> int | None:
         """Lag by which 95 % of the impulse response, by magnitude, is over, or None."""
         lag = int(np.ceil(self._passed(0.95))) * self.every
@@ -209,7 +216,10 @@ class _Fitting:
         found |= self._fit(i, new, second_order(self.times, about))
         self.refined |= {(i, o) for o in new}
         for o in outputs:
+            wide = found[o].range  # of many systems; next come those about one
             found |= self._fit(i, [o], nearby(found[o].system))
+            ends = (min(wide[0], found[o].range[0]), max(wide[1], found[o].range[1]))
+            found[o] = dataclasses.replace(found[o], range=ends)
         return found
 
     def _fit(self, i: int, outputs: list[int], systems) -> dict[int, LowOrderFit]:

@@ -1,5 +1,5 @@
-"""Records that files make: which repeat each other, which train and test, and which have
-a channel in another unit."""
+"""Records that files make: which repeat each other, which train and test, and which
+have a channel in another unit."""
 
 import dataclasses
 import re

@@ -16,8 +16,6 @@ COUNTED = 20_000
 """Samples that judge; of longer data every k-th one counts."""
 SHORTEST = 15
 """Length of the records, in reaches of the lags."""
-REACH = 100
-"""Longest dead time looked for [samples]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +53,7 @@ def look(data: Dataset, output: str) -> Look:
     _require_seen(data)
     o = data.channels.output_names.index(output)
     inputs = len(data.channels.inputs)
-    found = dynamics(data, reach=REACH)
+    found = dynamics(data)
     pairs = [found[i, o] for i in range(inputs)]
     clear = [p for p in pairs if p is not None and p.clear]
     longest = max(len(r) for r in data)
