@@ -38,13 +38,8 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     if not data.samples:
         return Findings((Finding("error", "rows", "the dataset has no samples"),))
     items = [
-        *_units(data),
-        *_rows(data, max_lag),
-        *_identical(data),
-        *other_units(data),
-        *far_levels(data),
+        *first_look(data, max_lag=max_lag),
         *samples.precision(data),
-        *samples.constant(data),
         *samples.offsets(data),
         *samples.duplicates(data),
         *samples.gaps(data),
@@ -52,6 +47,20 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *samples.spikes(data),
         *_excitation(data, max_lag),
         *_dynamics(data, max_lag),
+    ]
+    return Findings(tuple(items))
+
+
+def first_look(data: Dataset, *, max_lag: int = 20) -> Findings:
+    """What spoils any model and is seen at once: missing units, few rows, copies,
+    constants, records in another unit or at levels far apart."""
+    items = [
+        *_units(data),
+        *_rows(data, max_lag),
+        *_identical(data),
+        *other_units(data),
+        *far_levels(data),
+        *samples.constant(data),
     ]
     return Findings(tuple(items))
 

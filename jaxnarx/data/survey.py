@@ -29,7 +29,7 @@ from jaxnarx.data.roles import (
     look_at,
 )
 from jaxnarx.data.runs import Run, find_cycles, find_odd, propose_parts
-from jaxnarx.data.sampling import sampling, time_unit_in
+from jaxnarx.data.sampling import STATIC, sampling, time_unit_in
 from jaxnarx.errors import DataError, DataFileError, JaxnarxError, SpecError, suggest
 
 AT_ONCE = 40
@@ -275,7 +275,8 @@ def _time(
         return "", "", given or float(f"{step:.9g}"), []
     if given is None:
         raise DataFileError(
-            f"{run.file}: no column tells the time. Give --sample-time in seconds.",
+            f"{run.file}: no column tells the time. Give --sample-time in seconds. "
+            f"{STATIC}",
             path=run.file,
         )
     return "", "", given, []

@@ -275,7 +275,7 @@ def test_a_record_too_short_to_predict_is_said_in_every_mode():
 
 def test_other_units_and_extra_channels_are_noted():
     other = Channels(
-        (Channel("speed", "1/s"), Channel("gear")),
+        (Channel("speed", "km/h"), Channel("gear")),
         (Channel("NOx", "mg"), Channel("torque", "Nm")),
     )
     parts = {"train": make(1), "test": make(2, channels=other)}
@@ -283,7 +283,7 @@ def test_other_units_and_extra_channels_are_noted():
     text = "\n".join(notes)
     assert "NOx is in ppm, the test data's in mg" in text
     assert "Extra channels in test, ignored: gear" in text
-    assert "speed is in rpm, the test data's in 1/s" in text
+    assert "speed is in rpm, the test data's in km/h" in text
     assert len(notes) == 3
 
 
