@@ -14,7 +14,7 @@ from jaxnarx.data.low_order import (
     nearby,
     second_order,
 )
-from jaxnarx.data.pieces import Piece, pieces
+from jaxnarx.data.pieces import Piece, pieces, usual_length
 
 _RIDGE = 1e-6
 _LONGEST = 1024
@@ -138,9 +138,9 @@ def dynamics(data: Dataset, *, reach: int = REACH) -> Dynamics:
     with A the autocorrelations of answer and residuals (as Bartlett 1935), the latter
     smoothed over frequency; or it explains more than half of the variance.
 
-    `reach` is cut to a quarter of the longest record, and time constants up to an
-    eighth of it are seen; long data are represented by pieces (`pieces`). Results are
-    kept as long as `data` is.
+    `reach` is cut to a quarter of the length that nine tenths of the samples have, and
+    time constants up to an eighth of the longest record are seen; long data are
+    represented by pieces (`pieces`). Results are kept as long as `data` is.
 
     Björklund 2003, "A survey and comparison of time-delay estimation methods in linear
     systems": fits with an explicit dead time are the most accurate.
@@ -154,7 +154,8 @@ def dynamics(data: Dataset, *, reach: int = REACH) -> Dynamics:
 def _dynamics(data: Dataset, reach: int, every: int = 1) -> Dynamics:
     parts = pieces(data, every=every)
     longest = max((len(p) for p in parts), default=0)
-    reach = max(1, min(reach, longest // 4))
+    usual = usual_length(map(len, parts)) if parts else 0
+    reach = max(1, min(reach, usual // 4))
     parts = [p for p in parts if len(p) > 3 * reach]
     if longest < 8:
         return Dynamics({}, reach)

@@ -42,6 +42,16 @@ def test_every_look_at_the_data_takes_them(kind, still_output):
         assert lags.dead_time["u1", "z"] is lags.dead_time["u2", "z"] is None
 
 
+def test_one_long_record_does_not_hide_what_the_others_show():
+    """The long one stands still: the dead time is that of the many short ones."""
+    rng = np.random.default_rng(0)
+    u = [np.zeros(2_000), *(rng.normal(size=300) for _ in range(12))]
+    y = [np.roll(x, 4) + 0.05 * rng.normal(size=len(x)) for x in u]
+    data = Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=0.1)
+    assert suggest_lags(data).dead_time["u", "y"] == 4
+    assert look(data, "y").dead_time == (4,)
+
+
 def test_two_records_with_one_value_each():
     found = check(records(SECOND["differs"], count=2))
     assert found.is_okay
