@@ -645,6 +645,16 @@ def test_simulate_writes_what_it_computed_beside_what_was_measured(capsys, both)
     assert found["time [s]"][:3] == ["0", "0.1", "0.2"]
 
 
+def test_columns_without_spaces_on_request(capsys, both):
+    write("new.csv", columns())
+    passes(capsys, ["simulate", both, "new.csv", "--plain-names", "--out", "plain"])
+    passes(capsys, ["simulate", both, "new.csv", "--out", "spaced"])
+    plain, spaced = table("plain/new.csv"), table("spaced/new.csv")
+    assert [n.replace(" ", "_") for n in spaced][1:] == list(plain)[1:]
+    assert list(plain)[0] == "time_s" and "temp_simulated" in plain
+    assert plain["temp_simulated"] == spaced["temp simulated"]
+
+
 KINDS = ("simulated", "measured", "limited")
 
 
