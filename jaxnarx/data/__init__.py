@@ -6,6 +6,8 @@ Imported without jax, so that files can be read and checked without waiting for 
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
 from jaxnarx.data.check import check as check
+from jaxnarx.data.check import first_look as first_look
+from jaxnarx.data.compare_records import other_units as other_units
 from jaxnarx.data.dataset import Dataset as Dataset
 from jaxnarx.data.delays import Delay as Delay
 from jaxnarx.data.delays import Delays as Delays

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data.check_inputs import correlations, excitation_order
+from jaxnarx.data.compare_records import far_levels, other_units
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.dynamics import dynamics
+from jaxnarx.data.dynamics import Answer, dynamics
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
 from jaxnarx.guard import guarded
@@ -17,9 +18,9 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     """What a careful engineer would ask about `data` before modelling.
 
     Constant, copied, saturated, stuck and outlying channels, and those far from zero;
-    gaps; records that are too short or repeated; missing units; whether inputs excite a
-    model; dead times; long memory; and signs of feedback from outputs to inputs.
-    Nothing is changed.
+    gaps; records that are too short or repeated, or have a channel in another unit than
+    the others; missing units; whether inputs excite a model; dead times; long memory;
+    and signs of feedback from outputs to inputs. Nothing is changed.
 
     Args:
         data: The records.
@@ -37,11 +38,8 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     if not data.samples:
         return Findings((Finding("error", "rows", "the dataset has no samples"),))
     items = [
-        *_units(data),
-        *_rows(data, max_lag),
-        *_identical(data),
+        *first_look(data, max_lag=max_lag),
         *samples.precision(data),
-        *samples.constant(data),
         *samples.offsets(data),
         *samples.duplicates(data),
         *samples.gaps(data),
@@ -49,6 +47,20 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
         *samples.spikes(data),
         *_excitation(data, max_lag),
         *_dynamics(data, max_lag),
+    ]
+    return Findings(tuple(items))
+
+
+def first_look(data: Dataset, *, max_lag: int = 20) -> Findings:
+    """What spoils any model and is seen at once: missing units, few rows, copies,
+    constants, records in another unit or at levels far apart."""
+    items = [
+        *_units(data),
+        *_rows(data, max_lag),
+        *_identical(data),
+        *other_units(data),
+        *far_levels(data),
+        *samples.constant(data),
     ]
     return Findings(tuple(items))
 
@@ -126,7 +138,7 @@ def _dynamics(data: Dataset, max_lag: int) -> Iterator[Finding]:
         for o, y in enumerate(outputs):
             answer = found[i, o]
             if answer is not None and answer.dead_time:
-                yield _dead_time(u, y, answer.dead_time, max_lag, step)
+                yield _dead_time(u, y, answer, max_lag, step)
             memory = 0 if answer is None else answer.settling or 0
             if answer is not None and memory > max_lag:
                 yield _memory(u, y, memory, answer.rise, max_lag, step)
@@ -139,27 +151,30 @@ def _memory(
     return Finding(
         "note",
         "memory",
-        f"{y} remembers {u} for about {memory} samples, "
-        f"{memory * step:.4g} s: lags up to {max_lag} do not reach that far. "
-        f"Let {u} enter through first-order lags of about {rise * step:.2g} s "
-        "as well (--filters), feed the output back, or take longer samples.",
+        f"{y} remembers {u} for about {memory} samples, {memory * step:.4g} s, longer "
+        f"than lags up to {max_lag}: beside them let {u} enter through first-order "
+        f"lags of about {rise * step:.2g} s (--filters), or feed the output back.",
         channel=u,
     )
 
 
-def _dead_time(u: str, y: str, dead: int, max_lag: int, step: float) -> Finding:
-    late = dead > max_lag
-    advice = (
-        f"This is beyond the largest lag, {max_lag}: use lags from {dead} on."
-        if late
-        else f"Include lag {dead}."
-    )
-    return Finding(
-        "warning" if late else "note",
-        "dead time",
-        f"{y} answers {u} after about {dead} sample(s), {dead * step:.6g} s. {advice}",
-        channel=u,
-    )
+def _dead_time(u: str, y: str, answer: Answer, max_lag: int, step: float) -> Finding:
+    dead = answer.dead_time or 0
+    low, high = answer.dead_times or (dead, dead)
+    told = f"{y} answers {u} after about {_samples(dead)}, {dead * step:.6g} s"
+    if high > low:
+        told += f" ({low} to {high} explain nearly as much)"
+    if late := low > max_lag:
+        told += (
+            f". Lags up to {max_lag} do not reach it: add some from {max(low, 1)} to "
+            f"{high + 1} beside the recent ones"
+        )
+    severity = "warning" if late else "note"
+    return Finding(severity, "dead time", f"{told}.", channel=u)
+
+
+def _samples(count: int) -> str:
+    return f"{count} sample" + "s" * (count != 1)
 
 
 def _feedback(seen, i, u, outputs, step) -> Iterator[Finding]:

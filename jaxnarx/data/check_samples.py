@@ -57,7 +57,8 @@ def spans(
 
 
 def constant(data: Dataset) -> Iterator[Finding]:
-    """Channels that never change, in all records (inputs, outputs) or one (outputs)."""
+    """Channels that never change, in all records or within each (inputs, outputs), or
+    in one (outputs)."""
     channels = data.channels
     low, high = _limits(data)
     for j, name in enumerate(channels.names):
@@ -84,6 +85,8 @@ def constant(data: Dataset) -> Iterator[Finding]:
                 ),
                 channel=name,
             )
+        elif np.array_equal(low[seen, j], high[seen, j]):
+            yield _levels_only(name, low[seen, j], output)
         elif output:
             for i in (i for i in seen if low[i, j] == high[i, j]):
                 record = data.records[i]
@@ -95,6 +98,18 @@ def constant(data: Dataset) -> Iterator[Finding]:
                     channel=name,
                     record=record.name,
                 )
+
+
+def _levels_only(name: str, levels: Float[np.ndarray, " records"], output: bool):
+    own = np.unique(levels)
+    return Finding(
+        "note",
+        "constant",
+        f"{'output' if output else 'input'} {name} is constant within each record, at "
+        f"{len(own)} levels from {own[0]:.6g} to {own[-1]:.6g}. Only its static effect "
+        "can be told, and only as finely as these levels lie: no dead time, no memory.",
+        channel=name,
+    )
 
 
 def precision(data: Dataset) -> Iterator[Finding]:

@@ -5,6 +5,7 @@ A pattern of files may end in one of
     long.csv @ 0:500              from 0 s up to 500 s after its first row
     long.csv @ 700:               from 700 s to the end
     long.csv @ engine_on > 0.5    every uninterrupted stretch of at least ten rows
+    runs.mat @ #1,2,5             of numbered columns those with these numbers
 
 """
 
@@ -24,6 +25,7 @@ LEAST = 10
 """Rows of the shortest record."""
 _MARK = " @ "
 _SPAN = re.compile(r"\s*([0-9.eE+-]*)\s*:\s*([0-9.eE+-]*)\s*")
+_MEMBERS = re.compile(r"#\s*(\w+(?:\s*,\s*\w+)*)")
 _WHILE = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
 
 
@@ -37,11 +39,14 @@ class Cut:
     column: str = ""
     above: bool = True
     level: float = 0.0
+    members: tuple[str, ...] = ()
 
     def shares(self, other: "Cut | None") -> bool:
         """Whether a record of one may hold rows of the other's, as far as is known."""
         if other is None or self == other or self.column or other.column:
             return True
+        if self.members and other.members:
+            return not set(self.members).isdisjoint(other.members)
         return self.first < other.stop and other.first < self.stop
 
     def pieces(
@@ -91,6 +96,9 @@ def divided(pattern: str, field: str) -> tuple[str, Cut | None]:
     if not mark:
         return pattern, None
     text = text.strip()
+    if members := _MEMBERS.fullmatch(text):
+        own = tuple(one.strip() for one in members[1].split(","))
+        return files.strip(), Cut(text, members=own)
     span, comparison = _SPAN.fullmatch(text), _WHILE.fullmatch(text)
     try:
         if span:
@@ -104,8 +112,9 @@ def divided(pattern: str, field: str) -> tuple[str, Cut | None]:
     except ValueError:
         pass
     raise SpecError(
-        f"behind {_MARK.strip()} stands a span of seconds, such as 0:500 or 700:, or a "
-        f"comparison, such as speed > 500; got {text!r}",
+        f"behind {_MARK.strip()} stands a span of seconds, such as 0:500 or 700:, a "
+        "comparison, such as speed > 500, or numbers of numbered columns, such as "
+        f"#1,2; got {text!r}",
         field=field,
     )
 

@@ -14,7 +14,7 @@ from typing import Any
 from jaxnarx.data.channels import Channel, Channels, require_plain
 from jaxnarx.data.missing import require_missing
 from jaxnarx.data.readers.columns import Asked, CsvLayout
-from jaxnarx.data.sampling import positive_sample_time, require_time_unit
+from jaxnarx.data.sampling import STATIC, positive_sample_time, require_time_unit
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
 
 PARTS = ("train", "validate", "test")
@@ -48,7 +48,7 @@ class Description:
         if self.sample_time is None and self.time is None:
             raise SpecError(
                 "[data] needs sample_time in seconds, or time, the name of a time "
-                "column",
+                f"column. {STATIC}",
                 field="data.sample_time",
             )
 

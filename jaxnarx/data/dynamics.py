@@ -14,7 +14,7 @@ from jaxnarx.data.low_order import (
     nearby,
     second_order,
 )
-from jaxnarx.data.pieces import Piece, pieces
+from jaxnarx.data.pieces import Piece, pieces, usual_length
 
 _RIDGE = 1e-6
 _LONGEST = 1024
@@ -35,6 +35,9 @@ _NEIGHBOURS = 17
 
 _LEAST = 1e-3
 """Part of an output's variance that an answer has; less is misfit of the others."""
+
+_STILL = 1e-9
+"""Move within a piece, in standard deviations over all, that counts as rounding."""
 
 _CYCLES = 3
 
@@ -62,6 +65,13 @@ class Answer:
         return self.fit.dead_time * self.every if self.clear else None
 
     @property
+    def dead_times(self) -> tuple[int, int] | None:
+        """Least and largest number of samples that explain the output nearly as well;
+        None where no answer is clear."""
+        low, high = self.fit.range
+        return (low * self.every, high * self.every) if self.clear else None
+
+    @property
     def settling(self) -> int | None:
         """Lag by which 95 % of the impulse response, by magnitude, is over, or None."""
         lag = int(np.ceil(self._passed(0.95))) * self.every
@@ -82,6 +92,8 @@ class Answer:
     def _passed(self, share: float) -> float:
         """Steps until a share of the response is over, between steps."""
         part = np.cumsum(np.abs(self.fit.impulse()))
+        if not part[-1] > 0:  # no response: nothing to wait for
+            return float(self.fit.dead_time)
         part = part / part[-1]
         after = int(np.argmax(part >= share))
         before = part[after - 1] if after else 0.0
@@ -92,8 +104,8 @@ class Answer:
 class Dynamics:
     """The answer of every output to every input, by their places.
 
-    None where one of them is constant or records are too short. `reach` is the longest
-    dead time looked for, in samples.
+    None where one of them is constant within every record, or records are too short.
+    `reach` is the longest dead time looked for, in samples.
     """
 
     answers: dict[tuple[int, int], Answer]
@@ -126,9 +138,9 @@ def dynamics(data: Dataset, *, reach: int = REACH) -> Dynamics:
     with A the autocorrelations of answer and residuals (as Bartlett 1935), the latter
     smoothed over frequency; or it explains more than half of the variance.
 
-    `reach` is cut to a quarter of the longest record, and time constants up to an
-    eighth of it are seen; long data are represented by pieces (`pieces`). Results are
-    kept as long as `data` is.
+    `reach` is cut to a quarter of the length that nine tenths of the samples have, and
+    time constants up to an eighth of the longest record are seen; long data are
+    represented by pieces (`pieces`). Results are kept as long as `data` is.
 
     Björklund 2003, "A survey and comparison of time-delay estimation methods in linear
     systems": fits with an explicit dead time are the most accurate.
@@ -142,7 +154,8 @@ def dynamics(data: Dataset, *, reach: int = REACH) -> Dynamics:
 def _dynamics(data: Dataset, reach: int, every: int = 1) -> Dynamics:
     parts = pieces(data, every=every)
     longest = max((len(p) for p in parts), default=0)
-    reach = max(1, min(reach, longest // 4))
+    usual = usual_length(map(len, parts)) if parts else 0
+    reach = max(1, min(reach, usual // 4))
     parts = [p for p in parts if len(p) > 3 * reach]
     if longest < 8:
         return Dynamics({}, reach)
@@ -166,6 +179,8 @@ class _Fitting:
     """What is left of the outputs while answers are fitted in turn."""
 
     def __init__(self, parts: list[Piece], reach: int, times: list[float]):
+        # no level counts: without the pieces' own, small moves keep all their digits
+        parts = [Piece(_levelled(p.u), _levelled(p.y)) for p in parts]
         self.parts, self.reach, self.times = parts, reach, times
         self.inputs = _moving([p.u for p in parts])
         self.outputs = _moving([p.y for p in parts])
@@ -202,7 +217,10 @@ class _Fitting:
         found |= self._fit(i, new, second_order(self.times, about))
         self.refined |= {(i, o) for o in new}
         for o in outputs:
+            wide = found[o].range  # of many systems; next come those about one
             found |= self._fit(i, [o], nearby(found[o].system))
+            ends = (min(wide[0], found[o].range[0]), max(wide[1], found[o].range[1]))
+            found[o] = dataclasses.replace(found[o], range=ends)
         return found
 
     def _fit(self, i: int, outputs: list[int], systems) -> dict[int, LowOrderFit]:
@@ -245,8 +263,15 @@ class _Fitting:
         )
 
 
+def _levelled(x: Float[np.ndarray, "channels time"]):
+    return x - x.mean(axis=1, keepdims=True)
+
+
 def _moving(channels: list[Float[np.ndarray, "channels _"]]) -> list[int]:
-    return [j for j in range(len(channels[0])) if any(c[j].any() for c in channels)]
+    """Channels that move within a piece: differences between pieces have no
+    dynamics."""
+    moves = np.max([np.abs(c).max(axis=1) for c in channels], axis=0)
+    return np.flatnonzero(moves > _STILL).tolist()
 
 
 def _chance(s: Float[np.ndarray, " time"], e: Float[np.ndarray, " time"]) -> float:

@@ -4,23 +4,23 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.cuts import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
+from jaxnarx.data.families import MARK, is_numbered, members_of, read_member
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
-from jaxnarx.data.readers import read_table
 from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
-from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, SpecError, reading, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.shown import brief, page
 
@@ -196,14 +196,14 @@ def _assembled(
 ) -> tuple[Dataset, list[int]]:
     """The records of files, or of what is cut from them, and which of `chosen` each
     comes from; `names` are those of the files."""
-    sources: list[list[Source]] = []
+    sources: list[list[Source]] = [[] for _ in chosen]
     steps, notes = [], []
     channels, stated_by = description.channels, {}
     left = max_bytes
     wanted = [*description.wanted, *columns_of(cut for _, cut in chosen)]
-    for file, cut in chosen:
+    for n, file, cut, member in _each(chosen, description):
         asked = dataclasses.replace(description.asked, max_bytes=left)
-        table = read_table(file, wanted, asked)
+        table = read_member(file, wanted, asked, member)
         if table.time is None:
             description.require_time()
         notes += [(table.place.lead, note) for note in table.notes]
@@ -215,16 +215,18 @@ def _assembled(
                 table,
                 channels,
                 description.columns,
-                name=names[file],
+                name=f"{names[file]} {MARK}{member}" if member else names[file],
                 time=description.time,
                 time_unit=description.time_unit,
                 sample_time=description.sample_time,
                 split=description.missing == "split",
             )
-            pieces = [source] if cut is None else _cut(source, cut, step, table)
+            pieces = [source]
+            if cut is not None and not cut.members:
+                pieces = _cut(source, cut, step, table)
         converted = [_converted(one, channels, how, units) for one in pieces]
         notes += [(table.place.lead, note) for note in converted[0][1]]
-        sources.append([one for one, _ in converted])
+        sources[n] += [one for one, _ in converted]
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
     place = {one.name: n for n, own in enumerate(sources) for one in own}
@@ -234,6 +236,26 @@ def _assembled(
     known = [r.name if r.name in place else r.name.rpartition("#")[0] for r in records]
     data = Dataset(records, channels, step, _once(notes))
     return data, [place[name] for name in known]
+
+
+def _each(
+    chosen: list[tuple[Path, Cut | None]], description: Description
+) -> Iterator[tuple[int, Path, Cut | None, str]]:
+    """The place of each of `chosen`, its file and cut, and a number of its columns
+    where they are numbered."""
+    numbered = is_numbered(description)
+    for n, (file, cut) in enumerate(chosen):
+        known = members_of(file, description) if numbered else ()
+        wanted = cut.members if cut is not None else ()
+        for member in wanted:
+            if member not in known:
+                raise SpecError(
+                    f"{file}: there are no columns numbered {member!r}. "
+                    f"{suggest(member, known)}",
+                    field="records",
+                )
+        for member in wanted or known or ("",):
+            yield n, file, cut, member
 
 
 def _once(notes: list[tuple[str, str]]) -> tuple[str, ...]:

@@ -7,6 +7,10 @@ from typing import Any, Literal
 from jaxnarx.shown import page
 
 Severity = Literal["error", "warning", "note"]
+SHOWN = 3
+"""Lines of a kind of finding that has more."""
+NAMED = 6
+"""Channels that are named of the others."""
 _ORDER: tuple[Severity, ...] = ("error", "warning", "note")
 
 
@@ -72,18 +76,28 @@ class Findings:
         }
 
     def __str__(self) -> str:
-        """A line each; two at most where a kind strikes a channel in many records."""
-        groups: dict[tuple, list[Finding]] = {}
+        """A line each; of a kind that has many the first of some channels, and then how
+        many more of which channels."""
+        kinds: dict[tuple, list[Finding]] = {}
         for f in self:
-            groups.setdefault((f.severity, f.kind, f.channel), []).append(f)
-        lines = []
-        for (severity, kind, channel), members in groups.items():
-            lines += [str(f) for f in members[:2]]
-            if members[2:]:
-                of = f" of {channel}" if channel else ""
-                lines.append(
-                    f"{severity}: ... and {len(members) - 2} more ({kind}{of})"
-                )
+            kinds.setdefault((f.severity, f.kind), []).append(f)
+        lines = [line for own in kinds.values() for line in _grouped(own)]
         return "\n".join(lines) or "no findings"
 
     _repr_html_ = page
+
+
+def _grouped(own: list[Finding]) -> list[str]:
+    """Lines of the findings of one kind and severity."""
+    if len(own) <= SHOWN + 1:
+        return [str(f) for f in own]
+    first = {f.channel: n for n, f in reversed(list(enumerate(own)))}
+    order = sorted(range(len(own)), key=lambda n: (first[own[n].channel] != n, n))
+    shown, rest = order[:SHOWN], order[SHOWN:]
+    names = list(dict.fromkeys(own[n].channel or "" for n in sorted(rest)))
+    of = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} others" * (
+        len(names) > NAMED
+    )
+    of = f" of {of}" if any(names) else ""
+    more = f"{own[0].severity}: ... and {len(rest)} more ({own[0].kind}{of})"
+    return [str(own[n]) for n in shown] + [more]

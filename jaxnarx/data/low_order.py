@@ -24,6 +24,8 @@ class Filter(NamedTuple):
 
 System = tuple[Filter, ...]
 
+NEARLY = 0.95
+"""Share of what the best dead time explains that others explain nearly as well."""
 _DAMPINGS = (0.2, 0.4, 0.7)
 _ZOOM = tuple(2.0 ** (k / 6) for k in (-2, -1, 0, 1, 2))
 
@@ -51,13 +53,15 @@ def filtered(u: Float[np.ndarray, " time"], by: Filter) -> Float[np.ndarray, " t
 class LowOrderFit:
     """A system, its dead time [samples] and its gains.
 
-    `score` is Akaike's criterion up to a constant: the less the better.
+    `score` is Akaike's criterion up to a constant: the less the better. Dead times
+    between the two of `range`, both included, explain nearly as much (`NEARLY`).
     """
 
     system: System
     dead_time: int
     gains: tuple[float, ...]
     score: float
+    range: tuple[int, int]
 
     @property
     def slowest(self) -> float:
@@ -180,7 +184,10 @@ def fitted(
         score = np.where(bad, np.inf, score)
         s, d = divmod(int(np.argmin(score)), score.shape[1])
         gains = (float(g1[s, d]), float(g2[s, d]))[: len(systems[s])]
-        fits.append(LowOrderFit(systems[s], d, gains, float(score[s, d])))
+        explained = np.where(bad, 0.0, 1 - left).max(axis=0)
+        near = np.flatnonzero(explained >= NEARLY * explained[d])
+        ends = (int(min(near[0], d)), int(max(near[-1], d))) if near.size else (d, d)
+        fits.append(LowOrderFit(systems[s], d, gains, float(score[s, d]), ends))
     return fits
 
 

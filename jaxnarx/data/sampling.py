@@ -23,6 +23,14 @@ _NAMED = re.compile(r"(?:^|[\s\[(_/.])(s|ms|us|µs|min|h|sec|msec)[\])]?$")
 _SPELT = {"µs": "us", "sec": "s", "msec": "ms"}
 
 
+STATIC = (
+    "Operating points without time take any sample time, such as 1, and a model "
+    "without lags: jaxnarx identify engine.toml --input-lags 0 --output-lags "
+    "--partition tree."
+)
+"""What to do with data that are no time series."""
+
+
 def require_time_unit(unit: object) -> None:
     """SpecError unless `unit` is one of TIME_UNITS or None."""
     if unit is not None:

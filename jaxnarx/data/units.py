@@ -1,7 +1,7 @@
 """Units as measurement files write them, and how one becomes another.
 
-Only what cannot be misread is converted: `1/s` may be a speed or a frequency, and stays
-what it is. Everything else must be the same text.
+Only what cannot be misread is converted; everything else must be the same text. Beside
+a speed of rotation `1/s` and `Hz` count revolutions, and what reading converts is told.
 """
 
 import math
@@ -37,6 +37,7 @@ _SPELT: dict[str, dict[str, tuple[float, float]]] = {
     "speed of rotation": {
         "rpm|1/min|min-1|min^-1|U/min|r/min|rev/min|/min": (1.0, 0.0),
         "rad/s": (30 / math.pi, 0.0),
+        "1/s|s-1|s^-1|U/s|r/s|rev/s|rps|Hz": (60.0, 0.0),
     },
     "pressure": {
         "Pa": (1.0, 0.0),

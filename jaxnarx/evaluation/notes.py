@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, Record
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.data import Channels, Dataset, Record, other_units
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
 from jaxnarx.solution import Solution
 
+APART = 3.0
+"""Times the NRMSE from which that within records is told beside it."""
 MOSTLY = 0.5
 """Share of the free-run error from which its offsets are told."""
 
@@ -41,7 +43,7 @@ def data_notes(
 
     `channels` are those of the model, `modelled` the names of its outputs.
     """
-    notes = _repeated(parts)
+    notes = _repeated(parts) + _other_units(parts)
     if len(parts) > 1 and "test" not in parts:
         notes.append(
             "No test data: the figures come from records that took part in choosing "
@@ -67,6 +69,15 @@ def data_notes(
             told.setdefault(note, []).append(part)
     notes += [f"Of the {_list(found)} data: {note}." for note, found in told.items()]
     return notes
+
+
+def _other_units(parts: Mapping[str, Dataset]) -> list[str]:
+    """Fault 59: records in another unit than those of all parts."""
+    first, *others = parts.values()
+    same = [first, *(d for d in others if d.channels.names == first.channels.names)]
+    records = tuple(record for data in same for record in data)
+    found = other_units(Dataset(records, first.channels, first.sample_time))
+    return [f"{finding.message}" for finding in found]
 
 
 def _masked(part: str, data: Dataset, used: list[str]) -> list[str]:
@@ -98,7 +109,22 @@ def score_notes(rows: Iterable[Row]) -> list[str]:
             row.mode == rows[-1].mode or row.status == "too short"
         ):
             notes += _edge(row)
-    return notes + _offsets([row for row in rows if row.mode == FREE_RUN])
+    free = [row for row in rows if row.mode == FREE_RUN]
+    return notes + _offsets(free) + _levels(free)
+
+
+def _levels(rows: list[Row]) -> list[str]:
+    """Parts whose records differ so much in level that the NRMSE hides the rest."""
+    within = nrmse_within(rows)
+    return [
+        f"{row.output}, {row.part}, free run: NRMSE {row.nrmse:.2g} counts how much "
+        f"records differ from each other; by the deviation within records it is "
+        f"{within[row.output, row.part]:.2g}."
+        for row in rows
+        if row.record == POOLED
+        and row.nrmse
+        and within.get((row.output, row.part), 0.0) >= APART * row.nrmse
+    ]
 
 
 def _offsets(rows: list[Row]) -> list[str]:

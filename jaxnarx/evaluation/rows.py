@@ -1,6 +1,7 @@
 """Scores of one run of a network, record by record and pooled."""
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -187,3 +188,23 @@ def _status(samples: list[ScoredSamples]) -> str:
     if not scored.any():
         return "too short" if any(s.short for s in samples) else "no samples"
     return "constant output" if metrics.is_constant(measured, scored)[0] else "ok"
+
+
+def nrmse_within(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
+    """RMSE over the deviation within records, by output and part, from the rows of one
+    mode.
+
+    That deviation is the root of the mean variance of the records; only those count
+    whose output moves and whose run stays bounded.
+    """
+    error: dict[tuple[str, str], float] = {}
+    moved: dict[tuple[str, str], float] = {}
+    for row in rows:
+        if row.record == POOLED or not row.rmse or not row.nrmse:
+            continue
+        if np.isfinite(row.nrmse):
+            key = (row.output, row.part)
+            error[key] = error.get(key, 0.0) + row.samples * row.rmse**2
+            spread = row.rmse / row.nrmse
+            moved[key] = moved.get(key, 0.0) + row.samples * spread**2
+    return {key: float(np.sqrt(error[key] / moved[key])) for key in error}

@@ -37,7 +37,7 @@ import numpy as np
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 
 GOOD, LIMITED, UNUSABLE = "good", "usable with limits", "not usable"
@@ -212,6 +212,7 @@ def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
 def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """Errors of whole parts, by themselves and beside that of training."""
     trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
+    within = nrmse_within(rows)
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
         if row.nrmse is None or row.status != "ok":
             continue
@@ -223,6 +224,10 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         elif row.nrmse > ACCURATE:
             text = f"the free run leaves {row.nrmse**2:.0%} of the variance of {where}"
             yield Reason(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
+        inside = within.get((row.output, row.part), 0.0)
+        if inside >= WORTHLESS > row.nrmse and not learned:
+            text = f"within a record the free run of {where} is no better than its mean"
+            yield Reason(LIMITED, f"{text} ({_nrmse(inside)})", "richer")
         if learned or own is None or row.nrmse <= max(SMALL, OVERFITTED * own):
             continue
         text = f"the error of {where} is {row.nrmse / own:.2g} times that of training"

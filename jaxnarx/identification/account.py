@@ -200,5 +200,6 @@ def _groups(board: Leaderboard, row: Contender) -> list[str]:
         return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [
         f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "
-        "times the error of all. More records like these would help most."
+        "times the error of all. Look at its records first (jaxnarx check names those "
+        "in another unit); if they are right, more like them would help most."
     ]

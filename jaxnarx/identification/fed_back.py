@@ -56,7 +56,11 @@ def _local(
 
 
 def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
-    """Inputs from their dead time on and outputs, all products; None if too many."""
+    """Inputs from their dead time on and outputs, all products; None if too many.
+
+    Of an input that seems to act late the last sample is there in place of the oldest:
+    a dead time is an estimate.
+    """
     names = data.channels.input_names
     variables = len(names) * (lags + 1) + lags
     if math.comb(variables + degree, degree) > LARGEST and degree > 1:
@@ -65,7 +69,7 @@ def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
         data.channels,
         outputs=[look.output],
         input_lags={
-            n: range(d, d + lags + 1)
+            n: range(d, d + lags + 1) if d < 2 else (1, *range(d, d + lags))
             for n, d in zip(names, look.dead_time, strict=True)
         },
         output_lags=range(1, lags + 1),

@@ -28,6 +28,7 @@ DESCRIPTION = """All keys of a description of records:
     files = ["bench1/*.csv", "!bench1/cold*.csv"]   # all of these but those
     # or parts: train = [...], validate = [...], test = [...]
     # of a long file: "long.csv @ 0:500" (seconds), "long.csv @ engine_on > 0.5"
+    # of numbered columns: "runs.mat @ #1,2,5"
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
 
 Files are CSV, Parquet, Excel and OpenDocument sheets, MDF, MATLAB (4 to 7.3), HDF5 and
@@ -41,7 +42,10 @@ environment variable JAXNARX_DATA, and stays inside; else it is relative to the 
 of the description. The patterns of [records] are relative to root and stay inside. Each
 pattern's files come in alphabetical order, and each file is one record; behind @ stands
 what of it is one: a span of seconds from its first row, or every stretch in which a
-column is above, or below, a number. A pattern that begins with ! takes its files out of
+column is above, or below, a number. Where names of columns hold a # ({column =
+"Input#"}, time = "t#"), it stands for a number, or for one of the words est, val, train
+and test: every one with which a file has all columns makes a record, and those behind
+@ # are chosen. A pattern that begins with ! takes its files out of
 those that the patterns before it have chosen. groups names training records that are
 left out together where models are judged on what they were not trained on; a list of
 lists of patterns serves as well. Records in no group are put together where they repeat

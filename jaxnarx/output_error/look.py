@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.data.dynamics import dynamics
+from jaxnarx.data.pieces import usual_length
 from jaxnarx.errors import DataError
 
 FEW = 3
@@ -16,8 +17,6 @@ COUNTED = 20_000
 """Samples that judge; of longer data every k-th one counts."""
 SHORTEST = 15
 """Length of the records, in reaches of the lags."""
-REACH = 100
-"""Longest dead time looked for [samples]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +54,7 @@ def look(data: Dataset, output: str) -> Look:
     _require_seen(data)
     o = data.channels.output_names.index(output)
     inputs = len(data.channels.inputs)
-    found = dynamics(data, reach=REACH)
+    found = dynamics(data)
     pairs = [found[i, o] for i in range(inputs)]
     clear = [p for p in pairs if p is not None and p.clear]
     longest = max(len(r) for r in data)
@@ -67,7 +66,7 @@ def look(data: Dataset, output: str) -> Look:
         tuple(dead),
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
-        _usual_length(data) // SHORTEST,
+        usual_length(map(len, data)) // SHORTEST,
         max(1, data.samples // COUNTED),
     )
 
@@ -80,12 +79,6 @@ def _require_seen(data: Dataset) -> None:
     for name, there in zip(data.channels.names, seen.tolist(), strict=True):
         if not there:
             raise DataError(f"{name} is measured nowhere; leave it out")
-
-
-def _usual_length(data: Dataset) -> int:
-    """Samples of the longest record without which others hold under nine tenths."""
-    lengths = np.sort([len(r) for r in data])[::-1]
-    return int(lengths[np.searchsorted(np.cumsum(lengths), 0.9 * lengths.sum())])
 
 
 def _levels(data: Dataset, place: int) -> tuple[float, ...] | None:

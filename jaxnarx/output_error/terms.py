@@ -1,6 +1,7 @@
 """Pools without feedback for the closed form: lags and filters in one scale."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from jaxnarx.shown import page
 
 SPREAD = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""
+RECENT = (0, 1, 2)
+"""Lags that every input has, in steps, however late it seems to act."""
 FEWEST = 4
 """Filters at least: slow parts of an answer are small and easily overlooked."""
 FIRST, APART = 2.5, 4.0
@@ -42,10 +45,17 @@ class Memory:
             times.append(APART * times[-1])
         return cls(step, lags, tuple(times))
 
-    def lags_of(self, dead_time: int) -> list[int]:
-        """Lags of an input; one step before the dead time too, which may be wrong."""
+    def lags_behind(self, dead_time: int) -> list[int]:
+        """Lags from one step before the dead time on."""
         begin = max(dead_time - self.step, 0)
         return [begin + self.step * lag for lag in self.lags]
+
+    def lags_of(self, dead_time: int) -> list[int]:
+        """Lags of an input: those behind the dead time, and recent ones, for the dead
+        time is an estimate."""
+        behind = self.lags_behind(dead_time)
+        recent = [self.step * lag for lag in RECENT if self.step * lag < behind[0]]
+        return recent + behind
 
     def filters(self, data: Dataset) -> list[LowPass]:
         """Those that records are long enough for."""
@@ -76,7 +86,8 @@ def linear_pool(data: Dataset, look: Look, memory: Memory) -> Pool:
 
 
 def product_pool(linear: Pool, look: Look, memory: Memory, degree: int) -> Pool:
-    """With products of inputs that have many levels, at two lags behind the dead time.
+    """With products of inputs that have many levels, at two lags behind the dead time,
+    and at two recent ones where a dead time is long.
 
     Products stay within one lag: inputs of engines move slowly, and products of
     neighbours are neighbours of products.
@@ -85,8 +96,8 @@ def product_pool(linear: Pool, look: Look, memory: Memory, degree: int) -> Pool:
         tuple(sorted(r))
         for r in np.pad(linear.factor, ((0, 0), (0, degree - 1))).tolist()
     }
-    for place in (1, 2):
-        free = _at(linear, look, memory, place)
+    for dead, place in itertools.product(_dead_times(look, memory), (1, 2)):
+        free = _at(linear, look, memory, place, dead)
         for size in range(2, degree + 1):
             rows |= {(0,) * (degree - size) + r for r in _products(free, size)}
     factor = np.array(sorted(rows, key=lambda r: (np.count_nonzero(r), r)), np.int32)
@@ -101,11 +112,20 @@ def _products(free: list[int], size: int) -> set[tuple[int, ...]]:
     }
 
 
-def _at(linear: Pool, look: Look, memory: Memory, place: int) -> list[int]:
+def _dead_times(look: Look, memory: Memory) -> list[tuple[int, ...]]:
+    """Those that were seen, and without the long ones, which may be wrong."""
+    long = (max(RECENT) + 1) * memory.step
+    recent = tuple(0 if d > long else d for d in look.dead_time)
+    return list(dict.fromkeys((look.dead_time, recent)))
+
+
+def _at(
+    linear: Pool, look: Look, memory: Memory, place: int, dead: tuple[int, ...]
+) -> list[int]:
     """Variables of inputs with many levels at their lag number `place`."""
     out = []
     for n, (signal, lag, filter_) in enumerate(linear.variables.entries, 1):
-        lags = memory.lags_of(look.dead_time[signal])
+        lags = memory.lags_behind(dead[signal])
         own = filter_ is None and lag == lags[min(place, len(lags) - 1)]
         if own and look.levels[signal] is None:
             out.append(n)
@@ -116,7 +136,7 @@ def scheduling(data: Dataset, look: Look, memory: Memory) -> Variables:
     """Every input two steps behind the dead time; few inputs through a filter too."""
     rows = []
     for signal, dead in enumerate(look.dead_time):
-        lags = memory.lags_of(dead)
+        lags = memory.lags_behind(dead)
         rows.append((signal, lags[min(2, len(lags) - 1)], None))
     many = [s for s, own in enumerate(look.levels) if own is None]
     if len(many) <= 2:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data import read_split
-from jaxnarx.data.survey import ChannelGuess, Survey, measurement_files, survey
+from jaxnarx.data.survey import ChannelGuess, Run, Survey, measurement_files, survey
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe
-from jaxnarx.shell.messages import count, next_command, say, size, warn
+from jaxnarx.shell.messages import count, next_command, quoted, say, size, warn
 
 
 def describe(command: Describe) -> int:
@@ -87,8 +87,9 @@ def summary(found: Survey) -> str:
         for row in rows
     ]
     lines += [f"note: {remark}" for remark in found.remarks]
+    lines += [f"warning: {text}" for text in found.odd.values()]
     lines += [
-        f"the same cycle: {', '.join(file.name for file in own)}"
+        f"the same cycle: {', '.join(run.name for run in own)}"
         for own in found.cycles
         if len(own) > 1
     ]
@@ -96,7 +97,18 @@ def summary(found: Survey) -> str:
         some, rest = list(found.only_in)[:8], len(found.only_in) - 8
         more = f" and {rest} more" if rest > 0 else ""
         lines.append(f"not in all files: {', '.join(some)}{more}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_added(found)])
+
+
+def _added(found: Survey) -> list[str]:
+    """What is left out, and the options that add the first of it."""
+    left = [one.name for one in found.of("left out")]
+    if not left:
+        return []
+    inputs = [one.name for one in found.of("input")]
+    outputs = [one.name for one in found.of("output")]
+    options = quoted(["--outputs", *outputs, "--inputs", *inputs, left[0]])
+    return [f"left out: {', '.join(left)}; to add {left[0]}: {options}"]
 
 
 def toml(found: Survey, root: Path, relative: str) -> str:
@@ -173,10 +185,11 @@ def _layout(found: Survey) -> list[str]:
 
 
 def _channel(one: ChannelGuess) -> str:
-    return (
-        f"{_text(one.name)} = {_text(one.unit)}  "
-        f"# {one.low:.4g} to {one.high:.4g}; {one.reason}"
-    )
+    what = _text(one.unit)
+    if one.channel != one.name:
+        what = f"{{column = {_text(one.name)}, unit = {what}}}"
+    told = f"# {one.low:.4g} to {one.high:.4g}; {one.reason}"
+    return f"{_text(one.channel)} = {what}  {told}"
 
 
 def _left_out(found: Survey) -> list[str]:
@@ -186,18 +199,34 @@ def _left_out(found: Survey) -> list[str]:
 
 
 def _records(found: Survey, root: Path) -> list[str]:
-    def names(files: Sequence[Path]) -> str:
-        own = [file.resolve().relative_to(root).as_posix() for file in files]
-        return f"[{', '.join(map(_text, own))}]"
+    def names(runs: Sequence[Run]) -> str:
+        return f"[{', '.join(map(_text, _patterns(runs, root)))}]"
 
-    lines = [f"{part} = {names(files)}" for part, files in found.parts.items()]
+    odd = [f"# look at this record: {text}" for text in found.odd.values()]
+    lines = odd + [f"{part} = {names(runs)}" for part, runs in found.parts.items()]
     if "files" in found.parts:
         lines.append("# test = [...]  # records that only judge, if there are others")
         return lines
     lines.insert(0, "# test records only judge: no choice sees them")
+    if any(run.span for run in found.parts["train"]):
+        lines.insert(1, "# seconds of one record: correct them as its course asks")
     training = set(found.parts["train"])
     tied = [own for own in found.cycles if len(own) > 1 and set(own) <= training]
     if tied:
         groups = ", ".join(names(own) for own in tied)
         lines.append(f"groups = [{groups}]  # the same cycle: left out together")
     return lines
+
+
+def _patterns(runs: Sequence[Run], root: Path) -> list[str]:
+    """What a description says of some records, numbered ones of a file together."""
+    files: dict[str, list[Run]] = {}
+    for run in runs:
+        name = run.file.resolve().relative_to(root).as_posix()
+        files.setdefault(name, []).append(run)
+    told = []
+    for name, own in files.items():
+        members = ",".join(run.member for run in own if run.member)
+        behind = [f" @ #{members}"] if members else [run.behind for run in own]
+        told += [name + one for one in behind]
+    return told

@@ -24,6 +24,15 @@ def read_description(path: str, root: str | None) -> "Split":
     return split
 
 
+def tell_findings(data: "Dataset") -> None:
+    """What a first look at training records turns up, before work begins."""
+    from jaxnarx.data import first_look
+
+    found = first_look(data)
+    if len(found):
+        say(f"{found}\nMore: jaxnarx check")
+
+
 def tell_notes(data: "Dataset") -> None:
     """What reading did to the samples, beside the output."""
     for note in data.notes:

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,17 +47,27 @@ def _parquet(path: Path, columns: Mapping[str, Values], sample_time: float) -> N
     parquet.write_table(pa.table(arrays, schema=pa.schema(fields)), path)
 
 
+def plain_names(names: Sequence[str]) -> list[str]:
+    """The names as words of up to 50 letters, digits and `_`, no two alike."""
+    found: dict[str, None] = {}
+    for name in names:
+        word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "x"
+        word = (word if word[0].isalpha() else f"x{word}")[:50]
+        tries = (f"{word}{n or ''}" for n in range(len(names) + 1))
+        found[next(w for w in tries if w not in found)] = None
+    return list(found)
+
+
 def _mat(path: Path, columns: Mapping[str, Values], sample_time: float) -> None:
     """A variable for each column, called as MATLAB allows, and `names` and `units` of
     them as they are."""
     from scipy.io import savemat
 
-    found: dict[str, Any] = {}
-    for name, column in columns.items():
-        word = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "x"
-        word = (word if word[0].isalpha() else f"x{word}")[:50]
-        tries = (f"{word}{n or ''}" for n in range(len(columns) + 1))
-        found[next(w for w in tries if w not in found)] = column.x[:, None]
+    words = plain_names(list(columns))
+    found: dict[str, Any] = {
+        word: column.x[:, None]
+        for word, column in zip(words, columns.values(), strict=True)
+    }
     names, units = list(columns), [c.unit for c in columns.values()]
     found["names"] = np.array(names, object)[:, None]
     found["units"] = np.array(units, object)[:, None]

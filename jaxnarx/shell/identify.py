@@ -24,6 +24,7 @@ from jaxnarx.methods import (
 from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
 from jaxnarx.selection import Selection
+from jaxnarx.shell.description import tell_findings
 from jaxnarx.shell.messages import count, first_lines, quoted, say
 from jaxnarx.shell.output import write_report, written_together
 from jaxnarx.shell.progress import (
@@ -97,6 +98,7 @@ def identify(
     parts = {name: needed(data, method) for name, data in parts.items()}
     history = make_pool(method.pool, parts["train"].channels).variables.longest
     require_rows(parts, history)
+    tell_findings(parts["train"])
     with Teller(method) as tell:
         train, judges = parts["train"], parts["validate"]
         fit = verb(train, method, validation=judges, progress=tell)

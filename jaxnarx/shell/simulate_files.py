@@ -11,7 +11,7 @@ from jaxnarx.models import Network
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate
 from jaxnarx.shell.description import read_description, tell_notes
-from jaxnarx.shell.formats import write_columns
+from jaxnarx.shell.formats import plain_names, write_columns
 from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
@@ -56,6 +56,9 @@ def simulate_files(command: Simulate) -> int:
                 columns = output.trajectory_columns(
                     solution.value, data, n, kind, index, bounds
                 )
+                if command.plain_names:
+                    names = plain_names(list(columns))
+                    columns = dict(zip(names, columns.values(), strict=True))
                 write_columns(place / file, columns, float(data.sample_time))
     for file in files:
         say(f"wrote {folder / file}")
@@ -79,6 +82,7 @@ def follow(command: Simulate, through: str) -> int:
         "--steps": command.steps,
         "--prepare": command.prepare,
         "--level": command.level,
+        "--plain-names": command.plain_names,
     }
     if command.format != "csv":
         raise SpecError("--through writes CSV; leave out --format")

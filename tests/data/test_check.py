@@ -171,7 +171,7 @@ def test_dead_time_is_found_also_for_a_coloured_input(delay):
     for t in range(delay + 1, u.size):
         y[t] = 0.8 * y[t - 1] + slow[t - 1 - delay]
     (found,) = check(dataset(slow, y)).of("dead time")
-    assert f"after about {delay + 1} sample(s)" in found.message
+    assert f"after about {delay + 1} sample" in found.message
     assert (found.severity == "warning") == (delay + 1 > 20)
 
 
@@ -202,6 +202,19 @@ def test_findings_are_sorted_and_survive_json():
     assert severities == sorted(severities, key=["error", "warning", "note"].index)
     assert told["counts"]["error"] == 1 and told["is_okay"] is False
     assert str(check(dataset(*system(seed=4)), max_lag=5))
+
+
+def test_many_of_a_kind_are_told_in_a_few_lines():
+    rng = np.random.default_rng(0)
+    time = np.arange(400.0)
+    u = np.stack([np.sin(time / (3 + k)) for k in range(9)], axis=1)
+    data = dataset(u, rng.normal(size=400))
+    findings = check(data)
+    assert len(findings.of("excitation")) == 9
+    lines = str(findings).splitlines()
+    own = [n for n in lines if "persistently" in n or "(excitation" in n]
+    assert len(own) == 4 and "u1" in own[0] and "u2" in own[1]
+    assert own[-1] == ("warning: ... and 6 more (excitation of u4, u5, u6, u7, u8, u9)")
 
 
 def test_bad_max_lag():

@@ -414,7 +414,8 @@ def test_descriptions_that_are_none(tmp_path):
     refuse(SpecError, path, "section [channels] is missing")
     path.write_text('[data]\n[channels.outputs]\ny=""\n[records]\nfiles=["a.csv"]')
     (tmp_path / "a.csv").write_text("y\n1\n2\n")
-    refuse(SpecError, path, "needs sample_time in seconds")
+    static = "--input-lags 0 --output-lags --partition tree"
+    refuse(SpecError, path, "needs sample_time in seconds", static)
     refuse(SpecError, tmp_path / "a.csv", "takes a TOML description")
 
 

@@ -85,7 +85,9 @@ def test_records_of_one_cycle_stay_together(folder):
 def test_what_is_asked_for_is_not_guessed(folder):
     found = survey(measurement_files([folder]), outputs=["T_oil"])
     assert [c.name for c in found.of("output")] == ["T_oil"]
-    assert "NOx" in {c.name for c in found.of("left out")}
+    assert {c.name for c in found.of("input")} == {"speed", "x_12", "NOx"}
+    why = {c.name: c.reason for c in found.channels}
+    assert why["NOx"] == "not asked for as output"
     both = survey(measurement_files([folder]), outputs=["NOx"], inputs=["x_12"])
     assert [c.name for c in both.of("input")] == ["x_12"]
     with pytest.raises(SpecError, match="no channel 'NO' in all files.*NOx"):
@@ -96,7 +98,7 @@ def test_names_of_files_say_what_they_are_for(folder):
     for n, name in enumerate(("train_a", "train_b", "validation", "Test")):
         (folder / f"run{n}.csv").rename(folder / f"{name}.csv")
     parts = survey(measurement_files([folder])).parts
-    told = {part: [f.stem for f in files] for part, files in parts.items()}
+    told = {part: [f.file.stem for f in runs] for part, runs in parts.items()}
     assert told == {
         "train": ["train_a", "train_b"],
         "validate": ["validation"],
@@ -128,7 +130,8 @@ def test_time_is_found_in_its_unit_or_asked_for(tmp_path, stamps, told):
         write(tmp_path / "a.csv", table | {"time": stamps})
         found = survey([tmp_path / "a.csv"])
     assert (found.time, found.time_unit, found.sample_time) == told
-    assert found.parts == {"files": (tmp_path / "a.csv",)}
+    told = {p: [run.name for run in runs] for p, runs in found.parts.items()}
+    assert told == {"train": ["a.csv @ 0:28"], "test": ["a.csv @ 30:"]}
 
 
 def test_a_folder_without_measurements_is_told(tmp_path):

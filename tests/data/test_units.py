@@ -13,6 +13,8 @@ from jaxnarx.errors import SpecError
     [
         (3000.0, "1/min", "rpm", 3000.0),
         (100 * np.pi, "rad/s", "[rpm]", 3000.0),
+        (3000.0, "rpm", "1/s", 50.0),
+        (50.0, "Hz", "1/min", 3000.0),
         (1.01325, "bar", "kPa", 101.325),
         (25.0, "°C", "K", 298.15),
         (300.0, "K", "degC", 26.85),
@@ -32,7 +34,7 @@ def test_what_measures_the_same_is_converted(value, old, new, expected):
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("1/s", "rpm"), ("bar", "K"), ("ppm", "mg"), ("ppm", "%"), ("x", "y")],
+    [("1/s", "1"), ("bar", "K"), ("ppm", "mg"), ("ppm", "%"), ("x", "y")],
 )
 def test_what_may_be_misread_is_not(old, new):
     assert conversion(old, new) is None

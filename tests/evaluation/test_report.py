@@ -214,6 +214,30 @@ def test_errors_that_are_offsets_of_records_are_told(full):
     assert note.startswith("NOx, test, free run: 64% of the error's mean square")
 
 
+def test_errors_within_records_are_told_where_levels_hide_them(full):
+    assert not any("within records" in n for n in full.notes)
+    rows = [r for r in full.rows if r.mode == "free run" and r.part == "test"]
+    flat = [
+        dataclasses.replace(r, nrmse=3e-5, rmse=1.0)
+        if r.record == "pooled"
+        else dataclasses.replace(r, nrmse=1.2, rmse=1.0, status="ok")
+        for r in rows
+        if r.output == rows[0].output
+    ]
+    (note,) = [n for n in score_notes(flat) if "within records" in n]
+    assert "NRMSE 3e-05 counts" in note and "it is 1.2" in note
+
+
+def test_a_record_in_another_unit_is_told():
+    data = make(1, records=6)
+    records = list(data.records)
+    records[2] = dataclasses.replace(records[2], u=records[2].u * 60)
+    mixed = dataclasses.replace(data, records=tuple(records))
+    notes = report(Network(), {"train": mixed, "test": make(2)}).notes
+    (note,) = [n for n in notes if "Look at its unit" in n]
+    assert f" in {records[2].name} goes from" in note
+
+
 def test_masked_samples_are_counted():
     """What `prepare --hampel` removed, or the file lacked, is told by part."""
     data = make(2)
@@ -251,7 +275,7 @@ def test_a_record_too_short_to_predict_is_said_in_every_mode():
 
 def test_other_units_and_extra_channels_are_noted():
     other = Channels(
-        (Channel("speed", "1/s"), Channel("gear")),
+        (Channel("speed", "km/h"), Channel("gear")),
         (Channel("NOx", "mg"), Channel("torque", "Nm")),
     )
     parts = {"train": make(1), "test": make(2, channels=other)}
@@ -259,7 +283,7 @@ def test_other_units_and_extra_channels_are_noted():
     text = "\n".join(notes)
     assert "NOx is in ppm, the test data's in mg" in text
     assert "Extra channels in test, ignored: gear" in text
-    assert "speed is in rpm, the test data's in 1/s" in text
+    assert "speed is in rpm, the test data's in km/h" in text
     assert len(notes) == 3
 
 

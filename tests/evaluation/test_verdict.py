@@ -81,7 +81,14 @@ def test_a_training_record_that_is_far_off_is_named_with_its_offset():
     assert "off in train record d9" in text and "+72 K" in text
 
 
+def far_apart(nrmse: float):
+    """Two test records at levels far apart: pooled 3e-5, `nrmse` in each."""
+    records = [row("test", f"t{k}", rmse=1.0, nrmse=nrmse) for k in range(2)]
+    return made(row("train"), row("test", rmse=1.0, nrmse=3e-5), *records)
+
+
 LIMITS = {
+    "level only": (far_apart(1.2), "within a record"),
     "half unexplained": (made(row("test", nrmse=0.7)), "49%"),
     "overfitted": (made(row("train", nrmse=0.05), row("test", nrmse=0.25)), "5 times"),
     "held": (made(row("train"), row("test", limited=20)), "feedback bound"),

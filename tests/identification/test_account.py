@@ -48,6 +48,7 @@ def test_a_group_that_is_served_badly_is_named():
     bad = dataclasses.replace(row(2), groups=(0.1, 0.4), free_run=0.25)
     told = sentences(Leaderboard((bad,), ("day 1", "day 2")), "y")
     assert "group day 2: 0.4, 1.6 times" in told[-1]
+    assert "Look at its records first" in told[-1]
 
 
 def test_where_all_are_vetoed_the_mean_is_the_safest():

@@ -43,10 +43,10 @@ def test_every_candidate_has_a_name_and_more_terms_to_choose_from_than_it_takes(
     assert len(seen) == len(set(seen)) >= PRESETS["good"].fed_back
 
 
-def test_lags_begin_at_the_dead_time_and_one_output_is_fed_back():
+def test_lags_begin_at_the_dead_time_beside_a_recent_one():
     pool = pool_of(plant(2), LOOK, 2, 2)
     assert pool is not None
-    assert pool.variable_names == ["u[t-3]", "u[t-4]", "u[t-5]", "w[t-1]", "w[t-2]"]
+    assert pool.variable_names == ["u[t-1]", "u[t-3]", "u[t-4]", "w[t-1]", "w[t-2]"]
     assert pool.outputs == (1,) and pool.degree == 2
 
 

@@ -6,7 +6,7 @@ import nested_problems as problems
 import numpy as np
 import pytest
 
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, check, suggest_lags
 from jaxnarx.errors import DataError
 from jaxnarx.output_error import look
 from jaxnarx.output_error.look import COUNTED
@@ -37,6 +37,20 @@ def test_dead_times_rise_and_memory():
     assert 10 <= found.memory <= 60 and found.every == 1
     told = found.to_dict(["a", "b"])
     assert told["dead_time"] == {"a": DEAD, "b": 1} and told["few_levels"] == ["b"]
+
+
+def test_it_agrees_with_check_also_on_long_dead_times():
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.normal(size=(60, 2)), 20, axis=0)
+    y = np.roll(u[:, 0], 150) + 0.5 * np.roll(u[:, 1], 2)
+    y[:150] = y[150]
+    data = problems.dataset([u], [(y + 0.01 * rng.normal(size=1200))[:, None]])
+    found, lags = look(data, "y"), suggest_lags(data)
+    assert found.dead_time == tuple(lags.dead_time[n, "y"] for n in ("a", "b"))
+    assert found.dead_time[0] == pytest.approx(150, abs=2)
+    (told,) = [f for f in check(data).of("dead time") if f.channel == "a"]
+    assert f"after about {found.dead_time[0]} samples" in told.message
+    assert "beside the recent ones" in told.message
 
 
 def test_levels_of_binary_inputs_though_edges_were_resampled():

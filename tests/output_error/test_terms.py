@@ -13,9 +13,11 @@ from jaxnarx.regressors import LowPass
 LOOK = Look("y", (None, (0.0, 1.0)), (3, 0), rise=4.0, memory=20, reach=20, every=1)
 
 
-def test_lags_begin_a_step_before_the_dead_time():
+def test_lags_begin_a_step_before_the_dead_time_and_recent_ones_stay():
     memory = Memory(2, (0, 1, 2, 4))
-    assert memory.lags_of(5) == [3, 5, 7, 11]
+    assert memory.lags_behind(5) == [3, 5, 7, 11]
+    assert memory.lags_of(5) == [0, 2, 3, 5, 7, 11]
+    assert memory.lags_of(46) == [0, 2, 4, 44, 46, 48, 52]
     assert memory.lags_of(1) == memory.lags_of(0) == [0, 2, 4, 8]
 
 
@@ -34,7 +36,7 @@ def test_filters_that_records_are_long_enough_for():
 def test_a_linear_pool_has_the_constant_lags_and_filters():
     memory = Memory(1, (0, 2), (10.0,))
     names = linear_pool(problems.records(), LOOK, memory).names
-    lags = ["a[t-2]", "a[t-4]", "b[t]", "b[t-2]"]
+    lags = ["a[t]", "a[t-1]", "a[t-2]", "a[t-4]", "b[t]", "b[t-2]"]
     assert names == ["1", *lags, "lp(a, 1 s)[t]", "lp(b, 1 s)[t]"]
 
 
@@ -60,6 +62,12 @@ def test_products_are_of_inputs_with_many_levels_within_one_lag():
         "a[t-4]*b[t-2]",
         "b[t-2]^2",
     }
+
+
+def test_a_long_dead_time_takes_no_recent_product_away():
+    late = dataclasses.replace(LOOK, dead_time=(46, 0), levels=(None, None))
+    found = products(late, 2)
+    assert {"a[t-46]*b[t-1]", "a[t-1]*b[t-1]", "a[t-2]^2", "b[t-1]^2"} <= set(found)
 
 
 def test_binary_inputs_alone_have_no_products():

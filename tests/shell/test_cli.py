@@ -574,13 +574,13 @@ def test_settings_that_make_no_sense_are_usage(capsys, flags):
 
 
 def test_units_that_differ_between_files_are_refused(capsys):
-    for k, unit in enumerate(("rpm", "1/s")):
+    for k, unit in enumerate(("rpm", "km/h")):
         text = Path(f"r{k}.csv").read_text().split("\n")
         Path(f"r{k}.csv").write_text(
             "\n".join([text[0], f"{unit},%,degC,ppm", *text[1:]])
         )
     describe("units.toml", 'files = ["r0.csv", "r1.csv"]', extra="unit_row = true")
-    fails(capsys, 3, ["identify", "units.toml"], "r1.csv", "speed", "'1/s'", "'rpm'")
+    fails(capsys, 3, ["identify", "units.toml"], "r1.csv", "speed", "'km/h'", "'rpm'")
 
 
 @pytest.mark.parametrize(
@@ -643,6 +643,16 @@ def test_simulate_writes_what_it_computed_beside_what_was_measured(capsys, both)
     simulated = np.array(found["temp simulated"], float)
     assert np.std(simulated - measured) < 0.1 * np.std(measured)
     assert found["time [s]"][:3] == ["0", "0.1", "0.2"]
+
+
+def test_columns_without_spaces_on_request(capsys, both):
+    write("new.csv", columns())
+    passes(capsys, ["simulate", both, "new.csv", "--plain-names", "--out", "plain"])
+    passes(capsys, ["simulate", both, "new.csv", "--out", "spaced"])
+    plain, spaced = table("plain/new.csv"), table("spaced/new.csv")
+    assert [n.replace(" ", "_") for n in spaced][1:] == list(plain)[1:]
+    assert list(plain)[0] == "time_s" and "temp_simulated" in plain
+    assert plain["temp_simulated"] == spaced["temp simulated"]
 
 
 KINDS = ("simulated", "measured", "limited")
@@ -827,7 +837,7 @@ def new_file(kind: str) -> list[str]:
         "below a file": ["--out", "r0.csv/x"],
     }
     if kind == "units":
-        describe("units.toml", 'files = ["r0.csv"]', units=("1/s", *UNITS[1:]))
+        describe("units.toml", 'files = ["r0.csv"]', units=("km/h", *UNITS[1:]))
         return ["units.toml"]
     if kind == "sample time":
         describe("time.toml", 'files = ["r0.csv"]', dt=0.2)
@@ -845,7 +855,7 @@ NEW_FAULTS = {
     "late start": (3, "new.csv", "temp has no valid sample"),
     "far": (2, "--steps 500", "240 samples"),
     "zero": (2, "--steps must be at least 1, got 0"),
-    "units": (3, "units.toml", "speed", "'1/s'", "'rpm'"),
+    "units": (3, "units.toml", "speed", "'km/h'", "'rpm'"),
     "sample time": (3, "time.toml", "0.1 s", "0.2 s"),
     "mixed": (2, "not both"),
     "level": (2, "level must lie from 0.5 to 0.99, got 2.0"),
@@ -921,11 +931,11 @@ def test_report_prints_and_writes_when_asked(capsys, both):
 
 
 def test_report_needs_channels_units_and_rows_that_fit(capsys, both):
-    describe("units.toml", 'files = ["r0.csv"]', units=("1/s", *UNITS[1:]))
+    describe("units.toml", 'files = ["r0.csv"]', units=("km/h", *UNITS[1:]))
     describe("lack.toml", 'files = ["r0.csv"]', names=NAMES[:3], units=UNITS[:3])
     write("r1.csv", columns(rows=9))
     describe("short.toml", 'files = ["r1.csv"]')
-    fails(capsys, 3, ["report", both, "units.toml"], "units.toml", "'1/s'", "'rpm'")
+    fails(capsys, 3, ["report", both, "units.toml"], "units.toml", "'km/h'", "'rpm'")
     fails(capsys, 3, ["report", both, "lack.toml"], "lack.toml", "no channel 'NOx'")
     fails(capsys, 3, ["report", both, "short.toml"], "data", "r1", "9 rows")
 

@@ -115,6 +115,23 @@ def copy(done, tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+def test_what_spoils_any_model_is_told_before_the_search(tmp_path, monkeypatch, capsys):
+    """A constant input, three records of 15 samples, no units."""
+    monkeypatch.chdir(tmp_path)
+    searching(monkeypatch)
+    for n in range(4):
+        write(tmp_path / f"r{n}.csv", n)
+        lines = (tmp_path / f"r{n}.csv").read_text().splitlines()
+        rows = [f"1,{line.partition(',')[2]}" for line in lines[1:]]
+        rows = rows if n == 3 else rows[:15]
+        (tmp_path / f"r{n}.csv").write_text("\n".join([lines[0], *rows]) + "\n")
+    (tmp_path / "engine.toml").write_text(TOML.replace('"V"', '""'))
+    _, text, _ = typed(capsys, LINE)
+    assert "no unit is stated for a, b" in text
+    assert "input a is constant at 1 in all records" in text
+    assert "r0 has 15 rows, none after lag 20" in text and "jaxnarx check" in text
+
+
 # a finished search ----------------------------------------------------------------
 
 

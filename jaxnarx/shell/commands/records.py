@@ -22,7 +22,9 @@ class Describe:
     FILE is CSV, Parquet, a spreadsheet, MDF, MATLAB, HDF5 or npz, or a folder of them.
     Channels with units and ranges, layout and sample time are found out, inputs and
     outputs guessed from names and courses with the reason beside each, files that
-    repeat one cycle tied together, and records for training and test proposed.
+    repeat one cycle tied together, and records for training and test proposed: of one
+    long record its beginning and end. Numbered columns (Input1, Output1, Input2, ...)
+    become records. A record that seems to be in another unit than the others is told.
 
     Example:
         jaxnarx describe measurements --outputs NOx T_exhaust
@@ -31,7 +33,7 @@ class Describe:
     files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
     """Measurement files, or folders of them."""
     outputs: Names = ()
-    """Channels to be modelled; default: guessed."""
+    """Channels to be modelled, all others being inputs; default: guessed."""
     inputs: Names = ()
     """Channels that move the engine; default: guessed."""
     columns: Names = ()
@@ -50,8 +52,8 @@ class Describe:
 class Check:
     """Look at data before anything is fitted: what may spoil a model, and which lags.
 
-    Reports constants, duplicates, gaps, saturation, spikes, excitation, dead time and
-    feedback, and suggests lags.
+    Reports constants, duplicates, gaps, saturation, spikes, records in another unit
+    than the others, excitation, dead time and feedback, and suggests lags.
 
     Example:
         jaxnarx check engine.toml

@@ -43,6 +43,8 @@ class Simulate:
     to .99, around each output. For models that know their errors, as of `identify`."""
     format: Literal["csv", "parquet", "mat", "mf4"] = "csv"
     """Of the files that are written; with units where the format has them."""
+    plain_names: Flag = False
+    """Name columns without spaces and signs: `NOx_simulated`, `time_s`."""
     through: Annotated[str | None, optional("MODEL")] = None
     """MODEL is an inverse: run this model of the engine under its commands. The columns
     of its outputs are then what they shall be; commands are needed in the first rows

@@ -16,7 +16,7 @@ from jaxnarx.models import Network, narrowed
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.search import Automatic
-from jaxnarx.shell.description import read_description
+from jaxnarx.shell.description import read_description, tell_findings
 from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
 from jaxnarx.shell.output import RUN, run_folder, slug
@@ -53,6 +53,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     out = command.out or str(Path("runs") / folder_name(command, asked))
     with _search_folder(out, command.force) as folder:
         train, validation = training(split)
+        tell_findings(train)
         Origin.of(command.description, command.root).write(folder)
         fit, stopped = _run(asked, train, validation, folder)
         network, board = narrowed(fit.value), fit.stats["leaderboard"]
