@@ -199,9 +199,15 @@ class Candidates:
         def watch(fold: int) -> None:
             self.watch(dataclasses.replace(trying, fold=fold))
 
-        rows, best = self.preset.longest, self.best
         return judge(
-            method, self.data, self.groups, self.spread, best, rows, watch=watch
+            method,
+            self.data,
+            self.groups,
+            self.spread,
+            self.best,
+            self.preset.longest,
+            begin=self.look.begin,
+            watch=watch,
         )
 
     def _judged(

@@ -52,6 +52,7 @@ def judge(
     rows: int | None = None,
     *,
     one_step: bool | None = None,
+    begin: int = 0,
     watch: Callable[[int], None] = lambda fold: None,
 ) -> list[JudgedMethod]:
     """Train without every group in turn, run freely over it; then train on everything.
@@ -62,8 +63,9 @@ def judge(
     samples train; runs go over all samples of a group, held to the ranges of all data,
     as the network of all is in use. The error one step ahead is left
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
-    estimate of these for every sample, and takes longer than the training. `watch` is
-    called with the number of every fold, from 1, before it is trained.
+    estimate of these for every sample, and takes longer than the training. The first
+    `begin` samples of every record judge nothing (`Look.begin`). `watch` is called
+    with the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
@@ -83,8 +85,8 @@ def judge(
         parted = rows is None or data.samples <= rows
         everything = groups.parted(data) if parted else data
         whole = begun(method, everything, rows, best)
-        every = [_Judging(len(groups), one_step) for _ in whole]
-        if told := _hopeless(whole, data, spread, best):
+        every = [_Judging(len(groups), one_step, begin) for _ in whole]
+        if told := _hopeless(whole, data, spread, best, begin):
             return [one.judged(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
         watch(g + 1)
@@ -95,7 +97,7 @@ def judge(
             networks += [None] * (len(whole) - last)
         else:
             networks = trained(method, train, rows, known=data)
-        every = every or [_Judging(len(groups), one_step) for _ in networks]
+        every = every or [_Judging(len(groups), one_step, begin) for _ in networks]
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best)
         if all(one.told for one in every):
@@ -110,7 +112,8 @@ def judge(
 class _Judging:
     """What is known of one network of a method so far."""
 
-    def __init__(self, groups: int, one_step: bool):
+    def __init__(self, groups: int, one_step: bool, begin: int):
+        self.begin = begin
         self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
         self.ahead, self.diverged, self.told = 0.0 if one_step else np.nan, 0, ""
 
@@ -137,10 +140,11 @@ class _Judging:
 
     def _run(self, g: int, network: Network, left: Dataset, spread: float) -> None:
         try:
-            self.losses[g], self.counts[g], bad = score(network, left, spread)
+            found = score(network, left, spread, begin=self.begin)
+            self.losses[g], self.counts[g], bad = found
             self.diverged += bad
             if self.ahead == self.ahead:  # wanted
-                ahead = score(network, left, spread, k=1)[0]
+                ahead = score(network, left, spread, k=1, begin=self.begin)[0]
                 self.ahead += self.counts[g] * ahead
         except DataError:
             return
@@ -226,10 +230,11 @@ def _hopeless(
     data: Dataset,
     spread: float,
     best: Float[np.ndarray, " groups"] | None,
+    begin: int,
 ) -> str:
     """Why nothing needs to be left out, or ""."""
     try:
-        scores = [score(network, data, spread) for network in networks]
+        scores = [score(network, data, spread, begin=begin) for network in networks]
     except DataError as error:
         return str(error)
     if all(bad for *_, bad in scores):
@@ -271,13 +276,21 @@ def _held(networks: list[Network], known: Dataset) -> list[Network]:
 
 
 def score(
-    network: Network, data: Dataset, spread: float, k: int | None = None
+    network: Network,
+    data: Dataset,
+    spread: float,
+    k: int | None = None,
+    *,
+    begin: int = 0,
 ) -> tuple[float, int, int]:
     """Mean squared error, samples that count, and records that diverge; of a free run,
-    or so many steps ahead. Of one output."""
+    or so many steps ahead. Of one output. The first `begin` samples do not count;
+    DataError where no other does."""
     run = (simulate(network, data) if k is None else predict(network, data, k)).value
     (o,) = network.modelled
     parts = zip(data, run.outputs, run.scored, strict=True)
-    errors = [(r.y[:, o] - y[:, 0])[s[:, 0]] for r, y, s in parts]
+    errors = [(r.y[begin:, o] - y[begin:, 0])[s[begin:, 0]] for r, y, s in parts]
     every = np.concatenate(errors) / spread
+    if not len(every):
+        raise DataError(f"no sample counts behind the first {begin} of a record")
     return float(np.mean(every**2)), len(every), int(sum(d[0] for d in run.diverged))

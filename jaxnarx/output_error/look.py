@@ -19,6 +19,11 @@ SHORTEST = 15
 """Length of the records, in reaches of the lags."""
 
 
+HISTORY = 12
+"""Samples of history that some candidate needs, however short the records are: hidden
+states are estimated from ten, behind a lag or two."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Look:
     """Facts about one output and its inputs."""
@@ -36,6 +41,9 @@ class Look:
     """Samples that lags may reach back: records and blocks keep most of theirs."""
     every: int
     """Every so many samples one counts."""
+    begin: int = 0
+    """Samples at the begin of every record that judge no candidate: all of a search are
+    compared on the same samples, whatever history they need."""
 
     def to_dict(self, inputs: list[str]) -> dict:
         """For people."""
@@ -60,14 +68,17 @@ def look(data: Dataset, output: str) -> Look:
     longest = max(len(r) for r in data)
     memory = max((p.settling or 0 for p in clear), default=longest // 20)
     dead = [0 if p is None or not p.clear else int(p.dead_time or 0) for p in pairs]
+    usual = usual_length(map(len, data))
+    reach = usual // SHORTEST
     return Look(
         output,
         tuple(_levels(data, i) for i in range(inputs)),
         tuple(dead),
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
-        usual_length(map(len, data)) // SHORTEST,
+        reach,
         max(1, data.samples // COUNTED),
+        min(max(max(dead) + reach, HISTORY), usual // 4),
     )
 
 

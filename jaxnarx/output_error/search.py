@@ -64,6 +64,7 @@ class ClosedSearch:
                     *self.groups.parts(),
                     history=ORDERS,
                     every=self.look.every,
+                    begin=self.look.begin,
                 )
             }
         return self.known[key]

@@ -84,12 +84,13 @@ def signals_of(
     *,
     history: int,
     every: int,
+    begin: int = 0,
 ) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. `labels` and `apart` are
     `Groups.parts`. Runs start behind `history` samples at least; of every so many
-    samples of a record one counts.
+    samples of a record one counts, but none of the first `begin`.
     """
     table = Variables.of(
         [
@@ -124,6 +125,7 @@ def signals_of(
         label[: len(record)] = labels[n][:e]
         seen = scored[n, s:e]
         seen[np.arange(s, e) % every != 0] = False
+        seen[np.arange(s, e) < begin] = False
         counted = [
             np.flatnonzero(seen & (label[s:] == g)) for g in range(apart.shape[1])
         ]

@@ -54,7 +54,7 @@ def judged(monkeypatch, few) -> dict:
             said["limits"] = limits
             yield from few
 
-    def judge(method, data, groups, spread, best, rows, watch):
+    def judge(method, data, groups, spread, best, rows, *, begin, watch):
         assert rows == TINY.longest
         said["asked"].append((spread, None if best is None else best.copy()))
         result = said["results"].pop(0)

@@ -20,6 +20,7 @@ from jaxnarx.methods import (
     SimulationError,
 )
 from jaxnarx.models.assemble import MARGIN
+from jaxnarx.output_error import ClosedSearch, look
 
 METHOD = Identification(
     pool=Polynomial(outputs="y", input_lags=(1,), output_lags=(1,), degree=1),
@@ -88,6 +89,19 @@ def test_every_group_is_judged_by_a_model_of_the_others(data, found):
     np.testing.assert_allclose(found.losses, expected[:, 0], rtol=1e-6)
     ahead = np.sqrt(np.average(expected[:, 1], weights=found.counts))
     np.testing.assert_allclose(found.one_step, ahead, rtol=1e-6)
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_all_candidates_of_a_search_are_judged_by_the_same_samples(blocks):
+    data = plant(lengths=(450,)) if blocks else plant()
+    seen, own = look(data, "y"), groups(data, gap=9)
+    closed = ClosedSearch(data, seen, own)
+    for candidate in (closed.constant(), next(closed.linear())):
+        counts = candidate.stage.dictionary.equations.judged
+        ours = judge(METHOD, data, own, 1.0, begin=seen.begin).counts
+        np.testing.assert_array_equal(ours, counts)
+        labelled = sum(int(np.sum(label >= 0)) for label in own.labels)
+        assert counts.sum() == labelled - len(data) * seen.begin
 
 
 def test_the_model_is_that_of_all_records_and_held(data, found):
