@@ -18,6 +18,7 @@ from jaxnarx.identification.with_states import SHORT, with_states
 from jaxnarx.methods import HiddenStates, Identification, Preset
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, best_sum
+from jaxnarx.refinement import largest_local_pole
 
 SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
 """Families of which sums are made."""
@@ -247,6 +248,7 @@ class Candidates:
             operations=None if price is None else _operations(price),
             parameters=None if price is None else price.parameters,
             seconds=round(seconds, 2),
+            pole=None if network is None else largest_local_pole(network),
             status="skipped" if network is None else "ok",
             detail=detail,
         )

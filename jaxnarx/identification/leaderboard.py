@@ -51,9 +51,17 @@ class Contender:
     """Multiplications, divisions and exponentials at a sample."""
     parameters: int | None = None
     seconds: float = 0.0
+    pole: float | None = None
+    """Largest modulus of a local model's poles; from 1 on it does not forget its past,
+    and rounding in single precision adds up."""
     status: str = "ok"
     """`ok`, `diverged`, `failed` or `skipped`."""
     detail: str = ""
+
+    @property
+    def forgets(self) -> bool:
+        """Whether no local model is known to keep its past for ever."""
+        return self.pole is None or self.pole < 1
 
     @property
     def eligible(self) -> bool:
@@ -80,7 +88,8 @@ class Leaderboard:
     group_names: tuple[str, ...] = ()
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best (that of
-    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`."""
+    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Of those
+    one whose local models forget their past comes before one whose do not."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""
@@ -121,6 +130,7 @@ class Leaderboard:
             return best
         close = _within if self.rule == "share" else _near
         near = [r for r in self.of(output) if r.eligible and close(r, best)]
+        near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
     def worst_group(self, row: Contender) -> tuple[str, float] | None:

@@ -11,6 +11,7 @@ from jaxnarx.refinement.stability import (
     Stability,
     certificate,
     certified,
+    largest_local_pole,
     rate_of,
     stability,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "certificate",
     "certified",
     "freeze",
+    "largest_local_pole",
     "make_layout",
     "rate_of",
     "refine",

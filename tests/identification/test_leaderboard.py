@@ -44,6 +44,15 @@ def test_worse_by_chance_is_near():
     assert board(BEST, other).chosen("y") == other
 
 
+def test_of_equals_one_that_forgets_its_past_is_chosen():
+    slow = row(2, (0.12, 0.38, 0.25, 0.91), 10, pole=1.019)
+    assert board(BEST, slow).chosen("y") == BEST
+    faster = dataclasses.replace(slow, pole=0.98)
+    assert board(BEST, faster).chosen("y") == faster
+    alone = dataclasses.replace(BEST, pole=1.2)
+    assert board(alone, slow).chosen("y") == slow
+
+
 def test_worse_everywhere_is_not_near_though_groups_differ_more():
     """By a little in every group: less than groups differ, but it is no chance."""
     other = row(2, (0.12, 0.41, 0.22, 0.91), 10, standard_error=0.5)

@@ -18,6 +18,7 @@ from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.stability import (
     find_metric,
     first_horizon,
+    largest_local_pole,
     penalty,
     penalty_points,
     penalty_residuals,
@@ -117,6 +118,15 @@ def test_the_poles_of_linear_models_are_known(radius):
     assert (first.model, second.model, whole.model) == (1, 2, None)
     assert 0.5 - 1e-9 < whole.median and whole.largest < radius + 1e-9
     assert str(value).count("\n") > 5 and value.summary in str(value)
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.019])
+def test_the_largest_local_pole_is_seen_without_records(radius):
+    found = largest_local_pole(pair(from_poles(radius, 0.7), (0.4, 0.0)))
+    np.testing.assert_allclose(found, radius, rtol=1e-7)
+    spare = {"spare_models": 1, "spare_slots": 1}
+    plain = largest_local_pole(common.named("by inputs"))
+    assert largest_local_pole(common.named("by inputs", **spare)) == plain > 0
 
 
 def test_padding_has_no_poles():

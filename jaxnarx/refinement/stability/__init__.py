@@ -16,7 +16,12 @@ from jaxnarx.refinement.stability.penalty import (
     penalty_residuals,
 )
 from jaxnarx.refinement.stability.points import Points
-from jaxnarx.refinement.stability.poles import Poles, first_horizon, slowest
+from jaxnarx.refinement.stability.poles import (
+    Poles,
+    first_horizon,
+    largest_local_pole,
+    slowest,
+)
 
 __all__ = [
     "Bound",
@@ -29,6 +34,7 @@ __all__ = [
     "certificate",
     "certified",
     "find_metric",
+    "largest_local_pole",
     "first_horizon",
     "penalty",
     "penalty_points",

@@ -166,3 +166,31 @@ def first_horizon(network: Network, drive: RunInputs, masks: Masks) -> int:
     wanted = min(slowest(network, drive, masks), float(grows))
     longest = int(masks.scored.any(axis=2).sum(axis=1).max())
     return int(min(max(wanted, SHORTEST), max(longest, 1)))
+
+
+def largest_local_pole(network: Network) -> float:
+    """Largest modulus of the poles of any local model, at the middle of the ranges.
+
+    Each is linearised by its own output's past with all variables in the middle of
+    their trained ranges: a quick look, without records. 0 without feedback.
+    """
+    middle = (np.asarray(network.low, float) + np.asarray(network.high, float)) / 2
+    scaled = middle / np.asarray(network.gain, float)
+    v = np.concatenate([[1.0], scaled[list(network.variables.signal)]])
+    own = fed_back(network.variables, network.signals)
+    largest = 0.0
+    for o, model in enumerate(network.models):
+        lag = {row + 1: d for row, output, d in own if output == o}
+        if not lag:
+            continue
+        a = np.zeros((len(model.active), 1, 1, 1 + max(lag.values())))
+        dense = np.asarray(model.local.dense(), float)
+        for n, row in enumerate(np.asarray(model.local.factor).tolist()):
+            for k, variable in enumerate(row):
+                if variable in lag:
+                    others = np.prod(v[row[:k] + row[k + 1 :]])
+                    a[:, 0, 0, lag[variable]] += dense[:, n] * others
+        largest = max(
+            largest, float(moduli(companion(a[np.asarray(model.active)])).max())
+        )
+    return largest
