@@ -4,6 +4,8 @@ Every part is a fresh process (the fourth is two):
 
     quick        `identify(data, preset="quick")` of 10,000 samples of a virtual engine,
                  one output: no program compiled before, and again.
+    short        the same of 600 to 10,000 samples of a bed with two inputs, no program
+                 compiled before: processor seconds, which the preset bounds by counts.
     engine       one output of `gengine1` (248,000 samples) by `quick` and by `good`, no
                  program compiled before; memory of the process and all that it starts.
                  With `--peers PYTHON` the same records by histogram gradient boosting
@@ -36,13 +38,17 @@ from typing import Any
 from common import benchmark_parser, record, results_folder, target, worker
 from search_workers import OUTPUT, SMALL, WORKERS
 
-PARTS = ("quick", "equations", "candidates", "engine")
+PARTS = ("quick", "short", "equations", "candidates", "engine")
 BED = "pfi-dyno"
+TWO_INPUTS, SHORT, THREE = "pfi-cc", (600, 2_000, 10_000), 3
+"""A bed, samples of all records together, and how many these are."""
 RECORDS, LENGTH, FEW = 4, 2500, 500
 """Records of the virtual engine, samples of each, and where candidates are counted."""
 SAMPLES, COLUMNS, HUNDRED = 248_000, 400, 100
 SMOKED = 4
 """Candidates of every search of a smoke run."""
+PROCESSOR = 60.0
+"""Aim: processor seconds of `quick` on two inputs with nothing compiled."""
 QUICK, ENGINE, MEGABYTES = 60.0, {"quick": 180.0, "good": 480.0}, 4000.0
 HALF, CANDIDATES = 0.5, 180.0
 """Aims: seconds of `quick`, of both presets and memory on the engine, share of the
@@ -116,6 +122,18 @@ def quick(chosen: Any, space: Path) -> dict[str, Any]:
     for name in ("cold", "warm"):
         run = call("identify", BED, sizes, preset, cache, *limited(chosen))
         found[name] = run | aim(run, "seconds", QUICK)
+    return found
+
+
+def short(chosen: Any, space: Path) -> dict[str, Any]:
+    """Processor seconds of `quick` with nothing compiled."""
+    found: dict[str, Any] = {"engine": TWO_INPUTS}
+    for samples in SHORT[:1] if chosen.smoke else SHORT:
+        cache, preset = str(space / str(samples)), "linear" if chosen.smoke else "quick"
+        sizes = [THREE, samples // THREE]
+        run = call("identify", TWO_INPUTS, sizes, preset, cache, *limited(chosen))
+        found[f"{samples} samples"] = run | aim(run, "processor_s", PROCESSOR)
+        print(samples, json.dumps(run), flush=True)
     return found
 
 
@@ -234,7 +252,7 @@ def main() -> int:
         print(json.dumps(WORKERS[name](*json.loads(arguments))))
         return 0
     figures: dict[str, Any] = {"output of gengine1": OUTPUT}
-    measures = {f.__name__: f for f in (quick, equations, candidates, engine)}
+    measures = {f.__name__: f for f in (quick, short, equations, candidates, engine)}
     folder = results_folder(chosen.results, smoke=chosen.smoke)
     versions: dict[str, str] = {}
     for part in chosen.only or PARTS:

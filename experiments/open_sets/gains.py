@@ -77,6 +77,13 @@ def nrmse(network: Any, data: Any) -> tuple[float, int]:
     return error, int(sum(d[0] for d in run.diverged))
 
 
+def told(event: dict[str, Any]) -> None:
+    """A line for every candidate."""
+    if "row" in event:
+        row = event["row"]
+        print(f"{event['seconds']:6.0f} s {row.output}: {row.family}", flush=True)
+
+
 def compared(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     """A row for every output of a set."""
     import jaxnarx as jnx
@@ -97,13 +104,7 @@ def compared(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
         budget=60 * options.minutes * pairs,
         folder=folder,
         candidates=options.candidates,
-        progress=lambda event: (
-            "row" in event
-            and print(
-                f"{event['seconds']:6.0f} s {event['row'].output}: {event['row'].family}",
-                flush=True,
-            )
-        ),
+        progress=told,
     )
     board, store, rows = fit.stats["leaderboard"], read_search(folder), []
     for output in outputs:
