@@ -35,17 +35,17 @@ def guarded(verb: F) -> F:
     dictionaries, paths, and single numbers. A method of a class of the user's own
     passes: the verb says what it needs of it.
     """
-    return typing.cast(F, _held(verb, verb.__name__))
+    return typing.cast(F, _guard(verb, verb.__name__))
 
 
 def guarded_fields(noun: C) -> C:
     """A class whose constructor is held to the annotations of its fields likewise."""
     vars(noun)["__init__"]  # its own: one that is inherited would be guarded for others
-    noun.__init__ = _held(noun.__init__, noun.__name__)
+    noun.__init__ = _guard(noun.__init__, noun.__name__)
     return noun
 
 
-def _held(verb: Callable[..., Any], called: str) -> Callable[..., Any]:
+def _guard(verb: Callable[..., Any], called: str) -> Callable[..., Any]:
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
     wanted = {

@@ -52,8 +52,8 @@ def check(data: Dataset, *, max_lag: int = 20) -> Findings:
 
 
 def first_look(data: Dataset, *, max_lag: int = 20) -> Findings:
-    """What spoils any model and is seen at once: missing units, few rows, copies,
-    constants, records in another unit or at levels far apart."""
+    """Findings that spoil any model: missing units, few rows, copies, constants,
+    records in another unit or at levels far apart. A quick part of `check`."""
     items = [
         *_units(data),
         *_rows(data, max_lag),

@@ -172,8 +172,8 @@ def _averages(record: Record, unit) -> Float[np.ndarray, "blocks channels"]:
 
 @dataclasses.dataclass(frozen=True)
 class Suspicion:
-    """What would mend one channel of one record, and by how much that lowers the
-    record's squared Mahalanobis distance from the others."""
+    """A change that would mend one channel of one record; `gain` is by how much it
+    lowers the record's squared Mahalanobis distance from the others."""
 
     record: int
     channel: int

@@ -1,5 +1,5 @@
-"""What channels of files are taken for: by what is asked for, their names, and how they
-move."""
+"""Roles of the channels of files: input, output, time or none, by what is asked for,
+their names, and how they move."""
 
 import dataclasses
 import re
@@ -33,10 +33,10 @@ _INPUT = re.compile(
     r"|soll|cmd|demand|cut",
     re.I,
 )
-"""What channels are often called, of gasoline and diesel engines."""
+"""Usual names of channels of gasoline and diesel engines."""
 _SAID_INPUT = re.compile(r"(?:^|[_. ])(?:[uU]|[iI]np?)(?![a-z])|(?i:input|eingang)")
 _SAID_OUTPUT = re.compile(r"(?:^|[_. ])(?:[yYz]|[oO]ut)(?![a-z])|(?i:output|ausgang)")
-"""What published data call them: `u`, `y1`, `uEst`, `InputGasRate`, `out`."""
+"""Names in published data: `u`, `y1`, `uEst`, `InputGasRate`, `out`."""
 
 
 @dataclasses.dataclass(frozen=True)

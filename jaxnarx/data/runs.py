@@ -56,13 +56,11 @@ class Run:
         return f" @ {cut}" if cut else ""
 
     @property
-    def said(self) -> str:
-        """What may say what it is for."""
-        return (
-            self.member
-            if self.member and not self.member.isdigit()
-            else ("" if self.member else self.file.stem)
-        )
+    def label(self) -> str:
+        """The text that may tell its part: the member's name, else the file's."""
+        if not self.member:
+            return self.file.stem
+        return "" if self.member.isdigit() else self.member
 
     def place(self) -> tuple:
         """Where it stands in order."""
@@ -137,7 +135,9 @@ def propose_parts(
     """
     runs = tuple(sorted((run for own in tied for run in own), key=Run.place))
     said = {
-        part: tuple(r for r in runs if re.search(rf"(?<![a-z])({words})", r.said, re.I))
+        part: tuple(
+            r for r in runs if re.search(rf"(?<![a-z])({words})", r.label, re.I)
+        )
         for part, words in _SAID.items()
     }
     if said["train"] and sum(map(len, said.values())) == len(runs) > 1:

@@ -123,7 +123,7 @@ def hold_missing(
     for s in network.used:
         fine = valid[..., s] & (np.abs(signals[..., s]) < sizes[s])
         middle = 0.5 * (float(network.low[s]) + float(network.high[s]))
-        signals[..., s] = _held(signals[..., s], fine, middle)
+        signals[..., s] = _hold_last(signals[..., s], fine, middle)
         missing |= there & ~fine
         valid[..., s] = there
     count = np.cumsum(missing, axis=1)
@@ -133,7 +133,7 @@ def hold_missing(
     return batch, Gaps(missing, invalid)
 
 
-def _held(
+def _hold_last(
     x: Float[np.ndarray, "records time"],
     fine: Bool[np.ndarray, "records time"],
     first: float,

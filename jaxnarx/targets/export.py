@@ -176,7 +176,7 @@ def export(
     cases += proof.cases_of(network, program, gapped, missing=HOLD)
     axes = {"axes": axes_of(network, program, over)}
     golden = golden_of(program, cases[0]) | axes
-    found = _made(program, golden, to, cases, verify)
+    found = _write_and_prove(program, golden, to, cases, verify)
     if found.failed:
         found = _explained(found, network, records)
     if not found.files:
@@ -196,7 +196,7 @@ def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     return {"inputs": inputs, "measured": case.measured, "outputs": np.array(rows)}
 
 
-def _made(
+def _write_and_prove(
     program: SampleProgram,
     golden: Golden,
     to: Sequence[str],
@@ -221,7 +221,7 @@ def _made(
                     failed[f"{one}, single"] = str(error)
                     continue
                 double = dataclasses.replace(program, precision=ONLY_DOUBLE)
-                again = _made(double, golden, to, cases, verify)
+                again = _write_and_prove(double, golden, to, cases, verify)
                 failed = {f"{one}, single": str(error)} | dict(again.failed)
                 return dataclasses.replace(again, failed=failed)
             except ExportError as error:

@@ -122,7 +122,7 @@ class SampleProgram:
 
     def needed(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
-        return _taken(self.ops, values)
+        return _needed_values(self.ops, values)
 
     @property
     def step(self) -> list[Value]:
@@ -183,7 +183,7 @@ class SampleProgram:
         return next(table for table in self.tables if table.name == name)
 
 
-def _taken(ops: Sequence[Op], values: Iterable[Value]) -> list[Value]:
+def _needed_values(ops: Sequence[Op], values: Iterable[Value]) -> list[Value]:
     """The operations that values take, in order."""
     found: set[Value] = set()
     left = list(values)
@@ -279,7 +279,7 @@ class Builder:
     def replaced(self, value: Value, by: Mapping[Value, Value]) -> Value:
         """The value with others in place of some that it takes."""
         found = dict(by)
-        for n in _taken(self.ops, [value]):
+        for n in _needed_values(self.ops, [value]):
             if n not in found:
                 op = self.ops[n]
                 args = (found[a] for a in op.args)

@@ -23,7 +23,7 @@ def limited_outputs(
     network's policies say so, and the states that takes."""
     outputs, states = list(physical), States()
     if network.hold is not None:
-        outputs, states = _held(b, network, entrance, physical)
+        outputs, states = _hold_to_range(b, network, entrance, physical)
     silent = None
     if network.outside == NAN:
         silent = flags["extrapolated"]
@@ -35,7 +35,7 @@ def limited_outputs(
     return outputs, states
 
 
-def _held(
+def _hold_to_range(
     b: Builder, network: Network, entrance: Entrance, physical: list[Value]
 ) -> tuple[list[Value], States]:
     """Outputs within their ranges, widened by the margin and the inputs' overshoot."""

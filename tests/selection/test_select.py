@@ -186,7 +186,8 @@ def test_nested_sums_of_squares_and_criteria_are_those_of_refitted_models():
         np.testing.assert_allclose(
             solution.stats["sse"][0, n - 1], sse, rtol=0, atol=1e-12 * float(y @ y)
         )
-        aic = len(y) * np.log(sse / len(y)) + 2 * n
+        physical = sse * rms(rows)[Y] ** 2
+        aic = len(y) * np.log(physical / len(y)) + 2 * n
         np.testing.assert_allclose(solution.stats["aic"][0, n - 1], aic, rtol=1e-9)
         bic = aic + n * (np.log(len(y)) - 2)
         np.testing.assert_allclose(solution.stats["bic"][0, n - 1], bic, rtol=1e-9)

@@ -29,7 +29,7 @@ _CELL_TEXT_BYTES = 40
 
 def contents(path: Path, folder: Path, **given: Any) -> list[dict[str, Any]]:
     """Columns as keyword arguments of `Column`: all that are named, of every sheet."""
-    asked = _asked(given)
+    asked = _read_settings(given)
     found = []
     for sheet, rows in _sheets(path, asked):
         names, units, body = _parts(path, sheet, rows, asked)
@@ -51,7 +51,7 @@ def columns(
     """
     import pyarrow as pa
 
-    asked = _asked(given)
+    asked = _read_settings(given)
     every = _sheets(path, asked)
     sheets = [(n, rows) for n, rows in every if rows and asked.table in ("", n)]
     if not sheets:
@@ -89,7 +89,7 @@ def columns(
     return {"sheet": sheet, "first": first, "units": units}
 
 
-def _asked(given: dict[str, Any]) -> Asked:
+def _read_settings(given: dict[str, Any]) -> Asked:
     """The settings of the description, as they arrive here."""
     words: dict[str, Any] = given["layout"] | {
         "columns": tuple(given["layout"]["columns"])

@@ -117,7 +117,7 @@ def _walk(path: Path, group: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _own_items(path: Path, group: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """What a group holds itself, in the file itself.
+    """Members of a group that lie in the file itself.
 
     DataFileError for links to other files and datasets stored in others: they could
     hold any bytes of this machine, and any number of them. A soft link is another name
