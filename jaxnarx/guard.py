@@ -191,7 +191,8 @@ def _what(value: Any) -> str:
         return "None"
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    shown = f" ({value!r})" if isinstance(value, str | int | float) else ""
+    plain = isinstance(value, str | int | float | list | tuple | dict)
+    shown = f" ({value!r})" if plain else ""
     return f"of type {type(value).__name__}{shown[:60]}"
 
 

@@ -159,7 +159,7 @@ def _filter(value: object) -> AbstractFilter:
 def polynomial_pool(
     channels: Channels,
     *,
-    outputs: Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
     input_lags: Lags,
     output_lags: Lags,
     degree: int,

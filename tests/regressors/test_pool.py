@@ -122,7 +122,7 @@ REFUSED = [
     ({"output_lags": {"HC": (1,)}, "outputs": ["NOx"]}, "output_lags", "'HC'"),
     ({"output_lags": (0, 1)}, "output_lags", "at least 1, got 0"),
     ({"input_lags": (-1,)}, "input_lags", "'speed'.*at least 0, got -1"),
-    ({"input_lags": (True,)}, "input_lags", "whole numbers.*True"),
+    ({"input_lags": (True,)}, "input_lags", "True.*whole number"),
     ({"input_lags": (1, 2, 1)}, "input_lags", r"'speed' repeat: \[1, 2, 1\]"),
     ({"degree": 0}, "degree", "1 to 4, got 0"),
     ({"degree": 5}, "degree", "1 to 4, got 5"),
