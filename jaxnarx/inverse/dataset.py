@@ -34,11 +34,11 @@ def parse_ahead(name: str) -> tuple[str, int] | None:
 def inverse_data(
     data: Dataset,
     *,
-    commands: Sequence[str],
-    targets: Sequence[str],
+    commands: str | Sequence[str],
+    targets: str | Sequence[str],
     lead: Lead | None = None,
     forward: Network | None = None,
-    states: Sequence[str] = (),
+    states: str | Sequence[str] = (),
 ) -> Dataset:
     """`data` with inputs and outputs swapped, for an inverse that is a `Network`.
 
@@ -159,7 +159,7 @@ def _swapped(
     )
 
 
-def _names(names: Sequence[str]) -> list[str]:
+def _names(names: str | Sequence[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 

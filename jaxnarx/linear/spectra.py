@@ -69,7 +69,7 @@ class Spectra:
 def spectra(
     data: Dataset,
     *,
-    inputs: Sequence[str] | None = None,
+    inputs: str | Sequence[str] | None = None,
     output: str | None = None,
     segment: int | None = None,
     overlap: float = OVERLAP,
@@ -124,7 +124,7 @@ def spectra(
     )
 
 
-def input_places(data: Dataset, names: Sequence[str] | None) -> tuple[int, ...]:
+def input_places(data: Dataset, names: str | Sequence[str] | None) -> tuple[int, ...]:
     """Positions of the named inputs; all where none are named."""
     known = data.channels.input_names
     chosen = known if names is None else [names] if isinstance(names, str) else names
