@@ -24,6 +24,7 @@ from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.evaluation.worst import ErrorStretch
+from jaxnarx.models import Network, describe_policies
 from jaxnarx.shown import page
 
 
@@ -106,6 +107,12 @@ class Report:
         return summary(self)
 
     @property
+    def policies(self) -> tuple[str, ...]:
+        """What the model does beyond its training, as sentences made from it."""
+        network = self.network
+        return describe_policies(network) if isinstance(network, Network) else ()
+
+    @property
     def modes(self) -> tuple[str, ...]:
         """`one step`, ..., `free run` in the order shown."""
         return tuple(dict.fromkeys(row.mode for row in self.rows))
@@ -156,6 +163,7 @@ class Report:
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
         values["summary"] = strict(self.summary)
+        values["policies"] = list(self.policies)
         values |= {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
             {"output": t.output.name, "record": t.record, "rank": t.rank}

@@ -9,7 +9,7 @@ from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict
-from jaxnarx.models import FLAG, HOLD, LINEAR, NAN, Network
+from jaxnarx.models import OUTSIDE_WORDS, Network
 
 USE = {
     GOOD: "it can stand in for the engine wherever its inputs stay within the range it "
@@ -19,12 +19,6 @@ USE = {
     UNUSABLE: "do not rely on its free run.",
 }
 """What a verdict means for use."""
-BEYOND = {
-    FLAG: "Beyond that it extrapolates",
-    HOLD: "Beyond that inputs are held at its edge",
-    LINEAR: "Beyond that it goes on in a straight line",
-    NAN: "Beyond that it gives no number",
-}
 CHANNELS = 8
 """Inputs whose ranges are told."""
 CAUSES = 4
@@ -99,11 +93,12 @@ def _where(report: Any) -> Iterator[str]:
         ]
         more = len(inputs) - len(ranges)
         ranges += [f"{more} more"] if more > 0 else []
-        yield f"trained for {', '.join(ranges)}. {BEYOND[network.outside]}."
+        beyond = OUTSIDE_WORDS[network.outside].behind_ranges
+        yield f"trained for {', '.join(ranges)}. {beyond}."
     share = report.domain.outside.get(report.main) if report.domain else None
     if share is None:
         rows = [r for r in _rows(report) if r.record == POOLED]
-        share = max((r.extrapolated / max(r.samples, 1) for r in rows), default=0.0)
+        share = max((r.share_outside for r in rows), default=0.0)
     inside = 100 * (1 - share)
     yield f"{inside:.3g} % of the {report.main} samples lie within what it knows"
 

@@ -181,7 +181,7 @@ def _pooled(rows: Iterable[Row]) -> list[Row]:
 def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """Divergence, nothing to judge, limits that act."""
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
-        share = row.extrapolated / max(row.samples, 1)
+        share = row.share_outside
         where = f"{row.output} on {row.part}"
         if row.diverged:
             lost = [
@@ -191,7 +191,7 @@ def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
                 and r.diverged
                 and r.record != POOLED
             ]
-            share = max((r.extrapolated / max(r.samples, 1) for r in lost), default=0)
+            share = max((r.share_outside for r in lost), default=0.0)
             names = ", ".join(r.record for r in lost[:3]) or "all records"
             names += f" and {len(lost) - 3} more" if len(lost) > 3 else ""
             strayed = share >= STRAYED
@@ -297,7 +297,7 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         text = f"there are no test data: {report.main} took part in making it"
         yield Reason(LIMITED, text + _promised(report), "test")
     main = [r for r in _pooled(rows) if r.part == report.main]
-    share = max((r.extrapolated / max(r.samples, 1) for r in main), default=0.0)
+    share = max((r.share_outside for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
     if share >= STRAYED and far:
         text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
