@@ -35,6 +35,8 @@ class Summary:
     why: tuple[str, ...]
     more: int
     """Reasons that are not told."""
+    also: tuple[str, ...]
+    """What to look at, whatever the verdict."""
     helps: str
     worst_record: str
     worst_place: tuple[str, ...]
@@ -44,6 +46,7 @@ class Summary:
         more = f"and {self.more} more" if self.more else ""
         told = {
             "why": [*self.why, *([more] if more else [])],
+            "also": self.also,
             "where": self.where,
             "helps": [self.helps] if self.helps else [],
             "worst": [w for w in (self.worst_record, *self.worst_place) if w],
@@ -75,6 +78,7 @@ def summary(report: Any) -> Summary:
         tuple(_where(report)),
         causes[:CAUSES] or (found.praise,),
         max(len(causes) - CAUSES, 0),
+        found.remarks,
         found.helps,
         _worst_record(report),
         tuple(_worst_places(report)),

@@ -22,9 +22,12 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - was judged on data it was made with or on a constant output, or met inputs `REACH` of
   their trained width outside and left its range at `STRAYED` of the samples;
 - comes from a search, and is `PROMISED` times worse on test data than on the records
-  that were left out there, or no better than the mean in one group of them.
+  that were left out there, or no better than the mean in one group of them;
+- has prediction intervals that hold less than they claim, beyond chance over records.
 
-Else it is **good**. Tests of residuals take no part: with many samples they find fault
+Else it is **good**. What a user should look at and what changes no verdict is a
+**remark**: prediction intervals that hold more than they claim and are three times as
+wide as the error. Tests of residuals take no part: with many samples they find fault
 with any model, see `Diagnostics`.
 """
 
@@ -36,6 +39,7 @@ import numpy as np
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
@@ -62,6 +66,7 @@ REMEDIES = {
     "simpler": "fewer terms or regions, or more training data",
     "linear": "a lower degree, or terms chosen by simulation error",
     "test": "name test records that take part in no choice",
+    "intervals": "more groups of training records, of the kinds that are met in use",
     "records": "look at these records: channels, sensors, operating range",
 }
 """What helps, by the name that findings carry."""
@@ -92,6 +97,8 @@ class Verdict:
     level: str
     findings: tuple[Reason, ...]
     praise: str = ""
+    remarks: tuple[str, ...] = ()
+    """What to look at, whatever the level."""
     searched: bool = False
     """Whether the model comes from a search."""
 
@@ -125,7 +132,8 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         found = [dataclasses.asdict(f) for f in self.findings]
-        return {"level": self.level, "sentence": self.sentence, "findings": found}
+        told = {"level": self.level, "sentence": self.sentence, "findings": found}
+        return told | {"remarks": list(self.remarks)}
 
 
 @runtime_checkable
@@ -147,6 +155,8 @@ class Scored(Protocol):
     @property
     def beside(self) -> Mapping[str, tuple[Row, ...]]: ...
     @property
+    def coverage(self) -> tuple[IntervalCoverage, ...]: ...
+    @property
     def leaderboard(self) -> Mapping[str, Any] | None: ...
     def pooled(self, output: str) -> Row: ...
 
@@ -156,11 +166,13 @@ def judge(report: Scored) -> Verdict:
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
     findings += [*_beside(report), *_memory(report), *_data(report, rows)]
-    findings += _left_out(report, rows)
+    findings += [*_left_out(report, rows), *_intervals(report)]
     findings.sort(key=lambda f: f.level != UNUSABLE)
     level = findings[0].level if findings else GOOD
     searched = bool(report.leaderboard)
-    return Verdict(level, tuple(findings), _praise(report), searched)
+    return Verdict(
+        level, tuple(findings), _praise(report), tuple(_remarks(report)), searched
+    )
 
 
 def _praise(report: Scored) -> str:
@@ -221,12 +233,19 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
             text = f"the free run of {where} is no better than the mean"
             yield Reason(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
         elif row.nrmse > ACCURATE:
-            text = f"the free run leaves {row.nrmse**2:.0%} of the variance of {where}"
-            yield Reason(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
+            yield Reason(LIMITED, _unexplained(where, row.nrmse), "richer")
         if learned or own is None or row.nrmse <= max(SMALL, OVERFITTED * own):
             continue
         text = f"the error of {where} is {row.nrmse / own:.2g} times that of training"
         yield Reason(LIMITED, text, "simpler")
+
+
+def _unexplained(where: str, nrmse: float) -> str:
+    """What the free run leaves of the variance; of more than all no share is told."""
+    text = f"the free run of {where} is worse than the mean"
+    if nrmse < WORTHLESS:
+        text = f"the free run leaves {nrmse**2:.0%} of the variance of {where}"
+    return f"{text} ({_nrmse(nrmse)})"
 
 
 def _nrmse(value: float) -> str:
@@ -302,6 +321,29 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     if share >= STRAYED and far:
         text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
         yield Reason(LIMITED, f"{text} ({far[0]})", "cover")
+
+
+def _intervals(report: Scored) -> Iterator[Reason]:
+    """Prediction intervals that hold less than they claim."""
+    for one in report.coverage:
+        if one.part == report.main and one.is_narrow:
+            text = f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} "
+            text += f"of the {one.part} samples: they are too narrow"
+            yield Reason(LIMITED, text, "intervals")
+
+
+def _remarks(report: Scored) -> Iterator[str]:
+    """What to look at and what says nothing against the model."""
+    for one in report.coverage:
+        # Of training data they hold more: errors are smaller there.
+        if one.part == report.main != "train" and one.is_wide:
+            unit = f" {one.unit}" if one.unit not in ("", "-", "1") else ""
+            yield (
+                f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} of "
+                f"the {one.part} samples and are too wide to be of use: ± "
+                f"{number(one.half, '.3g')}{unit}, RMSE {number(one.rmse, '.3g')}{unit}"
+                "; a group of the training records that was served badly widens them"
+            )
 
 
 def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:

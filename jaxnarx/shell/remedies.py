@@ -17,6 +17,7 @@ ADVICE = {
     "cover": "  (with records that reach as far under train)",
     "test": "  (with records under test that take part in no choice)",
     "records": "  (with the record corrected or left out)",
+    "intervals": "  (with more groups of records under train)",
 }
 """What has to change in the description before the same command helps."""
 

@@ -8,6 +8,7 @@ import pytest
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.outside import Outside
 from jaxnarx.evaluation.verdict import REMEDIES
 
@@ -117,6 +118,36 @@ def test_a_little_more_range_or_error_is_no_limit():
     assert made(row("train"), strayed, outside=(near,)).verdict.level == "good"
     small = made(row("train", nrmse=0.01), row("test", nrmse=0.06))
     assert small.verdict.level == "good"
+
+
+def intervals(held, half=9.0, chance=0.04, part="test"):
+    return (IntervalCoverage(part, "T", "K", 0.9, held, half, 1000, 5.0, chance),)
+
+
+def test_intervals_that_hold_less_than_they_claim_are_a_limit():
+    verdict = made(*FINE, coverage=intervals(0.829)).verdict
+    assert verdict.level == "usable with limits" and verdict.remedy == "intervals"
+    assert "90% intervals of T hold 82.9% of the test samples" in verdict.sentence
+    # So few records say less, and so does another part.
+    assert made(*FINE, coverage=intervals(0.829, chance=0.08)).verdict.level == "good"
+    assert made(*FINE, coverage=intervals(0.88, chance=0.0)).verdict.level == "good"
+    assert made(*FINE, coverage=intervals(0.5, part="train")).verdict.level == "good"
+
+
+def test_intervals_three_times_as_wide_as_the_error_are_a_remark():
+    """36.8 degC beside an RMSE of 12.4: 2.97 times."""
+    broad = intervals(1.0, half=36.8 / 12.4 * 5)
+    report = made(*FINE, coverage=broad)
+    assert report.verdict.level == "good" and not report.verdict.findings
+    (remark,) = report.verdict.remarks
+    assert "± 14.8 K, RMSE 5 K" in remark and remark in report.summary.also
+    assert report.to_dict()["verdict"]["remarks"] == [remark]
+    assert "  also " in report.table
+    for fine in (intervals(0.95), intervals(0.89, half=20.0)):
+        assert not made(*FINE, coverage=fine).verdict.remarks
+    trained = intervals(1.0, half=30.0, part="train")
+    report = made(row("train"), main="train", coverage=trained)
+    assert not report.verdict.remarks
 
 
 def test_the_worst_reason_comes_first_and_others_are_counted():
