@@ -56,7 +56,7 @@ class IntervalCoverage:
     def is_wide(self) -> bool:
         """Whether they are far wider than the error asks for, and hold more than they
         claim. A normal error would need ndtri((1 + level)/2) times its deviation."""
-        normal = ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * LEVEL)
+        normal = float(ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * LEVEL))
         return self.held > self.level and self.half >= 0.99 * WIDE * normal * self.rmse
 
     def __str__(self) -> str:

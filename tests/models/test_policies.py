@@ -220,10 +220,11 @@ def test_measured_outputs_that_it_looks_at_are_never_held():
     beyond = rows.copy()
     beyond[:, W] *= 10
     for outside in OUTSIDE:
-        one = hold_to_range(net, None, outside=outside)
-        runs = [simulate(one, common.from_rows([r])).value for r in (rows, beyond)]
-        taken = not np.allclose(*(r.computed[0] for r in runs))
-        said = "Measured w is taken as measured" in limits_of(one)[0]
+        held = hold_to_range(net, None, outside=outside)
+        runs = [simulate(held, common.from_rows([r])).value for r in (rows, beyond)]
+        one, two = (r.computed[0] for r in runs)
+        taken = not np.allclose(one, two)
+        said = "Measured w is taken as measured" in limits_of(held)[0]
         assert taken and said == (outside in (HOLD, LINEAR))
 
 
