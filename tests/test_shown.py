@@ -12,7 +12,7 @@ from test_architecture import modules, parsed
 
 import jaxnarx as jnx
 from jaxnarx.identification import Contender, Leaderboard
-from jaxnarx.shown import aligned, brief, page, some
+from jaxnarx.shown import aligned, brief, page, some, span_text
 from jaxnarx.sweep import SweepTable
 
 
@@ -155,3 +155,9 @@ def test_a_network_of_long_equations_says_what_it_leaves_out(kind, monkeypatch):
     network = common.named(kind)
     terms = int(np.asarray(network.models[0].local.used)[0].sum())
     assert f" + {terms - 2} terms more" in str(network)
+
+
+def test_ends_of_a_span_are_told_apart():
+    assert span_text(1.25, 3.5) == ("1.25", "3.5")
+    assert span_text(12.34561, 12.34569) == ("12.34561", "12.34569")
+    assert span_text(2.0, 2.0) == ("2", "2")

@@ -24,8 +24,9 @@ UNLIKELY = 0.05
 """Probability that chance over records leaves as few inside."""
 SHORT_ALONE = 0.1
 """Share below the level of a single record, which tells nothing of chance."""
-WIDE = 3.0
-"""RMSE in half a width from which an interval of `LEVEL` is too wide to be of use."""
+WIDE = 2.9
+"""RMSE in half a width from which an interval of `LEVEL` is too wide to be of use; a
+normal error needs 1.64."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +58,7 @@ class IntervalCoverage:
         """Whether they are far wider than the error asks for, and hold more than they
         claim. A normal error would need ndtri((1 + level)/2) times its deviation."""
         normal = float(ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * LEVEL))
-        return self.held > self.level and self.half >= 0.99 * WIDE * normal * self.rmse
+        return self.held > self.level and self.half >= WIDE * normal * self.rmse
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""

@@ -10,6 +10,7 @@ from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict
 from jaxnarx.models import OUTSIDE_WORDS, Network
+from jaxnarx.shown import span_text
 
 USE = {
     GOOD: "it can stand in for the engine wherever its inputs stay within the range it "
@@ -141,7 +142,8 @@ def _worst_places(report: Any) -> Iterator[str]:
         yield f"place: {'; '.join(cells[:2])}"
     if report.worst:
         first = max(report.worst, key=lambda one: one.times)
-        told = f"{first.output}, {first.record}, {first.start:.4g} to {first.end:.4g} s"
+        ends = span_text(first.start, first.end)
+        told = f"{first.output}, {first.record}, {ends[0]} to {ends[1]} s"
         more = f"; {first.unusual}" if first.unusual else ""
         yield f"stretch: {told}: {first.times:.2g} times the usual{more}"
 

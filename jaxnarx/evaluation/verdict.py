@@ -26,9 +26,9 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - has prediction intervals that hold less than they claim, beyond chance over records.
 
 Else it is **good**. What a user should look at and what changes no verdict is a
-**remark**: prediction intervals that hold more than they claim and are three times as
-wide as the error. Tests of residuals take no part: with many samples they find fault
-with any model, see `Diagnostics`.
+**remark**: prediction intervals that hold more than they claim and are about three
+times as wide as the error. Tests of residuals take no part: with many samples they
+find fault with any model, see `Diagnostics`.
 """
 
 import dataclasses

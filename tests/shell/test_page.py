@@ -220,6 +220,43 @@ def range_of(browser: Browser) -> list[float]:
     return ranges[0]
 
 
+TICKS = [
+    (0.0, 0.0005, "0.0000"),
+    (0.0005, 0.0005, "0.0005"),
+    (-0.0015, 0.0005, "−0.0015"),
+    (12.34567, 0.00001, "12.34567"),
+    (0.25, 0.25, "0.25"),
+    (1500, 500, "1500"),
+    (-0.0, 0.1, "0.0"),
+    (2e-9, 1e-9, "2e−9"),
+    (3e8, 1e8, "300000000"),
+]
+
+
+@needs_browser
+def test_ticks_of_fast_data_are_told_apart(browser, made, tmp_path):
+    """At 1e-5 s ticks that were 0.0005 s apart stood as 0, 0.001, 0.001, 0.002."""
+    for value, step, text in TICKS:
+        assert browser_text(browser, value, step, made, tmp_path) == text
+    labels = browser.value("jaxnarx.page.view.charts.map((c) => c.axes[0]._values)")
+    for row in labels:
+        times = [float(text.replace("−", "-")) for text in row]
+        assert len(times) > 3 and np.all(np.diff(times) > 0)
+        np.testing.assert_allclose(np.diff(times), times[1] - times[0], rtol=1e-6)
+    across = browser.value("jaxnarx.page.view.charts[0].axes[1]._values")
+    assert len(set(across)) == len(across)
+
+
+def browser_text(browser, value, step, made, tmp_path) -> str:
+    """What the page of data at 1e-5 s prints at a tick."""
+    path = tmp_path / "fast.html"
+    if not path.exists():
+        network = dataclasses.replace(made.network, sample_time=common.device(1e-5))
+        write_report(dataclasses.replace(made, network=network), path)
+        browser.open(path, ready=READY)
+    return browser.value(f"jaxnarx.tickText({value}, {step})")
+
+
 @needs_browser
 def test_zoom_and_pan_by_mouse_and_keys_are_linked(opened):
     all_of_it = range_of(opened)

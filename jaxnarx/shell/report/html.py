@@ -31,6 +31,7 @@ from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.style import inline_svg
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import running
+from jaxnarx.shown import span_text
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
@@ -63,7 +64,7 @@ def render(report: Report) -> str:
         undefined=jinja2.StrictUndefined,
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
     )
-    environment.filters |= {"figure": figure_text, "term": term_html}
+    environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
     live = running(report)
     return environment.get_template("report.html.jinja").render(
         report=report,
@@ -112,6 +113,11 @@ def figure_text(value: float | None, digits: int = 4) -> Markup:
     if exponent:
         text += f"&thinsp;·&thinsp;10<sup>{str(int(exponent)).replace('-', '−')}</sup>"
     return Markup(text)
+
+
+def _span(stretch: Any) -> tuple[str, str]:
+    """Begin and end of a stretch of time."""
+    return span_text(stretch.start, stretch.end)
 
 
 def term_html(name: str) -> Markup:

@@ -227,7 +227,7 @@ async function begin() {
   const report = JSON.parse(byId("report-data").textContent);
   const program = programOf(report);
   const page = new Page(report, program);
-  window.jaxnarx = { page, program, report, freeRun, settle, stepResponse, parseCsv, runOfFile };
+  window.jaxnarx = { page, program, report, freeRun, settle, stepResponse, parseCsv, runOfFile, tickText };
   document.documentElement.classList.add("running");
   byId("view").hidden = false;
   await page.open(page.worst());

@@ -70,10 +70,7 @@ class View {
 
   chart(place, lines, label, height, inner, half) {
     const { time } = this.shown;
-    const axis = {
-      stroke: colour("soft"), font: "12px system-ui", labelFont: "12px system-ui",
-      grid: { stroke: colour("grid"), width: 0.5 }, ticks: { stroke: colour("grid"), width: 0.5 },
-    };
+    const axis = axisLook();
     const bands = half ? [{ series: [1, 2], fill: `${colour("blue")}30` }] : [];
     const options = {
       width: Math.max(place.clientWidth, 200), height, legend: { show: false }, bands,
@@ -313,7 +310,7 @@ class View {
       if (place) place.textContent = short(shown.inputs[n][at]);
     });
     const index = shown.outside ? `, index ${short(shown.outside[at], 3)}` : "";
-    this.place.cursor.textContent = `${short(shown.time[at])} s: residual `
+    this.place.cursor.textContent = `${tickText(shown.time[at], this.report.sample_time)} s: residual `
       + `${short(shown.residual[o][at])}${index}`;
   }
 }
