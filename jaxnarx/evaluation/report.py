@@ -13,6 +13,7 @@ from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.effects import Effect
 from jaxnarx.evaluation.error_map import ErrorMap
+from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.notes import stability_values
 from jaxnarx.evaluation.outside import Outside
 from jaxnarx.evaluation.region_errors import RegionError
@@ -43,6 +44,7 @@ class Report:
     prediction intervals hold of every part; `beside` holds the pooled free-run rows of
     other models by their name, among them a linear model of the same lags where
     training data are at hand, and `effects` what the model is worth beside them.
+    `gains` are steady-state gains that change sign over the main part, or jump.
     `limits` is the margin by which reported outputs may leave their trained range, None
     where nothing holds them. `network` and `records` are what the page runs and shows:
     all records of the main part, then of the others.
@@ -92,6 +94,7 @@ class Report:
     worst: tuple[ErrorStretch, ...] = ()
     coverage: tuple[IntervalCoverage, ...] = ()
     effects: tuple[Effect, ...] = ()
+    gains: tuple[GainFinding, ...] = ()
     network: Any = None
     records: tuple[ShownRecord, ...] = ()
     next_command: str = ""

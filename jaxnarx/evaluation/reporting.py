@@ -18,6 +18,7 @@ from jaxnarx.evaluation.domain_errors import (
 )
 from jaxnarx.evaluation.effects import effects
 from jaxnarx.evaluation.error_map import error_maps
+from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
 from jaxnarx.evaluation.notes import (
     assess,
     data_hash,
@@ -101,7 +102,8 @@ def report(
             refinement.
         stability: True assesses up to 2000 samples of the main part, False leaves it
             out; a `Stability` at hand is shown as it is.
-        diagnostics: Likewise the tests of the one-step residuals of the main part.
+        diagnostics: Likewise the tests of the one-step residuals of the main part, and
+            with them of the signs of its steady-state gains.
         beside: Other networks by name, whose free run on the main part is scored as
             well.
         leaderboard: Stored in the form that `Report` tells; the verdict knows it.
@@ -188,6 +190,7 @@ def report(
         ),
         coverage=tuple(held),
         beside=scored_beside,
+        gains=_gains(network, parts[main], diagnostics, tested),
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
         network=network,
         records=_shown(
@@ -272,6 +275,16 @@ def _diagnostics(
     found = diagnose(network, data, selection=selection)
     more = [] if found.status_name == "ok" else [found.detail + "."]
     return found.value, [*found.value.summary, *more]
+
+
+def _gains(
+    network: Any, data: Dataset, chosen: Diagnostics | bool, tested: Diagnostics | None
+) -> tuple[GainFinding, ...]:
+    """Those of the diagnostics; of hidden states, which have none, checked here."""
+    if tested is not None:
+        return tested.gains
+    wanted = chosen is True and isinstance(network, Network)
+    return check_gains(network, data) if wanted else ()
 
 
 def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:

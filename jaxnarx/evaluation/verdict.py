@@ -27,7 +27,8 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 
 Else it is **good**. What a user should look at and what changes no verdict is a
 **remark**: prediction intervals that hold more than they claim and are about three
-times as wide as the error. Tests of residuals take no part: with many samples they
+times as wide as the error; steady-state gains that change sign over the data, or jump.
+Tests of residuals take no part: with many samples they
 find fault with any model, see `Diagnostics`.
 """
 
@@ -40,6 +41,7 @@ import numpy as np
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
+from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
@@ -55,6 +57,8 @@ BETTER = 0.98
 """Share of the error below which another model counts as better."""
 UNSURE = 0.1
 REACH, STRAYED = 0.1, 0.05
+GAINS = 3
+"""Gains that change sign or jump that are told one by one."""
 PROMISED = 1.5
 """Factor over the NRMSE of records left out."""
 
@@ -157,6 +161,8 @@ class Scored(Protocol):
     @property
     def coverage(self) -> tuple[IntervalCoverage, ...]: ...
     @property
+    def gains(self) -> tuple[GainFinding, ...]: ...
+    @property
     def leaderboard(self) -> Mapping[str, Any] | None: ...
     def pooled(self, output: str) -> Row: ...
 
@@ -170,9 +176,8 @@ def judge(report: Scored) -> Verdict:
     findings.sort(key=lambda f: f.level != UNUSABLE)
     level = findings[0].level if findings else GOOD
     searched = bool(report.leaderboard)
-    return Verdict(
-        level, tuple(findings), _praise(report), tuple(_remarks(report)), searched
-    )
+    remarks = (*_remarks(report), *_gain_remarks(report))
+    return Verdict(level, tuple(findings), _praise(report), remarks, searched)
 
 
 def _praise(report: Scored) -> str:
@@ -344,6 +349,14 @@ def _remarks(report: Scored) -> Iterator[str]:
                 f"{number(one.half, '.3g')}{unit}, RMSE {number(one.rmse, '.3g')}{unit}"
                 "; a group of the training records that was served badly widens them"
             )
+
+
+def _gain_remarks(report: Scored) -> Iterator[str]:
+    """Gains that change sign or jump, the commonest first."""
+    found = sorted(report.gains, key=lambda one: -one.share)
+    yield from map(str, found[:GAINS])
+    if len(found) > GAINS:
+        yield f"{len(found) - GAINS} more gains change sign or jump"
 
 
 def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
