@@ -43,6 +43,7 @@ from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
+from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 
@@ -65,6 +66,8 @@ PROMISED = 1.5
 REMEDIES = {
     "bounded": "choose terms by simulation error, lower the degree, or let inputs "
     "enter through filters without output lags, which cannot diverge",
+    "unstable": "a model that is stable for certain (`jaxnarx identify DESCRIPTION "
+    "--preset ecu` takes no other), or terms chosen by simulation error",
     "cover": "train on records that reach as far",
     "richer": "more regions, other lags, filters, or terms chosen by simulation error",
     "simpler": "fewer terms or regions, or more training data",
@@ -76,6 +79,7 @@ REMEDIES = {
 """What helps, by the name that findings carry."""
 SEARCHED = REMEDIES | {
     "bounded": "training records that reach as far, or linear models",
+    "unstable": "`--preset ecu`, which takes only models that are stable for certain",
     "richer": "a larger preset, other inputs, or more training records, above all like "
     "those served worst",
     "simpler": "more training records",
@@ -158,6 +162,8 @@ class Scored(Protocol):
     def outside(self) -> tuple[Outside, ...]: ...
     @property
     def beside(self) -> Mapping[str, tuple[Row, ...]]: ...
+    @property
+    def regions(self) -> tuple[RegionError, ...]: ...
     @property
     def coverage(self) -> tuple[IntervalCoverage, ...]: ...
     @property
@@ -305,11 +311,19 @@ def _memory(report: Scored) -> Iterator[Reason]:
     for row in found.poles:
         if row.model is not None and row.samples and row.unstable > 0.5:
             text = f"local model {row.model} of {row.output} alone is unstable where it"
-            text += f" leads (pole {row.median:.4g})"
-            yield Reason(LIMITED, text, "bounded")
+            text += f" leads ({_region(report, row)}pole {row.median:.4g})"
+            yield Reason(LIMITED, text, "unstable")
     if not found.contracts and found.bound.fails >= UNSURE:
         text = f"nothing shows that it forgets its past at {found.bound.fails:.0%} of "
-        yield Reason(LIMITED, text + "the samples", "bounded")
+        yield Reason(LIMITED, text + "the samples", "unstable")
+
+
+def _region(report: Scored, row: Any) -> str:
+    """Where a local model leads, if that is known."""
+    for one in report.regions:
+        if (one.output, one.model) == (row.output, row.model) and one.region:
+            return f"{one.region}; "
+    return ""
 
 
 def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:

@@ -48,7 +48,9 @@ def next_search(
     again = dataclasses.replace(again, out=None)
     if verdict.remedy == "bounded" and asked.preset != "linear":
         change = dataclasses.replace(asked, preset="linear")
-    elif asked.preset in LARGER and verdict.remedy != "bounded":
+    elif verdict.remedy == "unstable" and asked.preset != "ecu":
+        change = dataclasses.replace(asked, preset="ecu")
+    elif asked.preset in LARGER and verdict.remedy not in ("bounded", "unstable"):
         change = dataclasses.replace(asked, preset=LARGER[asked.preset], budget=None)
     else:
         return words_of(anew), "  (with more training records)"
@@ -94,6 +96,7 @@ def next_words(
     fewer = {"select.max_terms": max(terms // 2, 2)} if terms > 2 else {}
     orders: dict[str, tuple[dict[str, Any], ...]] = {
         "bounded": (choice, linear, safe),
+        "unstable": (choice, linear, safe),
         "linear": (linear, choice, memory),
         "richer": (choice, memory, regions),
         "simpler": (fewer, linear),

@@ -10,6 +10,7 @@ from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.verdict import REMEDIES
 
 
@@ -110,6 +111,18 @@ def test_limits(kind):
     assert report.verdict.level == "usable with limits"
     assert words in found.text and found.remedy in REMEDIES
     assert words in report.verdict.sentence
+
+
+def test_an_unstable_region_is_named_with_the_preset_that_refuses_it():
+    region = RegionError("T", 2, "speed above 3000", 0.2, 0.5, 3.0)
+    board = {"T": {"rows": []}}
+    report = made(*FINE, stability=stable(unstable=1.0), regions=(region,))
+    text = report.verdict.findings[0].text
+    assert text.endswith("where it leads (speed above 3000; pole 1.017)")
+    assert "--preset ecu" in report.verdict.helps
+    assert (
+        "--preset ecu" in dataclasses.replace(report, leaderboard=board).verdict.helps
+    )
 
 
 def test_a_little_more_range_or_error_is_no_limit():
