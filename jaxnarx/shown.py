@@ -37,6 +37,11 @@ def aligned(
     ]
 
 
+def count(number: int, noun: str) -> str:
+    """`"1 record"`, `"2 records"`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def span_text(start: float, end: float) -> tuple[str, str]:
     """Both ends of a span, with so many digits that its width is right to a tenth."""
     for digits in range(4, 16):

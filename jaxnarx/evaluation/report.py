@@ -12,6 +12,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.effects import Effect
+from jaxnarx.evaluation.error_distribution import ErrorDistribution
 from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.notes import stability_values
@@ -44,7 +45,8 @@ class Report:
     prediction intervals hold of every part; `beside` holds the pooled free-run rows of
     other models by their name, among them a linear model of the same lags where
     training data are at hand, and `effects` what the model is worth beside them.
-    `gains` are steady-state gains that change sign over the main part, or jump.
+    `gains` are steady-state gains that change sign over the main part, or jump,
+    `distributions` the sizes of its free-run errors.
     `limits` is the margin by which reported outputs may leave their trained range, None
     where nothing holds them. `network` and `records` are what the page runs and shows:
     all records of the main part, then of the others.
@@ -95,6 +97,7 @@ class Report:
     coverage: tuple[IntervalCoverage, ...] = ()
     effects: tuple[Effect, ...] = ()
     gains: tuple[GainFinding, ...] = ()
+    distributions: tuple[ErrorDistribution, ...] = ()
     network: Any = None
     records: tuple[ShownRecord, ...] = ()
     next_command: str = ""
@@ -148,6 +151,7 @@ class Report:
                 f"{self.main}, {effect}", 88, subsequent_indent="  "
             )
         ]
+        told += [f"{self.main}, free run, {one}" for one in self.distributions]
         return "\n".join([*lines, *beside_lines(self), *told, *notes])
 
     def __str__(self) -> str:

@@ -24,6 +24,11 @@ HEADER = (
 MISSING = ("", "", "", "")
 
 
+def data_of(part: str) -> str:
+    """`test data`; of a part without a name of its own `data`."""
+    return part if part == "data" else f"{part} data"
+
+
 def number(value: float | None, style: str = ".4g") -> str:
     """A figure for people: four significant digits, `inf` as such, `None` as a dash."""
     if value is None:
@@ -89,7 +94,12 @@ def beside_lines(report: Any) -> list[str]:
         )
         for line in lines
     ]
-    return ["", f"free run beside other models, NRMSE on {report.main} data", *out, ""]
+    return [
+        "",
+        f"free run beside other models, NRMSE on {data_of(report.main)}",
+        *out,
+        "",
+    ]
 
 
 def _nrmse(row: Row | None) -> str:
@@ -108,7 +118,7 @@ def _block(rows: list[Row]) -> str:
     for record, group in by_record.items():
         for i, row in enumerate(group):
             lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
-    return f"{label}, {first.part} data\n" + _aligned(lines)
+    return f"{label}, {data_of(first.part)}\n" + _aligned(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -36,7 +36,9 @@ def figure(row: Contender) -> str:
     if row.free_run is None:
         return row.status
     if not row.standard_error:
-        return f"{row.free_run:.3g}"
+        # No whole number: it would look like that of a candidate.
+        whole = f"{row.free_run:.3g}" in map(str, range(1, 100))
+        return f"{row.free_run:#.3g}" if whole else f"{row.free_run:.3g}"
     digits = max(1 - math.floor(math.log10(row.standard_error)), 0)
     if digits > DIGITS:
         return f"{row.free_run:.3g} ± {row.standard_error:.2g}"

@@ -33,7 +33,7 @@ from jaxnarx.regressors import (
     term_name,
     variable_names,
 )
-from jaxnarx.shown import page
+from jaxnarx.shown import count, page
 
 MISSING = HOLD, NAN
 """What outputs are where an input is missing: those of the last finite input, or not a
@@ -183,7 +183,7 @@ class Network(eqx.Module):
             for m in active:
                 where = _where(self.regions(o)[m]) if len(active) > 1 else ""
                 left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN
-                more = f" + {left_out} terms more" if left_out > 0 else ""
+                more = f" + {count(left_out, 'term')} more" if left_out > 0 else ""
                 text = self._equation(o, m, "text", SHOWN)["text"]
                 lines.append(f"  {m + 1}{where}: {text}{more}")
         return "\n".join(lines)

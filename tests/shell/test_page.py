@@ -655,7 +655,16 @@ def test_nothing_of_200_hostile_texts_is_executed(browser, tmp_path, seed):
     assert all(a.startswith("data:image/png") for a in asked[1:])
     # Only the elements of the page itself: none came in by a text.
     kinds = browser.value("[...new Set([...document.all].map((e) => e.localName))]")
-    assert not {"iframe", "img", "base", "a", "object"} & set(kinds)
+    assert not {"iframe", "img", "base", "object"} & set(kinds)
+    # Links are those of the table of contents, to headings of the page.
+    links = browser.value(
+        "[...document.querySelectorAll('a')].map((a) => [a.parentNode.className,"
+        "a.getAttribute('href'), a.getAttributeNames().length])"
+    )
+    assert links and all(
+        place == "contents" and re.fullmatch(r"#section-\d+", to) and count <= 2
+        for place, to, count in links
+    )
     assert browser.value("document.scripts.length") == 4
 
 

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from jaxnarx.evaluation import Report, Row, region_sentence
 from jaxnarx.evaluation.domain_errors import EDGES
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
+from jaxnarx.evaluation.table import data_of
 from jaxnarx.files import write_whole
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import error_over_operations
@@ -65,8 +66,9 @@ def render(report: Report) -> str:
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
+    environment.filters |= {"data_of": data_of}
     live = running(report)
-    return environment.get_template("report.html.jinja").render(
+    page = environment.get_template("report.html.jinja").render(
         report=report,
         running=live,
         needed=_needed(report),
@@ -80,6 +82,7 @@ def render(report: Report) -> str:
         max_records=MAX_RECORDS,
         fitted=FITTED,
     )
+    return _with_contents(page)
 
 
 def _needed(report: Report) -> list[str]:
@@ -235,6 +238,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "maps": [(m.output, figures.report.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
+        "errors": [
+            (one.output, figures.report.cumulated_errors(one))
+            for one in report.distributions
+        ],
         "selection": [
             (title, _selection(item))
             for title, item in _by_output(report.selection, "names")
@@ -324,11 +331,61 @@ def _by_output(
     return [("", value)] if key in value else list(value.items())
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+SEEN = {
+    "dead_time": "dead time in samples:",
+    "rise": "rise time in samples:",
+    "memory": "memory in samples:",
+    "few_levels": "inputs of few values:",
+    "every": "of the samples used every",
+}
+"""What a search has seen in the data, in words."""
+
+
+def _flat(value: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A line for every entry, and for every part of one that has parts."""
     rows = []
     for key, item in value.items():
-        if isinstance(item, Mapping):
-            rows += _flat(item, f"{prefix}{key}: ")
+        parts = item if isinstance(item, Mapping) else {}
+        if parts and all(isinstance(part, Mapping) for part in parts.values()):
+            rows += [(f"{key}, {name}", _told(part)) for name, part in parts.items()]
         else:
-            rows.append((f"{prefix}{key}", _words(item)))
+            rows.append((key, _told(parts) if parts else _words(item)))
     return rows
+
+
+def _told(item: Mapping[str, Any]) -> str:
+    """`dead time in samples: speed 2, load 0; memory in samples: 40`."""
+    known = {SEEN.get(key, key): _words(part) for key, part in item.items()}
+    return "; ".join(f"{key} {words or 'none'}" for key, words in known.items())
+
+
+CONTENTS = "<!-- contents -->"
+"""Where the table of contents stands."""
+
+
+def _with_contents(page: str) -> str:
+    """The page with a link to every heading behind the first lines.
+
+    Headings are texts of the templates; nothing of them comes from data.
+    """
+    top, mark, body = page.partition(CONTENTS)
+    if not mark:
+        return page
+    body, script, scripts = body.partition("<script")
+    titles: list[str] = []
+
+    def numbered(found: re.Match[str]) -> str:
+        titles.append(found[1])
+        return f'<h2 id="section-{len(titles)}">{found[1]}</h2>'
+
+    body = re.sub(r"<h2>([^<]*)</h2>", numbered, body)
+    links = [
+        f'<a href="#section-{n}"{LIVE if title == TRY else ""}>{title}</a>'
+        for n, title in enumerate(titles, 1)
+    ]
+    contents = f'<nav class="contents" aria-label="Contents">{" ".join(links)}</nav>'
+    return top + contents + body + script + scripts
+
+
+TRY, LIVE = "Try the model", ' class="live"'
+"""The section that needs scripts, and how it is hidden without them."""
