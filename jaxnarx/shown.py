@@ -42,6 +42,12 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def ratio_text(value: float) -> str:
+    """Three digits; `1.00` for 1, which would look like a number of something."""
+    text = f"{value:.3g}"
+    return f"{value:#.3g}" if text in map(str, range(1, 100)) else text
+
+
 def span_text(start: float, end: float) -> tuple[str, str]:
     """Both ends of a span, with so many digits that its width is right to a tenth."""
     for digits in range(4, 16):

@@ -45,7 +45,7 @@ class Outside:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
         return (
             f"{self.channel} {reached}{unit}, trained on {trained}: beyond by up to "
-            f"{100 * self.beyond:.2g} % of its width"
+            f"{number(100 * self.beyond, '.3g')} % of its width"
         )
 
     _repr_html_ = page

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.shown import ratio_text
 
 HEADER = (
     "record",
@@ -105,7 +106,10 @@ def beside_lines(report: Any) -> list[str]:
 def _nrmse(row: Row | None) -> str:
     if row is None:
         return "-"
-    return row.status if row.diverged else number(row.nrmse)
+    if row.diverged or row.nrmse is None:
+        return row.status
+    text = number(row.nrmse)
+    return ratio_text(row.nrmse) if text.isdigit() else text
 
 
 def _block(rows: list[Row]) -> str:

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.shown import ratio_text
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""
@@ -36,9 +37,7 @@ def figure(row: Contender) -> str:
     if row.free_run is None:
         return row.status
     if not row.standard_error:
-        # No whole number: it would look like that of a candidate.
-        whole = f"{row.free_run:.3g}" in map(str, range(1, 100))
-        return f"{row.free_run:#.3g}" if whole else f"{row.free_run:.3g}"
+        return ratio_text(row.free_run)
     digits = max(1 - math.floor(math.log10(row.standard_error)), 0)
     if digits > DIGITS:
         return f"{row.free_run:.3g} ± {row.standard_error:.2g}"

@@ -15,6 +15,7 @@ import pytest
 from browser import Browser, needs_browser
 from test_html import make
 
+import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
 from jaxnarx.shell.report.html import render, write_report
@@ -508,6 +509,87 @@ def test_the_surface_is_the_steady_state(opened):
 SEEN = (
     "(s) => [...document.querySelectorAll(s)].filter((e) => e.checkVisibility()).length"
 )
+
+
+@needs_browser
+def test_the_surface_has_ticks_and_a_scale_and_tells_empty_from_restless(opened):
+    opened.box("#surface")
+    opened.wait("document.getElementById('surface').dataset.done")
+    low, high = RANGE[0][0], RANGE[1][0]
+    ticks = opened.value(
+        "['below', 'left'].map((side) => [...document.querySelectorAll("
+        "'#surface-' + side + ' span')].map((s) => s.textContent))"
+    )
+    assert [len(side) for side in ticks] == [5, 5]
+    ends = [float(ticks[0][n].replace("−", "-")) for n in (0, -1)]
+    assert ends == pytest.approx([low, high], rel=1e-2)
+    values = opened.value("[...jaxnarx.page.surface.values]")
+    shown = [
+        opened.value(f"document.getElementById('surface-{end}').textContent")
+        for end in ("low", "high")
+    ]
+    told = [float(text.replace("−", "-")) for text in shown]
+    assert told == pytest.approx([min(values), max(values)], rel=1e-3)
+    words = opened.value(
+        "(() => { const s = jaxnarx.page.surface; const n = 40;"
+        "const out = [s.words('y', n)]; s.values[n] = NaN; out.push(s.words('y', n));"
+        "s.seen[n] = 0; out.push(s.words('y', n)); return out; })()"
+    )
+    assert words[1].startswith("y does not come to rest")
+    assert words[2] == "y not computed yet" and words[0].startswith("y ")
+
+
+@needs_browser
+def test_of_one_input_the_steady_state_is_a_curve(opened):
+    opened.box("#surface")
+    opened.value(
+        "(() => { const s = document.getElementById('surface-second'); s.value = 0;"
+        "s.dispatchEvent(new Event('change')); })()"
+    )
+    opened.wait("document.getElementById('surface').dataset.done")
+    assert opened.value("document.getElementById('surface-map').hidden")
+    x, y, rest = opened.value(
+        "(() => { const s = jaxnarx.page.surface; const [x, y] = s.plot.data;"
+        "return [[...x], [...y], jaxnarx.settle(s.program, s.inputs(5, 0)).y[0]]; })()"
+    )
+    assert len(x) == 32 and np.all(np.diff(x) > 0) and y[5] == pytest.approx(rest)
+
+
+@needs_browser
+def test_the_interval_lies_within_the_axis(browser, tmp_path):
+    net = common.named("one model")
+
+    def noisy(lengths, seed):
+        data, rng = common.dataset(lengths, seed=seed), np.random.default_rng(seed)
+        pairs = zip(data, simulate(net, data).value.outputs, strict=True)
+        rows = [
+            np.c_[r.u, y + rng.normal(0, 2.0, y.shape), r.y[:, 1:]] for r, y in pairs
+        ]
+        return common.from_rows(rows)
+
+    net = jnx.trust.learn_domain(net, noisy((300,), 0))
+    net = jnx.trust.learn_errors(net, noisy((300, 300), 4))
+    path = tmp_path / "interval.html"
+    write_report(report(net, noisy((200,), 5), **PLAIN), path)
+    browser.open(path, ready=READY)
+    low, high, ends = browser.value(
+        "(() => { const v = jaxnarx.page.view, s = v.shown, y = v.charts[0].scales.y;"
+        "const h = s.half[0], m = s.simulated[0]; const fine = [...m.keys()].filter("
+        "(t) => Number.isFinite(m[t]) && Number.isFinite(h[t]));"
+        "return [y.min, y.max, [Math.min(...fine.map((t) => m[t] - h[t])),"
+        "Math.max(...fine.map((t) => m[t] + h[t]))]]; })()"
+    )
+    assert low <= ends[0] and ends[1] <= high
+
+
+@needs_browser
+def test_contents_lead_to_every_heading(opened):
+    links = opened.value(
+        "[...document.querySelectorAll('.contents a')].map((a) => [a.textContent,"
+        "document.querySelector(a.getAttribute('href')).textContent])"
+    )
+    assert len(links) > 6 and all(text == title for text, title in links)
+    assert "Scores" in dict(links) and "Provenance" in dict(links)
 
 
 @needs_browser

@@ -32,7 +32,7 @@ from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.style import inline_svg
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import running
-from jaxnarx.shown import span_text
+from jaxnarx.shown import ratio_text, span_text
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
@@ -66,7 +66,7 @@ def render(report: Report) -> str:
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
-    environment.filters |= {"data_of": data_of}
+    environment.filters |= {"data_of": data_of, "ratio": _ratio}
     live = running(report)
     page = environment.get_template("report.html.jinja").render(
         report=report,
@@ -116,6 +116,12 @@ def figure_text(value: float | None, digits: int = 4) -> Markup:
     if exponent:
         text += f"&thinsp;·&thinsp;10<sup>{str(int(exponent)).replace('-', '−')}</sup>"
     return Markup(text)
+
+
+def _ratio(value: float | None) -> Markup:
+    """An NRMSE: `1.00` for 1."""
+    known = value is not None and f"{value:.3g}" in map(str, range(1, 100))
+    return Markup(ratio_text(value)) if known else figure_text(value, 3)
 
 
 def _span(stretch: Any) -> tuple[str, str]:

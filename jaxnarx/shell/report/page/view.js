@@ -117,14 +117,18 @@ class View {
       high = Math.min(high, base[1] + room);
     }
     /* The interval lies about the last of the inner lines, or about a residual of zero. */
+    const ends = [low, high];
     const middle = inner.length > 1 ? inner[inner.length - 1] : null;
     for (let t = from; half && t <= to; t++) {
       const v = middle ? middle[t] : 0;
       if (!Number.isFinite(v) || !Number.isFinite(half[t])) continue;
       const kept = Math.max(low, Math.min(high, v));
-      low = Math.min(low, kept - half[t]);
-      high = Math.max(high, kept + half[t]);
+      ends[0] = Math.min(ends[0], kept - half[t]);
+      ends[1] = Math.max(ends[1], kept + half[t]);
     }
+    /* One that widens at a few samples does not press all else flat. */
+    low = Math.max(ends[0], low - room);
+    high = Math.min(ends[1], high + room);
     const edge = 0.06 * (high - low || room);
     return [low - edge, high + edge];
   }
