@@ -15,6 +15,7 @@ from jaxnarx.shell.report.html import render
 def test_the_curve_is_that_of_sorted_errors_of_bounded_records():
     free = [samples(1.0), samples(-3.0, "r2", count=28), samples(9, diverged=True)]
     found = error_distribution(OUTPUT, free, 2.0)
+    assert found is not None
     # 9 samples of 1 and 27 of 3.
     assert found.samples == 36 and found.largest == found.most == 3.0
     assert found.within == 0.25 and np.all(np.diff(found.size) >= 0)
@@ -24,6 +25,7 @@ def test_the_curve_is_that_of_sorted_errors_of_bounded_records():
     assert "within" not in str(error_distribution(OUTPUT, free, None))
     assert error_distribution(OUTPUT, [samples(1.0, diverged=True)], 1.0) is None
     one = error_distribution(OUTPUT, [samples(2.0, count=2)], None)
+    assert one is not None
     assert (one.samples, one.largest, one.most) == (1, 2.0, 2.0)
 
 

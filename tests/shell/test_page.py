@@ -252,7 +252,9 @@ def browser_text(browser, value, step, made, tmp_path) -> str:
     """What the page of data at 1e-5 s prints at a tick."""
     path = tmp_path / "fast.html"
     if not path.exists():
-        network = dataclasses.replace(made.network, sample_time=common.device(1e-5))
+        network = dataclasses.replace(
+            made.network, sample_time=common.device(np.array(1e-5))
+        )
         write_report(dataclasses.replace(made, network=network), path)
         browser.open(path, ready=READY)
     return browser.value(f"jaxnarx.tickText({value}, {step})")
