@@ -251,3 +251,6 @@ def test_a_report_and_its_page_say_the_same(outside):
     )
     others = [w.sentence for w in OUTSIDE_WORDS.values() if w != words]
     assert not any(sentence in page for sentence in others)
+    # The partition's ranges are not those of the training.
+    assert "Regions are laid over" in page and "Trained for" not in page
+    assert "trained for a -1.5 to 1 V" in page

@@ -13,11 +13,13 @@ import common
 import numpy as np
 import pytest
 from browser import Browser, needs_browser
+from search_fakes import board
 from test_html import make
 
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
+from jaxnarx.identification import described
 from jaxnarx.shell.report.html import render, write_report
 from jaxnarx.shell.report.page import running
 from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
@@ -582,6 +584,23 @@ def test_the_interval_lies_within_the_axis(browser, tmp_path):
         "Math.max(...fine.map((t) => m[t] + h[t]))]]; })()"
     )
     assert low <= ends[0] and ends[1] <= high
+
+
+@needs_browser
+def test_a_leaderboard_fits_a_narrow_page(browser, made, tmp_path):
+    path = tmp_path / "board.html"
+    entry = {"y": described(board("y"), "y")}
+    write_report(dataclasses.replace(made, leaderboard=entry), path)
+    size = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.send("Emulation.setDeviceMetricsOverride", **size)
+    browser.open(path, ready=READY)
+    seen, wide = browser.value(
+        "(() => { const t = document.querySelector('table.board');"
+        "return [[...t.querySelectorAll('th')].filter((h) => h.offsetWidth)"
+        ".map((h) => h.textContent), [t.scrollWidth, t.parentNode.clientWidth]]; })()"
+    )
+    assert seen == ["number", "family", "name", "free run", "operations"]
+    assert wide[0] <= wide[1]
 
 
 @needs_browser

@@ -120,8 +120,9 @@ def figure_text(value: float | None, digits: int = 4) -> Markup:
 
 def _ratio(value: float | None) -> Markup:
     """An NRMSE: `1.00` for 1."""
-    known = value is not None and f"{value:.3g}" in map(str, range(1, 100))
-    return Markup(ratio_text(value)) if known else figure_text(value, 3)
+    if value is not None and f"{value:.3g}" in map(str, range(1, 100)):
+        return Markup(ratio_text(value))
+    return figure_text(value, 3)
 
 
 def _span(stretch: Any) -> tuple[str, str]:
