@@ -37,6 +37,27 @@ def aligned(
     ]
 
 
+def count(number: int, noun: str) -> str:
+    """`"1 record"`, `"2 records"`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def ratio_text(value: float) -> str:
+    """Three digits; `1.00` for 1, which would look like a number of something."""
+    text = f"{value:.3g}"
+    return f"{value:#.3g}" if text in map(str, range(1, 100)) else text
+
+
+def span_text(start: float, end: float) -> tuple[str, str]:
+    """Both ends of a span, with so many digits that its width is right to a tenth."""
+    for digits in range(4, 16):
+        ends = f"{start:.{digits}g}", f"{end:.{digits}g}"
+        width = float(ends[1]) - float(ends[0])
+        if abs(width - (end - start)) <= 0.1 * abs(end - start):
+            return ends
+    return f"{start:.16g}", f"{end:.16g}"
+
+
 def some(lines: Sequence[str], most: int = 12) -> list[str]:
     """The first `most` lines, and how many more there are."""
     if len(lines) <= most + 1:

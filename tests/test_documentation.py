@@ -338,3 +338,15 @@ def test_what_a_command_prints_in_chunks_is_shown_in_one_piece():
     found = making("streams").joined(outputs)
     assert found[1] is figure and len(found) == 3
     assert found[0]["text"] == "a\nline\n\nb\n" and found[2]["text"] == "note\n"
+
+
+def test_words_of_the_leaderboard_are_explained():
+    """Columns, families and every word that a name of a candidate may hold."""
+    from jaxnarx.shell.search.leaderboard import HEAD
+
+    page = (DOCS / "reference" / "leaderboard.md").read_text()
+    words = [name.replace("_", " ") for name in HEAD]
+    words += "lags by 16|4 filters|gates moved|feedback moved|pull 0.1".split("|")
+    words += "given up after 2 of 5 groups|shared feedback|hidden states".split("|")
+    words += "skipped|diverged|failed|order 2|degree 2|regions|states".split("|")
+    assert [word for word in words if word not in page] == []

@@ -12,7 +12,7 @@ from test_architecture import modules, parsed
 
 import jaxnarx as jnx
 from jaxnarx.identification import Contender, Leaderboard
-from jaxnarx.shown import aligned, brief, page, some
+from jaxnarx.shown import aligned, brief, count, page, ratio_text, some, span_text
 from jaxnarx.sweep import SweepTable
 
 
@@ -155,3 +155,19 @@ def test_a_network_of_long_equations_says_what_it_leaves_out(kind, monkeypatch):
     network = common.named(kind)
     terms = int(np.asarray(network.models[0].local.used)[0].sum())
     assert f" + {terms - 2} terms more" in str(network)
+
+
+def test_ends_of_a_span_are_told_apart():
+    assert span_text(1.25, 3.5) == ("1.25", "3.5")
+    assert span_text(12.34561, 12.34569) == ("12.34561", "12.34569")
+    assert span_text(2.0, 2.0) == ("2", "2")
+
+
+def test_one_is_one_and_a_ratio_is_no_number_of_something():
+    assert [count(n, "sample") for n in (0, 1, 2)] == [
+        "0 samples",
+        "1 sample",
+        "2 samples",
+    ]
+    found = [ratio_text(x) for x in (1.0, 0.999, 0.1234, 12.0, 0.0, 150.0)]
+    assert found == ["1.00", "0.999", "0.123", "12.0", "0", "150"]

@@ -8,6 +8,8 @@ from jaxnarx.evaluation.cost import cost as cost
 from jaxnarx.evaluation.cost import pareto as pareto
 from jaxnarx.evaluation.error_map import ErrorMap as ErrorMap
 from jaxnarx.evaluation.error_map import error_map as error_map
+from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
+from jaxnarx.evaluation.gain_signs import check_gains as check_gains
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.reactivation import reactivation as reactivation
 from jaxnarx.evaluation.region_errors import RegionError as RegionError

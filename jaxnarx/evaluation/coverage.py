@@ -5,8 +5,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
+from scipy.special import ndtri, stdtrit
 
 from jaxnarx.data import Channel, Dataset
+from jaxnarx.evaluation import metrics
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
@@ -15,8 +18,15 @@ from jaxnarx.trust import Intervals, intervals
 
 LEVEL = 0.9
 """Probability of the intervals of a report."""
-SHORT = 0.1
-"""Share below the level from which a report warns."""
+SHORT = 0.03
+"""Share below the level that no report warns of."""
+UNLIKELY = 0.05
+"""Probability that chance over records leaves as few inside."""
+SHORT_ALONE = 0.1
+"""Share below the level of a single record, which tells nothing of chance."""
+WIDE = 2.9
+"""RMSE in half a width from which an interval of `LEVEL` is too wide to be of use; a
+normal error needs 1.64."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +34,8 @@ class IntervalCoverage:
     """What the intervals of one output hold of the samples of a part.
 
     `held` is the share inside, which should be `level`; `half` is half their width in
-    the mean, in the unit of the output. Records that diverged are left out.
+    the mean and `rmse` the error, in the unit of the output; `chance` is how far below
+    the level so many records may lie by chance. Records that diverged are left out.
     """
 
     part: str
@@ -34,6 +45,20 @@ class IntervalCoverage:
     held: float
     half: float
     samples: int
+    rmse: float
+    chance: float
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether they hold less than they claim, and chance does not explain it."""
+        return self.held < self.level - max(self.chance, SHORT)
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether they are far wider than the error asks for, and hold more than they
+        claim. A normal error would need ndtri((1 + level)/2) times its deviation."""
+        normal = float(ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * LEVEL))
+        return self.held > self.level and self.half >= WIDE * normal * self.rmse
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
@@ -66,7 +91,7 @@ def coverage(
     """A line per output with samples that count."""
     lines = []
     for o, (channel, samples) in enumerate(zip(outputs, free, strict=True)):
-        inside, half = [np.zeros(0, bool)], [np.zeros(0)]
+        inside, half, error = [], [], []
         for n, one in enumerate(samples):
             if one.diverged:
                 continue
@@ -75,12 +100,32 @@ def coverage(
             low, high = found.lower[n][counted, o], found.upper[n][counted, o]
             inside.append((y >= low) & (y <= high))
             half.append(0.5 * (high - low))
-        every, width = np.concatenate(inside), np.concatenate(half)
-        if len(every):
+            error.append(metrics.rmse(one.measured, one.predicted, one.scored)[0])
+        count = np.array([len(one) for one in inside])
+        if count.sum():
+            every, width = np.concatenate(inside), np.concatenate(half)
             name = (part, channel.name, channel.unit, found.level)
             figures = float(every.mean()), float(width.mean()), len(every)
-            lines.append(IntervalCoverage(*name, *figures))
+            seen = count > 0
+            rmse = metrics.pooled_rms(np.array(error)[seen], count[seen])
+            lines.append(IntervalCoverage(*name, *figures, rmse, _chance(inside)))
     return lines
+
+
+def _chance(inside: list[Bool[np.ndarray, " samples"]]) -> float:
+    """How far the share inside may lie below what it is to be, by chance over records.
+
+    Errors of a record are not independent: its share counts as one, weighted by its
+    samples, with the quantile of Student's distribution.
+    """
+    inside = [one for one in inside if len(one)]
+    records, samples = len(inside), sum(map(len, inside))
+    if records < 2:
+        return SHORT_ALONE
+    share = np.concatenate(inside).mean()
+    apart = sum((one.sum() - share * len(one)) ** 2 for one in inside)
+    error = np.sqrt(apart * records / (records - 1)) / samples
+    return float(-stdtrit(records - 1, UNLIKELY) * error)
 
 
 def coverage_notes(lines: Iterable[IntervalCoverage], main: str) -> list[str]:
@@ -91,7 +136,7 @@ def coverage_notes(lines: Iterable[IntervalCoverage], main: str) -> list[str]:
     level = f"{100 * own[0].level:g} %"
     told = ", ".join(map(str, own))
     notes = [f"{level} intervals of the free run hold, on {main}: {told}."]
-    short = [line for line in own if line.held < line.level - SHORT]
+    short = [line for line in own if line.is_narrow]
     if short:
         notes.append(
             f"The {level} intervals are too narrow on {main} for "

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.data import Channel, Dataset
+from jaxnarx.evaluation.metrics import pooled_rms
 from jaxnarx.evaluation.outside import NOTICEABLE
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
@@ -35,13 +36,12 @@ class ErrorByIndex:
 
     def over(self, first: int, stop: int) -> float | None:
         """Over several bins together; None where they have too few samples."""
-        count = self.samples[first:stop]
+        count, rms = self.samples[first:stop], self.rms[first:stop]
         if count.sum() < FEWEST:
             return None
         # Of a bin with few samples nothing is told, and little would be changed by it.
-        square = np.where(np.isnan(self.rms), 0.0, self.rms)[first:stop] ** 2
-        known = np.where(np.isnan(self.rms[first:stop]), 0, count)
-        return float(np.sqrt(known @ square / max(known.sum(), 1)))
+        known = ~np.isnan(rms)
+        return pooled_rms(rms[known], count[known])
 
     @property
     def inside(self) -> float | None:

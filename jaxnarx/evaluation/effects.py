@@ -100,24 +100,22 @@ def _comparisons(
         if samples is None:
             continue
         pairs = [
-            (_square(a), _square(b), int(a.scored.sum()))
+            (_error(a), _error(b), int(a.scored.sum()))
             for a, b in zip(own, samples, strict=True)
             if a.scored.any()
         ]
         if not pairs or any(s.diverged for s in (*own, *samples)):
             continue
         ours, theirs, count = map(np.array, zip(*pairs, strict=True))
-        factor = _ratio(
-            *(float(np.sqrt(count @ s / count.sum())) for s in (ours, theirs))
-        )
+        factor = _ratio(*(metrics.pooled_rms(e, count) for e in (ours, theirs)))
         if factor is not None:
             yield ErrorBeside(name, factor, int(np.sum(ours < theirs)), len(pairs))
 
 
-def _square(samples: ScoredSamples) -> float:
-    """Mean square of the error."""
+def _error(samples: ScoredSamples) -> float:
+    """Root mean square."""
     error = metrics.rmse(samples.measured, samples.predicted, samples.scored)
-    return float(error[0]) ** 2
+    return float(error[0])
 
 
 def _outside(output: str, known: DomainErrors | None) -> float | None:

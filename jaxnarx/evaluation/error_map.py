@@ -13,6 +13,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation.metrics import pooled_rms
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
@@ -68,9 +69,7 @@ class ErrorMap:
     def usual(self) -> float:
         """Root mean square over all cells."""
         seen = self.samples > 0
-        count, rms = self.samples[seen], self.rms[seen]
-        scale = float(rms.max(initial=0.0)) or 1.0
-        return scale * float(np.sqrt(count @ (rms / scale) ** 2 / max(count.sum(), 1)))
+        return pooled_rms(self.rms[seen], self.samples[seen])
 
     def __str__(self) -> str:
         """Where the error is largest, in words."""

@@ -116,6 +116,20 @@ def is_constant(
     return _spread(y, mask) == 0
 
 
+def pooled_rms(
+    errors: Float[np.ndarray, " parts"], count: Shaped[np.ndarray, " parts"]
+) -> float:
+    """Root mean square over all samples from that of every part; 0 without samples.
+
+    The largest is taken out before squaring, so nothing overflows.
+    """
+    scale = float(np.max(errors, initial=0.0)) or 1.0
+    if not np.isfinite(scale):
+        return scale
+    square = count @ (errors / scale) ** 2 / max(count.sum(), 1)
+    return scale * float(np.sqrt(square))
+
+
 def _namespace(y: Array) -> Any:
     return y.__array_namespace__()
 

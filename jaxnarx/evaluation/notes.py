@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, Record, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
-from jaxnarx.evaluation.table import number
+from jaxnarx.evaluation.table import data_of, number
 from jaxnarx.models import Network
 from jaxnarx.solution import Solution
 
@@ -61,13 +61,14 @@ def data_notes(
             notes.append(f"Extra channels in {part}, ignored: {_list(extra)}.")
         notes += [
             f"Units differ: the model's {c.name} is in {known[c.name] or 'no unit'}, "
-            f"the {part} data's in {c.unit or 'no unit'}."
+            f"the {data_of(part)}'s in {c.unit or 'no unit'}."
             for c in data.channels.all
             if known.get(c.name, c.unit) != c.unit
         ]
         for note in data.notes:
             told.setdefault(note, []).append(part)
-    notes += [f"Of the {_list(found)} data: {note}." for note, found in told.items()]
+    for note, found in told.items():
+        notes.append(f"Of the {data_of(_list(found))}: {note}.")
     return notes
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
-from jaxnarx.models import FLAG, HOLD, LINEAR, NAN, Network
+from jaxnarx.models import FLAG, OUTSIDE_WORDS, Network
 from jaxnarx.shown import page
 
 NOTICEABLE = 0.01
@@ -45,7 +45,7 @@ class Outside:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
         return (
             f"{self.channel} {reached}{unit}, trained on {trained}: beyond by up to "
-            f"{100 * self.beyond:.2g} % of its width"
+            f"{number(100 * self.beyond, '.3g')} % of its width"
         )
 
     _repr_html_ = page
@@ -82,16 +82,10 @@ def range_notes(
     """
     share: dict[str, float] = {}
     for row in rows:
-        if row.mode == FREE_RUN and row.record == POOLED and row.samples:
-            here = row.extrapolated / row.samples
-            share[row.part] = max(share.get(row.part, 0.0), here)
+        if row.mode == FREE_RUN and row.record == POOLED:
+            share[row.part] = max(share.get(row.part, 0.0), row.share_outside)
     how_far = {part: [o for o in found if o.part == part] for part in share}
-    what = {
-        FLAG: "where the model extrapolates",
-        HOLD: "at whose edge the model's limits hold its inputs",
-        LINEAR: "from whose edge the model goes on to first order",
-        NAN: "of which the model says nothing",
-    }[outside]
+    what = OUTSIDE_WORDS[outside].behind_share
     return [
         f"{100 * value:.3g} % of the {part} samples lie outside the range of the "
         f"training data, {what}"

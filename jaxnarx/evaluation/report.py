@@ -12,7 +12,9 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.effects import Effect
+from jaxnarx.evaluation.error_distribution import ErrorDistribution
 from jaxnarx.evaluation.error_map import ErrorMap
+from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.notes import stability_values
 from jaxnarx.evaluation.outside import Outside
 from jaxnarx.evaluation.region_errors import RegionError
@@ -24,6 +26,7 @@ from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
 from jaxnarx.evaluation.worst import ErrorStretch
+from jaxnarx.models import Network, describe_policies
 from jaxnarx.shown import page
 
 
@@ -42,6 +45,8 @@ class Report:
     prediction intervals hold of every part; `beside` holds the pooled free-run rows of
     other models by their name, among them a linear model of the same lags where
     training data are at hand, and `effects` what the model is worth beside them.
+    `gains` are steady-state gains that change sign over the main part, or jump,
+    `distributions` the sizes of its free-run errors.
     `limits` is the margin by which reported outputs may leave their trained range, None
     where nothing holds them. `network` and `records` are what the page runs and shows:
     all records of the main part, then of the others.
@@ -91,6 +96,8 @@ class Report:
     worst: tuple[ErrorStretch, ...] = ()
     coverage: tuple[IntervalCoverage, ...] = ()
     effects: tuple[Effect, ...] = ()
+    gains: tuple[GainFinding, ...] = ()
+    distributions: tuple[ErrorDistribution, ...] = ()
     network: Any = None
     records: tuple[ShownRecord, ...] = ()
     next_command: str = ""
@@ -104,6 +111,12 @@ class Report:
     def summary(self) -> Summary:
         """Whether it may be used, where, why, and what helps."""
         return summary(self)
+
+    @property
+    def policies(self) -> tuple[str, ...]:
+        """What the model does beyond its training, as sentences made from it."""
+        network = self.network
+        return describe_policies(network) if isinstance(network, Network) else ()
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -138,6 +151,7 @@ class Report:
                 f"{self.main}, {effect}", 88, subsequent_indent="  "
             )
         ]
+        told += [f"{self.main}, free run, {one}" for one in self.distributions]
         return "\n".join([*lines, *beside_lines(self), *told, *notes])
 
     def __str__(self) -> str:
@@ -156,6 +170,7 @@ class Report:
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
         values["summary"] = strict(self.summary)
+        values["policies"] = list(self.policies)
         values |= {name: strict(getattr(self, name)) for name in fields}
         values["traces"] = [
             {"output": t.output.name, "record": t.record, "rank": t.rank}

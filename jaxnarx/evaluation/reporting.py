@@ -5,7 +5,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from jaxnarx.checks import require
+from jaxnarx.checks import positive, require
 from jaxnarx.data import Channel, Dataset, in_units
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.baseline import NAME, linear_runs
@@ -17,7 +17,9 @@ from jaxnarx.evaluation.domain_errors import (
     domain_notes,
 )
 from jaxnarx.evaluation.effects import effects
+from jaxnarx.evaluation.error_distribution import error_distribution
 from jaxnarx.evaluation.error_map import error_maps
+from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
 from jaxnarx.evaluation.notes import (
     assess,
     data_hash,
@@ -40,10 +42,12 @@ from jaxnarx.evaluation.rows import (
     score,
 )
 from jaxnarx.evaluation.shown import ShownRecord, shown_records
+from jaxnarx.evaluation.table import data_of
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst import worst_stretches
 from jaxnarx.guard import guarded
 from jaxnarx.models import FLAG, Network
+from jaxnarx.shown import count
 from jaxnarx.trust import DomainIndex, Intervals
 
 OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
@@ -79,6 +83,7 @@ def report(
     beside: Mapping[str, Reportable] | None = None,
     leaderboard: Mapping[str, Any] | None = None,
     over: Sequence[str] | None = None,
+    within: float | int | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -101,12 +106,15 @@ def report(
             refinement.
         stability: True assesses up to 2000 samples of the main part, False leaves it
             out; a `Stability` at hand is shown as it is.
-        diagnostics: Likewise the tests of the one-step residuals of the main part.
+        diagnostics: Likewise the tests of the one-step residuals of the main part, and
+            with them of the signs of its steady-state gains.
         beside: Other networks by name, whose free run on the main part is scored as
             well.
         leaderboard: Stored in the form that `Report` tells; the verdict knows it.
         over: Two channels, or lagged variables, over which the error is mapped; default
             the two that schedule most of each output.
+        within: Tolerance of the free-run error in the unit of the outputs; the report
+            tells the share of the samples that keep it.
         provenance: Stored beside the versions and data hashes.
 
     Returns:
@@ -119,6 +127,8 @@ def report(
     """
     parts = dict(data) if isinstance(data, Mapping) else {"data": data}
     _check(parts, horizons)
+    tolerance = None if within is None else positive(within, "within")
+    main = "test" if "test" in parts else list(parts)[-1]
     if not (stability is None or isinstance(stability, bool)):
         _require_result(stability, "summary", "stability")
     parts = {part: in_units(data, network.channels) for part, data in parts.items()}
@@ -132,7 +142,6 @@ def report(
         for part, part_data in parts.items()
     }
     rows = tuple(row for part in parts for row in _rows(part, outputs, runs[part]))
-    main = "test" if "test" in parts else list(parts)[-1]
     bounded = interval_runs(network, parts, free)
     traces, errors = _pictures(
         outputs, runs[main], parts[main].sample_time, bounded.get(main)
@@ -188,6 +197,12 @@ def report(
         ),
         coverage=tuple(held),
         beside=scored_beside,
+        distributions=tuple(
+            one
+            for o, channel in enumerate(outputs)
+            if (one := error_distribution(channel, runs[main][FREE_RUN][o], tolerance))
+        ),
+        gains=_gains(network, parts[main], diagnostics, tested),
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
         network=network,
         records=_shown(
@@ -272,6 +287,16 @@ def _diagnostics(
     found = diagnose(network, data, selection=selection)
     more = [] if found.status_name == "ok" else [found.detail + "."]
     return found.value, [*found.value.summary, *more]
+
+
+def _gains(
+    network: Any, data: Dataset, chosen: Diagnostics | bool, tested: Diagnostics | None
+) -> tuple[GainFinding, ...]:
+    """Those of the diagnostics; of hidden states, which have none, checked here."""
+    if tested is not None:
+        return tested.gains
+    wanted = chosen is True and isinstance(network, Network)
+    return check_gains(network, data) if wanted else ()
 
 
 def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:
@@ -388,8 +413,9 @@ def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:  # run from a source folder
             versions[package] = "not installed"
     described = {
-        f"{part} data": f"{len(data)} records, {data.samples} samples at "
-        f"{data.sample_time:g} s, sha256 {data_hash(data)}"
+        data_of(part): f"{count(len(data), 'record')}, "
+        f"{count(data.samples, 'sample')} at {data.sample_time:g} s; content "
+        f"sha256 {data_hash(data)}"
         for part, data in parts.items()
     }
     return {"versions": versions} | described

@@ -23,7 +23,8 @@ class Row:
     `mode` is `"one step"`, `"10 steps"`, ... or `"free run"`. `rmse` has the output's
     unit, `fit` is in percent. `samples` are those that count; `limited`, `held` and
     `extrapolated` tell at how many of them the feedback bound acted, the output was
-    held at the edge of its trained range, and the trained range was left. A diverged
+    held at the edge of its trained range, and the trained range was left; `silent` are
+    further samples, of which the model says nothing (`outside="nan"`). A diverged
     row has no metrics (`None`): its figures would only tell where the bound is. Pooled
     rows say how many records diverged in `status`, and `others` holds the pooled
     metrics of the records that did not. `offset` is the mean of measured minus
@@ -47,6 +48,12 @@ class Row:
     others: dict[str, float] | None = None
     offset: float | None = None
     held: int = 0
+    silent: int = 0
+
+    @property
+    def share_outside(self) -> float:
+        """Share of the samples, silent ones among them, outside the trained range."""
+        return (self.extrapolated + self.silent) / max(self.samples + self.silent, 1)
 
     @property
     def diverged(self) -> bool:
@@ -67,6 +74,11 @@ class ScoredSamples:
     diverged: bool
     short: bool
     """Measured, but without a sample that is predicted from complete history."""
+
+    @property
+    def silent(self) -> Bool[np.ndarray, " time"]:
+        """Samples outside the trained range of which the model says nothing."""
+        return np.isnan(self.predicted[:, 0]) & self.extrapolated
 
 
 def mode_name(k: int) -> str:
@@ -111,6 +123,7 @@ def score(
             extrapolated=sum(
                 int((s.extrapolated & s.scored[:, 0]).sum()) for s in chosen
             ),
+            silent=sum(int(s.silent.sum()) for s in chosen),
             status=status,
             others=others,
             offset=None if diverged else _offset(chosen),

@@ -93,6 +93,7 @@ def steady_states(
     *,
     level: float | int = 0.9,
     uncertainty: Any = None,
+    longest: int = LONGEST,
 ) -> SteadyStates:
     """Where the free run comes to rest when the inputs are constant.
 
@@ -109,6 +110,7 @@ def steady_states(
         uncertainty: That of the network's parameters; the band then says how sure the
             model is of its own rest (`jnx.bands`). Without, a network that knows its
             errors says where measurements will lie (`jnx.intervals`).
+        longest: Samples of the longest run; what has not settled by then has not.
 
     Returns:
         Outputs by point, with bands and the index of the domain where there are such.
@@ -133,7 +135,7 @@ def steady_states(
         pairs = zip((lower, upper), band, strict=True)
         lower, upper = (_into(a, pending, b) for a, b in pairs)
         index = _into(index, pending, _index(network, data))
-        if samples * GROWTH > LONGEST:
+        if samples * GROWTH > longest:
             break
         lost = np.stack(run.diverged).any(axis=1)
         pending = pending[~settled[pending].all(axis=1) & ~lost]

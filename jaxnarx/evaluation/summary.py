@@ -9,7 +9,8 @@ from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict
-from jaxnarx.models import FLAG, HOLD, LINEAR, NAN, Network
+from jaxnarx.models import OUTSIDE_WORDS, Network
+from jaxnarx.shown import span_text
 
 USE = {
     GOOD: "it can stand in for the engine wherever its inputs stay within the range it "
@@ -19,12 +20,6 @@ USE = {
     UNUSABLE: "do not rely on its free run.",
 }
 """What a verdict means for use."""
-BEYOND = {
-    FLAG: "Beyond that it extrapolates",
-    HOLD: "Beyond that inputs are held at its edge",
-    LINEAR: "Beyond that it goes on in a straight line",
-    NAN: "Beyond that it gives no number",
-}
 CHANNELS = 8
 """Inputs whose ranges are told."""
 CAUSES = 4
@@ -41,6 +36,8 @@ class Summary:
     why: tuple[str, ...]
     more: int
     """Reasons that are not told."""
+    also: tuple[str, ...]
+    """What to look at, whatever the verdict."""
     helps: str
     worst_record: str
     worst_place: tuple[str, ...]
@@ -50,6 +47,7 @@ class Summary:
         more = f"and {self.more} more" if self.more else ""
         told = {
             "why": [*self.why, *([more] if more else [])],
+            "also": self.also,
             "where": self.where,
             "helps": [self.helps] if self.helps else [],
             "worst": [w for w in (self.worst_record, *self.worst_place) if w],
@@ -81,6 +79,7 @@ def summary(report: Any) -> Summary:
         tuple(_where(report)),
         causes[:CAUSES] or (found.praise,),
         max(len(causes) - CAUSES, 0),
+        found.remarks,
         found.helps,
         _worst_record(report),
         tuple(_worst_places(report)),
@@ -99,11 +98,12 @@ def _where(report: Any) -> Iterator[str]:
         ]
         more = len(inputs) - len(ranges)
         ranges += [f"{more} more"] if more > 0 else []
-        yield f"trained for {', '.join(ranges)}. {BEYOND[network.outside]}."
+        beyond = OUTSIDE_WORDS[network.outside].behind_ranges
+        yield f"trained for {', '.join(ranges)}. {beyond}."
     share = report.domain.outside.get(report.main) if report.domain else None
     if share is None:
         rows = [r for r in _rows(report) if r.record == POOLED]
-        share = max((r.extrapolated / max(r.samples, 1) for r in rows), default=0.0)
+        share = max((r.share_outside for r in rows), default=0.0)
     inside = 100 * (1 - share)
     yield f"{inside:.3g} % of the {report.main} samples lie within what it knows"
 
@@ -142,7 +142,8 @@ def _worst_places(report: Any) -> Iterator[str]:
         yield f"place: {'; '.join(cells[:2])}"
     if report.worst:
         first = max(report.worst, key=lambda one: one.times)
-        told = f"{first.output}, {first.record}, {first.start:.4g} to {first.end:.4g} s"
+        ends = span_text(first.start, first.end)
+        told = f"{first.output}, {first.record}, {ends[0]} to {ends[1]} s"
         more = f"; {first.unusual}" if first.unusual else ""
         yield f"stretch: {told}: {first.times:.2g} times the usual{more}"
 

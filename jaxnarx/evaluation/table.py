@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.shown import ratio_text
 
 HEADER = (
     "record",
@@ -22,6 +23,11 @@ HEADER = (
     "limited",
 )
 MISSING = ("", "", "", "")
+
+
+def data_of(part: str) -> str:
+    """`test data`; of a part without a name of its own `data`."""
+    return part if part == "data" else f"{part} data"
 
 
 def number(value: float | None, style: str = ".4g") -> str:
@@ -89,13 +95,21 @@ def beside_lines(report: Any) -> list[str]:
         )
         for line in lines
     ]
-    return ["", f"free run beside other models, NRMSE on {report.main} data", *out, ""]
+    return [
+        "",
+        f"free run beside other models, NRMSE on {data_of(report.main)}",
+        *out,
+        "",
+    ]
 
 
 def _nrmse(row: Row | None) -> str:
     if row is None:
         return "-"
-    return row.status if row.diverged else number(row.nrmse)
+    if row.diverged or row.nrmse is None:
+        return row.status
+    text = number(row.nrmse)
+    return ratio_text(row.nrmse) if text.isdigit() else text
 
 
 def _block(rows: list[Row]) -> str:
@@ -108,7 +122,7 @@ def _block(rows: list[Row]) -> str:
     for record, group in by_record.items():
         for i, row in enumerate(group):
             lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
-    return f"{label}, {first.part} data\n" + _aligned(lines)
+    return f"{label}, {data_of(first.part)}\n" + _aligned(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -22,10 +22,14 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 - was judged on data it was made with or on a constant output, or met inputs `REACH` of
   their trained width outside and left its range at `STRAYED` of the samples;
 - comes from a search, and is `PROMISED` times worse on test data than on the records
-  that were left out there, or no better than the mean in one group of them.
+  that were left out there, or no better than the mean in one group of them;
+- has prediction intervals that hold less than they claim, beyond chance over records.
 
-Else it is **good**. Tests of residuals take no part: with many samples they find fault
-with any model, see `Diagnostics`.
+Else it is **good**. What a user should look at and what changes no verdict is a
+**remark**: prediction intervals that hold more than they claim and are about three
+times as wide as the error; steady-state gains that change sign over the data, or jump.
+Tests of residuals take no part: with many samples they
+find fault with any model, see `Diagnostics`.
 """
 
 import dataclasses
@@ -36,7 +40,10 @@ import numpy as np
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.coverage import IntervalCoverage
+from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
+from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 
@@ -51,22 +58,28 @@ BETTER = 0.98
 """Share of the error below which another model counts as better."""
 UNSURE = 0.1
 REACH, STRAYED = 0.1, 0.05
+GAINS = 3
+"""Gains that change sign or jump that are told one by one."""
 PROMISED = 1.5
 """Factor over the NRMSE of records left out."""
 
 REMEDIES = {
     "bounded": "choose terms by simulation error, lower the degree, or let inputs "
     "enter through filters without output lags, which cannot diverge",
+    "unstable": "a model that is stable for certain (`jaxnarx identify DESCRIPTION "
+    "--preset ecu` takes no other), or terms chosen by simulation error",
     "cover": "train on records that reach as far",
     "richer": "more regions, other lags, filters, or terms chosen by simulation error",
     "simpler": "fewer terms or regions, or more training data",
     "linear": "a lower degree, or terms chosen by simulation error",
     "test": "name test records that take part in no choice",
+    "intervals": "more groups of training records, of the kinds that are met in use",
     "records": "look at these records: channels, sensors, operating range",
 }
 """What helps, by the name that findings carry."""
 SEARCHED = REMEDIES | {
     "bounded": "training records that reach as far, or linear models",
+    "unstable": "`--preset ecu`, which takes only models that are stable for certain",
     "richer": "a larger preset, other inputs, or more training records, above all like "
     "those served worst",
     "simpler": "more training records",
@@ -92,6 +105,8 @@ class Verdict:
     level: str
     findings: tuple[Reason, ...]
     praise: str = ""
+    remarks: tuple[str, ...] = ()
+    """What to look at, whatever the level."""
     searched: bool = False
     """Whether the model comes from a search."""
 
@@ -125,7 +140,8 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         found = [dataclasses.asdict(f) for f in self.findings]
-        return {"level": self.level, "sentence": self.sentence, "findings": found}
+        told = {"level": self.level, "sentence": self.sentence, "findings": found}
+        return told | {"remarks": list(self.remarks)}
 
 
 @runtime_checkable
@@ -147,6 +163,12 @@ class Scored(Protocol):
     @property
     def beside(self) -> Mapping[str, tuple[Row, ...]]: ...
     @property
+    def regions(self) -> tuple[RegionError, ...]: ...
+    @property
+    def coverage(self) -> tuple[IntervalCoverage, ...]: ...
+    @property
+    def gains(self) -> tuple[GainFinding, ...]: ...
+    @property
     def leaderboard(self) -> Mapping[str, Any] | None: ...
     def pooled(self, output: str) -> Row: ...
 
@@ -156,11 +178,12 @@ def judge(report: Scored) -> Verdict:
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
     findings += [*_beside(report), *_memory(report), *_data(report, rows)]
-    findings += _left_out(report, rows)
+    findings += [*_left_out(report, rows), *_intervals(report)]
     findings.sort(key=lambda f: f.level != UNUSABLE)
     level = findings[0].level if findings else GOOD
     searched = bool(report.leaderboard)
-    return Verdict(level, tuple(findings), _praise(report), searched)
+    remarks = (*_remarks(report), *_gain_remarks(report))
+    return Verdict(level, tuple(findings), _praise(report), remarks, searched)
 
 
 def _praise(report: Scored) -> str:
@@ -181,7 +204,7 @@ def _pooled(rows: Iterable[Row]) -> list[Row]:
 def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
     """Divergence, nothing to judge, limits that act."""
     for row in sorted(_pooled(rows), key=lambda r: r.part != report.main):
-        share = row.extrapolated / max(row.samples, 1)
+        share = row.share_outside
         where = f"{row.output} on {row.part}"
         if row.diverged:
             lost = [
@@ -191,7 +214,7 @@ def _runs(report: Scored, rows: list[Row]) -> Iterator[Reason]:
                 and r.diverged
                 and r.record != POOLED
             ]
-            share = max((r.extrapolated / max(r.samples, 1) for r in lost), default=0)
+            share = max((r.share_outside for r in lost), default=0.0)
             names = ", ".join(r.record for r in lost[:3]) or "all records"
             names += f" and {len(lost) - 3} more" if len(lost) > 3 else ""
             strayed = share >= STRAYED
@@ -222,8 +245,7 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
             text = f"the free run of {where} is no better than the mean"
             yield Reason(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
         elif row.nrmse > ACCURATE:
-            text = f"the free run leaves {row.nrmse**2:.0%} of the variance of {where}"
-            yield Reason(LIMITED, f"{text} ({_nrmse(row.nrmse)})", "richer")
+            yield Reason(LIMITED, _unexplained(where, row.nrmse), "richer")
         inside = within.get((row.output, row.part), 0.0)
         if inside >= WORTHLESS > row.nrmse and not learned:
             text = f"within a record the free run of {where} is no better than its mean"
@@ -232,6 +254,14 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
             continue
         text = f"the error of {where} is {row.nrmse / own:.2g} times that of training"
         yield Reason(LIMITED, text, "simpler")
+
+
+def _unexplained(where: str, nrmse: float) -> str:
+    """What the free run leaves of the variance; of more than all no share is told."""
+    text = f"the free run of {where} is worse than the mean"
+    if nrmse < WORTHLESS:
+        text = f"the free run leaves {nrmse**2:.0%} of the variance of {where}"
+    return f"{text} ({_nrmse(nrmse)})"
 
 
 def _nrmse(value: float) -> str:
@@ -286,11 +316,19 @@ def _memory(report: Scored) -> Iterator[Reason]:
     for row in found.poles:
         if row.model is not None and row.samples and row.unstable > 0.5:
             text = f"local model {row.model} of {row.output} alone is unstable where it"
-            text += f" leads (pole {row.median:.4g})"
-            yield Reason(LIMITED, text, "bounded")
+            text += f" leads ({_region(report, row)}pole {row.median:.4g})"
+            yield Reason(LIMITED, text, "unstable")
     if not found.contracts and found.bound.fails >= UNSURE:
         text = f"nothing shows that it forgets its past at {found.bound.fails:.0%} of "
-        yield Reason(LIMITED, text + "the samples", "bounded")
+        yield Reason(LIMITED, text + "the samples", "unstable")
+
+
+def _region(report: Scored, row: Any) -> str:
+    """Where a local model leads, if that is known."""
+    for one in report.regions:
+        if (one.output, one.model) == (row.output, row.model) and one.region:
+            return f"{one.region}; "
+    return ""
 
 
 def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
@@ -302,11 +340,42 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         text = f"there are no test data: {report.main} took part in making it"
         yield Reason(LIMITED, text + _promised(report), "test")
     main = [r for r in _pooled(rows) if r.part == report.main]
-    share = max((r.extrapolated / max(r.samples, 1) for r in main), default=0.0)
+    share = max((r.share_outside for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
     if share >= STRAYED and far:
         text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
         yield Reason(LIMITED, f"{text} ({far[0]})", "cover")
+
+
+def _intervals(report: Scored) -> Iterator[Reason]:
+    """Prediction intervals that hold less than they claim."""
+    for one in report.coverage:
+        if one.part == report.main and one.is_narrow:
+            text = f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} "
+            text += f"of the {one.part} samples: they are too narrow"
+            yield Reason(LIMITED, text, "intervals")
+
+
+def _remarks(report: Scored) -> Iterator[str]:
+    """What to look at and what says nothing against the model."""
+    for one in report.coverage:
+        # Of training data they hold more: errors are smaller there.
+        if one.part == report.main != "train" and one.is_wide:
+            unit = f" {one.unit}" if one.unit not in ("", "-", "1") else ""
+            yield (
+                f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} of "
+                f"the {one.part} samples and are too wide to be of use: ± "
+                f"{number(one.half, '.3g')}{unit}, RMSE {number(one.rmse, '.3g')}{unit}"
+                "; a group of the training records that was served badly widens them"
+            )
+
+
+def _gain_remarks(report: Scored) -> Iterator[str]:
+    """Gains that change sign or jump, the commonest first."""
+    found = sorted(report.gains, key=lambda one: -one.share)
+    yield from map(str, found[:GAINS])
+    if len(found) > GAINS:
+        yield f"{len(found) - GAINS} more gains change sign or jump"
 
 
 def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:

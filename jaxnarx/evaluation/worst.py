@@ -12,7 +12,7 @@ from jaxnarx.data.batch import stack
 from jaxnarx.evaluation.region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
-from jaxnarx.shown import page
+from jaxnarx.shown import page, span_text
 from jaxnarx.simulation import fitting
 from jaxnarx.trust import DomainIndex
 
@@ -70,8 +70,9 @@ class ErrorStretch:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
+        first, last = span_text(self.start, self.end)
         text = (
-            f"{self.output}, {self.record}, {self.start:.4g} to {self.end:.4g} s: RMSE "
+            f"{self.output}, {self.record}, {first} to {last} s: RMSE "
             f"{self.rmse:.3g}{unit}, {self.times:.2g} times the usual"
         )
         return "; ".join(part for part in (text, self.unusual, self.region) if part)

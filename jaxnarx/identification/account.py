@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.shown import ratio_text
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""
@@ -13,7 +14,7 @@ DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
 RULES = {
     "near": "the cheapest to compute within one standard error of the best (that of "
-    "the difference, group by group) and 5 %",
+    "the difference, group by group: column `above best`) and 5 %",
     "share": "the cheapest to compute within 5 % of the best",
     "best": "the smallest error, whatever it costs",
 }
@@ -36,7 +37,7 @@ def figure(row: Contender) -> str:
     if row.free_run is None:
         return row.status
     if not row.standard_error:
-        return f"{row.free_run:.3g}"
+        return ratio_text(row.free_run)
     digits = max(1 - math.floor(math.log10(row.standard_error)), 0)
     if digits > DIGITS:
         return f"{row.free_run:.3g} ± {row.standard_error:.2g}"
@@ -101,12 +102,15 @@ def _plain(
     board: Leaderboard, place: int, row: Contender, is_used: bool
 ) -> dict[str, Any]:
     name, error = board.worst_group(row) or ("", None)
+    above = board.above_best(row) or (None, None)
     return {"rank": place + 1, "used": is_used, "linear": is_linear(row)} | (
         row.to_dict()
         | {
             "groups": dict(zip(board.group_names, row.groups, strict=False)),
             "worst_group": name,
             "worst_group_error": error,
+            "above_best": above[0],
+            "above_best_standard_error": above[1],
         }
     )
 
@@ -130,7 +134,9 @@ def _best(board: Leaderboard, row: Contender) -> list[str]:
     best = board.best(row.output)
     if best is None or best == row or row.free_run is None:
         return []
-    return [f"The best itself, {title(best)}, {_price(best, row)}."]
+    difference, error = board.above_best(row) or (0.0, 0.0)
+    told = f" (by {difference:.2g} ± {error:.2g}, group by group)"
+    return [f"The best itself, {title(best)}, {_price(best, row)}{told}."]
 
 
 def _others(board: Leaderboard, row: Contender) -> list[str]:

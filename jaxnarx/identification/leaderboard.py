@@ -133,6 +133,14 @@ class Leaderboard:
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
+    def above_best(self, row: Contender) -> tuple[float, float] | None:
+        """How much larger the error is than that of the best, and the standard error of
+        that difference; None for the best itself and for what may not be chosen."""
+        best = self.best(row.output)
+        if best is None or best == row or not row.eligible:
+            return None
+        return _excess(row, best)
+
     def worst_group(self, row: Contender) -> tuple[str, float] | None:
         """Name and error of the group that a candidate serves worst."""
         seen = [
@@ -149,13 +157,16 @@ class Leaderboard:
         """A table with one line a candidate."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["rank", "chosen", *HEAD, "worst_group", "worst_group_error"])
+        writer.writerow(["rank", "chosen", *HEAD, *MORE])
         for output in self.outputs:
             chosen = self.chosen(output)
             for rank, row in enumerate(self.of(output), 1):
                 name, error = self.worst_group(row) or ("", None)
                 values = [getattr(row, key) for key in HEAD]
-                writer.writerow([rank, int(row == chosen), *values, name, error])
+                above = self.above_best(row) or (None, None)
+                writer.writerow(
+                    [rank, int(row == chosen), *values, name, error, *above]
+                )
         return file.getvalue()
 
 
@@ -164,6 +175,8 @@ HEAD = (
     "parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
+MORE = "worst_group worst_group_error above_best above_best_standard_error".split()
+"""Columns that follow from all rows."""
 
 
 def _line(row: Contender, chosen: bool) -> tuple[str, ...]:
@@ -202,12 +215,23 @@ def _near(row: Contender, best: Contender) -> bool:
     """
     if not _within(row, best):
         return False
+    difference, error = _excess(row, best)
+    return difference <= LIMIT * error
+
+
+def _excess(row: Contender, best: Contender) -> tuple[float, float]:
+    """The difference of two errors and its standard error, by groups.
+
+    Squares are what adds up over groups; their difference over the sum of both errors
+    is that of the errors. With one group the standard error is that of the best.
+    """
     pairs = [
         (mine**2 - theirs**2)
         for mine, theirs in zip(row.groups, best.groups, strict=False)
         if mine is not None and theirs is not None
     ]
     if len(pairs) < 2:
-        return _error(row) <= _error(best) + LIMIT * (best.standard_error or 0.0)
+        return _error(row) - _error(best), best.standard_error or 0.0
+    both = (_error(row) + _error(best)) or 1.0
     error = statistics.stdev(pairs) / math.sqrt(len(pairs))
-    return statistics.fmean(pairs) <= LIMIT * error
+    return statistics.fmean(pairs) / both, error / both

@@ -42,7 +42,8 @@ from jaxnarx.checks import not_negative
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
 from jaxnarx.models.missing import memory_of
-from jaxnarx.models.network import FLAG, HOLD, LINEAR, Network
+from jaxnarx.models.network import Network
+from jaxnarx.models.outside import FLAG, HOLD, LINEAR
 
 WIDER = 0.02
 """Reported outputs may leave the training range by this share of it on either side."""

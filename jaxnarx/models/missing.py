@@ -28,7 +28,8 @@ from jaxnarx.checks import positive
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
 from jaxnarx.models.domain import FARTHEST
-from jaxnarx.models.network import HOLD, Network
+from jaxnarx.models.network import Network
+from jaxnarx.models.outside import HOLD
 from jaxnarx.regressors import Variables
 
 LEAST = 10

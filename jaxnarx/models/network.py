@@ -23,6 +23,7 @@ from jaxnarx.data.channels import numbered
 from jaxnarx.errors import SpecError
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
+from jaxnarx.models.outside import FLAG, HOLD, LINEAR, NAN, OUTSIDE, OUTSIDE_WORDS
 from jaxnarx.models.validity import AbstractValidity
 from jaxnarx.regressors import (
     Variables,
@@ -32,11 +33,8 @@ from jaxnarx.regressors import (
     term_name,
     variable_names,
 )
-from jaxnarx.shown import page
+from jaxnarx.shown import count, page
 
-FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
-"""What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
-go on from the edge to first order."""
 MISSING = HOLD, NAN
 """What outputs are where an input is missing: those of the last finite input, or not a
 number."""
@@ -170,28 +168,30 @@ class Network(eqx.Module):
             + ", ".join(self.output_names)
         ]
         if self.outside != FLAG or self.hold is not None:
-            lines.append(self.limits)
+            held = f"; {self.margin_text}" if self.hold is not None else ""
+            lines.append(f"{OUTSIDE_WORDS[self.outside].sentence}{held}.")
         for o, (name, model) in enumerate(
             zip(self.computed_names, self.models, strict=True)
         ):
             active = np.flatnonzero(np.asarray(model.active)).tolist()
             kind = type(model.validity).__name__
+            bound = f", held within {text}" if (text := self.bound_text(o)) else ""
             lines.append(
                 f"{name}: {len(active)} local "
-                f"{'model' if len(active) == 1 else f'models by {kind}'}{self._held(o)}"
+                f"{'model' if len(active) == 1 else f'models by {kind}'}{bound}"
             )
             for m in active:
                 where = _where(self.regions(o)[m]) if len(active) > 1 else ""
                 left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN
-                more = f" + {left_out} terms more" if left_out > 0 else ""
+                more = f" + {count(left_out, 'term')} more" if left_out > 0 else ""
                 text = self._equation(o, m, "text", SHOWN)["text"]
                 lines.append(f"  {m + 1}{where}: {text}{more}")
         return "\n".join(lines)
 
     _repr_html_ = page
 
-    def _held(self, o: int) -> str:
-        """The feedback bound of an output in words, if it is one: those with a
+    def bound_text(self, o: int) -> str:
+        """The bound of a computed output in words, if it is one: those with a
         certificate have it far beyond all that can be."""
         s = self.signals[o]
         gain, least, most = (
@@ -201,22 +201,16 @@ class Network(eqx.Module):
         if high - low > FAR * (most - least) > 0:
             return ""
         unit = f" {unit}" if (unit := self.computed[o].unit) else ""
-        return f", held within {low:.4g} to {high:.4g}{unit}"
+        return f"{low:.4g} to {high:.4g}{unit}"
 
     @property
-    def limits(self) -> str:
-        """What inputs and reported outputs do beyond their trained ranges."""
-        words = {
-            FLAG: "inputs beyond their trained ranges as they are",
-            HOLD: "inputs held within their trained ranges",
-            LINEAR: "beyond the trained ranges of the inputs on to first order",
-            NAN: "no number beyond the trained ranges of the inputs",
-        }
-        text = words[self.outside]
-        if self.hold is not None:
-            share = 100 * float(self.hold)
-            text += f", reported outputs within theirs widened by {share:g} %"
-        return text
+    def margin_text(self) -> str:
+        """How far a reported output may leave its trained range, inputs in theirs."""
+        share = 0.0 if self.hold is None else 100 * float(self.hold)
+        return (
+            "Reported outputs stay within their trained ranges, widened by "
+            f"{share:g} % of them"
+        )
 
     @property
     def nameless(self) -> "Network":

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.files import unwritable
+from jaxnarx.shown import count as count
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset
@@ -30,11 +31,6 @@ def say(text: str = "", *, end: str = "\n", aside: bool = False) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), to.fileno())
         if not aside and not isinstance(error, BrokenPipeError):
             raise unwritable("standard output", error) from error
-
-
-def count(number: int, noun: str) -> str:
-    """`"1 record"`, `"2 records"`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def warn(text: str) -> None:

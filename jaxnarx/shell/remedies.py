@@ -17,6 +17,7 @@ ADVICE = {
     "cover": "  (with records that reach as far under train)",
     "test": "  (with records under test that take part in no choice)",
     "records": "  (with the record corrected or left out)",
+    "intervals": "  (with more groups of records under train)",
 }
 """What has to change in the description before the same command helps."""
 
@@ -47,7 +48,9 @@ def next_search(
     again = dataclasses.replace(again, out=None)
     if verdict.remedy == "bounded" and asked.preset != "linear":
         change = dataclasses.replace(asked, preset="linear")
-    elif asked.preset in LARGER and verdict.remedy != "bounded":
+    elif verdict.remedy == "unstable" and asked.preset != "ecu":
+        change = dataclasses.replace(asked, preset="ecu")
+    elif asked.preset in LARGER and verdict.remedy not in ("bounded", "unstable"):
         change = dataclasses.replace(asked, preset=LARGER[asked.preset], budget=None)
     else:
         return words_of(anew), "  (with more training records)"
@@ -93,6 +96,7 @@ def next_words(
     fewer = {"select.max_terms": max(terms // 2, 2)} if terms > 2 else {}
     orders: dict[str, tuple[dict[str, Any], ...]] = {
         "bounded": (choice, linear, safe),
+        "unstable": (choice, linear, safe),
         "linear": (linear, choice, memory),
         "richer": (choice, memory, regions),
         "simpler": (fewer, linear),

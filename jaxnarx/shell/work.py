@@ -364,7 +364,14 @@ def _report(command: commands.Report, typed: str) -> int:
                 told["preparation"] = split.preparation.describe()
             others = {path: loaded(path, no_limits=bare) for path in command.beside}
             over = command.over or None
-            result = report(network, parts, beside=others, over=over, provenance=told)
+            result = report(
+                network,
+                parts,
+                beside=others,
+                over=over,
+                within=command.within,
+                provenance=told,
+            )
             following = ["jaxnarx", "simulate", command.model, "new_run.csv"]
             result = replace(result, next_command=quoted(following))
         say(str(result))

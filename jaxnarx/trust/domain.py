@@ -9,7 +9,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Network
-from jaxnarx.shown import page
+from jaxnarx.shown import page, span_text
 from jaxnarx.simulation import fitting
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust.learn import feature_rows, layers_of
@@ -31,8 +31,9 @@ class Excursion:
     channel: str
 
     def __str__(self) -> str:
+        first, last = span_text(self.start, self.end)
         return (
-            f"{self.record}, {self.start:.4g} to {self.end:.4g} s: {self.index:.3g} by "
+            f"{self.record}, {first} to {last} s: {self.index:.3g} by "
             f"{self.layer} of {self.channel}"
         )
 

@@ -54,6 +54,20 @@ def test_what_diverges_or_has_another_output_is_not_compared():
     assert str(one) == "T: no figure"
 
 
+def test_errors_beyond_the_square_root_of_all_numbers_are_compared():
+    """Defect 47: squares of such errors overflowed."""
+    other = {"huge": [(OUTPUT, [samples(4e200)])], "more": [(OUTPUT, [samples(1e-3)])]}
+    (found,) = effects("test", list(FINE), [[samples(2e200)]], other, None)
+    assert [b.factor for b in found.beside] == pytest.approx([0.5, 2e203])
+    bins = len(EDGES) - 1
+    far = ErrorByIndex("T", "K", np.full(bins, 3e200), np.full(bins, 100))
+    assert far.inside == pytest.approx(3e200) == far.outside
+    sentence = made(
+        dataclasses.replace(row("train"), nrmse=1e180), row("test")
+    ).verdict.sentence
+    assert "worse than the mean (NRMSE 1e+180)" in sentence
+
+
 def test_beyond_the_domain_the_error_is_told_as_a_multiple():
     bins = len(EDGES) - 1
     rms, count = np.full(bins, 2.0), np.full(bins, 100)

@@ -8,7 +8,9 @@ import pytest
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.verdict import REMEDIES
 
 
@@ -118,12 +120,54 @@ def test_limits(kind):
     assert words in report.verdict.sentence
 
 
+def test_an_unstable_region_is_named_with_the_preset_that_refuses_it():
+    region = RegionError("T", 2, "speed above 3000", 0.2, 0.5, 3.0)
+    board = {"T": {"rows": []}}
+    report = made(*FINE, stability=stable(unstable=1.0), regions=(region,))
+    text = report.verdict.findings[0].text
+    assert text.endswith("where it leads (speed above 3000; pole 1.017)")
+    assert "--preset ecu" in report.verdict.helps
+    assert (
+        "--preset ecu" in dataclasses.replace(report, leaderboard=board).verdict.helps
+    )
+
+
 def test_a_little_more_range_or_error_is_no_limit():
     near = Outside("test", "load", "%", 10.0, 94.0, (10.0, 90.0), 0.23)
     strayed = row("test", extrapolated=230)
     assert made(row("train"), strayed, outside=(near,)).verdict.level == "good"
     small = made(row("train", nrmse=0.01), row("test", nrmse=0.06))
     assert small.verdict.level == "good"
+
+
+def intervals(held, half=9.0, chance=0.04, part="test"):
+    return (IntervalCoverage(part, "T", "K", 0.9, held, half, 1000, 5.0, chance),)
+
+
+def test_intervals_that_hold_less_than_they_claim_are_a_limit():
+    verdict = made(*FINE, coverage=intervals(0.829)).verdict
+    assert verdict.level == "usable with limits" and verdict.remedy == "intervals"
+    assert "90% intervals of T hold 82.9% of the test samples" in verdict.sentence
+    # So few records say less, and so does another part.
+    assert made(*FINE, coverage=intervals(0.829, chance=0.08)).verdict.level == "good"
+    assert made(*FINE, coverage=intervals(0.88, chance=0.0)).verdict.level == "good"
+    assert made(*FINE, coverage=intervals(0.5, part="train")).verdict.level == "good"
+
+
+def test_intervals_three_times_as_wide_as_the_error_are_a_remark():
+    """36.8 degC beside an RMSE of 12.4: 2.97 times."""
+    broad = intervals(1.0, half=36.8 / 12.4 * 5)
+    report = made(*FINE, coverage=broad)
+    assert report.verdict.level == "good" and not report.verdict.findings
+    (remark,) = report.verdict.remarks
+    assert "± 14.8 K, RMSE 5 K" in remark and remark in report.summary.also
+    assert report.to_dict()["verdict"]["remarks"] == [remark]
+    assert "  also " in report.table
+    for fine in (intervals(0.95), intervals(0.89, half=20.0)):
+        assert not made(*FINE, coverage=fine).verdict.remarks
+    trained = intervals(1.0, half=30.0, part="train")
+    report = made(row("train"), main="train", coverage=trained)
+    assert not report.verdict.remarks
 
 
 def test_the_worst_reason_comes_first_and_others_are_counted():

@@ -215,7 +215,9 @@ def test_another_word_is_refused():
 
 def test_it_is_told_in_print():
     assert "on to first order" in str(ranged("coupled", LINEAR))
-    assert "inputs held" in str(ranged("coupled", HOLD))
+    assert "Inputs stay at the edge of their trained ranges" in str(
+        ranged("coupled", HOLD)
+    )
 
 
 def test_a_network_may_say_nothing_beyond_its_ranges():

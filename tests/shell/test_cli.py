@@ -805,7 +805,7 @@ def test_a_report_tells_what_limits_hold_unless_they_are_not_wanted(capsys, both
     told = passes(capsys, ["report", held, "engine.toml", "--out", "told"])
     assert "were held at the edge of the trained range" in " ".join(told.split())
     page = Path("told", "report.html").read_text()
-    assert "outputs within theirs widened by 10 %" in page
+    assert "Reported outputs stay within their trained ranges, widened by 10 %" in page
     text = passes(capsys, ["report", held, "engine.toml", "--no-limits"])
     assert "held at the edge" not in " ".join(text.split())
     assert "engine.toml --no-limits --out FOLDER" in text

@@ -217,3 +217,19 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="disk full"):
         write_report(make(), path)
     assert path.read_text() == "old"
+
+
+def test_provenance_is_in_words():
+    look = {"dead_time": {"u": 2, "v": 0}, "memory": 40, "few_levels": [], "every": 1}
+    told = {"seen in the data": {"y": look}, "versions": {"numpy": "2", "jax": "1"}}
+    page = render(dataclasses.replace(make(), provenance=told))
+    assert "<dt>seen in the data, y</dt>" in page
+    words = "dead time in samples: u 2, v 0; memory in samples: 40; inputs of few"
+    assert words in page and "numpy 2; jax 1" in page
+
+
+def test_a_ratio_of_one_is_no_number_of_a_candidate():
+    base = make()
+    rows = [dataclasses.replace(r, nrmse=1.0) for r in base.rows]
+    page = render(dataclasses.replace(base, rows=tuple(rows)))
+    assert '<div class="big">1.00</div>' in page and "<td>1.00</td>" in page

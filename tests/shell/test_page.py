@@ -13,10 +13,13 @@ import common
 import numpy as np
 import pytest
 from browser import Browser, needs_browser
+from search_fakes import board
 from test_html import make
 
+import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
+from jaxnarx.identification import described
 from jaxnarx.shell.report.html import render, write_report
 from jaxnarx.shell.report.page import running
 from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
@@ -218,6 +221,45 @@ def range_of(browser: Browser) -> list[float]:
     )
     assert ranges[0] == ranges[1] == ranges[2]
     return ranges[0]
+
+
+TICKS = [
+    (0.0, 0.0005, "0.0000"),
+    (0.0005, 0.0005, "0.0005"),
+    (-0.0015, 0.0005, "−0.0015"),
+    (12.34567, 0.00001, "12.34567"),
+    (0.25, 0.25, "0.25"),
+    (1500, 500, "1500"),
+    (-0.0, 0.1, "0.0"),
+    (2e-9, 1e-9, "2e−9"),
+    (3e8, 1e8, "300000000"),
+]
+
+
+@needs_browser
+def test_ticks_of_fast_data_are_told_apart(browser, made, tmp_path):
+    """At 1e-5 s ticks that were 0.0005 s apart stood as 0, 0.001, 0.001, 0.002."""
+    for value, step, text in TICKS:
+        assert browser_text(browser, value, step, made, tmp_path) == text
+    labels = browser.value("jaxnarx.page.view.charts.map((c) => c.axes[0]._values)")
+    for row in labels:
+        times = [float(text.replace("−", "-")) for text in row]
+        assert len(times) > 3 and np.all(np.diff(times) > 0)
+        np.testing.assert_allclose(np.diff(times), times[1] - times[0], rtol=1e-6)
+    across = browser.value("jaxnarx.page.view.charts[0].axes[1]._values")
+    assert len(set(across)) == len(across)
+
+
+def browser_text(browser, value, step, made, tmp_path) -> str:
+    """What the page of data at 1e-5 s prints at a tick."""
+    path = tmp_path / "fast.html"
+    if not path.exists():
+        network = dataclasses.replace(
+            made.network, sample_time=common.device(np.array(1e-5))
+        )
+        write_report(dataclasses.replace(made, network=network), path)
+        browser.open(path, ready=READY)
+    return browser.value(f"jaxnarx.tickText({value}, {step})")
 
 
 @needs_browser
@@ -474,6 +516,104 @@ SEEN = (
 
 
 @needs_browser
+def test_the_surface_has_ticks_and_a_scale_and_tells_empty_from_restless(opened):
+    opened.box("#surface")
+    opened.wait("document.getElementById('surface').dataset.done")
+    low, high = RANGE[0][0], RANGE[1][0]
+    ticks = opened.value(
+        "['below', 'left'].map((side) => [...document.querySelectorAll("
+        "'#surface-' + side + ' span')].map((s) => s.textContent))"
+    )
+    assert [len(side) for side in ticks] == [5, 5]
+    ends = [float(ticks[0][n].replace("−", "-")) for n in (0, -1)]
+    assert ends == pytest.approx([low, high], rel=1e-2)
+    values = opened.value("[...jaxnarx.page.surface.values]")
+    shown = [
+        opened.value(f"document.getElementById('surface-{end}').textContent")
+        for end in ("low", "high")
+    ]
+    told = [float(text.replace("−", "-")) for text in shown]
+    assert told == pytest.approx([min(values), max(values)], rel=1e-3)
+    words = opened.value(
+        "(() => { const s = jaxnarx.page.surface; const n = 40;"
+        "const out = [s.words('y', n)]; s.values[n] = NaN; out.push(s.words('y', n));"
+        "s.seen[n] = 0; out.push(s.words('y', n)); return out; })()"
+    )
+    assert words[1].startswith("y does not come to rest")
+    assert words[2] == "y not computed yet" and words[0].startswith("y ")
+
+
+@needs_browser
+def test_of_one_input_the_steady_state_is_a_curve(opened):
+    opened.box("#surface")
+    opened.value(
+        "(() => { const s = document.getElementById('surface-second'); s.value = 0;"
+        "s.dispatchEvent(new Event('change')); })()"
+    )
+    opened.wait("document.getElementById('surface').dataset.done")
+    assert opened.value("document.getElementById('surface-map').hidden")
+    x, y, rest = opened.value(
+        "(() => { const s = jaxnarx.page.surface; const [x, y] = s.plot.data;"
+        "return [[...x], [...y], jaxnarx.settle(s.program, s.inputs(5, 0)).y[0]]; })()"
+    )
+    assert len(x) == 32 and np.all(np.diff(x) > 0) and y[5] == pytest.approx(rest)
+
+
+@needs_browser
+def test_the_interval_lies_within_the_axis(browser, tmp_path):
+    net = common.named("one model")
+
+    def noisy(lengths, seed):
+        data, rng = common.dataset(lengths, seed=seed), np.random.default_rng(seed)
+        pairs = zip(data, simulate(net, data).value.outputs, strict=True)
+        rows = [
+            np.c_[r.u, y + rng.normal(0, 2.0, y.shape), r.y[:, 1:]] for r, y in pairs
+        ]
+        return common.from_rows(rows)
+
+    net = jnx.trust.learn_domain(net, noisy((300,), 0))
+    net = jnx.trust.learn_errors(net, noisy((300, 300), 4))
+    path = tmp_path / "interval.html"
+    write_report(report(net, noisy((200,), 5), **PLAIN), path)
+    browser.open(path, ready=READY)
+    low, high, ends = browser.value(
+        "(() => { const v = jaxnarx.page.view, s = v.shown, y = v.charts[0].scales.y;"
+        "const h = s.half[0], m = s.simulated[0]; const fine = [...m.keys()].filter("
+        "(t) => Number.isFinite(m[t]) && Number.isFinite(h[t]));"
+        "return [y.min, y.max, [Math.min(...fine.map((t) => m[t] - h[t])),"
+        "Math.max(...fine.map((t) => m[t] + h[t]))]]; })()"
+    )
+    assert low <= ends[0] and ends[1] <= high
+
+
+@needs_browser
+def test_a_leaderboard_fits_a_narrow_page(browser, made, tmp_path):
+    path = tmp_path / "board.html"
+    entry = {"y": described(board("y"), "y")}
+    write_report(dataclasses.replace(made, leaderboard=entry), path)
+    size = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.send("Emulation.setDeviceMetricsOverride", **size)
+    browser.open(path, ready=READY)
+    seen, wide = browser.value(
+        "(() => { const t = document.querySelector('table.board');"
+        "return [[...t.querySelectorAll('th')].filter((h) => h.offsetWidth)"
+        ".map((h) => h.textContent), [t.scrollWidth, t.parentNode.clientWidth]]; })()"
+    )
+    assert seen == ["number", "family", "name", "free run", "operations"]
+    assert wide[0] <= wide[1]
+
+
+@needs_browser
+def test_contents_lead_to_every_heading(opened):
+    links = opened.value(
+        "[...document.querySelectorAll('.contents a')].map((a) => [a.textContent,"
+        "document.querySelector(a.getAttribute('href')).textContent])"
+    )
+    assert len(links) > 6 and all(text == title for text, title in links)
+    assert "Scores" in dict(links) and "Provenance" in dict(links)
+
+
+@needs_browser
 def test_without_scripts_and_on_paper_the_figures_are_there(browser, page, tmp_path):
     browser.send("Emulation.setScriptExecutionDisabled", value=True)
     try:
@@ -618,7 +758,16 @@ def test_nothing_of_200_hostile_texts_is_executed(browser, tmp_path, seed):
     assert all(a.startswith("data:image/png") for a in asked[1:])
     # Only the elements of the page itself: none came in by a text.
     kinds = browser.value("[...new Set([...document.all].map((e) => e.localName))]")
-    assert not {"iframe", "img", "base", "a", "object"} & set(kinds)
+    assert not {"iframe", "img", "base", "object"} & set(kinds)
+    # Links are those of the table of contents, to headings of the page.
+    links = browser.value(
+        "[...document.querySelectorAll('a')].map((a) => [a.parentNode.className,"
+        "a.getAttribute('href'), a.getAttributeNames().length])"
+    )
+    assert links and all(
+        place == "contents" and re.fullmatch(r"#section-\d+", to) and count <= 2
+        for place, to, count in links
+    )
     assert browser.value("document.scripts.length") == 4
 
 

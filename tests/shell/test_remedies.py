@@ -10,7 +10,8 @@ from jaxnarx.methods import Identification, Polynomial
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse
-from jaxnarx.shell.remedies import next_words
+from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.remedies import next_search, next_words
 
 TYPED = (
     'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'
@@ -66,3 +67,14 @@ def test_what_cannot_diverge_is_proposed_in_the_end():
     assert isinstance(command.method, Identification)
     pool = command.method.pool
     assert pool.output_lags == () and pool.filters == (0.4, 1.6, 6.4)
+
+
+def test_a_search_with_an_unstable_region_is_proposed_with_the_stable_preset():
+    asked = Automatic()
+    command = Identify("a.toml", asked)
+    found = Verdict("", (Reason("usable with limits", "why", "unstable"),))
+    words, then = next_search(command, asked, found, model="run/m")
+    assert words[-2:] == ["--preset", "ecu"] and then == ""
+    asked = Automatic(preset="ecu")
+    words, then = next_search(Identify("a.toml", asked), asked, found, model="run/m")
+    assert "more training records" in then

@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from search_fakes import KINDS, FakeSearch
+from search_fakes import KINDS, NAMES, FakeSearch, row
 
 from jaxnarx.errors import DataError
+from jaxnarx.identification import Leaderboard
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.cli import run
+from jaxnarx.shell.search.leaderboard import table
 
 FILES = {"leaderboard.csv", "model.safetensors", "report.html", "report.json"}
 KEPT = {"candidates", "made_from.json", "search.json"}
@@ -159,6 +161,11 @@ def test_it_tells_every_candidate_the_choice_and_why(done):
     assert "The best linear model, 2 (ARX: order 1), has 1.50 times the error" in text
     assert "1 of 5 candidates diverges on records left out: vetoed" in text
     assert "On test: RMSE pooled" in text
+    # What was written comes before the candidates, whose words are explained.
+    assert text.index("; wrote ") < text.index("y: free run on records left out")
+    assert "All candidates: jaxnarx leaderboard runs/engine-good\n" in text
+    assert "above best: difference to the first" in text
+    assert "The exported model takes " in text and " operations a sample" in text
     assert "\nGood: " in text and "why    the free run on test" in text
     following = shlex.split(text.split("Next: ")[1])
     assert following[:3] == [
@@ -179,7 +186,8 @@ def test_the_report_holds_the_leaderboard_and_its_figure(done):
         "y": {"memory": 9},
         "w": {"memory": 9},
     }
-    assert {"best linear candidate", "runner-up"} < set(found["beside"])
+    names = "first linear candidate", "first nonlinear candidate of another family"
+    assert set(names) < set(found["beside"])
     assert found["next_command"] == done[1].split("Next: ")[1].strip()
     page = (folder / "report.html").read_text()
     section = page[page.index("<h2>Leaderboard") : page.index("<h2>The equations")]
@@ -210,6 +218,16 @@ def test_another_search_needs_force(copy, capsys, monkeypatch):
 
 
 # leaderboard and take -------------------------------------------------------------
+
+
+def test_a_short_table_has_so_many_rows_and_names_the_command_for_all():
+    rows = [row(2, n) for n in range(1, 30)] + [row(1, 99), row(0, 100)]
+    text = table(Leaderboard(tuple(rows), NAMES), "y", top=10, command="show it")
+    head, *lines = text.split("\n")
+    assert "above best" in head and lines[-1].strip() == "and 21 more: show it"
+    assert len(lines) == 11 and sum("ARX" in line for line in lines) == 1
+    assert sum(line.startswith("*") for line in lines) == 1
+    assert "0.1 ± 0.076" in next(line for line in lines if "ARX" in line)
 
 
 def test_leaderboard_prints_the_table_or_csv(copy, capsys):

@@ -159,6 +159,11 @@ def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     assert (train.part, test.part, test.level) == ("train", "test", 0.9)
     assert test.samples == len(inside) and test.held == pytest.approx(inside.mean())
     assert test.half == pytest.approx(half.mean())
+    row = found.pooled(test.output)
+    assert test.rmse == pytest.approx(row.rmse) and not test.is_narrow
+    shares = [one.mean() for one in np.split(inside, len(data))]
+    error = np.std(shares, ddof=1) / np.sqrt(len(data))
+    assert 1.7 * error < test.chance < 2.5 * error
     assert found.to_dict()["coverage"][1]["held"] == test.held
     assert any("90 % intervals of the free run hold, on test" in n for n in found.notes)
     for trace in found.traces:
@@ -172,3 +177,4 @@ def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     errors = dataclasses.replace(known.errors, constant=known.errors.constant - 2.0)
     short = jnx.report(dataclasses.replace(known, errors=errors), data, **plain)
     assert any("too narrow on data for" in n for n in short.notes)
+    assert any(f.remedy == "intervals" for f in short.verdict.findings)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxnarx.data import Dataset
 from jaxnarx.data.batch import Batch, stack
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.evaluation.gain_signs import check_gains
 from jaxnarx.evaluation.residual_tests.coefficients import (
     coefficients,
     err_of,
@@ -102,7 +103,7 @@ def diagnose(
             continue
         err = err_of(selection, name)
         found.append(_output(network, matched, batch, one, lags, level, over, err))
-    value = Diagnostics(tuple(found), lags, level)
+    value = Diagnostics(tuple(found), lags, level, check_gains(network, matched))
     stats = {"samples": np.array([one.samples for one in found])}
     if not left_out:
         return Solution(value, RESULTS.ok, stats)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Channel
+from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.residual_tests.coefficients import Coefficient, Influence
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.operating_point import OperatingPoint
@@ -123,11 +124,16 @@ class OutputDiagnostics:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """Residual analysis of all outputs; `print` shows the tables."""
+    """Residual analysis of all outputs; `print` shows the tables.
+
+    Below them steady-state gains that change sign over the data, or jump.
+    """
 
     outputs: tuple[OutputDiagnostics, ...]
     lags: int
     level: float
+    gains: tuple[GainFinding, ...] = ()
+    """Steady-state gains that change sign or jump."""
 
     def __getitem__(self, output: str) -> OutputDiagnostics:
         for one in self.outputs:
@@ -143,7 +149,9 @@ class Diagnostics:
     @property
     def table(self) -> str:
         """Tests and coefficients of every output as text."""
-        return "\n\n".join(_block(one, self.level) for one in self.outputs)
+        blocks = [_block(one, self.level) for one in self.outputs]
+        gains = ["\n".join(map(str, self.gains))] if self.gains else []
+        return "\n\n".join([*blocks, *gains])
 
     def __str__(self) -> str:
         return self.table
@@ -163,7 +171,8 @@ class Diagnostics:
             values["found"] = one.found(self.level)
             values["effects"], values["strong"] = one.effects, one.strong(self.level)
             outputs[one.output.name] = values
-        return {"lags": self.lags, "level": self.level, "outputs": outputs}
+        found = {"lags": self.lags, "level": self.level, "outputs": outputs}
+        return found | {"gains": strict(self.gains)}
 
 
 def _remark(test: LagTest) -> str:

@@ -83,6 +83,9 @@ class Report:
     over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
     """Two channels over which the error is mapped, lagged ones as 'speed[t-1]';
     default: the two that schedule most."""
+    within: Annotated[float | None, optional("TOLERANCE")] = None
+    """Tolerance of the free-run error in the unit of the outputs, such as 10: the
+    report tells the share of the samples that keep it."""
     no_limits: Flag = False
     """Hold neither inputs nor outputs to their trained ranges, whatever MODEL says."""
     outside: Outside = None

@@ -202,21 +202,24 @@ def _hatch(axes: Axes, value: Any) -> None:
 def error_by_index(value: Any, edges: Sequence[float]) -> Figure:
     """Free-run error over the index of the domain; the line is its border.
 
-    `value` is an `ErrorByIndex`, `edges` are the borders of its bins, the last without
-    an end.
+    All bins are as wide; one with too few samples for an error says so. `value` is an
+    `ErrorByIndex`, `edges` are the borders of its bins, the last without an end.
     """
     unit = f" [{plain(value.unit)}]" if value.unit else ""
-    ends = [*edges[:-1], 2 * edges[-2]]
+    bins, border = len(value.rms), list(edges).index(1.0)
+    ends = np.arange(bins + 1)
+    few = np.isnan(value.rms) & (value.samples > 0)
     with styled():
         figure, (left, right) = canvas(9.0, 2.8, columns=2)
         left.stairs(np.nan_to_num(value.rms), ends, fill=True, color=BLUE, alpha=0.75)
+        for n in np.flatnonzero(few):
+            left.annotate("few", (n + 0.5, 0), ha="center", va="bottom", fontsize=7)
         right.stairs(value.samples, ends, fill=True, color=BLUE, alpha=0.75)
-        seen = np.flatnonzero(value.samples)
-        last = ends[int(seen[-1]) + 1] if len(seen) else ends[-1]
         for ax, label in ((left, "RMSE" + unit), (right, "samples")):
-            ax.axvline(1.0, color=INK, lw=0.8)
+            ax.axvline(border, color=INK, lw=0.8)
             ax.set(xlabel="index, one at the border", ylabel=label)
-            ax.set_xlim(0, max(last, 1.5))
+            ax.set_xticks(ends[:-1], [f"{edge:g}" for edge in edges[:-1]])
+            ax.set_xlim(0, bins)
         right.set_yscale("symlog", linthresh=10)
     return figure
 
@@ -250,6 +253,22 @@ def agreement(
             xlabel="residual" + (f" [{plain(unit)}]" if unit else ""),
             ylabel="samples",
         )
+    return figure
+
+
+def cumulated_errors(value: Any) -> Figure:
+    """Share of the samples over the size of their error, of an `ErrorDistribution`; a
+    line marks 95 %, another the tolerance."""
+    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    with styled():
+        figure, (axes,) = canvas(9.0, 2.6)
+        axes.plot(value.size, 100 * value.share, color=BLUE)
+        axes.plot([value.most] * 2, [0, 95], color=INK, lw=0.8, ls="--")
+        if value.tolerance is not None and value.tolerance <= value.largest:
+            axes.axvline(value.tolerance, color=ORANGE, lw=1.2)
+        axes.set(xlabel="size of the error" + unit, ylabel="samples up to it [%]")
+        axes.set_xlim(0, value.largest or 1.0)
+        axes.set_ylim(0, 101)
     return figure
 
 

@@ -25,12 +25,14 @@ from matplotlib.figure import Figure
 from jaxnarx.evaluation import Report, Row, region_sentence
 from jaxnarx.evaluation.domain_errors import EDGES
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
+from jaxnarx.evaluation.table import data_of
 from jaxnarx.files import write_whole
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.style import inline_svg
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import running
+from jaxnarx.shown import ratio_text, span_text
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
@@ -63,9 +65,10 @@ def render(report: Report) -> str:
         undefined=jinja2.StrictUndefined,
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
     )
-    environment.filters |= {"figure": figure_text, "term": term_html}
+    environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
+    environment.filters |= {"data_of": data_of, "ratio": _ratio}
     live = running(report)
-    return environment.get_template("report.html.jinja").render(
+    page = environment.get_template("report.html.jinja").render(
         report=report,
         running=live,
         needed=_needed(report),
@@ -79,6 +82,7 @@ def render(report: Report) -> str:
         max_records=MAX_RECORDS,
         fitted=FITTED,
     )
+    return _with_contents(page)
 
 
 def _needed(report: Report) -> list[str]:
@@ -112,6 +116,18 @@ def figure_text(value: float | None, digits: int = 4) -> Markup:
     if exponent:
         text += f"&thinsp;·&thinsp;10<sup>{str(int(exponent)).replace('-', '−')}</sup>"
     return Markup(text)
+
+
+def _ratio(value: float | None) -> Markup:
+    """An NRMSE: `1.00` for 1."""
+    if value is not None and f"{value:.3g}" in map(str, range(1, 100)):
+        return Markup(ratio_text(value))
+    return figure_text(value, 3)
+
+
+def _span(stretch: Any) -> tuple[str, str]:
+    """Begin and end of a stretch of time."""
+    return span_text(stretch.start, stretch.end)
 
 
 def term_html(name: str) -> Markup:
@@ -229,6 +245,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "maps": [(m.output, figures.report.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
+        "errors": [
+            (one.output, figures.report.cumulated_errors(one))
+            for one in report.distributions
+        ],
         "selection": [
             (title, _selection(item))
             for title, item in _by_output(report.selection, "names")
@@ -318,11 +338,61 @@ def _by_output(
     return [("", value)] if key in value else list(value.items())
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+SEEN = {
+    "dead_time": "dead time in samples:",
+    "rise": "rise time in samples:",
+    "memory": "memory in samples:",
+    "few_levels": "inputs of few values:",
+    "every": "of the samples used every",
+}
+"""What a search has seen in the data, in words."""
+
+
+def _flat(value: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A line for every entry, and for every part of one that has parts."""
     rows = []
     for key, item in value.items():
-        if isinstance(item, Mapping):
-            rows += _flat(item, f"{prefix}{key}: ")
+        parts = item if isinstance(item, Mapping) else {}
+        if parts and all(isinstance(part, Mapping) for part in parts.values()):
+            rows += [(f"{key}, {name}", _told(part)) for name, part in parts.items()]
         else:
-            rows.append((f"{prefix}{key}", _words(item)))
+            rows.append((key, _told(parts) if parts else _words(item)))
     return rows
+
+
+def _told(item: Mapping[str, Any]) -> str:
+    """`dead time in samples: speed 2, load 0; memory in samples: 40`."""
+    known = {SEEN.get(key, key): _words(part) for key, part in item.items()}
+    return "; ".join(f"{key} {words or 'none'}" for key, words in known.items())
+
+
+CONTENTS = "<!-- contents -->"
+"""Where the table of contents stands."""
+
+
+def _with_contents(page: str) -> str:
+    """The page with a link to every heading behind the first lines.
+
+    Headings are texts of the templates; nothing of them comes from data.
+    """
+    top, mark, body = page.partition(CONTENTS)
+    if not mark:
+        return page
+    body, script, scripts = body.partition("<script")
+    titles: list[str] = []
+
+    def numbered(found: re.Match[str]) -> str:
+        titles.append(found[1])
+        return f'<h2 id="section-{len(titles)}">{found[1]}</h2>'
+
+    body = re.sub(r"<h2>([^<]*)</h2>", numbered, body)
+    links = [
+        f'<a href="#section-{n}"{LIVE if title == TRY else ""}>{title}</a>'
+        for n, title in enumerate(titles, 1)
+    ]
+    contents = f'<nav class="contents" aria-label="Contents">{" ".join(links)}</nav>'
+    return top + contents + body + script + scripts
+
+
+TRY, LIVE = "Try the model", ' class="live"'
+"""The section that needs scripts, and how it is hidden without them."""

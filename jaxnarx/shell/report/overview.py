@@ -59,7 +59,7 @@ def _trust(report: Report, row: Row) -> dict[str, Any]:
         "diverged": sum(r.diverged for r in single),
         "limited": row.limited / samples,
         "held": row.held / samples,
-        "extrapolated": row.extrapolated / samples,
+        "extrapolated": row.share_outside,
     }
 
 

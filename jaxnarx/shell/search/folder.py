@@ -94,31 +94,40 @@ def scored_parts(
 def rivals(
     found: SearchFolder, outputs: Sequence[str], taken: Mapping[str, int]
 ) -> dict[str, Network]:
-    """Other candidates to compare a model of the search with: the best that is linear,
-    and the best that is not and of another family than the one in use."""
+    """Other candidates to compare a model of the search with: the first linear one of
+    its leaderboard and the first nonlinear one, neither of the family in use.
+
+    Their names say so: on test records another candidate may be better.
+    """
     tables = [described(found.leaderboard, n, taken.get(n))["rows"] for n in outputs]
-    numbers: dict[str, list[int]] = {"best linear candidate": [], "runner-up": []}
-    for rows in tables:
-        used = next((row["family"] for row in rows if row["used"]), None)
-        good = [
+    networks = {}
+    for linear, kind in ((True, "linear"), (False, "nonlinear")):
+        firsts = [_first_of(rows, linear) for rows in tables]
+        numbers = [row["number"] for row in firsts if row is not None]
+        if len(numbers) < len(outputs) or not all(
+            found.model_path(number).is_file() for number in numbers
+        ):
+            continue
+        same = any(row["used"] and row["linear"] is linear for t in tables for row in t)
+        name = f"first {kind} candidate" + same * " of another family"
+        some = [found.network(number) for number in numbers]
+        networks[name] = narrowed(some[0] if len(some) == 1 else merged(some))
+    return networks
+
+
+def _first_of(rows: list[dict[str, Any]], linear: bool) -> dict[str, Any] | None:
+    """The first row of that kind that is not of the family in use."""
+    used = {row["family"] for row in rows if row["used"]}
+    return next(
+        (
             row
             for row in rows
-            if row["free_run"] is not None
-            and not row["used"]
-            and row["family"] != used
-            and found.model_path(row["number"]).is_file()
-        ]
-        for name, linear in zip(numbers, (True, False), strict=True):
-            numbers[name] += [r["number"] for r in good if r["linear"] is linear][:1]
-    networks = {
-        name: [found.network(n) for n in some]
-        for name, some in numbers.items()
-        if some and len(some) == len(outputs)
-    }
-    return {
-        name: narrowed(some[0] if len(some) == 1 else merged(some))
-        for name, some in networks.items()
-    }
+            if row["linear"] is linear
+            and row["free_run"] is not None
+            and row["family"] not in used
+        ),
+        None,
+    )
 
 
 def scored(

@@ -8,11 +8,17 @@ from jaxnarx.shown import aligned
 
 TOP = 10
 """Candidates that the end of a search shows of every output."""
-LINEAR = 2
-"""Linear ones that it shows in any case."""
 HEAD = (
-    "rank number family free_run worst_group one_step operations parameters s name"
+    "rank number family free_run above_best worst_group one_step operations parameters "
+    "s name"
 ).split()
+LEGEND = (
+    "free run: NRMSE on records left out ± its standard error over groups; above best: "
+    "difference to the first ± its own standard error, group by group;",
+    "operations: one sample of the model alone, without domain index and intervals. "
+    "Words of the names: docs, Reference, Leaderboard.",
+)
+"""Lines under a table."""
 LEFT = {"family", "name", "worst_group"}
 WIDEST = 76
 """Characters of the last cell."""
@@ -41,26 +47,33 @@ def _name(row: Contender) -> str:
     return f"{row.name} ({row.detail})" if row.detail else row.name
 
 
-def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
+def table(
+    board: Leaderboard, output: str, *, top: int | None = None, command: str = ""
+) -> str:
     """The candidates of an output, best first; the one in use has a star.
 
-    With `top` only so many of the first, the one in use and the best linear ones.
+    With `top` only so many: the first ones, and among them the one in use and the
+    best linear one; `command` shows the others.
     """
     rows = described(board, output)["rows"]
-    linear = [r["rank"] for r in rows if r["linear"]][:LINEAR]
-    shown = [
-        r
-        for r in rows
-        if top is None or r["rank"] <= top or r["used"] or r["rank"] in linear
-    ]
+    shown = rows if top is None else _first(rows, top)
     text = aligned([HEAD, *map(_cells, shown)], [name in LEFT for name in HEAD])
     text[0] = text[0].replace("_", " ")
     marks = [" ", *("*" if r["used"] else " " for r in shown)]
     left = len(rows) - len(shown)
-    more = [f"  and {left} more"] if left else []
+    more = [f"  and {left} more" + (f": {command}" if command else "")] if left else []
     return "\n".join(
         [f"{m} {line}" for m, line in zip(marks, text, strict=True)] + more
     )
+
+
+def _first(rows: list[dict[str, Any]], top: int) -> list[dict[str, Any]]:
+    """So many: the one in use, the best linear one, and the first of the others."""
+    kept = [r["rank"] for r in rows if r["used"]]
+    kept += [r["rank"] for r in rows if r["linear"]][:1]
+    first = [r["rank"] for r in rows if r["rank"] not in kept]
+    chosen = {*kept, *first[: top - len(set(kept))]}
+    return [r for r in rows if r["rank"] in chosen]
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
@@ -76,12 +89,20 @@ def _cells(table: dict[str, Any]) -> list[str]:
         str(row.number),
         _cut(row.family, 23),
         figure(row),
+        _above(table),
         worst,
         "" if row.one_step is None else f"{row.one_step:.3g}",
         *("" if n is None else str(n) for n in numbers),
         f"{row.seconds:.1f}",
         _cut(_name(row), WIDEST),
     ]
+
+
+def _above(table: dict[str, Any]) -> str:
+    """`0.003 ± 0.002` above the best."""
+    if table["above_best"] is None:
+        return ""
+    return f"{table['above_best']:.2g} ± {table['above_best_standard_error']:.2g}"
 
 
 _FIELDS = {field.name for field in dataclasses.fields(Contender)}

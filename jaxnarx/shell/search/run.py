@@ -21,6 +21,7 @@ from jaxnarx.shell.judged import judged, require_finite
 from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
 from jaxnarx.shell.output import RUN, run_folder, slug
 from jaxnarx.shell.remedies import next_search
+from jaxnarx.shell.report.page import exported_cost
 from jaxnarx.shell.search.folder import (
     CSV,
     ORIGIN,
@@ -32,7 +33,7 @@ from jaxnarx.shell.search.folder import (
     training,
     write_run,
 )
-from jaxnarx.shell.search.leaderboard import TOP, table
+from jaxnarx.shell.search.leaderboard import LEGEND, TOP, table
 from jaxnarx.shell.search.progress import duration, search_progress
 from jaxnarx.solution import Solution
 
@@ -68,11 +69,10 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         files = write_run(folder, network, result, about, board)
     say("\n" + first_lines(result))
     say("\n" + summary(result))
-    _tell(board, network)
     say(
         f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
     )
-    say(f"All candidates: jaxnarx leaderboard {folder}")
+    _tell(board, network, quoted(["jaxnarx", "leaderboard", str(folder)]))
     _tell_end(fit, stopped)
     _left(asked, train.channels, network)
     say(f"\nOpen {folder / 'report.html'}")
@@ -166,13 +166,17 @@ def _kept(folder: Path) -> None:
         say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
 
 
-def _tell(board: Leaderboard, network: Network) -> None:
-    """The table of every output, the choice and why."""
+def _tell(board: Leaderboard, network: Network, command: str) -> None:
+    """The first rows of every output, the choice and why; `command` shows all."""
     for output in network.output_names:
         say(f"\n{output}: free run on records left out, NRMSE")
-        say(table(board, output, top=TOP))
+        say(table(board, output, top=TOP, command=command))
         for sentence in sentences(board, output):
             say(sentence)
+    say("\n" + "\n".join(LEGEND))
+    say(f"All candidates: {command}")
+    if cost := exported_cost(network):
+        say(f"The exported model takes {cost}")
 
 
 def _tell_end(fit: Solution[Network], stopped: bool) -> None:

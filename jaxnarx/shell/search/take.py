@@ -27,7 +27,7 @@ from jaxnarx.shell.search.folder import (
     training,
     write_run,
 )
-from jaxnarx.shell.search.leaderboard import table
+from jaxnarx.shell.search.leaderboard import LEGEND, table
 from jaxnarx.trust import knowing, released
 
 
@@ -45,6 +45,8 @@ def show(command: Leaderboard) -> int:
         say(table(board, output))
         for sentence in sentences(board, output):
             say(sentence)
+    if len(board):
+        say("\n" + "\n".join(LEGEND))
     return 0
 
 

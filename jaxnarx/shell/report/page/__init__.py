@@ -2,4 +2,5 @@
 
 from jaxnarx.shell.report.page.records import Budget as Budget
 from jaxnarx.shell.report.page.running import Running as Running
+from jaxnarx.shell.report.page.running import exported_cost as exported_cost
 from jaxnarx.shell.report.page.running import running as running

@@ -86,7 +86,11 @@ class Page {
   told(shown, stretch) {
     const error = rootMeanSquare(shown.sampled ? shown.residual[this.view.output] : []);
     const unit = this.report.outputs[this.view.output].unit;
-    const words = [`${shown.record.samples} samples`];
+    const counted = (number) => `${number} sample${number === 1 ? "" : "s"}`;
+    const words = [counted(shown.record.samples)];
+    const scored = shown.sampled ? shown.residual[this.view.output].filter(Number.isFinite).length
+      : shown.record.samples;
+    if (scored && scored !== shown.record.samples) words.push(`${counted(scored)} scored`);
     if (Number.isFinite(error)) words.push(`RMSE ${short(error)}${unit ? ` ${unit}` : ""}`);
     if (shown.outside && shown.sampled) {
       const share = shown.outside.filter((v) => v > 1).length / shown.outside.length;
@@ -186,7 +190,9 @@ class Page {
     const surface = new Surface({
       first: byId("surface-first"), second: byId("surface-second"), output: byId("surface-output"),
       canvas: byId("surface"), told: byId("surface-told"), scale: byId("surface-scale"),
-      across: byId("surface-across"), up: byId("surface-up"),
+      across: byId("surface-across"), up: byId("surface-up"), left: byId("surface-left"),
+      below: byId("surface-below"), low: byId("surface-low"), high: byId("surface-high"),
+      ramp: byId("surface-ramp"), map: byId("surface-map"), curve: byId("surface-curve"),
     }, program, bench);
     byId("surface-box").hidden = program.inputs.length < 1;
     let waiting = null;
@@ -227,7 +233,7 @@ async function begin() {
   const report = JSON.parse(byId("report-data").textContent);
   const program = programOf(report);
   const page = new Page(report, program);
-  window.jaxnarx = { page, program, report, freeRun, settle, stepResponse, parseCsv, runOfFile };
+  window.jaxnarx = { page, program, report, freeRun, settle, stepResponse, parseCsv, runOfFile, tickText };
   document.documentElement.classList.add("running");
   byId("view").hidden = false;
   await page.open(page.worst());

@@ -42,6 +42,8 @@ class Running:
     policy: str
     told: str
     has_model: bool
+    cost: str
+    """Operations of the exported model in words."""
 
 
 def running(report: Report) -> Running:
@@ -66,7 +68,15 @@ def running(report: Report) -> Running:
         policy,
         told,
         program is not None,
+        "" if program is None else program.cost,
     )
+
+
+def exported_cost(network: Any) -> str:
+    """Operations of a sample of exported code, with the domain index and without; empty
+    of what cannot be exported."""
+    program = _program(network)
+    return "" if program is None else program.cost
 
 
 def model_script(program: SampleProgram) -> str:

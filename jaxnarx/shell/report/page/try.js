@@ -99,8 +99,7 @@ class Bench {
     this.charts.forEach((chart) => chart.destroy());
     const { time, outputs } = this.found;
     this.charts = this.program.reported.map((port, o) => {
-      const axis = { stroke: colour("soft"), font: "12px system-ui", labelFont: "12px system-ui",
-        grid: { stroke: colour("grid"), width: 0.5 }, ticks: { stroke: colour("grid"), width: 0.5 } };
+      const axis = axisLook();
       const range = (u, low, high) => {
         const least = 1e-3 * (port.high - port.low || 1), room = Math.max(high - low, least);
         return [low - 0.08 * room, high + 0.08 * room];

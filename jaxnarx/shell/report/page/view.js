@@ -70,16 +70,13 @@ class View {
 
   chart(place, lines, label, height, inner, half) {
     const { time } = this.shown;
-    const axis = {
-      stroke: colour("soft"), font: "12px system-ui", labelFont: "12px system-ui",
-      grid: { stroke: colour("grid"), width: 0.5 }, ticks: { stroke: colour("grid"), width: 0.5 },
-    };
+    const axis = axisLook();
     const bands = half ? [{ series: [1, 2], fill: `${colour("blue")}30` }] : [];
     const options = {
       width: Math.max(place.clientWidth, 200), height, legend: { show: false }, bands,
       cursor: { sync: { key: this.key.key, scales: ["x", null] }, drag: { x: true, y: false, setScale: true },
         focus: { prox: 1e9 }, bind: { dblclick: () => () => { this.reset(); return null; } } },
-      scales: { x: { time: false }, y: { range: (u) => this.bounds(u, inner, label) } },
+      scales: { x: { time: false }, y: { range: (u) => this.bounds(u, inner, label, half) } },
       axes: [{ ...axis, size: 34, label: place === this.place.inputs ? "time [s]" : undefined,
         labelSize: 20 },
         { ...axis, size: 62, label, labelSize: 18 }],
@@ -101,7 +98,7 @@ class View {
 
   /* The span of what is measured and simulated within the view; other models, and a run
      that leaves widely, may leave the frame. */
-  bounds(chart, inner, label) {
+  bounds(chart, inner, label, half) {
     const [from, to] = chart.series[0].idxs || [0, this.shown.time.length - 1];
     let low = Infinity, high = -Infinity, base = [Infinity, -Infinity];
     inner.forEach((values, n) => {
@@ -119,6 +116,19 @@ class View {
       low = Math.max(low, base[0] - room);
       high = Math.min(high, base[1] + room);
     }
+    /* The interval lies about the last of the inner lines, or about a residual of zero. */
+    const ends = [low, high];
+    const middle = inner.length > 1 ? inner[inner.length - 1] : null;
+    for (let t = from; half && t <= to; t++) {
+      const v = middle ? middle[t] : 0;
+      if (!Number.isFinite(v) || !Number.isFinite(half[t])) continue;
+      const kept = Math.max(low, Math.min(high, v));
+      ends[0] = Math.min(ends[0], kept - half[t]);
+      ends[1] = Math.max(ends[1], kept + half[t]);
+    }
+    /* One that widens at a few samples does not press all else flat. */
+    low = Math.max(ends[0], low - room);
+    high = Math.min(ends[1], high + room);
     const edge = 0.06 * (high - low || room);
     return [low - edge, high + edge];
   }
@@ -279,8 +289,13 @@ class View {
     if (this.shown.limited[this.output]?.some((v) => v > 0.5)) {
       places.append(this.note("red", "feedback limited", true));
     }
-    const inputs = this.scaledInputs().map(([name, , look]) => {
-      const note = this.note(look[0], name);
+    const ends = (n) => {
+      const { low, high, unit } = this.report.signals[n];
+      const of = unit && unit !== "-" && unit !== "1" ? ` ${unit}` : "";
+      return `${short(low, 3)} to ${short(high, 3)}${of}`;
+    };
+    const inputs = this.scaledInputs().map(([name, , look], n) => {
+      const note = this.note(look[0], `${name}, 0 to 100 %: ${ends(n)}`);
       this.values[`input ${name}`] = note.appendChild(make("b"));
       return note;
     });
@@ -313,7 +328,7 @@ class View {
       if (place) place.textContent = short(shown.inputs[n][at]);
     });
     const index = shown.outside ? `, index ${short(shown.outside[at], 3)}` : "";
-    this.place.cursor.textContent = `${short(shown.time[at])} s: residual `
+    this.place.cursor.textContent = `${tickText(shown.time[at], this.report.sample_time)} s: residual `
       + `${short(shown.residual[o][at])}${index}`;
   }
 }

@@ -1,0 +1,78 @@
+"""How large free-run errors are: the largest, 95 % of them, and the whole curve."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Channel
+from jaxnarx.evaluation.rows import ScoredSamples
+from jaxnarx.evaluation.table import number
+from jaxnarx.shown import page
+
+POINTS = 201
+"""Of the cumulated curve."""
+MOST = 0.95
+"""Share of the samples whose error is told beside the largest."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ErrorDistribution:
+    """Sizes of the free-run error of one output on the main part, in its unit.
+
+    The share `share[n]` of the samples has an error of at most `size[n]`; the largest
+    is the last. `within` is the share of those up to the `tolerance` that was asked
+    for. Records that diverged are left out, and counted in no share.
+    """
+
+    output: str
+    unit: str
+    samples: int
+    share: Float[np.ndarray, " points"]
+    size: Float[np.ndarray, " points"]
+    tolerance: float | None = None
+    within: float | None = None
+
+    @property
+    def largest(self) -> float:
+        """The largest error."""
+        return float(self.size[-1])
+
+    @property
+    def most(self) -> float:
+        """The error that 95 % of the samples do not exceed."""
+        return float(np.interp(MOST, self.share, self.size))
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
+        text = (
+            f"{self.output}: {MOST:.0%} of the errors up to "
+            f"{number(self.most, '.3g')}{unit}, the largest "
+            f"{number(self.largest, '.3g')}{unit}"
+        )
+        if self.within is None or self.tolerance is None:
+            return text
+        return f"{text}; {self.within:.1%} within {self.tolerance:g}{unit}"
+
+    _repr_html_ = page
+
+
+def error_distribution(
+    channel: Channel, free: list[ScoredSamples], tolerance: float | None
+) -> ErrorDistribution | None:
+    """Of one output; None where no record that stayed bounded counts."""
+    errors = [
+        np.abs(one.measured - one.predicted)[one.scored]
+        for one in free
+        if not one.diverged and one.scored.any()
+    ]
+    if not errors:
+        return None
+    size = np.sort(np.concatenate(errors))
+    share = np.linspace(0.0, 1.0, min(POINTS, len(size)))
+    if len(size) == 1:
+        share = np.array([1.0])
+    curve = np.quantile(size, share)
+    within = None if tolerance is None else float(np.mean(size <= tolerance))
+    name = channel.name, channel.unit, len(size)
+    return ErrorDistribution(*name, share, curve, tolerance, within)
