@@ -1,4 +1,5 @@
-"""Files that appear whole or not at all, whatever else writes beside them."""
+"""Files that appear whole or not at all, whatever else writes beside them, and text
+that is safe in them."""
 
 import contextlib
 import errno
@@ -34,6 +35,11 @@ def write_whole(path: Path, data: bytes, *, replace: bool = True) -> bool:
             temporary.unlink(missing_ok=True)
     _settle(path.parent)
     return placed
+
+
+def cell(text: str) -> str:
+    """Text that a spreadsheet will not take for a formula."""
+    return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
 
 
 def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:

@@ -24,10 +24,10 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import SpecError
+from jaxnarx.files import cell
 from jaxnarx.models import hold_to_range, load, save
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.formats import cell
 from jaxnarx.shell.output import file_names, slug
 
 ROWS = 240
