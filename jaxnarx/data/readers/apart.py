@@ -105,6 +105,8 @@ class Apart:
         """What `function(path, **given)` of a reader answers in the process."""
         request = {"module": module, "function": function, "path": str(path)}
         request |= {"given": given, "folder": self._folder.name}
+        if not path.is_absolute():  # the process began where we may be no longer
+            request["working_folder"] = os.getcwd()
         process = self._running()
         self._clear()
         assert process.stdin is not None and process.stdout is not None
@@ -213,6 +215,8 @@ def serve() -> None:
 
 
 def _answer(request: dict[str, Any]) -> Any:
+    if "working_folder" in request:
+        os.chdir(request["working_folder"])
     module = importlib.import_module(f"jaxnarx.data.readers.{request['module']}")
     _bound(OWN + float(request["given"].get("max_bytes", 0.0)))
     function = getattr(module, request["function"])
