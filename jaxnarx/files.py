@@ -42,6 +42,11 @@ def cell(text: str) -> str:
     return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
 
 
+def encodable(text: str) -> str:
+    """Text as UTF-8 has it, with escapes for the rest (odd bytes of file names)."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
     """What to tell where `path` cannot be written; `kept` is a sentence on the rest."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

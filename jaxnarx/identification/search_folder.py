@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
-from jaxnarx.files import unwritable, write_whole
+from jaxnarx.files import encodable, unwritable, write_whole
 from jaxnarx.guard import is_fit
 from jaxnarx.identification.leaderboard import LARGEST, Contender, Leaderboard
 from jaxnarx.models import Network, load, save
@@ -177,7 +177,7 @@ def _board(file: Path, told: Mapping[str, Any]) -> Leaderboard:
     rows: dict[int, Contender] = {}
     for place, table in enumerate(told["rows"], 1):
         try:
-            row = Contender.from_dict(table)
+            row = Contender.from_dict(_encodable(table))
             if row.number in rows:
                 raise SpecError(f"number {row.number} is taken by a row before")
             if len(row.groups) != len(names) and (row.groups or row.eligible):
@@ -189,7 +189,14 @@ def _board(file: Path, told: Mapping[str, Any]) -> Leaderboard:
                 path=file,
             ) from error
         rows[row.number] = row
-    return Leaderboard(tuple(rows.values()), tuple(names), rule)
+    return Leaderboard(tuple(rows.values()), tuple(map(encodable, names)), rule)
+
+
+def _encodable(table: Any) -> Any:
+    """A row of a file, its texts such as every file can hold."""
+    if not isinstance(table, dict):
+        return table
+    return {k: encodable(v) if isinstance(v, str) else v for k, v in table.items()}
 
 
 def _finite(row: Contender) -> Contender:

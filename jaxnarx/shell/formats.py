@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxnarx.errors import DataFileError
-from jaxnarx.files import cell
+from jaxnarx.files import cell, encodable
 
 
 class Values(NamedTuple):
@@ -98,7 +98,7 @@ def _mf4(path: Path, columns: Mapping[str, Values], sample_time: float) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8, with escapes for what it does not have (odd bytes of file names)."""
-    path.write_bytes(text.encode("utf-8", "backslashreplace"))
+    path.write_bytes(encodable(text).encode("utf-8"))
 
 
 def table_csv(header: list[str], columns: list[list]) -> str:
