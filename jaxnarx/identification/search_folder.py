@@ -10,12 +10,14 @@ to another search, whose candidates would not compare with these.
 
 import dataclasses
 import json
+import os
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
-from jaxnarx.files import encodable, unwritable, write_whole
+from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
 from jaxnarx.guard import is_fit
 from jaxnarx.identification.leaderboard import LARGEST, Contender, Leaderboard
 from jaxnarx.models import Network, load, save
@@ -32,6 +34,8 @@ class SearchFolder:
     path: Path
     key: Mapping[str, Any]
     leaderboard: Leaderboard
+    lock: "FolderLock | None" = dataclasses.field(default=None, compare=False)
+    """Keeps other processes out for as long as the search is held somewhere."""
 
     def model_path(self, number: int) -> Path:
         """Where the model of a candidate is, or would be."""
@@ -123,9 +127,9 @@ def open_search(
 
     `leaderboard` has the names of the groups and the rule of the choice; rows that are
     on the disk already come with the result. SpecError where the folder holds a search
-    with another key.
+    with another key, or another process searches there.
     """
-    new = SearchFolder(path, _plain(key), leaderboard)
+    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES))
     if not (path / NAME).is_file():
         new.write()
         return new
@@ -144,6 +148,37 @@ def open_search(
     return dataclasses.replace(
         new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
     )
+
+
+class FolderLock:
+    """The lock of this process on a folder; it ends with the last who holds it."""
+
+    def __init__(self, place: Path):
+        try:
+            handle = lock_folder(place)
+        except BlockingIOError:
+            raise SpecError(
+                f"another process searches in {place.parent}; wait until it is done, "
+                "or choose another folder",
+                field="folder",
+            ) from None
+        if handle is not None:
+            weakref.finalize(self, os.close, handle)
+
+
+_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+"""Those of this process, which may open a folder again."""
+
+
+def _lock(place: Path) -> FolderLock:
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(place, error) from error
+    known = place.resolve()
+    lock = _LOCKS.get(known) or FolderLock(place)
+    _LOCKS[known] = lock
+    return lock
 
 
 def lost(folder: SearchFolder, row: Contender) -> bool:

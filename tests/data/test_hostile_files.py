@@ -1,6 +1,5 @@
 """Small files that would take all memory, read other files or run their own text."""
 
-import resource
 import subprocess
 import sys
 import zipfile
@@ -179,7 +178,11 @@ def test_no_other_formula_is_read(formula):
 
 # Limits of memory ---------------------------------------------------------------------
 
-READ = """
+LIMIT = 4 * 10**9
+"""Bytes of addresses; libraries reserve many that they never use."""
+READ = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_AS, ({LIMIT}, {LIMIT}))
 import numpy as np
 from pathlib import Path
 from jaxnarx.data.readers import contents
@@ -190,12 +193,10 @@ print(contents(Path("a.npz"), Asked())[0].rows)
 
 def test_a_hard_limit_of_memory_that_is_there_already_is_kept(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.arange(7.0))
-    limit = 4 * 10**9  # bytes; libraries reserve addresses that they never use
     done = subprocess.run(
         [sys.executable, "-c", READ],
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
     )
     assert done.stdout.strip() == "7", done.stderr

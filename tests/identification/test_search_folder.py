@@ -3,12 +3,14 @@
 import dataclasses
 import json
 import math
+import subprocess
 
 import numpy as np
 import pytest
 from identify_problems import engine
 from search_fakes import board, fitted, row
 
+from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError
 from jaxnarx.identification import Leaderboard, read_search
 from jaxnarx.identification.search_folder import open_search
@@ -110,3 +112,25 @@ def test_a_model_of_another_output_is_refused(tmp_path, network):
     folder = open_search(tmp_path, KEY, EMPTY).added(row(1, output="w"), network)
     with pytest.raises(DataFileError, match="candidate 2 is of w, but its model .* y"):
         folder.network(2)
+
+
+def test_another_process_is_kept_out_until_the_search_is_let_go(tmp_path):
+    code = f"""
+from pathlib import Path
+from jaxnarx.identification import Leaderboard
+from jaxnarx.identification.search_folder import open_search
+held = open_search(Path({str(tmp_path)!r}), {{}}, Leaderboard(())).added
+print("held", flush=True)
+input()
+"""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    environment = python_environment()
+    with subprocess.Popen(python_command(code), env=environment, **pipes) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(SpecError, match="another process searches in"):
+            open_search(tmp_path, {}, EMPTY)
+        assert not len(read_search(tmp_path).leaderboard)
+        other.kill()
+    first = open_search(tmp_path, {}, EMPTY)
+    assert open_search(tmp_path, {}, EMPTY).lock is first.lock
