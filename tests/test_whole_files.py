@@ -66,8 +66,9 @@ def test_a_temporary_folder_goes_with_its_owner(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "FRESH", 0.0)
     code = "from jaxnarx.files import TemporaryFolder as T; t = T(); input()"
     environment = python_environment({"TMPDIR": str(tmp_path)})
-    pipes = {"stdin": subprocess.PIPE, "env": environment}
-    with subprocess.Popen(python_command(code), **pipes) as other:
+    with subprocess.Popen(
+        python_command(code), env=environment, stdin=subprocess.PIPE
+    ) as other:
         while not list(tmp_path.iterdir()):
             time.sleep(0.01)
         (theirs,) = tmp_path.iterdir()

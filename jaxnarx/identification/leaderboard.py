@@ -83,7 +83,8 @@ class Contender:
         for name, value in table.items():
             require_fit("a candidate", name, value, fields[name].type)
             _require_figures(name, value)
-        return cls(**table | {"groups": tuple(table.get("groups", ()))})
+        own: dict[str, Any] = table | {"groups": tuple(table.get("groups", ()))}
+        return cls(**own)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -123,9 +123,12 @@ held = open_search(Path({str(tmp_path)!r}), {{}}, Leaderboard(())).added
 print("held", flush=True)
 input()
 """
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    environment = python_environment()
-    with subprocess.Popen(python_command(code), env=environment, **pipes) as other:
+    with subprocess.Popen(
+        python_command(code),
+        env=python_environment(),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
         with pytest.raises(SpecError, match="another process searches in"):
