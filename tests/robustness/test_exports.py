@@ -56,7 +56,7 @@ def any_network(rng):
     return set_nan_policy(net, nan, invalid_after=0.35), outside, nan
 
 
-def junk(rng, samples: int) -> np.ndarray:
+def junk(rng, samples: int, *, spikes: bool = True) -> np.ndarray:
     """Inputs with gaps, infinities and spikes: single ones and whole stretches."""
     u = common.signals(samples, int(rng.integers(1000)))[:, :2]
     gone = rng.uniform(size=u.shape) < pick(rng, (0.0, 0.01, 0.3))
@@ -64,8 +64,8 @@ def junk(rng, samples: int) -> np.ndarray:
         first = int(rng.integers(0, samples))
         gone[first : first + int(rng.integers(1, 40)), int(rng.integers(2))] = True
     u[gone] = rng.choice([*JUNK, -1e300, 1e30, -1e9], np.count_nonzero(gone))
-    spikes = rng.uniform(size=u.shape) < pick(rng, (0.0, 0.01))
-    u[spikes] = rng.choice([-1.0, 1.0, 1e3, -1e5], np.count_nonzero(spikes))
+    high = rng.uniform(size=u.shape) < spikes * pick(rng, (0.0, 0.01))
+    u[high] = rng.choice([-1.0, 1.0, 1e3, -1e5], np.count_nonzero(high))
     return u
 
 
@@ -98,17 +98,16 @@ def test_every_target_holds_flags_and_forgets_junk(battery, tmp_path):
 
 
 def test_c_flags_what_is_missing_and_recovers(battery, tmp_path):
-    """All flags are those of held inputs, but for the missing ones; spikes are
-    forgotten."""
+    """Flags count what is missing; behind it outputs are as if it had never been."""
 
     def attempt(rng):
-        # others of the catalogue have rests of their own far outside their range
         net = narrowed(NETWORKS["filters"](), pick(rng, OUTSIDE))
         net = set_nan_policy(net, pick(rng, ("hold", NAN)), invalid_after=0.35)
         folder = tmp_path / str(rng.integers(2**60))  # a library is loaded once
         folder.mkdir()
         code = Compiled(net, folder)
-        u = junk(rng, 700)
+        # behind numbers that a sensor may give these toys rest where those led them
+        u = junk(rng, 700, spikes=False)
         u[-400:] = np.clip(common.signals(400, 5)[:, :2], *0.2 * np.array([[-1], [1]]))
         gone = absent(u, net)
         runs = []
