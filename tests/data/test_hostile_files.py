@@ -133,6 +133,16 @@ def test_repeated_cells_of_opendocument_are_counted(tmp_path, monkeypatch):
     refused(path, "far more")
 
 
+def test_a_cell_behind_empty_ones_of_opendocument_counts_them(tmp_path):
+    path, cell = tmp_path / "a.ods", '<table:table-cell office:value-type="float"/>'
+    empty = '<table:table-cell table:number-columns-repeated="99"/>'
+    behind = '<table:table-row table:number-rows-repeated="7"/>'
+    sheet = f"<table:table>{behind}<table:table-row>{empty}{cell}</table:table-row>"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("content.xml", f"{sheet}{behind}</table:table>" * 2)
+    assert count_cells(path) == 2 * 8 * 100
+
+
 # MDF ----------------------------------------------------------------------------------
 
 

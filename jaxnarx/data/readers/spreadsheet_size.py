@@ -14,7 +14,9 @@ from pathlib import Path
 _CHUNK, _OVERLAP = 1 << 20, 4096
 """Bytes of a part that are looked at together, and those looked at twice."""
 _PLACE = re.compile(rb'<(?:\w+:)?c [^>]*?r="([A-Z]{1,3})(\d{1,7})"')
-_OPEN = re.compile(rb"<table:table-(row|cell|covered-table-cell)\b([^>]*)>")
+_OPEN = re.compile(
+    rb"<table:(table|table-row|table-cell|covered-table-cell)(?=[\s/>])([^>]*)>"
+)
 _ROWS = re.compile(rb'number-rows-repeated="(\d+)"')
 _COLUMNS = re.compile(rb'number-columns-repeated="(\d+)"')
 
@@ -26,7 +28,7 @@ def count_cells(path: Path) -> int:
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         if "content.xml" in names:
-            return _repeated_cells(archive, "content.xml")
+            return _repeated_rectangles(archive, "content.xml")
         return sum(
             _rectangle(archive, name)
             for name in names
@@ -52,16 +54,21 @@ def _column_number(letters: bytes) -> int:
     return number
 
 
-def _repeated_cells(archive: zipfile.ZipFile, name: str) -> int:
-    """Cells with a value, each as often as it and its row are repeated."""
-    total, rows = 0, 1
+def _repeated_rectangles(archive: zipfile.ZipFile, name: str) -> int:
+    """Rows times columns up to the farthest cell with a value, over all sheets."""
+    total = row = rows = column = last_row = last_column = 0
     for chunk in _chunks(archive, name, overlap=0):
         for kind, attributes in _OPEN.findall(chunk):
-            if kind == b"row":
-                rows = _number(_ROWS, attributes)
-            elif b"value-type=" in attributes:
-                total += rows * _number(_COLUMNS, attributes)
-    return total
+            if kind == b"table":
+                total += last_row * last_column
+                row = rows = last_row = last_column = 0
+            elif kind == b"table-row":
+                row, rows, column = row + rows, _number(_ROWS, attributes), 0
+            else:
+                column += _number(_COLUMNS, attributes)
+                if b"value-type=" in attributes:
+                    last_row, last_column = row + rows, max(last_column, column)
+    return total + last_row * last_column
 
 
 def _number(pattern: re.Pattern[bytes], attributes: bytes) -> int:
