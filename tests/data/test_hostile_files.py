@@ -119,6 +119,14 @@ def test_cells_are_counted_across_pieces_of_a_sheet(tmp_path, monkeypatch):
         assert count_cells(path) == 3 * 7
 
 
+def test_rows_and_cells_that_tell_no_place_are_counted(tmp_path):
+    path = tmp_path / "a.xlsx"
+    rows = "<row r='700'><c/><c s=\"r\"/></row><row><c r = 'C701'/><c/></row><row/>"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", f"<sheetData>{rows}</sheetData>")
+    assert count_cells(path) == 701 * 4
+
+
 def test_repeated_cells_of_opendocument_are_counted(tmp_path, monkeypatch):
     path = tmp_path / "a.ods"
     row = '<table:table-row table:number-rows-repeated="%d">%s</table:table-row>'

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import shutil
 import sys
 from pathlib import Path
 
@@ -73,8 +72,7 @@ def test_every_target_holds_flags_and_forgets_junk(battery, tmp_path):
     def attempt(rng):
         net, outside, nan = any_network(rng)
         to, program = pick(rng, RUNNERS), lower(net, "m")
-        folder = tmp_path / "x"
-        shutil.rmtree(folder, ignore_errors=True)
+        folder = tmp_path / str(rng.integers(2**60))  # a library is loaded once
         folder.mkdir()
         found = export(net, to=[to], name="m", verify=False)
         for file, content in found.files.items():
@@ -103,7 +101,7 @@ def test_c_flags_what_is_missing_and_recovers(battery, tmp_path):
     def attempt(rng):
         net = narrowed(NETWORKS["filters"](), pick(rng, OUTSIDE))
         net = set_nan_policy(net, pick(rng, ("hold", NAN)), invalid_after=0.35)
-        folder = tmp_path / str(rng.integers(2**60))  # a library is loaded once
+        folder = tmp_path / str(rng.integers(2**60))
         folder.mkdir()
         code = Compiled(net, folder)
         # behind numbers that a sensor may give these toys rest where those led them
