@@ -17,7 +17,7 @@ class JaxnarxError(ValueError):
     """
 
     def __init__(self, message: str = ""):
-        super().__init__(_printable(message))
+        super().__init__(printable(_shortened(message)))
 
 
 class DataError(JaxnarxError):
@@ -67,12 +67,14 @@ class ModelFileError(JaxnarxError):
         self.path = path
 
 
-def _printable(text: str) -> str:
-    """`text` with all but printable characters and line ends as escapes, and without
-    the middle of words that no one reads.
-    """
-    text = re.sub(r"(\S{200})\S{200,}(\S{50})", r"\1...\2", str(text))
+def printable(text: str) -> str:
+    """`text` with all but printable characters and line ends as escapes."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def _shortened(text: str) -> str:
+    """`text` without the middle of words that no one reads."""
+    return re.sub(r"(\S{200})\S{200,}(\S{50})", r"\1...\2", str(text))
 
 
 @contextlib.contextmanager

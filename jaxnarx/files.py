@@ -1,9 +1,14 @@
-"""Files that appear whole or not at all, whatever else writes beside them."""
+"""Files that appear whole or not at all, whatever else writes beside them, and text
+that is safe in them."""
 
 import contextlib
 import errno
 import os
 import secrets
+import shutil
+import tempfile
+import time
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +39,16 @@ def write_whole(path: Path, data: bytes, *, replace: bool = True) -> bool:
             temporary.unlink(missing_ok=True)
     _settle(path.parent)
     return placed
+
+
+def cell(text: str) -> str:
+    """Text that a spreadsheet will not take for a formula."""
+    return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
+
+
+def encodable(text: str) -> str:
+    """Text as UTF-8 has it, with escapes for the rest (odd bytes of file names)."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
@@ -81,6 +96,75 @@ def try_lock(handle: int) -> bool:
     except (ImportError, OSError):
         pass
     return True
+
+
+def lock_folder(place: Path) -> int | None:
+    """A lock on a folder; BlockingIOError where it is held, None where there are none
+    on this system, or nothing to lock.
+    """
+    handle = None
+    try:
+        import fcntl
+
+        handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return handle
+    except (ImportError, OSError) as error:
+        if handle is not None:
+            os.close(handle)
+        if isinstance(error, BlockingIOError):
+            raise
+        return None
+
+
+TEMPORARY = "jaxnarx-of-a-process-"
+"""How the names of temporary folders begin."""
+FRESH = 600.0
+"""Seconds for which a temporary folder without a lock may be one that is being made."""
+
+
+class TemporaryFolder:
+    """A folder for files of this process; it goes with `cleanup`, or with the process.
+
+    It is locked: where the process is killed, the next one that makes such a folder
+    clears it.
+    """
+
+    def __init__(self) -> None:
+        clear_temporary()
+        self.path = Path(tempfile.mkdtemp(prefix=TEMPORARY))
+        self.cleanup = weakref.finalize(self, _remove, self.path, _held(self.path))
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *exception: object) -> None:
+        self.cleanup()
+
+
+def clear_temporary() -> None:
+    """Remove the temporary folders of this user's processes that are gone."""
+    for place in Path(tempfile.gettempdir()).glob(TEMPORARY + "*"):
+        with contextlib.suppress(OSError):  # held, another user's, or just removed
+            about = place.lstat()
+            is_ours = not hasattr(os, "getuid") or about.st_uid == os.getuid()
+            if not is_ours or time.time() - about.st_mtime < FRESH:
+                continue
+            if (handle := lock_folder(place)) is not None:
+                _remove(place, handle)
+
+
+def _held(place: Path) -> int | None:
+    """A lock on a folder that is new; None where it cannot be had."""
+    with contextlib.suppress(BlockingIOError):
+        return lock_folder(place)
+    return None
+
+
+def _remove(place: Path, handle: int | None) -> None:
+    shutil.rmtree(place, ignore_errors=True)
+    if handle is not None:
+        os.close(handle)
 
 
 def _move(source: Path, target: Path, replace: bool) -> bool:

@@ -55,20 +55,24 @@ def _guard(verb: Callable[..., Any], called: str) -> Callable[..., Any]:
     @functools.wraps(verb)
     def call(*args: Any, **kwargs: Any) -> Any:
         for name, value in (*zip(names, args, strict=False), *kwargs.items()):
-            if name not in wanted or _fits(value, wanted[name]):
-                continue
-            if name != "method" or not _may_be_method(value):
-                raise SpecError(
-                    f"{called}: {name} is {_what(value)}, but must be "
-                    f"{_listed(wanted[name])}{_advice(value)}",
-                    field=name,
-                )
+            if name in wanted and not (name == "method" and _may_be_method(value)):
+                require_fit(called, name, value, wanted[name])
         return verb(*args, **kwargs)
 
     return call
 
 
-def _fits(value: Any, wanted: Any) -> bool:
+def require_fit(called: str, name: str, value: Any, wanted: Any) -> None:
+    """SpecError where an argument of `called` is not what its annotation asks for."""
+    if not is_fit(value, wanted):
+        raise SpecError(
+            f"{called}: {name} is {_what(value)}, but must be "
+            f"{_listed(wanted)}{_advice(value)}",
+            field=name,
+        )
+
+
+def is_fit(value: Any, wanted: Any) -> bool:
     """Whether a value is what an annotation asks for; True where that is not known."""
     if wanted is Any or getattr(wanted, "_is_protocol", False) and not _is_ours(wanted):
         return True
@@ -76,7 +80,7 @@ def _fits(value: Any, wanted: Any) -> bool:
     if origin in (typing.Union, types.UnionType):
         paths = {os.PathLike, pathlib.Path} & {typing.get_origin(e) or e for e in inner}
         named = not paths or _may_be_path(value)
-        return named and any(_fits(value, each) for each in inner)
+        return named and any(is_fit(value, each) for each in inner)
     if wanted is None or wanted is type(None):
         return value is None
     if origin is typing.Literal:  # the verb says which words there are
@@ -87,10 +91,10 @@ def _fits(value: Any, wanted: Any) -> bool:
         return callable(value) and not isinstance(value, type)
     if origin in (collections.abc.Mapping, dict):
         return isinstance(value, collections.abc.Mapping) and all(
-            _fits(k, inner[0]) and _fits(each, inner[1]) for k, each in value.items()
+            is_fit(k, inner[0]) and is_fit(each, inner[1]) for k, each in value.items()
         )
-    if origin in _SEVERAL:
-        return _is_several(value, inner[0]) and all(_fits(e, inner[0]) for e in value)
+    if origin in _SEVERAL or origin is tuple and inner[-1] is ...:
+        return _is_several(value, inner[0]) and all(is_fit(e, inner[0]) for e in value)
     if hasattr(wanted, "array_type"):
         return _is_array(value, wanted.dims)
     wanted = origin or wanted
@@ -98,7 +102,7 @@ def _fits(value: Any, wanted: Any) -> bool:
         # A class can be called as a function of one's own can, and is none.
         fits = isinstance(value, wanted) and not isinstance(value, type)
         solved = fits and wanted.__name__ == "Solution" and inner
-        return _fits(value.value, inner[0]) if solved else fits
+        return is_fit(value.value, inner[0]) if solved else fits
     return not _is_noun(value)
 
 

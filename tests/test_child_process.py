@@ -13,6 +13,7 @@ import jaxnarx
 from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.data.readers import apart, contents
 from jaxnarx.data.readers.columns import Asked
+from jaxnarx.errors import DataFileError
 
 NAMES = ("json", "select", "numpy", "jaxnarx", "pickle", "socket", "h5py", "typing")
 
@@ -41,6 +42,21 @@ def test_a_reader_executes_nothing_of_the_current_folder(hostile_folder):
         apart.close()
     assert column.name == "speed"
     assert not (hostile_folder / "executed").exists()
+
+
+def test_a_relative_path_is_that_of_the_folder_we_are_in(tmp_path, monkeypatch):
+    """The process that reads goes on while the working folder changes."""
+    apart.close()
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        np.savez("a.npz", **{name: np.arange(3.0)})
+        (column,) = contents(Path("a.npz"), Asked())
+        assert column.name == name
+    (tmp_path / "second" / "a.npz").write_bytes(b"PK")
+    with pytest.raises(DataFileError, match="^a.npz: "):
+        contents(Path("a.npz"), Asked())
+    apart.close()
 
 
 @pytest.mark.parametrize(

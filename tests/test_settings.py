@@ -1,6 +1,8 @@
 """The settings tree: tables, paths, kinds, and what is refused."""
 
 import dataclasses
+import inspect
+import pydoc
 
 import pytest
 
@@ -164,3 +166,11 @@ def test_each_setting_is_declared_once_and_explained():
             assert not again, f"{name} repeats {again} of {base.__name__}"
         for field in dataclasses.fields(kind):
             assert texts.get(field.name), f"{name}.{field.name} says nothing"
+
+
+@pytest.mark.parametrize("kind", dict.fromkeys(kind for _, kind, _ in KINDS))
+def test_help_shows_plain_types(kind):
+    """Messages have the words of a rule; `help` and a signature have the type alone."""
+    text = pydoc.plain(pydoc.render_doc(kind))
+    assert "Annotated" not in text and "lambda" not in text and "Rule(" not in text
+    assert "lambda" not in str(inspect.signature(kind))

@@ -1,11 +1,16 @@
 """Files appear whole or not at all, whatever else writes to the same place."""
 
 import os
+import subprocess
+import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from jaxnarx.files import write_whole
+from jaxnarx import files
+from jaxnarx.child_process import python_command, python_environment
+from jaxnarx.files import TemporaryFolder, write_whole
 
 
 def test_writers_to_one_place_do_not_meet(tmp_path):
@@ -53,3 +58,35 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
     write_whole(tmp_path / "link", b"new")
     assert target.read_bytes() == b"kept"
     assert (tmp_path / "link").read_bytes() == b"new"
+
+
+def test_a_temporary_folder_goes_with_its_owner(tmp_path, monkeypatch):
+    """However that ends; that of a killed process is cleared by the next."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(files, "FRESH", 0.0)
+    code = "from jaxnarx.files import TemporaryFolder as T; t = T(); input()"
+    environment = python_environment({"TMPDIR": str(tmp_path)})
+    with subprocess.Popen(
+        python_command(code), env=environment, stdin=subprocess.PIPE
+    ) as other:
+        while not list(tmp_path.iterdir()):
+            time.sleep(0.01)
+        (theirs,) = tmp_path.iterdir()
+        with TemporaryFolder() as ours:
+            assert set(tmp_path.iterdir()) == {ours, theirs}
+        assert list(tmp_path.iterdir()) == [theirs]
+        other.kill()
+    with TemporaryFolder() as ours:
+        assert list(tmp_path.iterdir()) == [ours]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_in_place_of_a_temporary_folder_is_not_followed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "t"))
+    monkeypatch.setattr(files, "FRESH", 0.0)
+    (tmp_path / "t").mkdir()
+    (kept := tmp_path / "kept").mkdir()
+    (kept / "file").touch()
+    (tmp_path / "t" / f"{files.TEMPORARY}x").symlink_to(kept)
+    files.clear_temporary()
+    assert (kept / "file").exists()

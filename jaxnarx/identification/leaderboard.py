@@ -8,12 +8,17 @@ import statistics
 from collections.abc import Iterator
 from typing import Any
 
+from jaxnarx.errors import SpecError
+from jaxnarx.files import cell
+from jaxnarx.guard import require_fit
 from jaxnarx.shown import aligned, page, some
 
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
 SHARE = 0.05
 """Share of the error that a cheaper model may give away."""
+LARGEST = 1e100
+"""Largest figure of a candidate in a file; its square is a number too."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,9 +79,19 @@ class Contender:
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> "Contender":
-        """From a file."""
-        own: dict[str, Any] = dict(table)
-        own["groups"] = tuple(table.get("groups", ()))
+        """From a file; SpecError names what it cannot be."""
+        fields = {field.name: field for field in dataclasses.fields(cls)}
+        if not isinstance(table, dict):
+            raise SpecError("a candidate is a table of its fields")
+        if other := sorted(set(table) - set(fields)):
+            raise SpecError(f"a candidate has no field {other[0]}", field=other[0])
+        for name, field in fields.items():
+            if field.default is dataclasses.MISSING and name not in table:
+                raise SpecError(f"a candidate has no {name}", field=name)
+        for name, value in table.items():
+            require_fit("a candidate", name, value, fields[name].type)
+            _require_figures(name, value)
+        own: dict[str, Any] = table | {"groups": tuple(table.get("groups", ()))}
         return cls(**own)
 
 
@@ -162,11 +177,9 @@ class Leaderboard:
             chosen = self.chosen(output)
             for rank, row in enumerate(self.of(output), 1):
                 name, error = self.worst_group(row) or ("", None)
-                values = [getattr(row, key) for key in HEAD]
-                above = self.above_best(row) or (None, None)
-                writer.writerow(
-                    [rank, int(row == chosen), *values, name, error, *above]
-                )
+                values = [rank, int(row == chosen), *(getattr(row, k) for k in HEAD)]
+                values += [name, error, *(self.above_best(row) or (None, None))]
+                writer.writerow(cell(v) if isinstance(v, str) else v for v in values)
         return file.getvalue()
 
 
@@ -177,6 +190,15 @@ HEAD = (
 """Columns of the table that are fields of a row."""
 MORE = "worst_group worst_group_error above_best above_best_standard_error".split()
 """Columns that follow from all rows."""
+
+
+def _require_figures(name: str, value: Any) -> None:
+    """SpecError where a figure is negative, or larger than a file may hold."""
+    for one in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(one, int | float) and not 0 <= one <= LARGEST:
+            raise SpecError(
+                f"{name} is {one}, but must be from 0 to {LARGEST:g}", field=name
+            )
 
 
 def _line(row: Contender, chosen: bool) -> tuple[str, ...]:

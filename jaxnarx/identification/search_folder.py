@@ -10,14 +10,16 @@ to another search, whose candidates would not compare with these.
 
 import dataclasses
 import json
-import math
+import os
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
-from jaxnarx.files import unwritable, write_whole
-from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
+from jaxnarx.guard import is_fit
+from jaxnarx.identification.leaderboard import LARGEST, Contender, Leaderboard
 from jaxnarx.models import Network, load, save
 
 NAME = "search.json"
@@ -32,6 +34,8 @@ class SearchFolder:
     path: Path
     key: Mapping[str, Any]
     leaderboard: Leaderboard
+    lock: "FolderLock | None" = dataclasses.field(default=None, compare=False)
+    """Keeps other processes out for as long as the search is held somewhere."""
 
     def model_path(self, number: int) -> Path:
         """Where the model of a candidate is, or would be."""
@@ -54,7 +58,15 @@ class SearchFolder:
             raise SpecError(
                 f"candidate {number} ({row.family}: {row.name}) has no model: {why}"
             )
-        return load(path)
+        network = load(path)
+        if row.output not in network.output_names:
+            raise DataFileError(
+                f"{self.path / NAME}: candidate {number} is of {row.output}, but its "
+                f"model computes {', '.join(network.output_names)}. Begin anew with "
+                "--force.",
+                path=self.path / NAME,
+            )
+        return network
 
     def added(self, row: Contender, network: Network | None) -> "SearchFolder":
         """With one more candidate, written to the disk: its model before its row."""
@@ -115,9 +127,9 @@ def open_search(
 
     `leaderboard` has the names of the groups and the rule of the choice; rows that are
     on the disk already come with the result. SpecError where the folder holds a search
-    with another key.
+    with another key, or another process searches there.
     """
-    new = SearchFolder(path, _plain(key), leaderboard)
+    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES))
     if not (path / NAME).is_file():
         new.write()
         return new
@@ -136,6 +148,37 @@ def open_search(
     return dataclasses.replace(
         new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
     )
+
+
+class FolderLock:
+    """The lock of this process on a folder; it ends with the last who holds it."""
+
+    def __init__(self, place: Path):
+        try:
+            handle = lock_folder(place)
+        except BlockingIOError:
+            raise SpecError(
+                f"another process searches in {place.parent}; wait until it is done, "
+                "or choose another folder",
+                field="folder",
+            ) from None
+        if handle is not None:
+            weakref.finalize(self, os.close, handle)
+
+
+_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+"""Those of this process, which may open a folder again."""
+
+
+def _lock(place: Path) -> FolderLock:
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(place, error) from error
+    known = place.resolve()
+    lock = _LOCKS.get(known) or FolderLock(place)
+    _LOCKS[known] = lock
+    return lock
 
 
 def lost(folder: SearchFolder, row: Contender) -> bool:
@@ -157,19 +200,45 @@ def read_search(path: Path) -> SearchFolder:
         told = json.loads(file.read_text(encoding="utf-8"))
         if told["format"] > FORMAT:
             raise ModelFileError(f"{file}: written by a newer jaxnarx", path=file)
-        board = Leaderboard(
-            tuple(Contender.from_dict(row) for row in told["rows"]),
-            tuple(told["group_names"]),
-            told["rule"],
-        )
-        return SearchFolder(path, dict(told["key"]), board)
+        return SearchFolder(path, dict(told["key"]), _board(file, told))
+
+
+def _board(file: Path, told: Mapping[str, Any]) -> Leaderboard:
+    """The candidates of a file; DataFileError names the row and the field that cannot
+    be."""
+    names, rule = told["group_names"], told["rule"]
+    if not (is_fit(names, list[str]) and is_fit(rule, str)):
+        raise TypeError("names of groups and the rule are texts")
+    rows: dict[int, Contender] = {}
+    for place, table in enumerate(told["rows"], 1):
+        try:
+            row = Contender.from_dict(_encodable(table))
+            if row.number in rows:
+                raise SpecError(f"number {row.number} is taken by a row before")
+            if len(row.groups) != len(names) and (row.groups or row.eligible):
+                raise SpecError(f"groups has not one figure for each of {len(names)}")
+        except SpecError as error:
+            raise DataFileError(
+                f"{file}: row {place}: {error}. The file is damaged; begin anew with "
+                "--force.",
+                path=file,
+            ) from error
+        rows[row.number] = row
+    return Leaderboard(tuple(rows.values()), tuple(map(encodable, names)), rule)
+
+
+def _encodable(table: Any) -> Any:
+    """A row of a file, its texts such as every file can hold."""
+    if not isinstance(table, dict):
+        return table
+    return {k: encodable(v) if isinstance(v, str) else v for k, v in table.items()}
 
 
 def _finite(row: Contender) -> Contender:
-    """Without figures beyond all numbers, which no file holds."""
+    """Without figures beyond the largest that a file holds."""
 
     def kept(value: Any) -> Any:
-        return None if isinstance(value, float) and not math.isfinite(value) else value
+        return None if isinstance(value, float) and not value <= LARGEST else value
 
     plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
     return Contender(**plain, groups=tuple(kept(e) for e in row.groups))

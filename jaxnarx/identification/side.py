@@ -10,7 +10,6 @@ import os
 import pickle
 import signal
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -21,7 +20,7 @@ import jax
 
 from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.files import write_whole
+from jaxnarx.files import TemporaryFolder, write_whole
 from jaxnarx.identification.candidates import (
     Candidate,
     Candidates,
@@ -88,8 +87,8 @@ class Side:
     """A process at work on a task, with one thread for linear algebra."""
 
     def __init__(self, task: OutputTask):
-        self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
-        self.place, self.read = Path(self._folder.name), 0
+        self._folder = TemporaryFolder()
+        self.place, self.read = self._folder.path, 0
         self.told: Trying | None = None
         _write(self.place / TASK, (task, _settings()))
         with open(self.place / SAID, "wb") as said:

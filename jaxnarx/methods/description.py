@@ -33,21 +33,26 @@ DESCRIPTION = """All keys of a description of records:
 
 Files are CSV, Parquet, Excel and OpenDocument sheets, MDF, MATLAB (4 to 7.3), HDF5 and
 npz. One output and [records] are required, and where the files do not tell the time
-themselves sample_time or time. Units of the files are converted to those stated here
-(bar, kPa; degC, K; rad/s, rpm). Columns that no channel names are ignored. Numbers
-under time that look like milliseconds are refused until their unit is stated, here, by
-a unit row or in the column's name ("t_ms", "time [s]").
+themselves sample_time or time. Columns that no channel names are ignored.
+
+Units of the files are converted to those stated here (bar, kPa; degC, K; rad/s, rpm).
+Numbers under time that look like milliseconds are refused until their unit is stated,
+here, by a unit row or in the column's name ("t_ms", "time [s]").
+
 root is relative to the --root option (the root argument of read), else to the
 environment variable JAXNARX_DATA, and stays inside; else it is relative to the folder
-of the description. The patterns of [records] are relative to root and stay inside. Each
-pattern's files come in alphabetical order, and each file is one record; behind @ stands
-what of it is one: a span of seconds from its first row, or every stretch in which a
-column is above, or below, a number. Where names of columns hold a # ({column =
-"Input#"}, time = "t#"), it stands for a number, or for one of the words est, val, train
-and test: every one with which a file has all columns makes a record, and those behind
-@ # are chosen. A pattern that begins with ! takes its files out of
-those that the patterns before it have chosen. groups names training records that are
-left out together where models are judged on what they were not trained on; a list of
-lists of patterns serves as well. Records in no group are put together where they repeat
-each other's inputs.
+of the description. The patterns of [records] are relative to root and stay inside.
+
+Each pattern's files come in alphabetical order, and each file is one record; behind @
+stands what of it is one: a span of seconds from its first row, or every stretch in
+which a column is above, or below, a number. A pattern that begins with ! takes its
+files out of those that the patterns before it have chosen.
+
+Where names of columns hold a # ({column = "Input#"}, time = "t#"), it stands for a
+number, or for one of the words est, val, train and test: every one with which a file
+has all columns makes a record, and those behind @ # are chosen.
+
+groups names training records that are left out together where models are judged on what
+they were not trained on; a list of lists of patterns serves as well. Records in no
+group are put together where they repeat each other's inputs.
 """

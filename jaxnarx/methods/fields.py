@@ -8,6 +8,7 @@ said in a class's own `__post_init__`, which finds each of them right by itself.
 import dataclasses
 import functools
 import math
+import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
@@ -78,13 +79,38 @@ def _settings(kind: Any, *, eq: bool) -> Any:
             after(self)
 
     kind.__post_init__ = __post_init__
-    return dataclasses.dataclass(frozen=True, eq=eq)(kind)
+    return _plainly_annotated(dataclasses.dataclass(frozen=True, eq=eq)(kind))
+
+
+_HELD: dict[type, dict[str, Any]] = {}
+"""Annotations of classes of settings, with the rules that `help` does not show."""
+
+
+def _plainly_annotated(kind: Any) -> Any:
+    """A class whose annotations are plain types, as people read them."""
+    _HELD[kind] = dict(vars(kind).get("__annotations__", {}))
+    init, shown = kind.__init__, functools.partial(_hints_of, kind.__module__)
+    kind.__annotations__ = shown(_HELD[kind])
+    init.__annotations__ = shown(init.__annotations__)
+    return kind
+
+
+def _hints_of(
+    module: str, annotations: Mapping[str, Any], *, rules: bool = False
+) -> dict[str, Any]:
+    """Annotations with names resolved, by default without the rules of numbers."""
+    holder = types.SimpleNamespace(__annotations__=dict(annotations))
+    known = vars(sys.modules[module])
+    return get_type_hints(holder, globalns=known, include_extras=rules)
 
 
 @functools.cache
 def fields_of(kind: type) -> dict[str, Any]:
     """The fields of a class of settings and what they may hold."""
-    hints = get_type_hints(kind, include_extras=True)
+    hints: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        own = _HELD.get(base, vars(base).get("__annotations__", {}))
+        hints |= _hints_of(base.__module__, own, rules=True)
     return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxnarx.errors import DataFileError
+from jaxnarx.files import cell, encodable
 
 
 class Values(NamedTuple):
@@ -97,12 +98,7 @@ def _mf4(path: Path, columns: Mapping[str, Values], sample_time: float) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8, with escapes for what it does not have (odd bytes of file names)."""
-    path.write_bytes(text.encode("utf-8", "backslashreplace"))
-
-
-def cell(text: str) -> str:
-    """Text that a spreadsheet will not take for a formula."""
-    return "'" + text if text.startswith(tuple("=+-@\t\r")) else text
+    path.write_bytes(encodable(text).encode("utf-8"))
 
 
 def table_csv(header: list[str], columns: list[list]) -> str:

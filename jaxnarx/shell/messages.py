@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.errors import DataFileError, SpecError, printable
 from jaxnarx.files import unwritable
 from jaxnarx.shown import count as count
 
@@ -19,13 +19,15 @@ if TYPE_CHECKING:
 def say(text: str = "", *, end: str = "\n", aside: bool = False) -> None:
     """One line to the user, at once; to standard error where it is said `aside`.
 
+    Lines quote what files hold: characters that would act on a terminal are escaped.
+
     Where nobody reads any longer (`jaxnarx ... | head`), the work goes on in silence,
     so that its files and its exit code do not depend on who watches. Of what else keeps
     standard output from being written, a full disk, only standard error can tell.
     """
     to = sys.stderr if aside else sys.stdout
     try:
-        print(text, file=to, end=end, flush=True)
+        print(printable(text), file=to, end=end, flush=True)
     except OSError as error:
         # what is written from now on, and what waits to be, goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), to.fileno())

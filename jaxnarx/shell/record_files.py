@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
-from jaxnarx.shell.formats import cell
+from jaxnarx.files import cell
 
 
 def record_csv(

@@ -2,10 +2,12 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.data import Channels, Dataset, match_channels, read_files
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.inverse import Tracking, cascade
 from jaxnarx.models import Network
 from jaxnarx.shell import output
@@ -62,6 +64,7 @@ def simulate_files(command: Simulate) -> int:
                 write_columns(place / file, columns, float(data.sample_time))
     for file in files:
         say(f"wrote {folder / file}")
+    _tell_scores(solution.value, data, kind)
     _tell_held(solution.value)
     if known is not None and known.outside > 0:
         say(
@@ -114,6 +117,24 @@ def follow(command: Simulate, through: str) -> int:
     if solution.detail:
         warn(f"{solution.status_name}: {solution.detail}")
     return 0
+
+
+def _tell_scores(value: Trajectories, data: Dataset, kind: str) -> None:
+    """The error of every output over all samples where it is measured, if there are."""
+    for o, name in enumerate(value.output_names):
+        at = data.channels.output_names.index(name)
+        inputs = len(data.channels.inputs)
+        masks = [
+            s[:, o] & r.valid[:, inputs + at]
+            for s, r in zip(value.scored, data, strict=True)
+        ]
+        y = [r.y[m, at] for r, m in zip(data, masks, strict=True)]
+        found = [x[m, o] for x, m in zip(value.outputs, masks, strict=True)]
+        columns = [jnp.asarray(np.concatenate(x))[:, None] for x in (y, found)]
+        error = float(nrmse(*columns, jnp.ones(columns[0].shape, bool))[0])
+        if len(columns[0]) > 1 and math.isfinite(error):
+            samples = count(len(columns[0]), "measured sample")
+            say(f"{name}: {kind} with an NRMSE of {error:.4f} over {samples}")
 
 
 def _tell_held(value: Trajectories | Tracking) -> None:

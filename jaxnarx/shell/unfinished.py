@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from jaxnarx.errors import SpecError
-from jaxnarx.files import alone
+from jaxnarx.files import alone, lock_folder
 
 PREFIX = ".unfinished-"
 
@@ -32,7 +32,7 @@ def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
                     field="out",
                 )
         place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
-        handle = _lock(place)
+        handle = lock_folder(place)
         for name in names:
             (place / name).touch()
     try:
@@ -48,7 +48,7 @@ def held(folder: Path) -> list[Path]:
     living = []
     for place in folder.glob(PREFIX + "*"):
         try:
-            handle = _lock(place)
+            handle = lock_folder(place)
         except BlockingIOError:
             living.append(place)
             continue
@@ -56,22 +56,3 @@ def held(folder: Path) -> list[Path]:
             shutil.rmtree(place, ignore_errors=True)
             os.close(handle)
     return living
-
-
-def _lock(place: Path) -> int | None:
-    """A lock on a folder; BlockingIOError where it is held, None where there are none
-    on this system, or nothing to lock.
-    """
-    handle = None
-    try:
-        import fcntl
-
-        handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return handle
-    except (ImportError, OSError) as error:
-        if handle is not None:
-            os.close(handle)
-        if isinstance(error, BlockingIOError):
-            raise
-        return None

@@ -1,14 +1,15 @@
 """A sweep on a dask cluster: chunks are tasks, this process writes their results."""
 
 import collections
+import contextlib
 import pickle
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
-from distributed import Client, Future, KilledWorker
+from distributed import CancelledError, Client, Future, KilledWorker
 
-from jaxnarx.errors import SpecError
+from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.sweep.folder.claims import Claims
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.loop import PAUSE
@@ -38,7 +39,7 @@ def compute_on_cluster(
             f"client must be a dask.distributed Client, got {type(client).__name__}",
             field="client",
         )
-    with Claims(run.claims) as claims:
+    with _answering(run, client), Claims(run.claims) as claims:
         crew = _Crew(run, work, client)
         try:
             while run.unfinished():
@@ -54,6 +55,21 @@ def compute_on_cluster(
             crew.dismiss()
     lost = crew.lost
     return [f"workers died at {lost} tasks, which were tried again"] if lost else []
+
+
+@contextlib.contextmanager
+def _answering(run: RunFolder, client: Client) -> Iterator[None]:
+    """JaxnarxError, with how to go on, where the scheduler is gone."""
+    try:
+        yield
+    except (OSError, CancelledError) as error:
+        if client.status == "running":
+            raise
+        raise JaxnarxError(
+            f"{run.path}: the dask scheduler does not answer any more, with "
+            f"{len(run.unfinished())} of {run.chunks} chunks open. Start another and "
+            "make a client of it: the same call goes on where it stopped."
+        ) from error
 
 
 def _send(run: RunFolder, crew: "_Crew", claims: Claims) -> None:
@@ -116,8 +132,9 @@ class _Crew:
         return complete
 
     def dismiss(self) -> None:
-        """Give up what is still in flight."""
-        self.client.cancel([*self.tasks, self.load])
+        """Give up what is still in flight, where there is a scheduler to hear it."""
+        if self.client.status == "running":
+            self.client.cancel([*self.tasks, self.load])
 
     def _submit(self, number: int, members: Sequence[int]) -> None:
         labels = [self.labels[i] for i in members]

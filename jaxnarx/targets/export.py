@@ -1,7 +1,6 @@
 """The verb `export`: files of a model for another program, proven before they exist."""
 
 import dataclasses
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.extensions import Registry
+from jaxnarx.files import TemporaryFolder
 from jaxnarx.guard import guarded
 from jaxnarx.models import HOLD, Network
 from jaxnarx.shown import page
@@ -208,7 +208,7 @@ def _write_and_prove(
     A program that fails in single precision alone is written for double.
     """
     made, found, left_out, failed = Files(), {}, [], {}
-    with tempfile.TemporaryDirectory() as place:
+    with TemporaryFolder() as place:
         for one in to:
             try:
                 files = TARGETS[one].write(program, golden)

@@ -5,12 +5,12 @@ import importlib.util
 import json
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.files import TemporaryFolder
 from jaxnarx.targets import form
 from jaxnarx.targets.compilers import WARNINGS, compiler, compilers
 from jaxnarx.targets.form import SampleProgram
@@ -55,7 +55,7 @@ def javascript_runner(path: Path) -> Runner:
     assert program is not None
 
     def run(inputs, measured):
-        with tempfile.TemporaryDirectory() as folder:
+        with TemporaryFolder() as folder:
             module, main = Path(folder, "model.mjs"), Path(folder, "main.mjs")
             module.write_text(path.read_text("utf-8"), "utf-8")
             for name, values in (("u", inputs), ("y", measured)):

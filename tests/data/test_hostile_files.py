@@ -1,6 +1,5 @@
 """Small files that would take all memory, read other files or run their own text."""
 
-import resource
 import subprocess
 import sys
 import zipfile
@@ -120,6 +119,14 @@ def test_cells_are_counted_across_pieces_of_a_sheet(tmp_path, monkeypatch):
         assert count_cells(path) == 3 * 7
 
 
+def test_rows_and_cells_that_tell_no_place_are_counted(tmp_path):
+    path = tmp_path / "a.xlsx"
+    rows = "<row r='700'><c/><c s=\"r\"/></row><row><c r = 'C701'/><c/></row><row/>"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", f"<sheetData>{rows}</sheetData>")
+    assert count_cells(path) == 701 * 4
+
+
 def test_repeated_cells_of_opendocument_are_counted(tmp_path, monkeypatch):
     path = tmp_path / "a.ods"
     row = '<table:table-row table:number-rows-repeated="%d">%s</table:table-row>'
@@ -132,6 +139,16 @@ def test_repeated_cells_of_opendocument_are_counted(tmp_path, monkeypatch):
         monkeypatch.setattr("jaxnarx.data.readers.spreadsheet_size._CHUNK", size)
         assert count_cells(path) == 200_000 * 50
     refused(path, "far more")
+
+
+def test_a_cell_behind_empty_ones_of_opendocument_counts_them(tmp_path):
+    path, cell = tmp_path / "a.ods", '<table:table-cell office:value-type="float"/>'
+    empty = '<table:table-cell table:number-columns-repeated="99"/>'
+    behind = '<table:table-row table:number-rows-repeated="7"/>'
+    sheet = f"<table:table>{behind}<table:table-row>{empty}{cell}</table:table-row>"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("content.xml", f"{sheet}{behind}</table:table>" * 2)
+    assert count_cells(path) == 2 * 8 * 100
 
 
 # MDF ----------------------------------------------------------------------------------
@@ -179,7 +196,11 @@ def test_no_other_formula_is_read(formula):
 
 # Limits of memory ---------------------------------------------------------------------
 
-READ = """
+LIMIT = 4 * 10**9
+"""Bytes of addresses; libraries reserve many that they never use."""
+READ = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_AS, ({LIMIT}, {LIMIT}))
 import numpy as np
 from pathlib import Path
 from jaxnarx.data.readers import contents
@@ -190,12 +211,10 @@ print(contents(Path("a.npz"), Asked())[0].rows)
 
 def test_a_hard_limit_of_memory_that_is_there_already_is_kept(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.arange(7.0))
-    limit = 4 * 10**9  # bytes; libraries reserve addresses that they never use
     done = subprocess.run(
         [sys.executable, "-c", READ],
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
     )
     assert done.stdout.strip() == "7", done.stderr

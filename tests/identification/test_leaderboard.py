@@ -195,3 +195,13 @@ def test_a_row_there_and_back():
         assert Contender.from_dict(table | {"groups": list(one.groups)}) == one
     assert BEST.eligible and not wild.eligible
     assert not dataclasses.replace(BEST, status="failed").eligible
+
+
+def test_a_spreadsheet_takes_no_name_for_a_formula():
+    told = row(1, (0.1, 0.2), name="=HYPERLINK(1)", output="@y", detail="+1")
+    cells = next(csv.DictReader(io.StringIO(board(told).to_csv())))
+    assert [cells[k] for k in ("output", "name", "detail")] == [
+        "'@y",
+        "'=HYPERLINK(1)",
+        "'+1",
+    ]

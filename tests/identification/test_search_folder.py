@@ -3,12 +3,14 @@
 import dataclasses
 import json
 import math
+import subprocess
 
 import numpy as np
 import pytest
 from identify_problems import engine
 from search_fakes import board, fitted, row
 
+from jaxnarx.child_process import python_command, python_environment
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError
 from jaxnarx.identification import Leaderboard, read_search
 from jaxnarx.identification.search_folder import open_search
@@ -78,3 +80,60 @@ def test_a_damaged_record_is_one_sentence(tmp_path, damage):
         read_search(tmp_path)
     with pytest.raises((DataFileError, ModelFileError)):
         open_search(tmp_path, KEY, EMPTY)
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        ({"number": "1"}, "row 2: .*number is of type str"),
+        ({"free_run": [1]}, "row 2: .*free_run is of type list"),
+        ({"free_run": 1e300}, "row 2: free_run is 1e.300, but must be from 0"),
+        ({"standard_error": -1.0}, "row 2: standard_error is -1.0"),
+        ({"one_step": float("nan")}, "row 2: one_step is nan"),
+        ({"groups": "ab"}, "row 2: .*groups is of type str"),
+        ({"groups": [0.1, "x"]}, "row 2: .*groups is of type list"),
+        ({"groups": [0.1]}, "row 2: groups has not one figure for each of 2"),
+        ({"family": None}, "row 2: .*family is None"),
+        ({"number": 1}, "row 2: number 1 is taken"),
+        ({"cost": 1}, "row 2: a candidate has no field cost"),
+    ],
+)
+def test_a_row_that_cannot_be_is_named_with_its_field(tmp_path, spoilt, said):
+    open_search(tmp_path, KEY, EMPTY).added(row(0), None).added(row(1), None)
+    path = tmp_path / "search.json"
+    told = json.loads(path.read_text())
+    told["rows"][1] |= spoilt
+    path.write_text(json.dumps(told))
+    with pytest.raises(DataFileError, match=f"search.json: {said}"):
+        read_search(tmp_path)
+
+
+def test_a_model_of_another_output_is_refused(tmp_path, network):
+    folder = open_search(tmp_path, KEY, EMPTY).added(row(1, output="w"), network)
+    with pytest.raises(DataFileError, match="candidate 2 is of w, but its model .* y"):
+        folder.network(2)
+
+
+def test_another_process_is_kept_out_until_the_search_is_let_go(tmp_path):
+    code = f"""
+from pathlib import Path
+from jaxnarx.identification import Leaderboard
+from jaxnarx.identification.search_folder import open_search
+held = open_search(Path({str(tmp_path)!r}), {{}}, Leaderboard(())).added
+print("held", flush=True)
+input()
+"""
+    with subprocess.Popen(
+        python_command(code),
+        env=python_environment(),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(SpecError, match="another process searches in"):
+            open_search(tmp_path, {}, EMPTY)
+        assert not len(read_search(tmp_path).leaderboard)
+        other.kill()
+    first = open_search(tmp_path, {}, EMPTY)
+    assert open_search(tmp_path, {}, EMPTY).lock is first.lock

@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import faulthandler
 import signal
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -92,7 +93,8 @@ def _at_most(seconds: float) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
-    faulthandler.dump_traceback_later(5 * seconds, exit=True)
+    stream = sys.__stderr__  # that of pytest's `capsys` has no number
+    faulthandler.dump_traceback_later(5 * seconds, exit=True, file=stream)
     try:
         yield
     finally:

@@ -24,10 +24,10 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import SpecError
+from jaxnarx.files import cell
 from jaxnarx.models import hold_to_range, load, save
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.formats import cell
 from jaxnarx.shell.output import file_names, slug
 
 ROWS = 240
@@ -194,11 +194,29 @@ def test_the_description_that_help_shows_can_be_read(capsys):
     assert "2 records" not in passes(capsys, ["check", "shown.toml"])
 
 
-@pytest.mark.parametrize("name", ["identify", "invert", "report", "check", "prepare"])
-def test_help_lists_every_key_of_a_description(capsys, name):
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_help_is_short_and_names_every_default(capsys, name):
+    """Keys of a description are told by `check` alone."""
+    run([name, "--help"])
+    text = capsys.readouterr().out
+    assert "(default: )" not in text
+    assert len(text.splitlines()) <= 150
+    paragraphs = re.split("positional arguments|options", text)[0].split("\n\n")
+    assert max(len(p.split()) for p in paragraphs if "    [data]" not in p) < 110
+    if name in ("identify", "invert", "report", "prepare"):
+        assert "`jaxnarx check --help`" in text
+
+
+def test_an_unknown_preset_is_told_with_those_there_are(capsys):
+    assert run(["identify", "x.toml", "--preset", "fast"]) == 2
+    listed = "--preset must be one of 'quick', 'good', 'best', 'ecu', 'linear', got"
+    assert listed in capsys.readouterr().err
+
+
+def test_help_lists_every_key_of_a_description(capsys):
     from jaxnarx.data.description import parse_description
 
-    run([name, "--help"])
+    run(["check", "--help"])
     text = capsys.readouterr().out
     begin = text.index("[data]", text.index("All keys of a description"))
     table = tomllib.loads(text[begin : text.index("Files are CSV")])
@@ -643,6 +661,17 @@ def test_simulate_writes_what_it_computed_beside_what_was_measured(capsys, both)
     simulated = np.array(found["temp simulated"], float)
     assert np.std(simulated - measured) < 0.1 * np.std(measured)
     assert found["time [s]"][:3] == ["0", "0.1", "0.2"]
+    error = np.sqrt(np.mean((simulated - measured) ** 2)) / np.std(measured)
+    told = re.search(r"temp: simulated with an NRMSE of (\S+) over (\d+) meas", text)
+    assert told is not None and 200 < int(told[2]) <= 240
+    assert float(told[1]) == pytest.approx(error, rel=0.05)
+
+
+def test_help_of_simulate_explains_every_column(capsys, both):
+    run(["simulate", "--help"])
+    text = capsys.readouterr().out
+    for kind in (*KINDS, "predicted", "held", "lower", "upper", "extrapolated"):
+        assert re.search(rf"\b{kind}\b", text), kind
 
 
 def test_columns_without_spaces_on_request(capsys, both):

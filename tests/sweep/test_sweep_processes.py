@@ -324,6 +324,27 @@ def test_a_member_that_kills_workers_is_a_row(tmp_path, cluster):
     assert "workers died" in solution.stats["notes"][0]
 
 
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_told_with_how_to_go_on(tmp_path, sound, same_rows):
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster, timeout=1) as client,
+    ):
+
+        def stop(row):
+            if row["chunks"] >= 3 and client.status == "running":
+                cluster.sync(cluster.scheduler.close)
+
+        options = {"chunk": 2, "client": client, "progress": stop}
+        with pytest.raises(JaxnarxError, match="scheduler .* the same call goes on"):
+            run_sweep(Toy(24, pause=0.05), tmp_path / "x", **options)
+    assert len(chunks(tmp_path / "x")) >= 3
+    same_rows(run_sweep(Toy(24), tmp_path / "x", chunk=2).value, sound)
+
+
 def test_what_is_no_client_is_refused(tmp_path):
     with pytest.raises(SpecError, match="must be a dask.distributed Client, got int"):
         run_sweep(Toy(), tmp_path / "x", client=3)

@@ -19,7 +19,6 @@ import os
 import selectors
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from jaxnarx.data.readers.columns import Asked, Table, require_limit
 from jaxnarx.data.readers.rasters import Signal, as_table, one_raster
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, JaxnarxError
+from jaxnarx.files import TemporaryFolder
 
 START = "from jaxnarx.data.readers.apart import serve; serve()"
 OWN = 1e9
@@ -98,13 +98,15 @@ class Apart:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen | None = None
-        self._folder = tempfile.TemporaryDirectory(prefix="jaxnarx-")
+        self._folder: TemporaryFolder | None = None
         atexit.register(self.close)
 
     def ask(self, module: str, function: str, path: Path, **given: Any) -> Any:
         """What `function(path, **given)` of a reader answers in the process."""
         request = {"module": module, "function": function, "path": str(path)}
-        request |= {"given": given, "folder": self._folder.name}
+        request |= {"given": given, "folder": str(self.folder)}
+        if not path.is_absolute():  # the process began where we may be no longer
+            request["working_folder"] = os.getcwd()
         process = self._running()
         self._clear()
         assert process.stdin is not None and process.stdout is not None
@@ -138,7 +140,9 @@ class Apart:
     @property
     def folder(self) -> Path:
         """Where the arrays of answers are."""
-        return Path(self._folder.name)
+        if self._folder is None:
+            self._folder = TemporaryFolder()
+        return self._folder.path
 
     def require_limit(self, path: Path, max_bytes: float) -> None:
         """DataFileError where the last answer takes more than `max_bytes`."""
@@ -157,11 +161,12 @@ class Apart:
     def close(self) -> None:
         """End the process, and take its files away."""
         self._end()
-        self._folder.cleanup()
+        folder, self._folder = self._folder, None
+        if folder is not None:
+            folder.cleanup()
 
     def _running(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
-            self.folder.mkdir(exist_ok=True)
             self._process = subprocess.Popen(
                 python_command(START),
                 env=python_environment(),
@@ -213,6 +218,8 @@ def serve() -> None:
 
 
 def _answer(request: dict[str, Any]) -> Any:
+    if "working_folder" in request:
+        os.chdir(request["working_folder"])
     module = importlib.import_module(f"jaxnarx.data.readers.{request['module']}")
     _bound(OWN + float(request["given"].get("max_bytes", 0.0)))
     function = getattr(module, request["function"])

@@ -202,7 +202,8 @@ def _require_header(head: _Head, wanted, layout: CsvLayout):
         if all(is_number(s, layout.decimal) for s in fields if s):
             raise head.error(
                 "the first line holds numbers, so there is no header line. Name the "
-                "columns in order by columns = [...]."
+                "columns in order by columns = [...] in the description, or by "
+                "--columns of `jaxnarx describe`."
             )
     elif set(fields) & set(wanted):
         raise head.error(

@@ -23,6 +23,8 @@ from jaxnarx.errors import DataFileError, suggest
 
 _TIMES = 200
 """A file that unfolds to more times its size is taken for a bomb."""
+_CELL_BYTES = 64
+"""Bytes of a cell in memory while a sheet is read."""
 _CELL_TEXT_BYTES = 40
 """Bytes of a number as text in a sheet, with its place."""
 
@@ -131,7 +133,8 @@ def _require_size(path: Path, max_bytes: float) -> None:
     require_limit(path, expanded / _CELL_TEXT_BYTES * 8, max_bytes)
     require_size(path, expanded, float("inf"), _TIMES)
     cells = count_cells(path)
-    if 8 * cells > min(max_bytes, max(SMALL_BYTES, MOST_TIMES * size)):
+    most = max(SMALL_BYTES, MOST_TIMES * size)
+    if 8 * cells > max_bytes or _CELL_BYTES * cells > most:
         raise DataFileError(
             f"{path}: the sheets span {cells:,} cells, far more than a file of "
             f"{size:,} bytes can fill. Delete the cells that lie far from the data, or "

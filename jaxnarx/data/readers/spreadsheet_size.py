@@ -11,12 +11,15 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-_CHUNK, _OVERLAP = 1 << 20, 4096
-"""Bytes of a part that are looked at together, and those looked at twice."""
-_PLACE = re.compile(rb'<(?:\w+:)?c [^>]*?r="([A-Z]{1,3})(\d{1,7})"')
-_OPEN = re.compile(rb"<table:table-(row|cell|covered-table-cell)\b([^>]*)>")
-_ROWS = re.compile(rb'number-rows-repeated="(\d+)"')
-_COLUMNS = re.compile(rb'number-columns-repeated="(\d+)"')
+_CHUNK = 1 << 20
+"""Bytes of a part that are looked at together."""
+_TAG = re.compile(rb"<(?:\w+:)?(row|c)(?=[\s/>])([^>]*)>")
+_PLACE = re.compile(rb"""\sr\s*=\s*["']([A-Z]{0,3})(\d{1,7})["']""")
+_OPEN = re.compile(
+    rb"<table:(table|table-row|table-cell|covered-table-cell)(?=[\s/>])([^>]*)>"
+)
+_ROWS = re.compile(rb"""number-rows-repeated\s*=\s*["'](\d+)""")
+_COLUMNS = re.compile(rb"""number-columns-repeated\s*=\s*["'](\d+)""")
 
 
 def count_cells(path: Path) -> int:
@@ -26,7 +29,7 @@ def count_cells(path: Path) -> int:
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         if "content.xml" in names:
-            return _repeated_cells(archive, "content.xml")
+            return _repeated_rectangles(archive, "content.xml")
         return sum(
             _rectangle(archive, name)
             for name in names
@@ -35,14 +38,23 @@ def count_cells(path: Path) -> int:
 
 
 def _rectangle(archive: zipfile.ZipFile, name: str) -> int:
-    """Rows times columns up to the farthest cell of a sheet."""
-    columns: set[bytes] = set()
-    rows: set[bytes] = {b"0"}
+    """Rows times columns up to the farthest cell of a sheet.
+
+    A row or cell that does not tell its place is the one behind the last.
+    """
+    row = column = last_row = last_column = 0
     for chunk in _chunks(archive, name):
-        places = _PLACE.findall(chunk)
-        columns |= {letters for letters, _ in places}
-        rows |= {row for _, row in places}
-    return max(map(int, rows)) * max(map(_column_number, columns), default=0)
+        for kind, attributes in _TAG.findall(chunk):
+            place = _PLACE.search(attributes)
+            if kind == b"row":
+                row, column = int(place[2]) if place else row + 1, 0
+                continue
+            if place is None:
+                column += 1
+            else:
+                row, column = int(place[2]), _column_number(place[1])
+            last_row, last_column = max(last_row, row), max(last_column, column)
+    return last_row * last_column
 
 
 def _column_number(letters: bytes) -> int:
@@ -52,16 +64,21 @@ def _column_number(letters: bytes) -> int:
     return number
 
 
-def _repeated_cells(archive: zipfile.ZipFile, name: str) -> int:
-    """Cells with a value, each as often as it and its row are repeated."""
-    total, rows = 0, 1
-    for chunk in _chunks(archive, name, overlap=0):
+def _repeated_rectangles(archive: zipfile.ZipFile, name: str) -> int:
+    """Rows times columns up to the farthest cell with a value, over all sheets."""
+    total = row = rows = column = last_row = last_column = 0
+    for chunk in _chunks(archive, name):
         for kind, attributes in _OPEN.findall(chunk):
-            if kind == b"row":
-                rows = _number(_ROWS, attributes)
-            elif b"value-type=" in attributes:
-                total += rows * _number(_COLUMNS, attributes)
-    return total
+            if kind == b"table":
+                total += last_row * last_column
+                row = rows = last_row = last_column = 0
+            elif kind == b"table-row":
+                row, rows, column = row + rows, _number(_ROWS, attributes), 0
+            else:
+                column += _number(_COLUMNS, attributes)
+                if b"value-type=" in attributes:
+                    last_row, last_column = row + rows, max(last_column, column)
+    return total + last_row * last_column
 
 
 def _number(pattern: re.Pattern[bytes], attributes: bytes) -> int:
@@ -69,15 +86,13 @@ def _number(pattern: re.Pattern[bytes], attributes: bytes) -> int:
     return int(found[1]) if found else 1
 
 
-def _chunks(
-    archive: zipfile.ZipFile, name: str, overlap: int = _OVERLAP
-) -> Iterator[bytes]:
-    """A part of an archive piece by piece; without overlap, cut where a tag begins."""
+def _chunks(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
+    """A part of an archive piece by piece, cut where a tag begins."""
     kept = b""
     with archive.open(name) as part:
         while chunk := part.read(_CHUNK):
             chunk = kept + chunk
-            cut = len(chunk) - overlap if overlap else chunk.rfind(b"<")
-            kept = chunk[max(cut, 0) :]
-            yield chunk if overlap else chunk[: max(cut, 0)]
+            cut = max(chunk.rfind(b"<"), 0)
+            kept = chunk[cut:]
+            yield chunk[:cut]
     yield kept

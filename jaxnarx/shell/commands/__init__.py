@@ -49,13 +49,16 @@ Command = (
     | SimulateEngine
     | Sweep
 )
-_RECORDS = (Identify, Invert, Report, Check, Prepare)
+_RECORDS = (Identify, Invert, Report, Prepare)
+_ELSEWHERE = "All keys of a description of records: `jaxnarx check --help`."
 
 
 def help_of(command: type) -> str:
-    """What help says of a command; where it reads records, with their description."""
+    """What help says of a command; `check` has the description that others read."""
     text = inspect.getdoc(command) or ""
-    return f"{text}\n\n{DESCRIPTION}" if command in _RECORDS else text
+    if command is Check:
+        return f"{text}\n\n{DESCRIPTION}"
+    return f"{text}\n\n{_ELSEWHERE}" if command in _RECORDS else text
 
 
 COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

@@ -49,15 +49,16 @@ class Identify:
     """Identify a model from measured records and write model and report.
 
     The description (TOML) names files, channels, units and which records train,
-    validate and test; `jaxnarx check --help` shows one. Candidates from linear models
-    to many regions are tried and judged by their free run over groups of records left
-    out; the cheapest within one standard error of the best is trained on all records,
-    those for validation among them. Ctrl-C ends the search with the best so far, and
-    the same command goes on where it stopped; `jaxnarx leaderboard` shows all
-    candidates, `jaxnarx take` trains another one. Settings of a method (all options
-    from --input-lags to --hold-out) make this one method, without a search. The last
-    lines are a verdict (good, usable with limits, or not usable, and why) and the
-    command that would help.
+    validate and test. Candidates from linear models to many regions are tried and
+    judged by their free run over groups of records left out; the cheapest within one
+    standard error of the best is trained on all records, those for validation among
+    them. The last lines are a verdict (good, usable with limits, or not usable, and
+    why) and the command that would help.
+
+    Ctrl-C ends the search with the best so far, and the same command goes on where it
+    stopped; `jaxnarx leaderboard` shows all candidates, `jaxnarx take` trains another
+    one. Settings of a method (all options from --input-lags to --hold-out) make this
+    one method, without a search.
 
     Example:
         jaxnarx identify engine.toml

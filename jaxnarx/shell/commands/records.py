@@ -30,7 +30,7 @@ class Describe:
         jaxnarx describe measurements --outputs NOx T_exhaust
     """
 
-    files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
+    files: Positional[Annotated[tuple[str, ...], optional("FILE [FILE ...]")]]
     """Measurement files, or folders of them."""
     outputs: Names = ()
     """Channels to be modelled, all others being inputs; default: guessed."""

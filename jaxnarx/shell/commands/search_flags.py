@@ -1,10 +1,11 @@
 """Options of a search, as they are typed. No jax here."""
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from jaxnarx.checks import choice
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import PRESETS
 from jaxnarx.shell.commands.search import Automatic
@@ -19,7 +20,7 @@ def search_options() -> list[tuple[str, Any, None]]:
     """Name, annotated type and default of every option, for the parser's class."""
     texts = field_texts(Automatic)
     kinds: dict[str, tuple[Any, str | None, str]] = {
-        "preset": (Literal[tuple(PRESETS)], None, f"(default: {Automatic.preset})"),
+        "preset": (str, f"{{{','.join(PRESETS)}}}", f"(default: {Automatic.preset})"),
         "budget": (str, "TIME", ""),
         "candidates": (int, "INT", ""),
         "states": (int, "INT", ""),
@@ -49,7 +50,7 @@ def automatic(parsed: Any) -> Automatic:
     if parsed.states is not None and parsed.states < 0:
         raise SpecError(f"--states must not be negative, got {parsed.states}")
     return Automatic(
-        preset=parsed.preset or Automatic.preset,
+        preset=choice(parsed.preset or Automatic.preset, PRESETS, "preset"),
         budget=budget,
         candidates=parsed.candidates,
         states=parsed.states,

@@ -22,7 +22,14 @@ class Simulate:
 
     FILE holds columns named like the model's channels, in any order, at the model's
     sample time; or it is one TOML description. Measured outputs are needed in
-    the first rows only, which the run starts from; later cells may be empty.
+    the first rows only, which the run starts from; later cells may be empty. Where
+    they are not, the free run is scored against them.
+
+    FOLDER receives a file per record. Its columns for every output: simulated (with
+    --steps, predicted), measured, limited (1 where the model's bound held the run),
+    held (1 where the output stands at the edge of its trained range) and, with --level,
+    lower and upper; then extrapolated (1 where an input is outside its trained range)
+    and, of models that know their domain, index (above 1: outside).
 
     Example:
         jaxnarx simulate runs/demo/model.safetensors new_run.csv --out simulated
@@ -30,7 +37,7 @@ class Simulate:
 
     model: Positional[Model]
     """Model file."""
-    files: Positional[Annotated[tuple[str, ...], arg(metavar="FILE [FILE ...]")]]
+    files: Positional[Annotated[tuple[str, ...], optional("FILE [FILE ...]")]]
     """Data files, or one TOML description."""
     steps: Annotated[int | None, optional("INT")] = None
     """Predict this many steps ahead instead of running freely."""
@@ -105,14 +112,18 @@ class Export:
     math.h alone, in double or single precision; fmu2 and fmu3 are units of FMI 2.0 and
     3.0 for co-simulation, binary for this machine and source for others; python and
     javascript are files of one page without dependencies; matlab is a function that
-    keeps its state, for a MATLAB Function block or Octave, and a test of it. Every one
-    is compiled where it must be and run over the records of FILE, without any over
-    steps within the trained ranges, beside the model, and over inputs that drop out;
-    one that differs is not written, and the exit code is 1.
+    keeps its state, for a MATLAB Function block or Octave, and a test of it.
+
+    Every one is compiled where it must be and run over the records of FILE, without any
+    over steps within the trained ranges, beside the model, and over inputs that drop
+    out; one that differs is not written, and the exit code is 1.
+
     For calibration, dcm (DCM 2.0) holds the parameters and maps of every output at rest
     over two inputs, with the others in the middle of their trained ranges, `jaxnarx
     import-dcm` takes it back; a2l (1.71) links names to the symbols of c, so that a
-    tool finds their addresses. README.md says what was found: differences, operations,
+    tool finds their addresses.
+
+    README.md says what was found: differences, operations,
     parameters, memory, and how to call it.
 
     Example:
@@ -121,7 +132,7 @@ class Export:
 
     model: Positional[Model]
     """Model file."""
-    files: Positional[Annotated[tuple[str, ...], arg(metavar="[FILE ...]")]] = ()
+    files: Positional[Annotated[tuple[str, ...], optional("[FILE ...]")]] = ()
     """Data files, or one TOML description, for the proof."""
     to: Annotated[
         tuple[

@@ -77,9 +77,8 @@ def _first(rows: list[dict[str, Any]], top: int) -> list[dict[str, Any]]:
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
-    row = Contender.from_dict(
-        {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
-    )
+    own = {k: v for k, v in table.items() if k in _FIELDS}
+    row = Contender(**own | {"groups": ()})
     worst = table["worst_group"]
     if worst and table["worst_group_error"] is not None:
         worst = f"{_cut(worst, 20)} {table['worst_group_error']:.3g}"

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from jaxnarx.shell.formats import cell
+from jaxnarx.files import cell
 from jaxnarx.sweep import SweepTable, summary
 
 

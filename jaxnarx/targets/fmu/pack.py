@@ -6,12 +6,12 @@ import hashlib
 import io
 import platform
 import subprocess
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from jaxnarx.files import TemporaryFolder
 from jaxnarx.targets import c99
 from jaxnarx.targets.compilers import WARNINGS, compilers
 from jaxnarx.targets.fmu import description
@@ -97,7 +97,7 @@ def binary(
     found = compilers()
     if place is None or not found:
         return {}
-    with tempfile.TemporaryDirectory() as folder:
+    with TemporaryFolder() as folder:
         for name, text in unpacked_sources(parts).items():
             Path(folder, name).write_bytes(as_bytes(text))
         Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
