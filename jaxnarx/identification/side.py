@@ -163,8 +163,7 @@ def main(folder: str) -> None:
     """Search, and write every candidate into the folder."""
     place = Path(folder)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    watch = threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True)
-    watch.start()
+    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     task, settings = _read(place / TASK)
 
     def watch(trying: Trying) -> None:

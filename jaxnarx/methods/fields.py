@@ -89,9 +89,9 @@ _HELD: dict[type, dict[str, Any]] = {}
 def _plainly_annotated(kind: Any) -> Any:
     """A class whose annotations are plain types, as people read them."""
     _HELD[kind] = dict(vars(kind).get("__annotations__", {}))
-    init, shown = kind.__init__, functools.partial(_hints_of, kind.__module__)
-    kind.__annotations__ = shown(_HELD[kind])
-    init.__annotations__ = shown(init.__annotations__)
+    parts: tuple[Any, ...] = (kind, kind.__init__)
+    for one in parts:
+        one.__annotations__ = _hints_of(kind.__module__, one.__annotations__)
     return kind
 
 

@@ -64,8 +64,9 @@ def table(board: Leaderboard, output: str, *, top: int | None = None) -> str:
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
-    own = {k: v for k, v in table.items() if k in _FIELDS}
-    row = Contender(**own | {"groups": ()})
+    row = Contender.from_dict(
+        {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
+    )
     worst = table["worst_group"]
     if worst and table["worst_group_error"] is not None:
         worst = f"{_cut(worst, 20)} {table['worst_group_error']:.3g}"
