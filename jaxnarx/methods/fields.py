@@ -100,7 +100,7 @@ def _hints_of(
 ) -> dict[str, Any]:
     """Annotations with names resolved, by default without the rules of numbers."""
     holder = types.SimpleNamespace(__annotations__=dict(annotations))
-    known = vars(sys.modules[module])
+    known = getattr(sys.modules.get(module), "__dict__", {})
     return get_type_hints(holder, globalns=known, include_extras=rules)
 
 
@@ -109,7 +109,7 @@ def fields_of(kind: type) -> dict[str, Any]:
     """The fields of a class of settings and what they may hold."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
-        own = _HELD.get(base, vars(base).get("__annotations__", {}))
+        own = _HELD.get(base) or vars(base).get("__annotations__") or {}
         hints |= _hints_of(base.__module__, own, rules=True)
     return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 
