@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,8 @@ def test_a_relative_path_is_that_of_the_folder_we_are_in(tmp_path, monkeypatch):
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
-        np.savez("a.npz", **{name: np.arange(3.0)})
+        found: dict[str, Any] = {name: np.arange(3.0)}
+        np.savez("a.npz", **found)
         (column,) = contents(Path("a.npz"), Asked())
         assert column.name == name
     (tmp_path / "second" / "a.npz").write_bytes(b"PK")

@@ -288,6 +288,20 @@ def test_tables_are_made_of_every_recorded_aim():
     assert all(part.strip() for part in figures.made().values())
 
 
+def test_tables_in_the_tree_are_current():
+    """Parts of pages that are read as text; docs/making/pages.py makes them anew."""
+    made = {f"figures/{n}": t for n, t in making("figures").made().items()}
+    made |= {f"thesis/{n}": t for n, t in making("thesis").made().items()}
+    made |= {f"reference/{n}": t for n, t in reference()["pages"].items()}
+    parts = {n: t for n, t in made.items() if Path(n).name.startswith("_")}
+    there = {
+        f"{path.parents[1].name}/{path.name}": path.read_text("utf-8")
+        for path in DOCS.glob("*/made/_*.md")
+    }
+    stale = [n for n in {**parts, **there} if parts.get(n) != there.get(n)]
+    assert not stale, f"{stale}: run `python docs/making/pages.py`"
+
+
 def test_the_drawing_has_every_room_and_lines_point_down():
     house = making("house")
     floor = {room: n for n, rooms in enumerate(house.FLOORS.values()) for room in rooms}

@@ -1,4 +1,8 @@
-"""All pages that are made rather than written, and how they are put on disk."""
+"""All pages that are made rather than written, and how they are put on disk.
+
+The parts of other pages (their names begin with `_`) are in the tree, so that a page
+read as text has its tables; `python docs/making/pages.py` makes them anew.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +16,8 @@ import reference
 import thesis
 
 MADE = "made"
-"""Folder of made pages, in `reference/` and `figures/`; git ignores it."""
+"""Folder of made pages beside those that are written; git ignores what is no part of
+another page."""
 
 
 def setup(app: Any) -> dict[str, Any]:
@@ -46,3 +51,7 @@ def write(path: Path, text: str) -> None:
     """Write a file unless it says so already."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    make(Path(__file__).parents[1])

@@ -89,9 +89,9 @@ _HELD: dict[type, dict[str, Any]] = {}
 def _plainly_annotated(kind: Any) -> Any:
     """A class whose annotations are plain types, as people read them."""
     _HELD[kind] = dict(vars(kind).get("__annotations__", {}))
-    init, shown = kind.__init__, functools.partial(_hints_of, kind.__module__)
-    kind.__annotations__ = shown(_HELD[kind])
-    init.__annotations__ = shown(init.__annotations__)
+    parts: tuple[Any, ...] = (kind, kind.__init__)
+    for one in parts:
+        one.__annotations__ = _hints_of(kind.__module__, one.__annotations__)
     return kind
 
 
@@ -100,7 +100,7 @@ def _hints_of(
 ) -> dict[str, Any]:
     """Annotations with names resolved, by default without the rules of numbers."""
     holder = types.SimpleNamespace(__annotations__=dict(annotations))
-    known = vars(sys.modules[module])
+    known = getattr(sys.modules.get(module), "__dict__", {})
     return get_type_hints(holder, globalns=known, include_extras=rules)
 
 
@@ -109,7 +109,7 @@ def fields_of(kind: type) -> dict[str, Any]:
     """The fields of a class of settings and what they may hold."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
-        own = _HELD.get(base, vars(base).get("__annotations__", {}))
+        own = _HELD.get(base) or vars(base).get("__annotations__") or {}
         hints |= _hints_of(base.__module__, own, rules=True)
     return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 

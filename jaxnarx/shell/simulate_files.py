@@ -130,10 +130,10 @@ def _tell_scores(value: Trajectories, data: Dataset, kind: str) -> None:
         ]
         y = [r.y[m, at] for r, m in zip(data, masks, strict=True)]
         found = [x[m, o] for x, m in zip(value.outputs, masks, strict=True)]
-        columns = [jnp.asarray(np.concatenate(x))[:, None] for x in (y, found)]
-        error = float(nrmse(*columns, jnp.ones(columns[0].shape, bool))[0])
-        if len(columns[0]) > 1 and math.isfinite(error):
-            samples = count(len(columns[0]), "measured sample")
+        y, yhat = (jnp.asarray(np.concatenate(x))[:, None] for x in (y, found))
+        error = float(nrmse(y, yhat, jnp.ones(y.shape, bool))[0])
+        if len(y) > 1 and math.isfinite(error):
+            samples = count(len(y), "measured sample")
             say(f"{name}: {kind} with an NRMSE of {error:.4f} over {samples}")
 
 

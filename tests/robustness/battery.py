@@ -93,6 +93,7 @@ def _at_most(seconds: float) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
+    assert sys.__stderr__ is not None
     stream = sys.__stderr__  # that of pytest's `capsys` has no number
     faulthandler.dump_traceback_later(5 * seconds, exit=True, file=stream)
     try:

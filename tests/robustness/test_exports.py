@@ -11,8 +11,16 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "targets"))
 
-from test_missing_inputs import JUNK, Compiled, absent, held
-from test_targets import NETWORKS, narrowed
+from test_missing_inputs import (  # pyright: ignore[reportMissingImports]
+    JUNK,
+    Compiled,
+    absent,
+    held,
+)
+from test_targets import (  # pyright: ignore[reportMissingImports]
+    NETWORKS,
+    narrowed,
+)
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.models import NAN, OUTSIDE, memory_of, set_nan_policy

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import dask.config
 import distributed
@@ -326,17 +327,17 @@ def test_a_member_that_kills_workers_is_a_row(tmp_path, cluster):
 
 @pytest.mark.slow
 def test_a_scheduler_that_dies_is_told_with_how_to_go_on(tmp_path, sound, same_rows):
+    place: dict[str, Any] = {"processes": False, "dashboard_address": None}
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, **place) as cluster,
         distributed.Client(cluster, timeout=1) as client,
     ):
 
         def stop(row):
             if row["chunks"] >= 3 and client.status == "running":
-                cluster.sync(cluster.scheduler.close)
+                closing: Any = cluster
+                closing.sync(closing.scheduler.close)
 
         options = {"chunk": 2, "client": client, "progress": stop}
         with pytest.raises(JaxnarxError, match="scheduler .* the same call goes on"):

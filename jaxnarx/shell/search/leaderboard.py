@@ -77,8 +77,9 @@ def _first(rows: list[dict[str, Any]], top: int) -> list[dict[str, Any]]:
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
-    own = {k: v for k, v in table.items() if k in _FIELDS}
-    row = Contender(**own | {"groups": ()})
+    row = Contender.from_dict(
+        {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
+    )
     worst = table["worst_group"]
     if worst and table["worst_group_error"] is not None:
         worst = f"{_cut(worst, 20)} {table['worst_group_error']:.3g}"
