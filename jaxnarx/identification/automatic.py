@@ -7,7 +7,6 @@ them. What was tried is on the disk after every candidate.
 import dataclasses
 import functools
 import math
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation.notes import data_hash
+from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
@@ -68,8 +68,8 @@ def search(
     added = {} if PRESETS[preset].linear else CANDIDATES.added
     if added:
         key["added"] = sorted(added)
-    with tempfile.TemporaryDirectory() as place:
-        store = open_search(Path(place) if folder is None else folder, key, board)
+    with TemporaryFolder() as place:
+        store = open_search(place if folder is None else folder, key, board)
         tasks = {
             name: OutputTask(
                 data,

@@ -26,7 +26,7 @@ from jaxnarx.evaluation import Report, Row, region_sentence
 from jaxnarx.evaluation.domain_errors import EDGES
 from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
 from jaxnarx.evaluation.table import data_of
-from jaxnarx.files import write_whole
+from jaxnarx.files import encodable, write_whole
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.style import inline_svg
@@ -53,7 +53,7 @@ POINT_BUDGET = 30_000
 
 def write_report(report: Report, path: str | os.PathLike[str]) -> None:
     """Write the page to `path`, whole or not at all. The folder must exist."""
-    write_whole(Path(path), render(report).encode("utf-8"))
+    write_whole(Path(path), encodable(render(report)).encode("utf-8"))
 
 
 def render(report: Report) -> str:

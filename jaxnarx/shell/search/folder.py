@@ -55,7 +55,10 @@ def read_origin(folder: Path) -> Origin:
         )
     with reading(path, "the origin of a search", advice="Use --description."):
         told = json.loads(path.read_text(encoding="utf-8"))
-        return Origin(str(told["description"]), told.get("root"))
+        root = told.get("root")
+        if not (isinstance(told["description"], str) and isinstance(root, str | None)):
+            raise TypeError("paths are texts")
+        return Origin(told["description"], root)
 
 
 def training(split: Split) -> tuple[Dataset, Dataset | None]:
