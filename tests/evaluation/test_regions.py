@@ -229,6 +229,6 @@ def test_a_report_says_whether_the_model_forgets_its_past(network, tmp_path):
     # The record's samples less the history: of the main part alone.
     assert values["bounds"][-1]["of"] == len(data.records[0]) - network.history
     got.to_html(tmp_path / "r.html")
-    assert "<h2>Stability</h2>" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert ">Stability</h2>" in (tmp_path / "r.html").read_text(encoding="utf-8")
     bare = report(network, data, horizons=(), stability=False)
     assert bare.stability is None and not any("Stability" in n for n in bare.notes)

@@ -190,7 +190,7 @@ def test_the_report_holds_the_leaderboard_and_its_figure(done):
     assert set(names) < set(found["beside"])
     assert found["next_command"] == done[1].split("Next: ")[1].strip()
     page = (folder / "report.html").read_text()
-    section = page[page.index(">Leaderboard</h2>") : page.index(">The equations")]
+    section = page[page.index(">Leaderboard</h2>") : page.rindex(">The equations")]
     assert section.count("<svg") == 2 and "diverges: vetoed" in section
     assert section.count('class="used"') == 4  # in the short table and the long one
     assert "What is" not in section and "within one standard error" in section
