@@ -94,7 +94,7 @@ class Candidates:
             yield row, network
             if self.late():
                 break
-            self.watch(Trying(found.family, f"after {found.name}"))
+            self.watch(Trying("closed form", f"the next behind {found.family}"))
             begin = time.perf_counter()
         begin = time.perf_counter()
         added = best_sum(parts, self.preset.sums)
