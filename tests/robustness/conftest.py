@@ -12,3 +12,11 @@ def battery(request) -> Battery:
         option("--robustness-cases"),
         option("--robustness-first"),
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_data_folder():
+    """Files stand beside their descriptions, whatever the user has set."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("JAXNARX_DATA", raising=False)
+        yield
