@@ -254,6 +254,8 @@ def main() -> int:
     figures: dict[str, Any] = {"output of gengine1": OUTPUT}
     measures = {f.__name__: f for f in (quick, short, equations, candidates, engine)}
     folder = results_folder(chosen.results, smoke=chosen.smoke)
+    # Some parts are recorded apart: a record is that of one run.
+    name = "_".join(["search", *(chosen.only or ())])
     versions: dict[str, str] = {}
     for part in chosen.only or PARTS:
         with tempfile.TemporaryDirectory() as space:
@@ -261,7 +263,7 @@ def main() -> int:
         print(part, json.dumps(figures[part]), flush=True)
         found = figures[part].get("peers", {}).pop("versions", {})
         versions |= {k: v for k, v in found.items() if isinstance(v, str)}
-        record("search", figures, folder=folder, versions=versions, note=chosen.note)
+        record(name, figures, folder=folder, versions=versions, note=chosen.note)
     failed = failures(figures)
     print("\n".join(failed), file=sys.stderr)
     return 1 if failed else 0
