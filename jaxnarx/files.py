@@ -133,7 +133,9 @@ class TemporaryFolder:
     def __init__(self) -> None:
         clear_temporary()
         self.path = Path(tempfile.mkdtemp(prefix=TEMPORARY))
-        self.cleanup = weakref.finalize(self, _remove, self.path, _held(self.path))
+        self.cleanup = weakref.finalize(
+            self, _remove, self.path, _lock_folder(self.path)
+        )
 
     def __enter__(self) -> Path:
         return self.path
@@ -154,7 +156,7 @@ def clear_temporary() -> None:
                 _remove(place, handle)
 
 
-def _held(place: Path) -> int | None:
+def _lock_folder(place: Path) -> int | None:
     """A lock on a folder that is new; None where it cannot be had."""
     with contextlib.suppress(BlockingIOError):
         return lock_folder(place)

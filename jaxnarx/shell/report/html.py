@@ -354,13 +354,15 @@ def _flat(value: Mapping[str, Any]) -> list[tuple[str, str]]:
     for key, item in value.items():
         parts = item if isinstance(item, Mapping) else {}
         if parts and all(isinstance(part, Mapping) for part in parts.values()):
-            rows += [(f"{key}, {name}", _told(part)) for name, part in parts.items()]
+            rows += [
+                (f"{key}, {name}", _pairs_text(part)) for name, part in parts.items()
+            ]
         else:
-            rows.append((key, _told(parts) if parts else _words(item)))
+            rows.append((key, _pairs_text(parts) if parts else _words(item)))
     return rows
 
 
-def _told(item: Mapping[str, Any]) -> str:
+def _pairs_text(item: Mapping[str, Any]) -> str:
     """`dead time in samples: speed 2, load 0; memory in samples: 40`."""
     known = {SEEN.get(key, key): _words(part) for key, part in item.items()}
     return "; ".join(f"{key} {words or 'none'}" for key, words in known.items())
