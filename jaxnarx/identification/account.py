@@ -157,10 +157,10 @@ def _price(other: Contender, row: Contender) -> str:
         cost = "takes an unknown number of operations"
     elif not row.operations:
         cost = f"takes {other.operations} operations"
-    elif other.operations == row.operations:
+    elif (times := f"{other.operations / row.operations:.2g}") == "1":
         cost = "takes as many operations"
     else:
-        cost = f"takes {other.operations / row.operations:.2g} times the operations"
+        cost = f"takes {times} times the operations"
     if other.free_run is None or not row.free_run:
         return cost
     change = other.free_run / row.free_run - 1

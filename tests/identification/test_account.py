@@ -7,7 +7,7 @@ import pytest
 from search_fakes import board, row
 
 from jaxnarx.identification import Leaderboard, described, figure, sentences, used
-from jaxnarx.identification.account import pareto, safest
+from jaxnarx.identification.account import _price, pareto, safest
 from jaxnarx.identification.leaderboard import Contender
 
 
@@ -22,6 +22,15 @@ def test_the_choice_and_what_others_cost():
     assert "2 (ARX: order 1), has 1.50 times the error (0.300 ± 0.020)" in told[2]
     assert told[3] == "1 of 5 candidates diverges on records left out: vetoed."
     assert told[4] == "No group stands out (0.18 to 0.22)."
+
+
+def test_nearly_as_many_operations_are_as_many():
+    def dearer(operations: int) -> str:
+        best = dataclasses.replace(row(1), operations=operations)
+        return _price(best, dataclasses.replace(row(0), operations=100))
+
+    assert "takes as many operations" in dearer(101)
+    assert "takes 1.1 times the operations" in dearer(110)
 
 
 def test_the_rules_have_words_of_their_own():

@@ -256,6 +256,7 @@ def test_a_model_without_feedback_forgets_at_once():
     value = stability(net, data(), samples=150).value
     assert value.contracts and value.bound.rate == 0 and value.time_constant == 0
     assert value.poles[0].largest == 0
+    assert value.summary.startswith("Feeds no output back")
 
 
 # linearisation --------------------------------------------------------------------

@@ -68,6 +68,9 @@ class Stability:
     def summary(self) -> str:
         """What was found, in one or two sentences."""
         bound = self.bound
+        proven = self.certificate or bound
+        if not proven.rate:
+            return "Feeds no output back: two runs with the same inputs are the same."
         if self.certificate is not None:
             rate = self.certificate.rate
             constant = time_constant(rate) * self.sample_time

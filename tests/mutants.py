@@ -1,0 +1,270 @@
+"""Mutation score: how many small faults in the package do the default tests find?
+
+A fixed random sample of faults is drawn over the rooms that compute: a comparison, an
+operator, a constant or an index is changed, one at a time, in a copy of the project.
+The test files that reach the changed line are run, those of the same room first, until
+one fails (the mutant is killed) or none does (it survives). Some survivors behave as
+the original does and cannot be found; the list is there to be looked at.
+
+    python tests/mutants.py reach reach.json      # each file once, by `coverage`
+    python tests/mutants.py draw mutants.json [--number 150] [--seed 0]
+    python tests/mutants.py run mutants.json reach.json [--files 12] [--workers 1]
+
+`reach` needs the package `coverage`, `run` only the tests. `run` writes its findings
+into the list and goes on where it was stopped.
+"""
+
+import argparse
+import ast
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = (
+    *("arrays", "selection", "simulation", "refinement", "partition", "models"),
+    *("output_error", "data"),
+)
+SWAPS: dict[type, str] = {
+    ast.Lt: "<=",
+    ast.LtE: "<",
+    ast.Gt: ">=",
+    ast.GtE: ">",
+    ast.Eq: "!=",
+    ast.NotEq: "==",
+    ast.Add: "-",
+    ast.Sub: "+",
+    ast.Mult: "/",
+    ast.Div: "*",
+    ast.And: "or",
+    ast.Or: "and",
+}
+SLACK, SECONDS = 6.0, 60.0
+"""A test file that takes so many times its time and seconds more hangs: found."""
+
+
+def sites(path: Path) -> Iterator[dict[str, Any]]:
+    """Every change of one file: where, from what, to what."""
+    source = path.read_text(encoding="utf-8")
+    lines = source.splitlines(keepends=True)
+    starts = [0]
+    for line in lines:
+        starts.append(starts[-1] + len(line.encode()))
+    data = source.encode()
+
+    def place(line: int, column: int) -> int:
+        return starts[line - 1] + column
+
+    def change(start: int, end: int, new: str, line: int) -> dict[str, Any]:
+        return {
+            "path": str(path.relative_to(ROOT)),
+            "line": line,
+            "text": lines[line - 1].strip(),
+            "start": start,
+            "old": data[start:end].decode(),
+            "new": new,
+        }
+
+    def between(left: ast.AST, right: ast.AST, op: ast.AST) -> Iterator[dict[str, Any]]:
+        a = place(left.end_lineno, left.end_col_offset)  # type: ignore[attr-defined]
+        b = place(right.lineno, right.col_offset)  # type: ignore[attr-defined]
+        found = re.search(rb"[<>=!]=|[<>+\-*/]|\band\b|\bor\b", data[a:b])
+        if type(op) in SWAPS and found:
+            start, end = a + found.start(), a + found.end()
+            yield change(start, end, SWAPS[type(op)], left.end_lineno)  # type: ignore[attr-defined]
+
+    for node in _code(ast.parse(source)):
+        if isinstance(node, ast.Compare):
+            for left, op, right in zip(
+                [node.left, *node.comparators], node.ops, node.comparators, strict=False
+            ):
+                yield from between(left, right, op)
+        elif isinstance(node, ast.BinOp):
+            if not isinstance(node.left, ast.Constant | ast.JoinedStr) or isinstance(
+                getattr(node.left, "value", 0), int | float
+            ):
+                yield from between(node.left, node.right, node.op)
+        elif isinstance(node, ast.BoolOp):
+            yield from between(node.values[0], node.values[1], node.op)
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+            start = place(node.lineno, node.col_offset)
+            end = place(node.end_lineno or 0, node.end_col_offset or 0)
+            value = node.value
+            if isinstance(value, bool):
+                new = str(not value)
+            else:
+                new = repr(value + 1 if isinstance(value, int) else 2 * value + 0.5)
+            yield change(start, end, new, node.lineno)
+
+
+def _code(tree: ast.AST) -> Iterator[ast.AST]:
+    """Nodes of what is run: no annotations, messages or statements of a module."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.JoinedStr | ast.Raise | ast.Assert):
+            continue
+        if isinstance(node, ast.keyword) and node.arg == "strict":
+            continue
+        if isinstance(node, ast.FunctionDef):
+            for part in node.body:
+                yield part
+                yield from _code(part)
+        elif isinstance(node, ast.ClassDef) or not isinstance(tree, ast.Module):
+            if isinstance(tree, ast.AnnAssign) and node is tree.annotation:
+                continue
+            yield node
+            yield from _code(node)
+
+
+def draw(number: int, seed: int) -> list[dict[str, Any]]:
+    """The sample: uniform over all changes of the rooms, in order of place."""
+    every = [
+        site
+        for room in ROOMS
+        for path in sorted((ROOT / "jaxnarx" / room).rglob("*.py"))
+        for site in sites(path)
+    ]
+    chosen = random.Random(seed).sample(range(len(every)), number)
+    return [every[i] for i in sorted(chosen)]
+
+
+def reach() -> dict[str, Any]:
+    """Lines of the package that each test file runs, and its seconds."""
+    found = {}
+    for path in sorted(ROOT.glob("tests/**/test_*.py")):
+        with tempfile.TemporaryDirectory() as space:
+            options = ["--source=jaxnarx", f"--data-file={space}/reach"]
+            start = time.monotonic()
+            python = [sys.executable, "-m", "coverage"]
+            test = ["-m", "pytest", "-q", str(path)]
+            subprocess.run([*python, "run", *options, *test], cwd=ROOT)
+            seconds = time.monotonic() - start
+            out = Path(space) / "reach.json"
+            options = [f"--data-file={space}/reach", "-q", "-o", str(out)]
+            subprocess.run([*python, "json", *options], cwd=ROOT)
+            files = json.loads(out.read_text())["files"] if out.exists() else {}
+            lines = {name: part["executed_lines"] for name, part in files.items()}
+            name = str(path.relative_to(ROOT))
+            found[name] = {"seconds": round(seconds, 1), "lines": lines}
+    return found
+
+
+def judges(mutant: dict[str, Any], reached: dict[str, Any], most: int) -> list[str]:
+    """Test files that run the changed line: of the same room first, quick ones first.
+
+    A line that only importing runs, such as a field's default, is run by all.
+    """
+    room = Path(mutant["path"]).parts[1]
+
+    def order(name: str) -> tuple[bool, float]:
+        return Path(name).parts[1] != room, reached[name]["seconds"]
+
+    every = [
+        name
+        for name, part in reached.items()
+        if mutant["line"] in part["lines"].get(mutant["path"], ())
+    ]
+    return sorted(every, key=order)[:most]
+
+
+def try_one(
+    mutant: dict[str, Any], reached: dict[str, Any], most: int, home: Path
+) -> dict[str, Any]:
+    """Whether a test notices, and which."""
+    path = home / mutant["path"]
+    source = path.read_bytes()
+    start, old = mutant["start"], mutant["old"].encode()
+    assert source[start : start + len(old)] == old, f"{path} is not what it was"
+    names = judges(mutant, reached, most)
+    path.write_bytes(
+        source[:start] + mutant["new"].encode() + source[start + len(old) :]
+    )
+    try:
+        for name in names:
+            limit = SLACK * reached[name]["seconds"] + SECONDS
+            if (home / name).exists() and (how := _fails(name, home, limit)):
+                return {"killed": True, "by": how, "file": name, "tried": len(names)}
+    finally:
+        path.write_bytes(source)
+    return {"killed": False, "tried": len(names), "files": names}
+
+
+def _fails(name: str, home: Path, limit: float) -> str:
+    """The first test of a file that fails, or nothing."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", name]
+    environment = os.environ | {"PYTHONPATH": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(
+            [*command, "-p", "no:cacheprovider"],
+            cwd=home,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+        )
+    except subprocess.TimeoutExpired:
+        return "time"
+    if done.returncode in (0, 5):
+        return ""
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
+    return found[1] if found else f"exit code {done.returncode}"
+
+
+def run(path: Path, reached: dict[str, Any], most: int, workers: int) -> None:
+    """Try every mutant that has no finding yet; the list is written after each."""
+    mutants = json.loads(path.read_text())
+    left = [m for m in mutants if "killed" not in m]
+    with tempfile.TemporaryDirectory() as space, ThreadPoolExecutor(workers) as pool:
+        homes = []
+        for number in range(workers):
+            home = Path(space) / str(number)
+            for part in ("jaxnarx", "tests", "docs", "experiments"):
+                shutil.copytree(ROOT / part, home / part)
+            for name in ("pyproject.toml", "README.md", "CHANGELOG.md"):
+                shutil.copy(ROOT / name, home / name)
+            homes.append(home)
+
+        def work(number: int) -> None:
+            for mutant in left[number::workers]:
+                mutant |= try_one(mutant, reached, most, homes[number])
+                path.write_text(json.dumps(mutants, indent=1) + "\n")
+                print(mutant["path"], mutant["line"], mutant.get("by", "survives"))
+
+        list(pool.map(work, range(workers)))
+    killed = sum(m["killed"] for m in mutants)
+    print(f"{killed} of {len(mutants)} killed")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Mutation score of the tests.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("reach", "draw", "run"):
+        command = commands.add_parser(name)
+        command.add_argument("path", type=Path)
+        if name == "draw":
+            command.add_argument("--number", type=int, default=150)
+            command.add_argument("--seed", type=int, default=0)
+        if name == "run":
+            command.add_argument("reach", type=Path)
+            command.add_argument("--files", type=int, default=12)
+            command.add_argument("--workers", type=int, default=1)
+    chosen = parser.parse_args()
+    if chosen.command == "run":
+        reached = json.loads(chosen.reach.read_text())
+        run(chosen.path, reached, chosen.files, chosen.workers)
+        return
+    made = reach() if chosen.command == "reach" else draw(chosen.number, chosen.seed)
+    chosen.path.write_text(json.dumps(made, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
