@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import oracles
-from jax import monitoring
+import programs
 from jaxtyping import Array, Float, Shaped
 
 from jaxnarx.arrays.sizes import bucket
@@ -255,20 +255,8 @@ def reference(name: str) -> dict[str, list[str]]:
     return dict(zip(header, map(list, zip(*body, strict=True)), strict=True))
 
 
-_compiled: list[float] = []
-
-
-def _count(event: str, duration_secs: float, **kwargs: str | int) -> None:
-    del kwargs
-    if event == "/jax/core/compile/backend_compile_duration":
-        _compiled.append(duration_secs)
-
-
-monitoring.register_event_duration_secs_listener(_count)
-
-
 def compilations(f: Callable[[], object]) -> int:
     """How many programs XLA compiles while `f` runs."""
-    before = len(_compiled)
+    before = programs.made()
     f()
-    return len(_compiled) - before
+    return programs.made() - before

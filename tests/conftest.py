@@ -13,6 +13,7 @@ from quick import compile_quickly
 compile_quickly(str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
 
 import jax  # noqa: E402
+import programs  # noqa: E402
 import pytest  # noqa: E402
 import shape_checks  # noqa: E402
 
@@ -61,14 +62,56 @@ def pytest_collection_finish(session):
     gc.set_threshold(100_000, 20, 100)
 
 
+MADE: dict[str, int] = {}
+"""Programs that each file has made in this process."""
+WORKERS: list[dict] = []
+"""What every process of this run has cost."""
+
+
 @pytest.fixture(scope="module", autouse=True)
-def few_programs():
-    """Let compiled programs go after a file that has left too many of them."""
+def few_programs(request):
+    """Hold a file to its budget of programs, and let them go where too many are left.
+
+    The budget is that of the default tests.
+    """
+    before = programs.made()
     yield
+    file = request.path.relative_to(programs.ROOT).as_posix()
+    MADE[file] = number = programs.made() - before
+    default = request.config.getoption("markexpr") == "not slow"
+    limit = programs.budget(file)
+    if default and number > limit:
+        if os.environ.get("JAXNARX_PROGRAMS") != "unbounded":
+            pytest.fail(
+                f"{file} makes {number} programs, its budget is {limit}: use problems "
+                "and settings that other tests have, and numpy outside of what is "
+                f"compiled; or record more: python tests/programs.py {file}",
+                pytrace=False,
+            )
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_text().count("\n") > MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+def pytest_sessionfinish(session):
+    seconds, memory = programs.effort()
+    cost = {"files": MADE, "seconds": seconds, "memory": memory}
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["cost"] = cost
+    elif not WORKERS:
+        WORKERS.append(cost)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    if cost := getattr(node, "workeroutput", {}).get("cost"):
+        WORKERS.append(cost)
+
+
+def pytest_terminal_summary(terminalreporter):
+    for line in programs.lines(WORKERS):
+        terminalreporter.write_line(line)
 
 
 @pytest.fixture(scope="session", autouse=True)
