@@ -62,6 +62,12 @@ def pytest_collection_finish(session):
     gc.set_threshold(100_000, 20, 100)
 
 
+@pytest.fixture(autouse=True)
+def first_calls():
+    """Every test checks its own first calls."""
+    shape_checks.next_test()
+
+
 MADE: dict[str, int] = {}
 """Programs that each file has made in this process."""
 WORKERS: list[dict] = []

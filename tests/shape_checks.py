@@ -1,4 +1,7 @@
-"""Run-time checks of types and shapes at every call, each of them once.
+"""Run-time checks of types and shapes at the first calls of a test, each of them once.
+
+What a test calls thousands of times is checked `FIRST` times: later calls seldom have
+other shapes, and in code of many small steps the checks were a third of the time.
 
 `jaxtyping.jaxtyped` binds the arguments of each call by Python and has all of them
 checked twice, whatever they are. Here the typechecker wraps the function itself, and
@@ -15,6 +18,11 @@ from typing import Any, get_args
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
+FIRST = 50
+"""Calls of each function that every test checks."""
+
+_test = [0]
+
 _jaxtyped: Callable[..., Any] = jaxtyping.jaxtyped
 plain = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError))
 
@@ -25,21 +33,56 @@ def install() -> None:
     jaxtyping.install_import_hook("jaxnarx", "beartype.beartype")
 
 
+def next_test() -> None:
+    """Calls are counted anew."""
+    _test[0] += 1
+
+
 def checked(*, typechecker: Any) -> Callable[[Any], Any]:
     def decorate(definition: Any) -> Any:
         if inspect.isclass(definition):
-            return _jaxtyped(definition, typechecker=typechecker)
+            return _with_init(definition, typechecker)
         hints = list(getattr(definition, "__annotations__", {}).values())
         if not hints:
             return definition
         parts = [part for hint in hints for part in _parts(hint)]
         if any(isinstance(part, str) for part in parts):
             # a type that is text until somebody imports it
-            return _jaxtyped(definition, typechecker=typechecker)
+            return _at_first(_jaxtyped(definition, typechecker=typechecker), definition)
         shapes = any(getattr(part, "__module__", "") == "jaxtyping" for part in parts)
-        return _scoped(plain(definition)) if shapes else plain(definition)
+        own = plain(definition)
+        return _at_first(_scoped(own) if shapes else own, definition)
 
     return decorate
+
+
+def _with_init(definition: Any, typechecker: Any) -> Any:
+    """A class whose fields are checked when it is made, if it is a dataclass."""
+    before = definition.__dict__.get("__init__")
+    made = _jaxtyped(definition, typechecker=typechecker)
+    after = made.__dict__.get("__init__")
+    if before is not None and after is not before:
+        made.__init__ = _at_first(after, before)
+    return made
+
+
+def _at_first(careful: Callable[..., Any], bare: Any) -> Any:
+    """`careful` for the first calls of every test, then what it wraps."""
+    if not inspect.isfunction(careful) or not inspect.isfunction(bare):
+        return careful
+    test, calls = -1, 0
+
+    @functools.wraps(careful)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal test, calls
+        if test != _test[0]:
+            test, calls = _test[0], 0
+        if calls >= FIRST:
+            return bare(*args, **kwargs)
+        calls += 1
+        return careful(*args, **kwargs)
+
+    return call
 
 
 def _scoped(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -60,6 +60,16 @@ def test_what_is_wrong_is_refused(call):
         call()
 
 
+def test_many_calls_are_checked_at_first_and_in_the_next_test_again():
+    for _ in range(shape_checks.FIRST):
+        named("a")
+    with pytest.raises(TypeError):  # Python's own: "a" * "b"
+        named("a", count="b")  # pyright: ignore[reportArgumentType]
+    shape_checks.next_test()
+    with pytest.raises(TypeCheckError):
+        named("a", count="b")  # pyright: ignore[reportArgumentType]
+
+
 def test_what_is_right_passes():
     assert product(TWO, TWO) is TWO
     assert within(TWO, [THREE]) == 5
