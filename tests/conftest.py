@@ -6,7 +6,7 @@ import shutil
 import signal
 from pathlib import Path
 
-from quick import compile_quickly
+from quick import compile_quickly, share_contexts
 
 # Two may write one file at once: who reads half of it compiles (the warning is let
 # through in pyproject.toml).
@@ -22,6 +22,7 @@ import shape_checks  # noqa: E402
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+share_contexts()
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
