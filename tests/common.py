@@ -4,14 +4,16 @@ Networks of every kind the kernels distinguish are built over the same channels 
 variables, and `to_oracle` turns any network into the plain one of `oracles.py`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import oracles
 import programs
+import pytest
 from jaxtyping import Array, Float, Shaped
 
 from jaxnarx.arrays.sizes import bucket
@@ -46,6 +48,16 @@ class Part:
     span: Sequence[float] = ()
     centre: Sequence[Sequence[float]] = ((),)
     width: Sequence[Sequence[float]] = ((),)
+
+
+def some(values: Iterable[Any], *quick: Any) -> list[Any]:
+    """Parameters: `quick` are tried by default, the others by the slow tests."""
+
+    def slow(value: Any) -> Any:
+        parts = value if isinstance(value, tuple) else (value,)
+        return pytest.param(*parts, marks=pytest.mark.slow)
+
+    return [value if value in quick else slow(value) for value in values]
 
 
 def device(values: Shaped[np.ndarray, "..."]) -> Array:

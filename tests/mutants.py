@@ -185,15 +185,19 @@ def try_one(
     source = path.read_bytes()
     start, old = mutant["start"], mutant["old"].encode()
     assert source[start : start + len(old)] == old, f"{path} is not what it was"
-    names = judges(mutant, reached, most)
+    names = [n for n in judges(mutant, reached, most) if (home / n).exists()]
     changed = source[:start] + mutant["new"].encode() + source[start + len(old) :]
-    for name in names:
-        limit = SLACK * reached[name]["seconds"] + SECONDS
+    while names:
+        limit = SLACK * sum(reached[name]["seconds"] for name in names) + SECONDS
         path.write_bytes(changed)
-        how = (home / name).exists() and _fails(name, home, limit)
+        how = _fails(names, home, limit)
         path.write_bytes(source)
-        if how and sound(name, home):
-            return {"killed": True, "by": how, "file": name, "tried": len(names)}
+        if not how:
+            break
+        file = how.partition("::")[0]
+        if file not in names or sound(file, home):
+            return {"killed": True, "by": how, "tried": len(names)}
+        names.remove(file)
     return {"killed": False, "tried": len(names), "files": names}
 
 
@@ -201,16 +205,16 @@ def sound(name: str, home: Path) -> bool:
     """Whether a file passes as the package is, in this copy of it."""
     key = name, str(home)
     if key not in _SOUND:
-        _SOUND[key] = not _fails(name, home, 3600.0)
+        _SOUND[key] = not _fails([name], home, 3600.0)
     return _SOUND[key]
 
 
 _SOUND: dict[tuple[str, str], bool] = {}
 
 
-def _fails(name: str, home: Path, limit: float) -> str:
-    """The first test of a file that fails, or nothing."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", name]
+def _fails(names: list[str], home: Path, limit: float) -> str:
+    """The first test of these files that fails, or nothing."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", *names]
     environment = os.environ | {"PYTHONPATH": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(

@@ -215,6 +215,7 @@ def run_contracts(names: list[str], folder: Path) -> None:
     assert " passed" in done.stdout and "skipped" not in done.stdout
 
 
+@pytest.mark.slow
 def test_the_quick_examples_hold_to_their_contracts(tmp_path):
     run_contracts(["selector", "reader", "exporter"], tmp_path)
 

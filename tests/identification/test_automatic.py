@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common import some
 from search_problems import plant
 
 import jaxnarx as jnx
@@ -132,7 +133,7 @@ def test_the_same_twice_is_the_same_to_the_byte(whole, tiny, tmp_path):
         assert path.read_bytes() == other.read_bytes()
 
 
-@pytest.mark.parametrize("count", [1, 6, 12])
+@pytest.mark.parametrize("count", some((1, 6, 12), 6))
 def test_killed_and_gone_on_with_is_the_same_table(whole, tiny, tmp_path, count):
     _, expected = whole
     folder = tmp_path / "run"
@@ -357,6 +358,7 @@ def test_interrupted_in_the_first_output_the_second_has_none_yet(one_core, tmp_p
     assert len(board_of(done)) == 2 * LINEAR
 
 
+@pytest.mark.slow
 def test_interrupted_side_by_side_it_leaves_no_process(monkeypatch, tmp_path):
     monkeypatch.setattr(automatic, "cores", lambda: 2)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -399,7 +401,8 @@ SCRIPT = """
 """
 
 
-@pytest.mark.parametrize("way", ["file", pytest.param("input", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["file", "input"])
 def test_a_script_without_a_guard_may_search_several_outputs(tmp_path, way):
     """Processes do not import it; names of outputs are no names of files."""
     text = textwrap.dedent(SCRIPT)

@@ -282,8 +282,14 @@ def test_a_tree_of_one_leaf_is_the_plain_model():
 # terms of their own ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("local", [ForwardOLS(max_terms=4), StepwiseF(max_terms=4)])
-@pytest.mark.parametrize("make", [Lolimot, SigmoidTree, Grid])
+@pytest.mark.parametrize(
+    ("make", "local"),
+    [
+        (Lolimot, StepwiseF(max_terms=4)),
+        (SigmoidTree, ForwardOLS(max_terms=4)),
+        (Grid, StepwiseF(max_terms=4)),
+    ],
+)
 def test_every_region_chooses_its_own_terms(make, local):
     settings: dict[str, Any] = {"max_models": 3}
     if make is Grid:

@@ -26,6 +26,7 @@ def runaway() -> Dataset:
     )
 
 
+@pytest.mark.slow
 def test_feedback_is_shrunk_as_by_the_verb():
     data = runaway()
     fleet = fleet_of({"one": data})

@@ -9,6 +9,7 @@ import threading
 import warnings
 
 import pytest
+from common import some
 
 from jaxnarx.errors import DataFileError
 from jaxnarx.sweep.folder.claims import Claims, clear_dead
@@ -94,7 +95,7 @@ def test_a_chunk_that_goes_from_hand_to_hand_has_one_owner_at_a_time(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("end", some((signal.SIGKILL, signal.SIGSTOP), signal.SIGSTOP))
 def test_a_process_has_its_claim_until_it_ends_however_it_ends(tmp_path, other, end):
     with Claims(tmp_path) as claims:
         assert not claims.take(0) and clear_dead(tmp_path)

@@ -115,6 +115,7 @@ def as_format_1(path, digest):
     pq.write_table(table.replace_schema_metadata({"jaxnarx": mark}), path)
 
 
+@pytest.mark.slow
 def test_reading_a_sweep_leaves_no_thread_of_arrow(done):
     # Such a thread may hold Python's memory when Python ends, and then aborts it.
     code = f"""

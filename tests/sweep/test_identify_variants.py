@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from common import some
 from identify_problems import SMALL, engine, fleet_of
 
 from jaxnarx.identification import identify
@@ -32,13 +33,7 @@ def free_run_error(network: Network, data) -> float:
     return float(np.sqrt(np.mean((y - run[0])[mask] ** 2)) / np.std(y[mask]))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name if name in QUICK else pytest.param(name, marks=pytest.mark.slow)
-        for name in VARIANTS
-    ],
-)
+@pytest.mark.parametrize("name", some(VARIANTS, *QUICK))
 def test_every_variant_refines_and_comes_back_as_a_network(name):
     method = changed(SMALL, VARIANTS[name])
     data = engine(1)

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import some
 from identify_problems import SMALL, engine, fleet_of
 
 from jaxnarx.errors import SpecError
@@ -53,11 +54,7 @@ def free_run_error(network, data) -> float:
     return float(np.sqrt(np.mean((y - run[0])[mask] ** 2)) / np.std(y[mask]))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow) for n in WAYS if n == "simulation"]
-    + [n for n in WAYS if n != "simulation"],
-)
+@pytest.mark.parametrize("name", some(WAYS, "own"))
 def test_a_member_is_the_verbs_in_a_row(name):
     method = changed(SMALL, WAYS[name])
     data, fleet = engine(1), fleet_of({"one": engine(1)})
@@ -80,6 +77,7 @@ def test_a_member_is_the_verbs_in_a_row(name):
     ]
 
 
+@pytest.mark.slow
 def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
     fleet = fleet_of({"one": engine(1)})
     lags = {"pool.input_lags": (0, 1), "pool.output_lags": (1,)}

@@ -55,14 +55,14 @@ def test_a_killed_sweep_continues_and_equals_the_uninterrupted_one(
 ):
     folder, diary = tmp_path / "x", tmp_path / "diary"
     # Long enough that a busy machine is not done before the signal comes.
-    toy = f"Toy(24, pause=0.5, diary={str(diary)!r})"
+    toy = f"Toy(24, pause=0.3, diary={str(diary)!r})"
     first = start(folder, toy, "dict(chunk=2)")
     wait_for(lambda: len(chunks(folder)) >= 3 or first.poll() is not None)
     first.send_signal(signal.SIGKILL)
     first.wait()
     before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in chunks(folder)}
     assert 3 <= len(before) < 12, first.communicate()
-    again = start(folder, toy.replace("0.5", "0.0"), "dict(chunk=2)")
+    again = start(folder, toy.replace("0.3", "0.0"), "dict(chunk=2)")
     _, errors = again.communicate(timeout=LIMIT)
     assert again.returncode == 0, errors
     assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in before} == before
@@ -74,6 +74,7 @@ def test_a_killed_sweep_continues_and_equals_the_uninterrupted_one(
     assert not list((folder / "claims").iterdir())
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_folder(tmp_path, start, sound, same_rows):
     folder, diary = tmp_path / "x", tmp_path / "diary"
     # Long enough for the second to come before the first is done.
@@ -181,6 +182,7 @@ def test_when_no_process_can_be_replaced_the_same_call_continues(tmp_path, monke
     assert table.column("status").tolist() == ["ok", "ok"]
 
 
+@pytest.mark.slow
 def test_one_process_does_not_load_dask(tmp_path):
     code = f"""
 import sys
@@ -206,7 +208,8 @@ def test_a_script_without_guard_is_told_what_it_lacks(tmp_path, start):
     assert "JaxnarxError" in errors and "did not start" in errors
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_keeps_what_is_finished(tmp_path, start, sound, same_rows, workers):
     folder, diary = tmp_path / "x", tmp_path / "diary"
     # Long enough that a busy machine is not done before the signal comes.
