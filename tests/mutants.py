@@ -215,7 +215,8 @@ _SOUND: dict[tuple[str, str], bool] = {}
 def _fails(names: list[str], home: Path, limit: float) -> str:
     """The first test of these files that fails, or nothing."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", *names]
-    environment = os.environ | {"PYTHONPATH": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {"PYTHONPATH": str(home)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled once
     try:
         done = subprocess.run(
             [*command, "-p", "no:cacheprovider"],

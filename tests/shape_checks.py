@@ -10,6 +10,7 @@ annotation is not touched: of a nested function every call of the outer one woul
 compile the checks anew.
 """
 
+import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Iterator
@@ -48,31 +49,43 @@ def checked(*, typechecker: Any) -> Callable[[Any], Any]:
         parts = [part for hint in hints for part in _parts(hint)]
         if any(isinstance(part, str) for part in parts):
             # a type that is text until somebody imports it
-            return _at_first(_jaxtyped(definition, typechecker=typechecker), definition)
+            return _at_first(
+                lambda: _jaxtyped(definition, typechecker=typechecker), definition
+            )
         shapes = any(getattr(part, "__module__", "") == "jaxtyping" for part in parts)
-        own = plain(definition)
-        return _at_first(_scoped(own) if shapes else own, definition)
+        make = (
+            (lambda: _scoped(plain(definition)))
+            if shapes
+            else lambda: plain(definition)
+        )
+        return _at_first(make, definition)
 
     return decorate
 
 
 def _with_init(definition: Any, typechecker: Any) -> Any:
     """A class whose fields are checked when it is made, if it is a dataclass."""
-    before = definition.__dict__.get("__init__")
-    made = _jaxtyped(definition, typechecker=typechecker)
-    after = made.__dict__.get("__init__")
-    if before is not None and after is not before:
-        made.__init__ = _at_first(after, before)
-    return made
+    own = definition.__dict__.get("__init__")
+    if dataclasses.is_dataclass(definition) and inspect.isfunction(own):
+        setattr(  # noqa: B010 # a class that is frozen for others
+            definition,
+            "__init__",
+            _at_first(lambda: _jaxtyped(own, typechecker=typechecker), own),
+        )
+    return definition
 
 
-def _at_first(careful: Callable[..., Any], bare: Any) -> Any:
-    """`careful` for the first calls of every test, then what it wraps."""
-    if not inspect.isfunction(careful) or not inspect.isfunction(bare):
-        return careful
+def _at_first(make: Callable[[], Callable[..., Any]], bare: Any) -> Any:
+    """What `make` returns for the first calls of every test, then what it wraps.
+
+    It is made at the very first: most functions are not called in most processes.
+    """
+    if not inspect.isfunction(bare):
+        return make()
+    careful: list[Callable[..., Any]] = []
     test, calls = -1, 0
 
-    @functools.wraps(careful)
+    @functools.wraps(bare)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal test, calls
         if test != _test[0]:
@@ -80,7 +93,9 @@ def _at_first(careful: Callable[..., Any], bare: Any) -> Any:
         if calls >= FIRST:
             return bare(*args, **kwargs)
         calls += 1
-        return careful(*args, **kwargs)
+        if not careful:
+            careful.append(make())
+        return careful[0](*args, **kwargs)
 
     return call
 

@@ -348,11 +348,16 @@ def test_top_level_names_are_few_and_each_is_used():
     assert not set(jaxnarx.__all__) - used
 
 
-@pytest.mark.parametrize("name", sorted(names_in_the_pages() | names_in_docstrings()))
-def test_a_name_that_a_text_gives_exists(name):
-    value: object = jaxnarx
-    for part in name.split("."):
-        value = getattr(value, part)
+def test_names_that_texts_give_exist():
+    missing = []
+    for name in sorted(names_in_the_pages() | names_in_docstrings()):
+        value: object = jaxnarx
+        try:
+            for part in name.split("."):
+                value = getattr(value, part)
+        except AttributeError:
+            missing.append(name)
+    assert not missing
 
 
 def test_a_room_is_there_on_first_use_and_offers_what_no_other_name_does():

@@ -35,6 +35,7 @@ def cost(part: str, space: Path) -> dict[str, Any]:
         "XDG_CACHE_HOME": str(space / "cache"),
         "JAXNARX_DATA": str(Path(data).resolve()),
     }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [str(home / ".ci" / part)]
     if part == "default":
         python = home / ".venv" / "bin" / "python"
