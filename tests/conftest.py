@@ -35,7 +35,7 @@ COMPILED = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
 COMPILED_MB = 2_000
 """What is kept for later runs is thrown away beyond this."""
 
-MAPS = 30_000
+MAPS = 50_000
 """Memory maps of a process beyond which compiled programs are let go. Every program
 takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
 

@@ -258,6 +258,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("JAXNARX_DATA", ROOT / "../shared/data"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (FOLDER / "gengine1").is_dir(),
     reason="gengine1 is not in JAXNARX_DATA (default ../shared/data)",

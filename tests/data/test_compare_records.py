@@ -122,6 +122,7 @@ def test_levels_that_hide_the_movement_are_told():
     assert not list(far_levels(data)) and not list(far_levels(data[:1]))
 
 
+@pytest.mark.slow
 def test_gengine1_has_none(measured):
     root = Path(__file__).parents[2]
     split = read_split(root / "experiments/gengine1/gengine1.toml", root=measured)

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import some
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
@@ -197,7 +198,7 @@ FIRST = {
 }
 
 
-@pytest.mark.parametrize("kind", list(FIRST))
+@pytest.mark.parametrize("kind", some(FIRST, "tree", "gaussians"))
 def test_a_growth_goes_on_from_the_regions_of_a_network(kind: str):
     """From the third stage on: that stage's regions, fitted anew, then their splits.
 

@@ -125,6 +125,7 @@ def padded(fleet: Fleet) -> Fleet:
     )
 
 
+@pytest.mark.slow
 def test_padded_lanes_side_by_side_equal_bare_lanes_in_turn(engines, rows):
     # Both in one test, as every shape and every way compiles anew. Batched sums round
     # differently.

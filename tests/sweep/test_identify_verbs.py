@@ -104,7 +104,7 @@ def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
 
 
 def test_a_case_changes_the_settings_that_it_names():
-    method = changed(SMALL, {"select": "stepwise", "select.max_terms": 6})
+    method = changed(SMALL, {"grow": OWN, "select.max_terms": 6})
     fleet = fleet_of({"one": engine(1)})
     cases = [{"refine": "none"}, {"refine": "none", "select.max_terms": 2}]
     rows = identify_each(fleet, method, cases)
