@@ -1,5 +1,6 @@
 """Kernels of the fused identification one by one, against plain versions."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -126,6 +127,7 @@ def test_cases_that_differ_in_numbers_share_a_program():
 
 def test_the_stage_is_chosen_as_on_the_host():
     rng = np.random.default_rng(3)
+    best_of = jax.jit(best_stage, static_argnames=("criterion", "patience"))
     for n in range(40):
         sse = np.sort(rng.uniform(1.0, 3.0, 6))[::-1]
         effective = 5.0 * np.arange(1, 7) + rng.uniform(size=6)
@@ -133,8 +135,8 @@ def test_the_stage_is_chosen_as_on_the_host():
         for criterion in ("aicc", "bic", "none"):
             method = Lolimot(["a[t]"], max_models=6, criterion=criterion)
             best, _ = choose_stage(count, sse, effective, 60.0, method)
-            ours = best_stage(
-                *(jnp.asarray(x) for x in (sse, effective, count, 60.0, 6)),
+            ours = best_of(
+                *(sse, effective, count, 60.0, 6),
                 criterion=criterion,
                 patience=method.patience,
             )
