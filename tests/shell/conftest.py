@@ -48,14 +48,20 @@ def described(tmp_path_factory):
 @pytest.fixture(scope="module")
 def undrawn():
     """Pages have no figures but where they are `drawn`; yields what draws them."""
-
-    def none(report: Report) -> dict[str, list[tuple[str, str]]]:
-        board = [(output, "") for output in report.leaderboard or ()]
-        return defaultdict(list, leaderboard=board)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(html, "_pictures", none)
+        patch.setattr(html, "_pictures", _none)
         yield PICTURES
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    """Pages have no figures, in one test."""
+    monkeypatch.setattr(html, "_pictures", _none)
+
+
+def _none(report: Report) -> dict[str, list[tuple[str, str]]]:
+    board = [(output, "") for output in report.leaderboard or ()]
+    return defaultdict(list, leaderboard=board)
 
 
 @pytest.fixture
