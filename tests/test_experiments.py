@@ -259,6 +259,7 @@ def test_the_verbs_beside_the_program(tmp_path):
     assert_target(row["loop over program"])
 
 
+@pytest.mark.slow
 def test_the_house_is_counted(tmp_path):
     found = run("house.py", results=tmp_path)["house"]["now"]
     rooms = found["rooms"]

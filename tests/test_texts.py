@@ -78,7 +78,7 @@ def scope():
     pool = jnx.polynomial_pool(
         data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
     )
-    named = {"network": common.named("coupled"), "data": data, "pool": pool}
+    named = {"network": common.named("one model"), "data": data, "pool": pool}
     return {"jnx": jnx} | named
 
 

@@ -1,5 +1,6 @@
 """Reactivation: the design's own figures, when there is none, and what is said."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ UNEQUAL = gaussians([[0.2], [0.5]], [[0.2], [0.05]])
 def test_the_designs_example():
     """phi_1(0.2) = 1, phi_1(0.5) = 0.245085, phi_1(0.9) = 1 (DESIGN section 5)."""
     z = np.array([[0.2], [0.5], [0.9]])
-    phi = np.asarray(UNEQUAL(jnp.asarray(z.T), jnp.ones(2, bool)))
+    phi = np.asarray(eqx.filter_jit(UNEQUAL)(z.T, np.ones(2, bool)))
     np.testing.assert_allclose(phi[0], [1.0, 0.245085, 1.0], atol=5e-7)
     got = reactivation(UNEQUAL, ALL, z)
     np.testing.assert_allclose(got, [1 - 0.245085, 0.0], atol=5e-7)
@@ -74,7 +75,8 @@ OTHERS = [
 def test_other_classes_have_one_hill_along_a_line(validity):
     """What the zero rests on: weights rise and then fall, never again."""
     z = np.linspace(-0.5, 1.5, 801)[:, None]
-    for phi in np.asarray(validity(jnp.asarray(z.T), jnp.ones(2, bool))):
+    weights = eqx.filter_jit(validity)(z.T, np.ones(2, bool))
+    for phi in np.asarray(weights):
         top = int(phi.argmax())
         assert np.all(np.diff(phi[: top + 1]) >= -1e-12)
         assert np.all(np.diff(phi[top:]) <= 1e-12)

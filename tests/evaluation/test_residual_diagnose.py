@@ -68,6 +68,12 @@ def found(linear, data):
 
 
 @pytest.fixture(scope="module")
+def rows(linear, data):
+    """Of the report of `linear`."""
+    return report(linear, data).rows
+
+
+@pytest.fixture(scope="module")
 def dense(data):
     """Columns of the linear model and the output, by loops; record and row of each."""
     rows = []
@@ -162,8 +168,8 @@ def test_what_many_samples_find_is_weighed_by_its_extent(data):
     """0.01 b^2 explains 0.5 % of the residual: certain at 15,000 samples, yet faint."""
     many = record(np.random.default_rng(5), 15_000, "many", square=0.01)
     many = dataclasses.replace(data, records=(many,))
-    (sentence,) = diagnose(grown(many, 1), many).value.summary
-    one = diagnose(grown(many, 1), many).value["y"]
+    value = diagnose(grown(many, 1), many).value
+    (sentence,), one = value.summary, value["y"]
     assert "squared input, b" in one.found(0.05) and one.strong(0.05) == []
     assert one.effects["squared input, b"] == pytest.approx(0.005, abs=0.003)
     assert "no test speaks against the model to an extent that matters" in sentence
@@ -172,7 +178,7 @@ def test_what_many_samples_find_is_weighed_by_its_extent(data):
 
 @pytest.mark.parametrize("inputs", [2.0**-498, 2.0**498])
 @pytest.mark.parametrize("outputs", [2.0**-498, 2.0**498])
-def test_units_beyond_all_reason_do_not_matter(data, found, linear, inputs, outputs):
+def test_units_beyond_all_reason_do_not_matter(data, found, rows, inputs, outputs):
     """About 1e-150 and 1e150: powers of two, so that nothing is rounded otherwise."""
     records = [
         dataclasses.replace(r, u=r.u * inputs, y=r.y * outputs) for r in data.records
@@ -186,8 +192,7 @@ def test_units_beyond_all_reason_do_not_matter(data, found, linear, inputs, outp
     for mine, given in zip(one.coefficients, found.coefficients, strict=True):
         assert mine.term == given.term and mine.t == pytest.approx(given.t, rel=1e-6)
         assert mine.error is not None and 0 < mine.error < np.inf
-    rows, others = (report(n, d).rows for n, d in [(linear, data), (network, other)])
-    for mine, given in zip(others, rows, strict=True):
+    for mine, given in zip(report(network, other).rows, rows, strict=True):
         assert mine.nrmse == pytest.approx(given.nrmse, rel=1e-6)
 
 

@@ -1,6 +1,16 @@
 """Fixtures of the command line's tests."""
 
+import dataclasses
+import pickle
+from collections import defaultdict
+from typing import Any
+
 import pytest
+
+from jaxnarx.evaluation import Report
+from jaxnarx.shell.report import html
+
+PICTURES = html._pictures
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,3 +43,67 @@ def described(tmp_path_factory):
             return folder
 
         yield make
+
+
+@pytest.fixture(scope="module")
+def undrawn():
+    """Pages have no figures but where they are `drawn`; yields what draws them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(html, "_pictures", _none)
+        yield PICTURES
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    """Pages have no figures, in one test."""
+    monkeypatch.setattr(html, "_pictures", _none)
+
+
+def _none(report: Report) -> dict[str, list[tuple[str, str]]]:
+    board = [(output, "") for output in report.leaderboard or ()]
+    return defaultdict(list, leaderboard=board)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Pages with figures, in a file that is `undrawn`."""
+    monkeypatch.setattr(html, "_pictures", PICTURES)
+
+
+@pytest.fixture(scope="module")
+def remembered():
+    """What a command fits or scores a second time, on the same data and with the same
+    settings, is what it was the first time; progress is told again. Yields the fits.
+    """
+    fits: dict[bytes, tuple[list, Any]] = {}
+    scores: dict[bytes, Any] = {}
+
+    def fit(train, method, *, validation, progress):
+        key = pickle.dumps((train, method, validation))
+        if key not in fits:
+            rows: list = []
+            fits[key] = (
+                rows,
+                verb(train, method, validation=validation, progress=rows.append),
+            )
+        rows, found = fits[key]
+        for row in rows:
+            progress(row)
+        return found
+
+    def score(network, parts, *, provenance=None, **options):
+        key = pickle.dumps((network, parts, options))
+        if key not in scores:
+            scores[key] = report(network, parts, provenance=provenance, **options)
+        found = scores[key]
+        told = {**found.provenance, **(provenance or {})}
+        return dataclasses.replace(found, provenance=told)
+
+    from jaxnarx.evaluation import report
+    from jaxnarx.shell.identify import verb
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jaxnarx.shell.identify.verb", fit)
+        for user in ("shell.identify", "shell.search.folder", "evaluation"):
+            patch.setattr(f"jaxnarx.{user}.report", score)
+        yield fits

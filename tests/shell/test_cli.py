@@ -41,6 +41,8 @@ MODEL = "model.safetensors"
 PARTS = 'train = ["{0}0.csv", "{0}1.csv"]\nvalidate = ["{0}2.csv"]\ntest = ["{0}3.csv"]'
 FILES = sorted([MODEL, "report.html", "report.json"])
 
+pytestmark = pytest.mark.usefixtures("undrawn", "remembered")
+
 
 # a small engine in files ----------------------------------------------------------
 
@@ -981,7 +983,7 @@ def test_the_data_a_model_was_trained_on_are_called_that(capsys, both):
 HOSTILE = ("<script>alert(1)</script>", '=HYPERLINK("x")', 'a&b"c</svg>', "@N'Ox")
 
 
-def test_hostile_channel_names_harm_nothing(capsys):
+def test_hostile_channel_names_harm_nothing(capsys, drawn):
     for k in range(4):
         write(f"h{k}.csv", columns(k, names=HOSTILE))
     units = ("<i>", "%", "</td>", "ppm")
@@ -1046,7 +1048,9 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(capsys, monkey
     fails(capsys, 3, arguments, "out: cannot be written (Permission denied)", "--out")
 
 
-def test_ctrl_c_is_130_and_leaves_nothing(capsys, monkeypatch):
+def test_ctrl_c_is_130_and_leaves_nothing(capsys, monkeypatch, remembered):
+    remembered.clear()
+
     def stop(*arguments, **options):
         raise KeyboardInterrupt
 
@@ -1054,7 +1058,9 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, monkeypatch):
     fails(capsys, 130, ["identify", "engine.toml", *PART], "interrupted")
 
 
-def test_too_little_memory_is_said_in_words(capsys, monkeypatch):
+def test_too_little_memory_is_said_in_words(capsys, monkeypatch, remembered):
+    remembered.clear()
+
     def exhausted(*arguments, **options):
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.")
 
@@ -1062,7 +1068,9 @@ def test_too_little_memory_is_said_in_words(capsys, monkeypatch):
     fails(capsys, 3, ["identify", "engine.toml", *PART], "memory", "fewer lags")
 
 
-def test_a_defect_is_not_taken_for_a_bad_fit(capsys, monkeypatch):
+def test_a_defect_is_not_taken_for_a_bad_fit(capsys, monkeypatch, remembered):
+    remembered.clear()
+
     def defect(*arguments, **options):
         raise IndexError("off by one")
 

@@ -1,6 +1,7 @@
 """Figures: small, deterministic, and safe whatever a channel is called."""
 
 import io
+from functools import cache
 
 import numpy as np
 import pytest
@@ -63,6 +64,7 @@ def gated(label):
     return {"scheduling": [label] * 3, "ranges": [(0, 1)] * 3, "after": side}
 
 
+@cache
 def every(label):
     rng = np.random.default_rng(0)
     y = rng.normal(size=50)
@@ -237,6 +239,7 @@ def test_branches_of_a_sum_tell_shares():
     ]
 
 
+@cache
 def of_models(label):
     """Figures of what a model says of its inputs, every name the label."""
     y, u = Channel(label, label[:20]), Channel(f"{label}u", label[:20])

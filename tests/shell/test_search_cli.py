@@ -22,6 +22,7 @@ from jaxnarx.shell.cli import run
 from jaxnarx.shell.search.leaderboard import table
 
 FILES = {"leaderboard.csv", "model.safetensors", "report.html", "report.json"}
+pytestmark = pytest.mark.usefixtures("undrawn", "remembered")
 KEPT = {"candidates", "made_from.json", "search.json"}
 LINE = "identify engine.toml --budget 10m"
 TOML = """
@@ -82,11 +83,13 @@ def typed(capsys, line: str) -> tuple[int, str, str]:
 
 
 @pytest.fixture(scope="module")
-def done(home, patched, printed) -> tuple[Path, str]:
+def done(home, patched, printed, undrawn) -> tuple[Path, str]:
     """The folder of a finished search of both outputs, and what was printed."""
     patched.chdir(home)
     fake = searching(patched)
-    code = run(shlex.split(LINE))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jaxnarx.shell.report.html._pictures", undrawn)
+        code = run(shlex.split(LINE))
     assert code == 0 and len(fake.tried) == 2 * len(KINDS)
     assert fake.options == {
         "preset": "good",
@@ -120,7 +123,7 @@ def copy(done, tmp_path, monkeypatch) -> Path:
 def test_what_spoils_any_model_is_told_before_the_search(tmp_path, monkeypatch, capsys):
     """A constant input, three records of 15 samples, no units."""
     monkeypatch.chdir(tmp_path)
-    searching(monkeypatch)
+    searching(monkeypatch, error=DataError("searched"))
     for n in range(4):
         write(tmp_path / f"r{n}.csv", n)
         lines = (tmp_path / f"r{n}.csv").read_text().splitlines()
@@ -128,7 +131,8 @@ def test_what_spoils_any_model_is_told_before_the_search(tmp_path, monkeypatch, 
         rows = rows if n == 3 else rows[:15]
         (tmp_path / f"r{n}.csv").write_text("\n".join([lines[0], *rows]) + "\n")
     (tmp_path / "engine.toml").write_text(TOML.replace('"V"', '""'))
-    _, text, _ = typed(capsys, LINE)
+    code, text, told = typed(capsys, LINE)
+    assert code == 3 and "searched" in told
     assert "no unit is stated for a, b" in text
     assert "input a is constant at 1 in all records" in text
     assert "r0 has 15 rows, none after lag 20" in text and "jaxnarx check" in text
