@@ -1,6 +1,6 @@
 """Training of networks with hidden channels: derivatives, starts, what is refused."""
 
-import dataclasses
+from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
-from hidden_problems import FREE, GAIN, WINDOW, X1, X2, network, truth
+from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
@@ -33,10 +33,12 @@ QUICK = SimulationError(max_steps=6, ridge=0)
 @cache
 def prepared(kind: str, top: float, measured: bool):
     """Task and layout of the model with other coefficients, so that there is an
-    error, and the vector with offsets that are not zero."""
-    net = network(kind, top=top)
-    task, _ = make_task(net, truth(kind).data)
-    task = task.begun(net)
+    error, and the vector with offsets that are not zero.
+
+    Not `measured`: from the true hidden values."""
+    net, given = network(kind, top=top), truth(kind)
+    task, _ = make_task(net, given.data)
+    task = task.begun(net) if measured else replace(task, drive=begun_at(net, given))
     initial = initial_conditions(net, task, measured=measured)
     layout = make_layout(net, None, BAND, initial, every=True)
     rng = np.random.default_rng(7)
@@ -109,7 +111,7 @@ def spoiled():
 
 def test_a_spoiled_model_is_found_again_with_its_starts(spoiled):
     data = truth().data
-    fit = refine(spoiled, data, dataclasses.replace(QUICK, max_steps=15))
+    fit = refine(spoiled, data, replace(QUICK, max_steps=15))
     assert fit.is_okay or fit.status_name == "stalled"
     before, after = (simulate(n, data).value for n in (spoiled, fit.value))
     errors = [
@@ -145,8 +147,7 @@ def test_validation_records_are_judged_behind_their_windows(spoiled):
 
 
 def test_folds_leave_groups_out_of_training_and_judge_them(spoiled):
-    data = truth(lengths=(60, 45, 50)).data
-    fit = refine(spoiled, data, dataclasses.replace(QUICK, folds=3))
+    fit = refine(spoiled, truth(lengths=(64, 64)).data, replace(QUICK, folds=4))
     errors = fit.stats["cross_validation"]
     assert np.all(np.isfinite(errors)) and errors[-1] < 0.1 * errors[0]
     assert 0 < fit.stats["limit"] == np.argmin(errors)
@@ -167,9 +168,10 @@ def test_a_hidden_channel_that_no_output_depends_on_stays_where_it_is():
 
 
 def test_the_penalty_on_stability_sees_hidden_channels_of_the_run():
-    net, (task, _, _) = network("plain"), prepared("plain", FREE, False)
+    net, given = network(), truth()
+    task = make_task(net, given.data)[0].begun(net)
     points = penalty_points(net, task.drive, task.masks)
-    every = truth("plain").computed
+    every = given.computed
     places = zip(points.record, points.step, points.history, strict=True)
     for n, step, history in places:
         expected = every[n][step - 1, 2:] / GAIN[[X1, X2]]
@@ -182,7 +184,7 @@ def test_the_penalty_on_stability_sees_hidden_channels_of_the_run():
 
 
 def test_random_starts_move_the_partition_and_nothing_runs_away(spoiled):
-    method = dataclasses.replace(QUICK, max_steps=2, starts=2)
+    method = replace(QUICK, max_steps=2, starts=2)
     fit = refine(spoiled, truth().data, method)
     losses = [row["loss"] for row in fit.stats["history"]]
     names = {row.get("start", "") for row in fit.stats["history"]}
