@@ -11,6 +11,7 @@ import oracles
 import pytest
 from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import refine
@@ -46,6 +47,14 @@ def prepared(kind: str, top: float, measured: bool):
     return task, layout, u + 0.03 * rng.normal(size=u.size)
 
 
+@program
+def begun_run(layout, u, drive, anchor):
+    """Free runs of the network at `u` from the offsets there."""
+    begun = layout.begin(u, drive.measured)
+    drive = eqx.tree_at(lambda d: d.measured, drive, begun)
+    return run(layout.place(u), drive, anchor)
+
+
 KINDS = [("plain", FREE, False), ("scheduled", TOP, True)]
 
 
@@ -60,19 +69,16 @@ def test_normal_equations_are_those_of_the_central_differences(kind, top, measur
     assert np.all((own[..., :2] > 0) == measured)
     offsets = layout.parameters + np.arange(own.size)
 
-    def residual(u):
-        u = jnp.asarray(u)
-        begun = layout.begin(u, task.drive.measured)
-        drive = eqx.tree_at(lambda d: d.measured, task.drive, begun)
-        y = run(layout.place(u), drive, task.anchors(None))
-        r = jnp.sqrt(task.weight) * (y - task.drive.measured)
-        more = jnp.sqrt(own.ravel()) * u[offsets]
-        return np.concatenate([np.asarray(r).ravel(), np.asarray(more)])
+    root, measured = np.sqrt(task.weight), np.asarray(task.drive.measured)
 
-    value, gradient, gram = normal_equations(layout, jnp.asarray(u), *at)
+    def residual(u):
+        r = root * (np.asarray(begun_run(layout, u, *at[:2])) - measured)
+        return np.concatenate([r.ravel(), np.sqrt(own.ravel()) * u[offsets]])
+
+    value, gradient, gram = normal_equations(layout, u, *at)
     hessian, slope = oracles.normal_equations(residual, u)
     np.testing.assert_allclose(value, np.sum(residual(u) ** 2), rtol=1e-12)
-    np.testing.assert_allclose(loss(layout, jnp.asarray(u), *at), value, rtol=1e-12)
+    np.testing.assert_allclose(loss(layout, u, *at), value, rtol=1e-12)
     # Central differences with h = 1e-6 leave 1e-9 of the largest derivative.
     for found, plain in ((gradient, slope), (gram, hessian)):
         scale = np.abs(plain).max()
@@ -81,7 +87,7 @@ def test_normal_equations_are_those_of_the_central_differences(kind, top, measur
     informed = np.diagonal(hessian)
     assert np.all(informed[: layout.parameters] > 0)
     assert np.all((informed[offsets] > 0) == (own.ravel() > 0))
-    y = np.asarray(run(layout.place(jnp.asarray(u)), task.drive, task.anchors(None)))
+    y = np.asarray(begun_run(layout, u, *at[:2]))
     assert np.any(y[..., 2] * GAIN[X1] >= top) == (top == TOP)
 
 
