@@ -183,7 +183,8 @@ def perturbed(net: Network, size: float, seed: int = 0) -> Network:
     rng = np.random.default_rng(seed)
 
     def moved(leaf):
-        return leaf + size * jnp.asarray(rng.normal(size=leaf.shape))
+        leaf = np.asarray(leaf)
+        return jax.device_put(leaf + size * rng.normal(size=leaf.shape))
 
     def shift(model):
         return eqx.tree_at(
