@@ -36,7 +36,7 @@ LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
 
 
 MARGIN = 0.01
-"""Most networks here are held to their outputs' ranges, for that is another program."""
+"""By which most outputs here are held: with and without one are two programs."""
 
 
 def filtered(net):
