@@ -7,6 +7,7 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
+import oracles
 import pytest
 from common import A, B
 
@@ -22,12 +23,11 @@ from jaxnarx.models import (
     fed_back,
     hold_to_range,
     reported,
-    scheduling_values,
 )
 from jaxnarx.models.limits import overshoot
 from jaxnarx.models.missing import memory_of
 from jaxnarx.simulation.masks import first_anchor, make_masks
-from jaxnarx.simulation.runs import make_drive, run_record
+from jaxnarx.simulation.runs import make_drive, run, run_record
 
 LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
 """Trained ranges that about a third of the inputs leave."""
@@ -46,11 +46,12 @@ def by_hand(net, rows, outside):
     if outside != FLAG:
         seen[:, [A, B]] = np.clip(rows[:, [A, B]], LOW[:2], HIGH[:2])
     lower, upper = np.asarray(net.lower), np.asarray(net.upper)
+    dense = [np.asarray(model.local.dense()) for model in net.models]
     fed = {row for row, *_ in fed_back(net.variables, net.signals)}
     y = np.array(rows[:, own] / gain[own])
     for t in range(net.history, len(rows)):
         now = []
-        for model in net.models:
+        for model, theta in zip(net.models, dense, strict=True):
             x: list[float] = [1.0]
             far: list[float] = [0.0]
             for s, lag in net.variables:
@@ -64,17 +65,17 @@ def by_hand(net, rows, outside):
                 y[t - lag, own.index(s)] * gain[s] if s in own else seen[t - lag, s]
                 for s, lag in model.scheduling
             ]
-            z = np.asarray(scheduling_values(model, jnp.asarray(z)))
-            phi = np.asarray(model.validity(jnp.asarray(z), model.active))
+            z = (np.array(z) - np.asarray(model.offset)) / np.asarray(model.span)
+            centre, width = model.validity.centre, np.exp(model.validity.log_width)
+            (phi,) = oracles.validity(z[None], np.asarray(centre), np.asarray(width))
             total = 0.0
-            dense = np.asarray(model.local.dense())
             for k, row in enumerate(np.asarray(model.local.factor).tolist()):
                 value = np.prod([x[i] for i in row])
                 if not any(i - 1 in fed for i in row if i):
                     for n, i in enumerate(row):
                         rest = [x[j] for m, j in enumerate(row) if m != n]
                         value += far[i] * np.prod(rest)
-                total += float(phi @ dense[:, k]) * value
+                total += float(phi @ theta[:, k]) * value
             now.append(total)
         y[t] = np.clip(now, lower, upper)
     return y * gain[own]
@@ -122,39 +123,38 @@ def test_one_step_is_a_step_of_the_run():
     net, data = ranged("coupled", LINEAR), common.dataset()
     batch = stack(data)
     drive = make_drive(net, batch)
-    v, x, past = drive.v[0], tuple(one[0] for one in drive.x), drive.measured[0]
     masks = make_masks(net, batch, net.window)
-    y = run_record(net, v, x, past, jnp.asarray(first_anchor(masks))[0])
+    y = np.asarray(run(net, drive, jax.device_put(first_anchor(masks))))[0]
+    v, x = jax.tree.map(lambda a: np.asarray(a)[0], (drive.v, drive.x))
     lags = max(d for _, _, d in fed_back(net.variables, net.signals)) + 1
+    step = jax.jit(partial(advance, net))
     for t in (20, 40):
-        history = jnp.stack([y[t - 1 - d] for d in range(lags)], axis=1)
-        one = advance(net, v[:, t], tuple(a[:, t] for a in x), history)
+        history = np.stack([y[t - 1 - d] for d in range(lags)], axis=1)
+        one = step(v[:, t], tuple(a[:, t] for a in x), history)
         np.testing.assert_allclose(one, y[t], rtol=1e-12)
 
 
 def test_the_slope_by_inputs_is_that_of_differences():
     net, rows = ranged("coupled", LINEAR), common.signals(30)
-    anchor = jnp.arange(30) == net.history
+    anchor = np.arange(30) == net.history
 
-    def run(rows):
+    def end(rows):
         v, x = net.columns(rows)
         own = np.array(net.signals)
         past = rows[:, own] / net.gain[own][None]
-        return run_record(net, v, x, past, anchor)[-1].sum()
+        return run_record(net, v, x, past, jnp.asarray(anchor))[-1].sum()
 
-    run = jax.jit(run)
-    slope = np.asarray(jax.grad(run)(jnp.asarray(rows)))
+    # the end, and its slope along a change of the rows
+    both = jax.jit(lambda rows, to: jax.jvp(end, (rows,), (to,)))
     beyond = np.argwhere((rows[:, :2] < LOW[:2]) | (rows[:, :2] > HIGH[:2]))
     beyond = beyond[beyond[:, 0] > 22]
     assert len(beyond) > 2
     for t, s in beyond.tolist():
-        ends = []
-        for step in (1e-5, -1e-5):
-            moved = np.array(rows)
-            moved[t, s] += step
-            ends.append(float(run(jnp.asarray(moved))))
+        to = np.zeros_like(rows)
+        to[t, s] = 1.0
+        up, down = (float(both(rows + h * to, to)[0]) for h in (1e-5, -1e-5))
         # central differences of 1e-5 are good to 1e-10, of sums of order one
-        assert abs((ends[0] - ends[1]) / 2e-5 - slope[t, s]) < 1e-6
+        assert abs((up - down) / 2e-5 - both(rows, to)[1]) < 1e-6
 
 
 def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():

@@ -13,13 +13,21 @@ from hidden_problems import FREE, WINDOW, free_run, network, truth
 import jaxnarx as jnx
 from jaxnarx import design, inverse
 from jaxnarx.data import Channel, Channels
+from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost, local_behaviour
 from jaxnarx.linear import adapt
 from jaxnarx.models import Network, load, merged, narrowed, save
 from jaxnarx.regressors import Variables
 from jaxnarx.shell import cli
-from jaxnarx.simulation import simulate
+from jaxnarx.simulation import (
+    first_anchor,
+    fitting,
+    make_drive,
+    make_masks,
+    run,
+    simulate,
+)
 
 TOP = 0.5
 """A bound of x1 that holds it at times."""
@@ -96,37 +104,47 @@ def part(output: int, **more) -> Network:
     )
 
 
-@pytest.fixture(scope="module")
-def runs():
-    """Of y and of w alone."""
-    return [simulate(part(o), truth().data).value for o in (0, 1)]
+def told_starts(net: Network):
+    """Scaled free runs from the true hidden values, and the samples that are scored."""
+    given = truth()
+    batch = stack(fitting(net, given.data))
+    drive, masks = make_drive(net, batch), make_masks(net, batch, net.window)
+    measured = np.array(drive.measured)
+    for n, every in enumerate(given.computed):
+        start = every[masks.start[n] - 1, 2:] / hidden_problems.GAIN[4:]
+        measured[n, masks.start[n] - 1, -net.hidden :] = np.tile(start, net.hidden // 2)
+    drive = dataclasses.replace(drive, measured=jax.device_put(measured))
+    found = run(net, drive, jax.device_put(first_anchor(masks)))
+    return np.asarray(found), masks.scored
 
 
-def test_merged_networks_run_as_their_parts(runs):
-    both = merged([part(0), part(1)])
+def test_merged_networks_run_as_their_parts():
+    parts = [part(0), part(1)]
+    both = merged(parts)
     assert both.channels.hidden == tuple(Channel(f"x{n}") for n in (1, 2, 3, 4))
     assert both.output_names == ["y", "w"] and both.window == WINDOW
-    run = simulate(both, truth().data).value
-    for o, alone in enumerate(runs):
-        for n in range(2):
-            # Both find the starts from the same samples, to rounding.
-            found, own = run.outputs[n][:, o], alone.outputs[n][:, 0]
-            np.testing.assert_allclose(found, own, atol=1e-9)
-            hidden = run.hidden[n][WINDOW:, 2 * o : 2 * o + 2]
-            np.testing.assert_allclose(hidden, alone.hidden[n][WINDOW:], atol=1e-9)
-            np.testing.assert_array_equal(run.scored[n][:, o], alone.scored[n][:, 0])
+    for name in ("gain", "low", "high", "lower", "upper"):
+        known = [np.asarray(getattr(n, name))[-2:] for n in parts]
+        found = np.asarray(getattr(both, name))[-4:]
+        np.testing.assert_array_equal(found, np.concatenate(known))
+    found, scored = told_starts(both)
+    for o, net in enumerate(parts):
+        alone, counted = told_starts(net)
+        own = [o, 2 + 2 * o, 3 + 2 * o]
+        np.testing.assert_allclose(found[..., own], alone, atol=1e-9)
+        np.testing.assert_array_equal(scored[..., o], counted[..., 0])
 
 
-def test_merged_takes_the_longest_window_and_parts_without_hidden_channels(runs):
+def test_merged_takes_the_longest_window_and_parts_without_hidden_channels():
     longer, closed = part(1, window=WINDOW + 8), named("by inputs")
     both = merged([longer, closed])
     assert (both.hidden, both.window, both.history) == (2, WINDOW + 8, 2)
     run = simulate(both, truth().data).value
-    for n, alone in enumerate(runs[1].outputs):
+    for n, every in enumerate(truth().computed):
         assert np.argmax(run.scored[n][:, 0]) == both.before
-        # The starts of other windows differ by the prior, and that dies out.
+        # The starts differ from the true ones by the prior, and that dies out.
         found = run.outputs[n][both.before :, 0]
-        np.testing.assert_allclose(found, alone[both.before :, 0], atol=1e-4)
+        np.testing.assert_allclose(found, every[both.before :, 1], atol=1e-4)
 
 
 def test_a_name_that_is_taken_is_not_given_to_a_hidden_channel():
@@ -137,13 +155,12 @@ def test_a_name_that_is_taken_is_not_given_to_a_hidden_channel():
     assert [c.name for c in both.channels.hidden] == ["x_1", "x_2"]
 
 
-def test_narrowed_leaves_the_other_output_out_and_keeps_the_run(runs):
+def test_narrowed_leaves_the_other_output_out_and_keeps_the_run():
     small = narrowed(part(1))
     assert small.channels.names == ["a", "b", "w", "x1", "x2"]
     assert small.window == WINDOW
     assert small.equations() == part(1).equations()
-    run = simulate(small, truth().data).value
-    for a, b in zip(run.outputs, runs[1].outputs, strict=True):
+    for a, b in zip(told_starts(small), told_starts(part(1)), strict=True):
         np.testing.assert_array_equal(a, b)
     whole = network()
     assert narrowed(whole) is whole
@@ -223,20 +240,21 @@ def test_a_report_of_it_is_written_whole(net, tmp_path):
 def test_files_need_no_hidden_columns(tmp_path, capsys):
     net, data = network(), truth().data
     save(net, tmp_path / "m.safetensors")
-    record = data.records[0]
-    with open(tmp_path / "new.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time", "a", "b", "y", "w"])
-        for t, (u, y) in enumerate(zip(record.u, record.y, strict=True)):
-            writer.writerow([0.1 * t, *u, *y])
+    names = ["new.csv", "other.csv"]
+    for record, name in zip(data, names, strict=True):
+        with open(tmp_path / name, "w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time", "a", "b", "y", "w"])
+            for t, (u, y) in enumerate(zip(record.u, record.y, strict=True)):
+                writer.writerow([0.1 * t, *u, *y])
     out = tmp_path / "out"
-    files = [str(tmp_path / name) for name in ("m.safetensors", "new.csv")]
+    files = [str(tmp_path / name) for name in ("m.safetensors", *names)]
     assert cli.run(["simulate", *files, "--out", str(out)]) == 0
     assert "read a, b, y, w" in capsys.readouterr().out
-    rows = list(csv.DictReader((out / "new.csv").read_text().splitlines()))
-    told = np.array([float(row["y simulated"]) for row in rows])
-    own = simulate(net, data[0:1]).value.outputs[0][:, 0]
-    np.testing.assert_allclose(told, own, rtol=1e-5)
+    for y, name in zip(simulate(net, data).value.outputs, names, strict=True):
+        rows = list(csv.DictReader((out / name).read_text().splitlines()))
+        told = np.array([float(row["y simulated"]) for row in rows])
+        np.testing.assert_allclose(told, y[:, 0], rtol=1e-5)
 
 
 # files ----------------------------------------------------------------------------

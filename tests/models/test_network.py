@@ -33,8 +33,13 @@ ROUNDING = 1e-13
 # validity functions ---------------------------------------------------------------
 
 
+def array(values) -> jax.Array:
+    """Of a list or of numpy, without a program for its shape."""
+    return jax.device_put(np.asarray(values))
+
+
 def gaussians(centre, width) -> Gaussians:
-    return Gaussians(jnp.asarray(centre), jnp.log(jnp.asarray(width)))
+    return Gaussians(array(centre), array(np.log(width)))
 
 
 def random_partition(models=4, dims=2, seed=0):
@@ -49,7 +54,7 @@ weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 def test_weights_are_the_normalised_gaussians():
     centre, width = random_partition()
     z = np.random.default_rng(1).uniform(-0.5, 1.5, size=(50, 2))
-    phi = weights(gaussians(centre, width), jnp.asarray(z.T), jnp.ones(4, bool))
+    phi = weights(gaussians(centre, width), array(z.T), array(np.ones(4, bool)))
     expected = oracles.validity(z, centre, width).T
     np.testing.assert_allclose(phi, expected, rtol=1e-11, atol=1e-300)
 
@@ -58,31 +63,33 @@ def test_weights_are_the_normalised_gaussians():
 def test_weights_sum_to_one_however_far_away(distance):
     centre, width = random_partition(seed=2)
     z = distance * np.random.default_rng(2).normal(size=(2, 50))
-    phi = weights(gaussians(centre, width), jnp.asarray(z), jnp.ones(4, bool))
-    np.testing.assert_allclose(jnp.sum(phi, axis=0), 1.0, rtol=1e-15 * 4)
+    phi = weights(gaussians(centre, width), array(z), array(np.ones(4, bool)))
+    np.testing.assert_allclose(np.sum(phi, axis=0), 1.0, rtol=1e-15 * 4)
     assert np.all(np.asarray(phi) >= 0)
 
 
 def test_inactive_models_weigh_nothing_and_the_others_share():
     centre, width = random_partition(seed=3)
-    z = jnp.asarray(np.random.default_rng(3).uniform(size=(2, 50)))
+    z = array(np.random.default_rng(3).uniform(size=(2, 50)))
     active = np.array([True, False, True, False])
-    phi = weights(gaussians(centre, width), z, jnp.asarray(active))
+    phi = weights(gaussians(centre, width), z, array(active))
     np.testing.assert_array_equal(phi[~active], 0.0)
-    alone = weights(gaussians(centre[active], width[active]), z, jnp.ones(2, bool))
+    alone = weights(
+        gaussians(centre[active], width[active]), z, array(np.ones(2, bool))
+    )
     np.testing.assert_array_equal(phi[active], alone)
 
 
 def test_unequal_widths_reactivate_far_away():
     # Figures of DESIGN section 5, printed to six decimals.
     f = gaussians([[0.2], [0.5]], [[0.2], [0.05]])
-    phi = weights(f, jnp.asarray([[0.2, 0.5, 0.9]]), jnp.ones(2, bool))
+    phi = weights(f, array([[0.2, 0.5, 0.9]]), array(np.ones(2, bool)))
     np.testing.assert_allclose(phi[0], [1.0, 0.245085, 1.0], atol=1e-6)
 
 
 def test_one_model_without_scheduling_is_valid_everywhere():
-    f = Gaussians(jnp.zeros((1, 0)), jnp.zeros((1, 0)))
-    phi = f(jnp.zeros((0, 7)), jnp.ones(1, bool))
+    f = Gaussians(array(np.zeros((1, 0))), array(np.zeros((1, 0))))
+    phi = f(array(np.zeros((0, 7))), array(np.ones(1, bool)))
     np.testing.assert_array_equal(phi, np.ones((1, 7)))
 
 

@@ -19,18 +19,21 @@ BORDERS = np.array([0.2, 0.45, 0.8])
 """Of four regions of one variable."""
 
 
+def array(values) -> jax.Array:
+    """Of a list or of numpy, without a program for its shape."""
+    return jax.device_put(np.asarray(values))
+
+
 def compact(margin: float = 0.08) -> Compact:
-    return Compact(
-        jnp.asarray(LOW), jnp.asarray(HIGH), jnp.full((6, 2), np.log(margin))
-    )
+    return Compact(array(LOW), array(HIGH), array(np.full((6, 2), np.log(margin))))
 
 
 def sigmoids(steepness: float = 30.0) -> LogSigmoids:
-    return LogSigmoids(jnp.asarray(BORDERS), jnp.asarray(np.log(steepness)))
+    return LogSigmoids(array(BORDERS), array(np.log(steepness)))
 
 
 SHAPES = {
-    "boxes": (Boxes(jnp.asarray(LOW), jnp.asarray(HIGH)), 2, 6),
+    "boxes": (Boxes(array(LOW), array(HIGH)), 2, 6),
     "compact": (compact(), 2, 6),
     "log-sigmoids": (sigmoids(), 1, 4),
     "steep log-sigmoids": (sigmoids(1e5), 1, 4),
@@ -53,12 +56,12 @@ def test_a_validity_function_holds_to_its_contract(name, check):
 
 def test_log_sigmoids_with_borders_that_fall_are_refused():
     with pytest.raises(ValueError, match=r"borders .* must rise, got \[0.8, 0.2\]"):
-        LogSigmoids(jnp.array([0.8, 0.2]), jnp.asarray(1.0))
+        LogSigmoids(array([0.8, 0.2]), array(1.0))
 
 
 def test_log_sigmoids_are_one_half_at_every_border():
     f = sigmoids(200.0)
-    phi = np.asarray(weights(f, jnp.asarray(BORDERS[None]), jnp.ones(4, bool)))
+    phi = np.asarray(weights(f, array(BORDERS[None]), array(np.ones(4, bool))))
     for border in range(3):
         # The next border is at least 0.25 away: exp(-50) is the most it adds.
         pair = phi[border : border + 2, border]
@@ -66,8 +69,8 @@ def test_log_sigmoids_are_one_half_at_every_border():
 
 
 def test_log_sigmoids_go_on_beyond_the_training_range():
-    ends = jnp.asarray([[-1e6, 1e6]])
-    phi = np.asarray(weights(sigmoids(), ends, jnp.ones(4, bool)))
+    ends = array([[-1e6, 1e6]])
+    phi = np.asarray(weights(sigmoids(), ends, array(np.ones(4, bool))))
     np.testing.assert_array_equal(phi, [[1, 0], [0, 0], [0, 0], [0, 1]])
 
 
@@ -76,7 +79,7 @@ def test_log_sigmoids_follow_the_formula():
     gates = 1 / (1 + np.exp(-30.0 * (z[None] - BORDERS[:, None])))
     steps = np.vstack([np.ones(41), gates, np.zeros(41)])
     expected = steps[:-1] - steps[1:]
-    phi = weights(sigmoids(), jnp.asarray(z[None]), jnp.ones(4, bool))
+    phi = weights(sigmoids(), array(z[None]), array(np.ones(4, bool)))
     np.testing.assert_allclose(phi, expected, rtol=0, atol=1e-14)
 
 
@@ -94,7 +97,7 @@ def test_limits_keep_the_borders_in_order():
 def test_boxes_are_indicators_and_outside_the_nearest_one_speaks():
     f, _, models = SHAPES["boxes"]
     z = np.random.default_rng(2).uniform(-1, 2, size=(2, 400))
-    phi = np.asarray(weights(f, jnp.asarray(z), jnp.ones(models, bool)))
+    phi = np.asarray(weights(f, array(z), array(np.ones(models, bool))))
     held = np.clip(z, 0.0, 1.0 - 1e-12).T[:, None]
     inside = np.all((held >= LOW) & (held < HIGH), axis=2)
     outside = np.any((z < 0) | (z > 1), axis=0)
@@ -113,7 +116,7 @@ def test_boxes_are_indicators_and_outside_the_nearest_one_speaks():
 def test_compact_curves_end_at_their_bounds():
     margin = 0.08
     z = np.random.default_rng(3).uniform(size=(2, 600))
-    phi = np.asarray(weights(compact(margin), jnp.asarray(z), jnp.ones(6, bool)))
+    phi = np.asarray(weights(compact(margin), array(z), array(np.ones(6, bool))))
     away = np.maximum(LOW - z.T[:, None], z.T[:, None] - HIGH).max(axis=2)
     beyond, within = away >= margin, away <= -margin
     np.testing.assert_array_equal(phi.T[beyond], 0.0)
@@ -124,23 +127,24 @@ def test_compact_curves_end_at_their_bounds():
 
 def test_compact_curves_do_not_reactivate():
     # DESIGN section 5: the wide Gaussian of two has weight one again at 0.9.
-    at = jnp.asarray([[0.2, 0.9]])
-    low, high = jnp.array([[0.0], [0.35]]), jnp.array([[0.35], [1.0]])
-    f = Compact(low, high, jnp.log(jnp.array([[0.2], [0.05]])))
-    g = Gaussians(jnp.array([[0.2], [0.5]]), jnp.log(jnp.array([[0.2], [0.05]])))
-    both = jnp.ones(2, bool)
+    at = array([[0.2, 0.9]])
+    low, high = array([[0.0], [0.35]]), array([[0.35], [1.0]])
+    f = Compact(low, high, array(np.log([[0.2], [0.05]])))
+    g = Gaussians(array([[0.2], [0.5]]), array(np.log([[0.2], [0.05]])))
+    both = array(np.ones(2, bool))
     np.testing.assert_allclose(weights(g, at, both)[0], [1.0, 1.0], atol=1e-6)
     # One curve over itself: a rounding error of one.
     np.testing.assert_allclose(weights(f, at, both)[0], [1.0, 0.0], rtol=1e-15)
 
 
 def test_a_gap_between_compact_curves_belongs_to_the_nearest():
-    low, high = jnp.array([[0.0], [0.8]]), jnp.array([[0.2], [1.0]])
-    f = Compact(low, high, jnp.full((2, 1), np.log(0.05)))
-    z = jnp.array([[0.3, 0.45, 0.55, 0.7]])
-    phi = weights(f, z, jnp.ones(2, bool))
+    low, high = array([[0.0], [0.8]]), array([[0.2], [1.0]])
+    f = Compact(low, high, array(np.full((2, 1), np.log(0.05))))
+    z = array([[0.3, 0.45, 0.55, 0.7]])
+    phi = weights(f, z, array(np.ones(2, bool)))
     np.testing.assert_array_equal(phi[0], [1.0, 1.0, 0.0, 0.0])
-    slope = jax.grad(lambda f: jnp.sum(f(z, jnp.ones(2, bool))[0]))(f)
+    both = array(np.ones(2, bool))
+    slope = jax.jit(jax.grad(lambda f: jnp.sum(f(z, both)[0])))(f)
     for leaf in jax.tree.leaves(slope):
         np.testing.assert_array_equal(leaf, 0.0)
 

@@ -1,6 +1,6 @@
 """Training of networks with hidden channels: derivatives, starts, what is refused."""
 
-import dataclasses
+from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
-from hidden_problems import FREE, GAIN, WINDOW, X1, X2, network, truth
+from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import refine
@@ -33,15 +34,25 @@ QUICK = SimulationError(max_steps=6, ridge=0)
 @cache
 def prepared(kind: str, top: float, measured: bool):
     """Task and layout of the model with other coefficients, so that there is an
-    error, and the vector with offsets that are not zero."""
-    net = network(kind, top=top)
-    task, _ = make_task(net, truth(kind).data)
-    task = task.begun(net)
+    error, and the vector with offsets that are not zero.
+
+    Not `measured`: from the true hidden values."""
+    net, given = network(kind, top=top), truth(kind)
+    task, _ = make_task(net, given.data)
+    task = task.begun(net) if measured else replace(task, drive=begun_at(net, given))
     initial = initial_conditions(net, task, measured=measured)
     layout = make_layout(net, None, BAND, initial, every=True)
     rng = np.random.default_rng(7)
     u = np.asarray(layout.gather(net))
     return task, layout, u + 0.03 * rng.normal(size=u.size)
+
+
+@program
+def begun_run(layout, u, drive, anchor):
+    """Free runs of the network at `u` from the offsets there."""
+    begun = layout.begin(u, drive.measured)
+    drive = eqx.tree_at(lambda d: d.measured, drive, begun)
+    return run(layout.place(u), drive, anchor)
 
 
 KINDS = [("plain", FREE, False), ("scheduled", TOP, True)]
@@ -58,19 +69,16 @@ def test_normal_equations_are_those_of_the_central_differences(kind, top, measur
     assert np.all((own[..., :2] > 0) == measured)
     offsets = layout.parameters + np.arange(own.size)
 
-    def residual(u):
-        u = jnp.asarray(u)
-        begun = layout.begin(u, task.drive.measured)
-        drive = eqx.tree_at(lambda d: d.measured, task.drive, begun)
-        y = run(layout.place(u), drive, task.anchors(None))
-        r = jnp.sqrt(task.weight) * (y - task.drive.measured)
-        more = jnp.sqrt(own.ravel()) * u[offsets]
-        return np.concatenate([np.asarray(r).ravel(), np.asarray(more)])
+    root, measured = np.sqrt(task.weight), np.asarray(task.drive.measured)
 
-    value, gradient, gram = normal_equations(layout, jnp.asarray(u), *at)
+    def residual(u):
+        r = root * (np.asarray(begun_run(layout, u, *at[:2])) - measured)
+        return np.concatenate([r.ravel(), np.sqrt(own.ravel()) * u[offsets]])
+
+    value, gradient, gram = normal_equations(layout, u, *at)
     hessian, slope = oracles.normal_equations(residual, u)
     np.testing.assert_allclose(value, np.sum(residual(u) ** 2), rtol=1e-12)
-    np.testing.assert_allclose(loss(layout, jnp.asarray(u), *at), value, rtol=1e-12)
+    np.testing.assert_allclose(loss(layout, u, *at), value, rtol=1e-12)
     # Central differences with h = 1e-6 leave 1e-9 of the largest derivative.
     for found, plain in ((gradient, slope), (gram, hessian)):
         scale = np.abs(plain).max()
@@ -79,7 +87,7 @@ def test_normal_equations_are_those_of_the_central_differences(kind, top, measur
     informed = np.diagonal(hessian)
     assert np.all(informed[: layout.parameters] > 0)
     assert np.all((informed[offsets] > 0) == (own.ravel() > 0))
-    y = np.asarray(run(layout.place(jnp.asarray(u)), task.drive, task.anchors(None)))
+    y = np.asarray(begun_run(layout, u, *at[:2]))
     assert np.any(y[..., 2] * GAIN[X1] >= top) == (top == TOP)
 
 
@@ -109,7 +117,7 @@ def spoiled():
 
 def test_a_spoiled_model_is_found_again_with_its_starts(spoiled):
     data = truth().data
-    fit = refine(spoiled, data, dataclasses.replace(QUICK, max_steps=15))
+    fit = refine(spoiled, data, replace(QUICK, max_steps=15))
     assert fit.is_okay or fit.status_name == "stalled"
     before, after = (simulate(n, data).value for n in (spoiled, fit.value))
     errors = [
@@ -145,8 +153,7 @@ def test_validation_records_are_judged_behind_their_windows(spoiled):
 
 
 def test_folds_leave_groups_out_of_training_and_judge_them(spoiled):
-    data = truth(lengths=(60, 45, 50)).data
-    fit = refine(spoiled, data, dataclasses.replace(QUICK, folds=3))
+    fit = refine(spoiled, truth(lengths=(64, 64)).data, replace(QUICK, folds=4))
     errors = fit.stats["cross_validation"]
     assert np.all(np.isfinite(errors)) and errors[-1] < 0.1 * errors[0]
     assert 0 < fit.stats["limit"] == np.argmin(errors)
@@ -167,9 +174,10 @@ def test_a_hidden_channel_that_no_output_depends_on_stays_where_it_is():
 
 
 def test_the_penalty_on_stability_sees_hidden_channels_of_the_run():
-    net, (task, _, _) = network("plain"), prepared("plain", FREE, False)
+    net, given = network(), truth()
+    task = make_task(net, given.data)[0].begun(net)
     points = penalty_points(net, task.drive, task.masks)
-    every = truth("plain").computed
+    every = given.computed
     places = zip(points.record, points.step, points.history, strict=True)
     for n, step, history in places:
         expected = every[n][step - 1, 2:] / GAIN[[X1, X2]]
@@ -182,7 +190,7 @@ def test_the_penalty_on_stability_sees_hidden_channels_of_the_run():
 
 
 def test_random_starts_move_the_partition_and_nothing_runs_away(spoiled):
-    method = dataclasses.replace(QUICK, max_steps=2, starts=2)
+    method = replace(QUICK, max_steps=2, starts=2)
     fit = refine(spoiled, truth().data, method)
     losses = [row["loss"] for row in fit.stats["history"]]
     names = {row.get("start", "") for row in fit.stats["history"]}

@@ -47,23 +47,23 @@ QUICK = {"horizons": (8,), "window_steps": 4, "max_steps": 8}
 # derivatives ----------------------------------------------------------------------
 
 
-def residuals(layout, task, anchor):
+@eqx.filter_jit
+def residual_vector(layout, u, drive, anchor, weight, criterion):
     """sqrt(weight) T'-free errors and the initial offsets' own, as one vector."""
+    begun = layout.begin(u, drive.measured)
+    y = run(layout.place(u), eqx.tree_at(lambda d: d.measured, drive, begun), anchor)
+    e, _ = criterion.errors(y, drive.measured)
+    parts = [(jnp.sqrt(weight) * e).reshape(-1)]
+    if layout.initial is not None:
+        own = jnp.sqrt(layout.initial.weight.reshape(-1))
+        parts.append(own * u[layout.parameters :])
+    return jnp.concatenate(parts)
 
-    @eqx.filter_jit
-    def f(u):
-        drive = eqx.tree_at(
-            lambda d: d.measured, task.drive, layout.begin(u, task.drive.measured)
-        )
-        y = run(layout.place(u), drive, anchor)
-        e, _ = task.criterion.errors(y, task.drive.measured)
-        parts = [(jnp.sqrt(task.weight) * e).reshape(-1)]
-        if layout.initial is not None:
-            own = jnp.sqrt(layout.initial.weight.reshape(-1))
-            parts.append(own * u[layout.parameters :])
-        return jnp.concatenate(parts)
 
-    return lambda u: np.asarray(f(jnp.asarray(u)))
+def residuals(layout, task, anchor):
+    """Of a task, as a function of the parameters."""
+    at = task.drive, anchor, task.weight, task.criterion
+    return lambda u: np.asarray(residual_vector(layout, jax.device_put(u), *at))
 
 
 @pytest.mark.parametrize("horizon", [None, 2], ids=["free run", "windows"])

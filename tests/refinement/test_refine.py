@@ -38,8 +38,6 @@ def data() -> Dataset:
 
 # derivatives ----------------------------------------------------------------------
 
-compiled_run = eqx.filter_jit(run)
-
 
 @cache
 def prepared(kind: str):
@@ -59,11 +57,11 @@ def equations(kind: str, bound: float, horizon: int | None):
     u = np.asarray(layout.gather(layout.base))
     anchor = task.anchors(horizon)
     found = normal_equations(layout, jnp.asarray(u), task.drive, anchor, task.weight)
-    root = jnp.sqrt(task.weight)
+    root, measured = np.sqrt(task.weight), np.asarray(task.drive.measured)
 
     def residual(u):
-        y = compiled_run(layout.place(jnp.asarray(u)), task.drive, anchor)
-        return np.asarray(root * (y - task.drive.measured))
+        y = run(layout.place(u), task.drive, anchor)
+        return root * (np.asarray(y) - measured)
 
     hessian, gradient = oracles.normal_equations(residual, u)
     value = loss(layout, jnp.asarray(u), task.drive, anchor, task.weight)
@@ -185,7 +183,8 @@ def perturbed(net: Network, size: float, seed: int = 0) -> Network:
     rng = np.random.default_rng(seed)
 
     def moved(leaf):
-        return leaf + size * jnp.asarray(rng.normal(size=leaf.shape))
+        leaf = np.asarray(leaf)
+        return jax.device_put(leaf + size * rng.normal(size=leaf.shape))
 
     def shift(model):
         return eqx.tree_at(

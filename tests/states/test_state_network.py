@@ -138,8 +138,9 @@ def test_settled_holds_hidden_channels_to_where_the_data_drive_them():
 
 
 def test_records_too_short_to_run_and_samples_before_the_begin_do_not_widen_it():
-    given, net = truth(), network()
-    expected = settled(net, given.data)
-    with_short = settled(net, truth(lengths=(60, 45, WINDOW)).data)
-    np.testing.assert_allclose(with_short.low, expected.low, atol=1e-9)
-    np.testing.assert_allclose(with_short.high, expected.high, atol=1e-9)
+    net, data = network(), truth(lengths=(60, WINDOW)).data
+    found, run = settled(net, data), simulate(net, data)
+    assert run.status_name == "too_short"
+    states = run.value.hidden[0][1:]
+    np.testing.assert_allclose(found.low[X1:], states.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(found.high[X1:], states.max(axis=0), atol=1e-9)

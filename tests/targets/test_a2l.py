@@ -7,6 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 import test_dcm
+from test_targets import written
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import SpecError
@@ -36,7 +37,7 @@ def write(folder, files) -> None:
 @pytest.mark.skipif(runners.compiler() is None, reason="there is no C compiler")
 def test_a_tool_finds_every_symbol_in_a_program(tmp_path):
     net = test_dcm.rising()
-    write(tmp_path, export(net, to=["c", "a2l"], name="m", verify=False).files)
+    write(tmp_path, written(net, "c") | written(net, "a2l"))
     (tmp_path / "main.c").write_text(MAIN)
     build = "cc -std=c99 -g -DM_SINGLE m.c main.c -lm -no-pie -o m.elf"
     subprocess.run(build.split(), cwd=tmp_path, check=True)

@@ -165,7 +165,7 @@ def test_one_coefficient_is_one_coefficient(written):
 
 def test_the_source_in_c_comes_back_too(written):
     net, _ = written
-    text = export(net, name="m", verify=False).texts["m.c"]
+    text = str(test_targets.written(net)["m.c"])
     assert read_parameters(net, text) is net
     assert text.count("(m_real)0.625") == 0
     changed = text.replace("(m_real)0.5,", "0.625f, /* was\n 0.5, */", 1)
@@ -256,10 +256,10 @@ def test_a_network_that_changes_is_not_known_as_it_was():
 
 def test_what_is_known_of_the_training_is_no_parameter():
     """Of a network with a domain and errors, exported with its intervals."""
-    net, data = common.named("by inputs"), common.dataset((160, 140), seed=3)
-    net = jnx.trust.learn_errors(jnx.trust.learn_domain(net, data, points=6), data)
+    net = test_targets.trusting()
     assert net.errors is not None
-    files = export(net, to=["dcm", "c"], name="m", level=0.9, verify=False).files
+    data, to = test_targets.records(net), ["dcm", "c"]
+    files = export(net, data, to=to, name="m", level=0.9, verify=False).files
     text = bytes_of(dict(files)).decode("iso-8859-1")
     assert "m_domain_points" in text and "m_doubt_y" in text
     source = files["m.c"]

@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(not compilers(), reason="there is no C compiler 
 
 
 def records() -> Dataset:
-    return common.dataset((60, 45), seed=3)
+    return common.dataset((60,), seed=3)
 
 
 def network() -> Network:

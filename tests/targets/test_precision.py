@@ -1,11 +1,12 @@
 """Targets that fail their proof, and the number types of C."""
 
+import dataclasses
 import subprocess
 from pathlib import Path
 
 import common
 import pytest
-from test_targets import needs_compiler
+from test_targets import needs_compiler, records, trusting
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
@@ -104,13 +105,12 @@ def test_the_command_names_what_failed_and_ends_with_one(
 
 
 def test_the_cost_is_told_with_and_without_the_index(tmp_path, monkeypatch, capsys):
-    net, data = common.named("by inputs"), common.dataset((160, 140), seed=3)
-    net = jnx.trust.learn_domain(net, data, points=6)
+    net = dataclasses.replace(trusting(), errors=None)
     program, bare = lower(net), lower(net, index=False)
     assert program.model_operations == bare.operations == bare.model_operations
     assert program.operations > 2 * bare.operations
     told = f"{program.operations} operations a sample, {bare.operations} of them"
-    found = export(net, verify=False)
+    found = export(net, records(net), verify=False)
     assert f"{told} without the index of the domain" in str(found)
     assert told in " ".join(found.texts["model.h"].replace("*", "").split())
     assert "of them" not in bare.cost

@@ -9,10 +9,12 @@ import common
 import numpy as np
 import pytest
 from common import A, Part
+from test_targets import written
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.targets import Instance, export, lower, octave, runners
+from jaxnarx.targets.export import write_files
 from jaxnarx.targets.interpret import STARTS
 from jaxnarx.targets.matlab import TAKEN
 from jaxnarx.targets.proof import cases_of
@@ -69,8 +71,8 @@ def page(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("scripts")
     net = common.named("by own output")
     to = ["python", "javascript", "matlab"]
-    for name, text in export(net, to=to, name="m", verify=False).texts.items():
-        (folder / name).write_text(text)
+    for one in to:
+        write_files(folder, written(net, one))
     return folder
 
 
@@ -144,9 +146,9 @@ def test_the_test_of_matlab_leaves_out_a_steady_state_that_is_far(monkeypatch):
     """Of a model that swings for ever, and says so."""
     part = common.Part([[((0, 0), 1.0), ((0, 3), -2.0)]])
     net = common.network([part], variables=common.VARIABLES[:4])
-    files = export(net, to=["matlab"], name="m", verify=False).texts
-    assert "from_steady" not in files["m_test.m"]
-    assert "'steady' takes more than 2000 samples" in files["m_test.m"]
+    text = str(written(net, "matlab")["m_test.m"])
+    assert "from_steady" not in text
+    assert "'steady' takes more than 2000 samples" in text
     program, ran = lower(net, "m"), []
     monkeypatch.setattr(octave, "octave", lambda: "octave")
     monkeypatch.setattr(octave, "run_octave", lambda *words: ran.append(words) or "")
@@ -154,8 +156,8 @@ def test_the_test_of_matlab_leaves_out_a_steady_state_that_is_far(monkeypatch):
     cases = cases_of(net, program, common.dataset((60,), seed=3))
     _, left_out = octave.prove_matlab(program, Path("."), cases)
     assert len(ran) == 1 and "the start 'steady', which takes more than" in left_out[0]
-    settled = export(common.named("one model"), to=["matlab"], verify=False).texts
-    assert "from_steady" in settled["model_test.m"]
+    settled = written(common.named("one model"), "matlab")
+    assert "from_steady" in str(settled["m_test.m"])
 
 
 def odd(name: str):

@@ -4,6 +4,7 @@ import ctypes
 import dataclasses
 import importlib.util
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import common
@@ -19,6 +20,7 @@ import jaxnarx as jnx
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
+    NAN,
     OUTSIDE,
     Boxes,
     Compact,
@@ -27,11 +29,14 @@ from jaxnarx.models import (
     SigmoidTree,
     advance,
     hold_to_range,
+    set_nan_policy,
 )
 from jaxnarx.regressors import Kautz, Laguerre, LowPass, Variables
-from jaxnarx.simulation import make_drive
+from jaxnarx.simulation import make_drive, simulate
 from jaxnarx.targets import ExportError, Instance, export, lower, proof, runners
-from jaxnarx.targets.proof import cases_of
+from jaxnarx.targets.export import TARGETS, golden_of
+from jaxnarx.targets.maps import axes_of
+from jaxnarx.targets.proof import Case, cases_of
 from jaxnarx.targets.runners import c_runner
 
 HERE = 1e-12
@@ -130,8 +135,17 @@ def narrowed(net, outside: str):
 
 def records(net) -> jnx.Dataset:
     if net.hidden:
-        return hidden_problems.truth().data
-    return common.dataset((60, 45), seed=3)
+        return hidden_problems.truth(lengths=(60,)).data
+    return common.dataset((60,), seed=3)
+
+
+def written(net, to: str = "c") -> dict[str, str | bytes]:
+    """Files of the network, called m, of which nothing is proven, without a run of the
+    network: a number type of C is not left out."""
+    program, u = lower(net, "m"), common.signals(40)[:, :2]
+    y = np.zeros((program.history + 1, len(program.computed)))
+    golden = golden_of(program, Case(u, y, u, 0)) | {"axes": axes_of(net, program)}
+    return TARGETS[to].write(program, golden)
 
 
 def beside(net, data) -> float:
@@ -151,6 +165,50 @@ def beside(net, data) -> float:
     return max(case.difference(run) for case in cases)
 
 
+def gapped(net, data, seed: int = 0):
+    """The records with a twelfth of the inputs missing, the first ones among them."""
+    rng, records = np.random.default_rng(seed), []
+    for record in data:
+        valid = record.valid.copy()
+        gone = rng.uniform(size=record.u.shape) < 1 / 12
+        gone[0] = True
+        gone[20:32] = True
+        valid[:, : record.u.shape[1]] &= ~gone
+        records.append(dataclasses.replace(record, valid=valid))
+    return dataclasses.replace(data, records=tuple(records))
+
+
+def told(program, case):
+    """All that the form says of a case."""
+    instance = Instance(program)
+    instance.begin(case.inputs[0], case.measured[0])
+    for u, y in zip(case.inputs[: program.history], case.measured, strict=False):
+        instance.observe(u, y)
+    return [instance.step(u) for u in case.inputs[program.history :]]
+
+
+def compare(net, data):
+    """Outputs and flags of the form beside those of `simulate`."""
+    data, program = gapped(net, data), lower(net)
+    cases = cases_of(net, program, data, missing="hold")
+    run = simulate(net, data, missing="hold").value
+    assert len(cases) == len(data)
+    for n, case in enumerate(cases):
+        rows = told(program, case)
+        found = np.array([row["outputs"] for row in rows])
+        assert case.difference(lambda u, y, found=found: found) < HERE
+        after = slice(program.history, None)
+        for name, mask in (
+            ("extrapolated", run.extrapolated[n]),
+            ("missing", run.missing[n]),
+            ("invalid", run.invalid[n]),
+        ):
+            flags = np.array([row[name] for row in rows]) > 0
+            np.testing.assert_array_equal(flags, mask[after], err_msg=name)
+        assert 5 < run.missing[n][after].sum() and run.extrapolated[n].any()
+    return run
+
+
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_form_runs_as_the_network_does(name):
     net = NETWORKS[name]()
@@ -162,6 +220,28 @@ def test_the_form_runs_as_the_network_does(name):
 def test_the_form_leaves_its_range_as_the_network_does(name, outside):
     net = narrowed(NETWORKS[name](), outside)
     assert beside(net, records(net)) < HERE
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_held_inputs_run_as_simulate_says(name):
+    net = NETWORKS[name]()
+    run = compare(net, records(net))
+    assert all(np.isfinite(y).all() for y in run.outputs)
+
+
+@pytest.mark.parametrize("nan", ["hold", "nan"])
+@pytest.mark.parametrize("outside", OUTSIDE)
+def test_so_do_all_policies(outside, nan):
+    net = narrowed(NETWORKS["filters"](), outside)
+    net = set_nan_policy(net, nan, invalid_after=0.35)
+    run = compare(net, records(net))
+    assert all(m.any() and not m.all() for m in run.invalid)
+    for n, y in enumerate(run.outputs):
+        silent = run.missing[n] if nan == NAN else np.zeros(len(y), bool)
+        silent = run.extrapolated[n] if outside == NAN else silent
+        after = slice(net.history, None)
+        np.testing.assert_array_equal(np.isnan(y[after, 0]), silent[after])
+        assert not run.scored[n][silent].any()
 
 
 def test_slopes_are_those_of_the_network():
@@ -176,18 +256,15 @@ def test_slopes_are_those_of_the_network():
     needed = program.needed([n for row in program.jacobian for n in row])
     values = instance._values(needed, case.inputs[program.history], np.zeros(0))
     found = np.array([[values[n] for n in row] for row in program.jacobian])
-    drive = make_drive(net, stack(data))
-    v, x = (
-        drive.v[0][:, program.history],
-        [x_o[0][:, program.history] for x_o in drive.x],
-    )
+    drive = jax.tree.map(np.asarray, make_drive(net, stack(data)))
+    v = drive.v[0][:, program.history]
+    x = tuple(x_o[0][:, program.history] for x_o in drive.x)
     depth = max(k for _, k in program.past)
-    past = jnp.stack(
+    past = np.stack(
         [drive.measured[0][program.history - k - 1] for k in range(depth)], axis=1
     )
-    slope = np.asarray(
-        jax.jacobian(lambda h: advance(net, v, tuple(x), h))(past)
-    )  # outputs, outputs, depth
+    slopes = jax.jit(jax.jacobian(lambda h: advance(net, *jax.device_put((v, x)), h)))
+    slope = np.asarray(slopes(past))  # outputs, outputs, depth
     gain = np.asarray(net.gain)[list(net.signals)]
     names = [line for line, _ in program.past]
     order = list(dict.fromkeys(names))
@@ -236,7 +313,7 @@ def test_slopes_by_inputs_are_central_differences():
 @pytest.mark.parametrize("outside", ["linear", "nan"])
 def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path, outside):
     net = narrowed(common.named("coupled"), outside)
-    found = export(net, name="NOx model")
+    found = export(net, records(net), name="NOx model")
     assert set(found.files) == {
         f"NOx_model{end}" for end in (".h", ".c", "_selftest.c")
     }
@@ -310,12 +387,17 @@ def test_what_cannot_be_exported_is_told():
         export(net, to=["fortran"])
 
 
+@cache
+def trusting():
+    """A network that knows its domain and its errors."""
+    net, data = common.named("by inputs"), common.dataset((160, 140), seed=3)
+    return jnx.trust.learn_errors(jnx.trust.learn_domain(net, data, points=6), data)
+
+
 @pytest.fixture(scope="module")
 def trusted():
-    """A network that knows its domain and its errors, and records beyond them."""
-    net = common.named("by inputs")
-    data = common.dataset((160, 140), seed=3)
-    net = jnx.trust.learn_errors(jnx.trust.learn_domain(net, data, points=6), data)
+    """The network, and records beyond what it knows."""
+    net = trusting()
     assert net.errors is not None
     far = common.dataset((60,), seed=9)
     (record,) = far.records

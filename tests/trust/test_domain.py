@@ -50,6 +50,12 @@ def fitted(data: Dataset):
     return jnx.grow(chosen, data, jnx.Global()).value
 
 
+def same(one, other) -> bool:
+    """Whether two networks are equal, looked at on the host."""
+    on_host = [jax.tree.map(np.asarray, net) for net in (one, other)]
+    return bool(eqx.tree_equal(*on_host, typematch=True))
+
+
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     return plant(drawn(0))
@@ -70,23 +76,24 @@ def test_the_network_runs_as_before(known, data):
 
 def test_only_inputs_that_are_used_count(known):
     assert used_inputs(known) == (0, 1)
-    assert jnx.domain(known, plant(drawn(1, 1))).value.channel_names == ("u1", "u2")
+    assert jnx.domain(known, plant(drawn(1))).value.channel_names == ("u1", "u2")
 
 
 def test_of_fresh_records_about_five_in_a_hundred_samples_are_outside(known):
-    # 40 records of 400 samples, of which some 40 are independent: the share of five in
+    # 42 records of 400 samples, of which some 40 are independent: the share of five in
     # a hundred, whose border rests on 6 records, is met within a factor of two
-    share = jnx.domain(known, plant(drawn(7, 40))).value.outside
+    fresh = [plant(drawn(seed)) for seed in range(7, 14)]
+    share = np.mean([jnx.domain(known, data).value.outside for data in fresh])
     assert 0.025 < share < 0.1
 
 
 def test_layers_are_those_of_plain_loops(known):
-    fresh = plant(drawn(3, 2, size=1.5))
+    fresh = plant(drawn(3, size=1.5))
     domain, found = known.domain, jnx.domain(known, fresh).value
     memory = domain.features.filters[-1].time_constant
     pole = np.exp(-fresh.sample_time / memory)
     low, high, rate = map(np.asarray, (domain.low, domain.high, domain.rate))
-    for n, record in enumerate(fresh):
+    for n, record in enumerate(fresh[:2]):
         u = record.u[:, :2]
         slow = np.array(u)
         for t in range(1, len(u)):
@@ -127,7 +134,7 @@ def test_whitened_features_of_the_training_have_a_covariance_of_one(known, data)
     ],
 )
 def test_layers_are_left_by_what_they_are_made_for(known, left, inside, change):
-    data = plant([change(u) for u in drawn(5, 3)])
+    data = plant([change(u) for u in drawn(5)])
     rows = feature_rows(known.domain.features, data, None)
     layers = layers_of(known.domain, rows)[0]
     beyond = dict(zip(LAYERS, np.mean(layers > 1, axis=0), strict=True))
@@ -148,7 +155,7 @@ def test_a_hole_within_everything_else_is_found():
         u.append(ring)
     data = plant(u, pole=0.0)
     net = jnx.trust.learn_domain(fitted(data), data)
-    inside = plant([u[0] * 0.02], pole=0.0)
+    inside = plant([one * 0.02 for one in u], pole=0.0)
     found = jnx.domain(net, inside).value
     assert np.all(found.index[0][20:] > 1)
     assert set(found.layer[0][20:].tolist()) == {LAYERS.index("distance")}
@@ -156,7 +163,7 @@ def test_a_hole_within_everything_else_is_found():
 
 def test_units_do_not_matter(known, data):
     scale = np.array([1e-3, 200.0, 1.0])
-    fresh = drawn(4, 1, size=1.3)
+    fresh = drawn(4, size=1.3)
 
     def other(u):
         parts = plant(u)
@@ -191,8 +198,9 @@ def test_a_constant_input_that_moves_is_far_outside():
     pool = jnx.polynomial_pool(data.channels, input_lags=[1], output_lags=[1], degree=1)
     net = jnx.grow(pool, data, jnx.Global()).value
     net = jnx.trust.learn_domain(net, data)
-    fresh = drawn(0, 1)
-    fresh[0][:, 1] = 7.0
+    fresh = drawn(0)
+    for one in fresh:
+        one[:, 1] = 7.0
     calm = jnx.domain(net, plant(fresh)).value
     assert calm.outside < 0.2
     fresh[0][200:, 1] = 8.0
@@ -202,12 +210,12 @@ def test_a_constant_input_that_moves_is_far_outside():
 
 
 def test_missing_inputs_are_passed_over(known):
-    u = drawn(6, 1)
-    data = plant(u)
-    valid = data.records[0].valid.copy()
+    data = plant(drawn(6))
+    first, *rest = data.records
+    valid = first.valid.copy()
     valid[100:110, 0] = False
     gappy = dataclasses.replace(
-        data, records=(dataclasses.replace(data.records[0], valid=valid),)
+        data, records=(dataclasses.replace(first, valid=valid), *rest)
     )
     found = jnx.domain(known, gappy).value.index[0]
     assert np.all(found[100:110] == 0) and np.all(np.isfinite(found))
@@ -217,7 +225,7 @@ def test_a_file_keeps_it(known, tmp_path):
     path = tmp_path / "model.safetensors"
     jnx.save(known, path)
     again = jnx.load(path)
-    fresh = plant(drawn(3, 1, size=1.5))
+    fresh = plant(drawn(3, size=1.5))
     a, b = (jnx.domain(n, fresh).value.index[0] for n in (known, again))
     np.testing.assert_array_equal(a, b)
 
@@ -232,7 +240,7 @@ def test_a_network_of_single_precision_keeps_its_kind_and_its_file(tmp_path):
     kinds = {str(x.dtype) for x in jax.tree.leaves(known) if x.dtype.kind == "f"}
     assert kinds == {"float32"}
     jnx.save(known, tmp_path / "m")
-    assert eqx.tree_equal(jnx.load(tmp_path / "m"), known)
+    assert same(jnx.load(tmp_path / "m"), known)
 
 
 def test_a_damaged_one_is_refused(known, tmp_path):
