@@ -10,6 +10,7 @@ from smoke import FOLDER, assert_target, experiment, run
 from jaxnarx.engines import BEDS
 
 
+@pytest.mark.slow
 def test_selection_with_peers_that_may_be_missing(tmp_path):
     found = run("selection.py", "--peers", results=tmp_path / "results")
     assert set(found) == {"selection"}

@@ -44,6 +44,7 @@ def network(data) -> jnx.Network:
     return jnx.states.fit_states(data, method).value
 
 
+@pytest.mark.slow
 def test_hidden_states_start_from_the_official_window_alone(data, network):
     part = Part(data, 50, window=10)
     begun = started(network, part)

@@ -36,6 +36,7 @@ def test_time_parallel_is_the_loop(kind, bound):
     assert "time_parallel" not in plain.stats
 
 
+@pytest.mark.slow
 def test_networks_of_one_capacity_compile_once():
     data = common.dataset()
     whole = common.named("by inputs", spare_models=5, spare_slots=2)

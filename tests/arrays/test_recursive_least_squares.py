@@ -146,6 +146,18 @@ def test_the_start_is_taken_out_of_a_regression():
     assert fit.rank == TERMS
 
 
+def test_a_direction_half_known_by_the_start_has_the_variance_of_the_data():
+    columns, y, _ = problem(seed=3)
+    columns[1] = columns[2] + 5e-6 * columns[1]
+    fit = solve(*map(jnp.asarray, (columns, y, np.ones(TIME))))
+    assert fit.rank == TERMS
+    weakest = np.linalg.svd(columns.T)[2][-1]
+    variance = np.sum((weakest @ np.asarray(fit.root)) ** 2)
+    information = np.sum((weakest @ columns) ** 2)
+    # condition 3e5, squared, times eps: 2e-5
+    np.testing.assert_allclose(variance * information, 1.0, rtol=1e-3)
+
+
 def test_a_regression_says_what_it_cannot_tell():
     columns, y, weight = problem(seed=4)
     columns[2] = 0.0

@@ -51,10 +51,13 @@ def test_newton_alone_equals_the_loop(anchors, limit):
     assert (np.abs(expected) == limit).any() == (limit < 1)
 
 
-def test_an_affine_run_takes_one_iteration_and_one_to_see_it():
-    params, *rest = problem(3)
+@pytest.mark.parametrize("size", [1.0, 1e4])
+def test_an_affine_run_takes_one_iteration_and_one_to_see_it(size):
+    """Whatever the size of its outputs, against which corrections are judged."""
+    params, drive, measured, anchor = problem(3)
     linear = params * jnp.array([1.0, 0.0, 1.0, 0.0])
-    _, converged, count = newton(linear, *rest, *bounds(50.0))
+    rest = size * drive, size * measured, anchor
+    _, converged, count = newton(linear, *rest, *bounds(50.0 * size**2))
     assert converged and count == 2
 
 

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as parquet
 import pytest
+from common import some
 from described import refuse, write
 
 from jaxnarx.data import Dataset, read
@@ -144,11 +145,14 @@ def peak(path) -> tuple[str, float]:
     return "\n".join(said), float(kilobytes) / 1024
 
 
+BOMBS = "lists", "equal numbers", "equal texts", "deltas"
+
+
 @pytest.mark.skipif(
     not hasattr(resource, "RUSAGE_SELF") or sys.platform != "linux",
     reason="memory is told in other units",
 )
-@pytest.mark.parametrize("kind", ["lists", "equal numbers", "equal texts", "deltas"])
+@pytest.mark.parametrize("kind", some(BOMBS, "lists", "equal texts"))
 def test_small_files_that_grow_are_refused_in_little_memory(tmp_path, kind):
     path, expected = bomb(tmp_path, kind)
     assert (tmp_path / "a.parquet").stat().st_size < 500_000

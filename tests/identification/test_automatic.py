@@ -377,6 +377,7 @@ def test_interrupted_side_by_side_it_leaves_no_process(monkeypatch, tmp_path):
     assert len(started) == 2 and all(p.poll() is not None for p in started)
 
 
+@pytest.mark.slow
 def test_trouble_in_a_process_is_raised_here(monkeypatch):
     """With what it said."""
     monkeypatch.setattr(automatic, "cores", lambda: 2)

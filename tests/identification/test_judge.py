@@ -178,6 +178,7 @@ REFINED = dataclasses.replace(
 )
 
 
+@pytest.mark.slow
 def test_programs_of_the_first_fold_serve_the_others_and_all_records():
     data = plant(1, (150, 170, 290, 90, 160))
     own = groups(data, folds=3)

@@ -222,9 +222,10 @@ def by_input() -> Network:
     return dataclasses.replace(net, models=(y, *net.models[1:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "net",
-    [network(), pytest.param(by_input(), marks=pytest.mark.slow)],
+    [network(), by_input()],
     ids=["by a state", "by an input"],
 )
 def test_a_report_of_it_is_written_whole(net, tmp_path):

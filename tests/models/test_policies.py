@@ -1,6 +1,7 @@
 """Sentences about limits and policies, each beside what the model does."""
 
 import dataclasses
+import itertools
 import re
 from functools import cache
 
@@ -9,7 +10,7 @@ import hidden_problems
 import jax
 import numpy as np
 import pytest
-from common import A, B, W
+from common import A, B, W, some
 
 import jaxnarx as jnx
 from jaxnarx.models import (
@@ -102,8 +103,16 @@ def policy_of(net) -> str:
     return FLAG if np.allclose(run.computed[0], computed(wide, INPUTS)) else LINEAR
 
 
-@pytest.mark.parametrize("outside", OUTSIDE)
-@pytest.mark.parametrize("kind", KINDS)
+CASES = tuple(itertools.product(KINDS, OUTSIDE))
+
+
+@pytest.mark.parametrize(
+    ("kind", "outside"),
+    some(
+        CASES,
+        *(case for case in CASES if case[0] != "hidden" or case[1] == "hold"),
+    ),
+)
 def test_inputs_do_what_the_sentence_says(kind, outside):
     net = hold_to_range(ranged(kind), MARGIN, outside=outside)
     found = policy_of(net)
@@ -233,7 +242,7 @@ def test_measured_outputs_that_it_looks_at_are_never_held():
         assert taken and said == (outside in (HOLD, LINEAR))
 
 
-@pytest.mark.parametrize("outside", OUTSIDE)
+@pytest.mark.parametrize("outside", some(OUTSIDE, "linear"))
 def test_a_report_and_its_page_say_the_same(outside):
     from jaxnarx.shell.report.html import render
 

@@ -285,7 +285,7 @@ def test_a_tree_of_one_leaf_is_the_plain_model():
 @pytest.mark.parametrize(
     ("make", "local"),
     [
-        (Lolimot, StepwiseF(max_terms=4)),
+        pytest.param(Lolimot, StepwiseF(max_terms=4), marks=pytest.mark.slow),
         (SigmoidTree, ForwardOLS(max_terms=4)),
         (Grid, StepwiseF(max_terms=4)),
     ],

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
-from common import A, Y
+from common import A, Y, some
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
@@ -229,7 +229,7 @@ def test_the_coefficients_of_one_model_are_recovered():
     np.testing.assert_allclose(used(solution.value), used(truth), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some(KINDS, "coupled, by own output"))
 def test_a_perturbed_network_comes_back_on_new_data(kind):
     truth = common.named(kind, **SPARE)
     start = perturbed(truth, 0.1, seed=2)

@@ -1,5 +1,7 @@
 """Selection on simulation error: its derivatives, its promises, and what it finds."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -187,6 +189,9 @@ def test_the_loss_falls_with_every_entry_and_the_history_says_why(pool, data):
     losses = [row["loss"] for row in history]
     assert losses == sorted(losses, reverse=True)
     assert losses[-1] == solution.stats["loss"]
+    few = select(pool, data, dataclasses.replace(METHOD, least_gain=0.5))
+    assert few.status_name == "no_improvement", few.detail
+    assert "no further term made the free run better" in few.detail
     assert {row["what"].split(" for ")[0] for row in history} <= {"taken in", "refused"}
     assert loss_of(solution.stats["network"], data) == pytest.approx(
         solution.stats["loss"], rel=1e-9

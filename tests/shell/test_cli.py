@@ -514,6 +514,7 @@ def test_regions_are_made_and_may_follow_another_output(capsys):
     assert Path("out/r3.csv").is_file()
 
 
+@pytest.mark.slow
 def test_constant_and_duplicate_inputs_are_passed_over_aloud(capsys):
     for k in range(4):
         c = columns(k)
@@ -1097,6 +1098,7 @@ def test_nobody_reading_is_no_fault(arguments, code):
     assert process.wait() == code
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [False, True])
 def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
     names = ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
@@ -1113,6 +1115,7 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
     assert found.stdout.strip() == str(wanted)
 
 
+@pytest.mark.slow
 def test_half_written_programs_are_compiled_anew(tmp_path):
     # all programs are kept, whatever the environment says of short ones
     kept = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}

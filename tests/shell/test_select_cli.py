@@ -44,6 +44,7 @@ def identify(description, out, *more: str) -> int:
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [
