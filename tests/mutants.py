@@ -102,8 +102,11 @@ def sites(path: Path) -> Iterator[dict[str, Any]]:
             value = node.value
             if isinstance(value, bool):
                 new = str(not value)
+            elif isinstance(value, int):
+                new = repr(value + 1)
             else:
-                new = repr(value + 1 if isinstance(value, int) else 2 * value + 0.5)
+                assert isinstance(value, float)
+                new = repr(2 * value + 0.5)
             yield change(start, end, new, node.lineno)
 
 

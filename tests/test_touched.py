@@ -17,8 +17,8 @@ def test_a_file_touches_what_leads_to_it_and_no_more():
     least_squares = set(touched.touched(["jaxnarx/arrays/least_squares.py"]))
     assert "tests/test_experiments.py::test_engines" in diesel
     assert diesel < every and least_squares < every
-    order = "tests/test_linear_experiments.py::test_order_search"
-    assert order in least_squares and order not in diesel
+    fitting = "tests/test_experiments.py::test_fitting_without_peers"
+    assert fitting in least_squares and fitting not in diesel
     page = set(touched.touched(["docs/index.md"]))
     assert page <= {"tests/test_experiments.py::test_command_line"} | diesel
 

@@ -23,7 +23,7 @@ TESTS = (
     "tests/test_public_sets.py",
     "tests/test_sweep_experiments.py",
 )
-EVERYBODY = {"pyproject.toml", "tests/smoke.py", "tests/conftest.py", "tests/quick.py"}
+EVERYBODY = {"pyproject.toml", "tests/smoke.py"}
 PACKAGE, EXPERIMENTS = ROOT / "jaxnarx", ROOT / "experiments"
 FOLDERS = sorted(p for p in EXPERIMENTS.iterdir() if p.is_dir())
 
