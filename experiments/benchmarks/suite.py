@@ -5,8 +5,7 @@
 `default` are the tests of the README's second command, without the time of setting up;
 `run` is what every landing must pass, `full` is everything. Nothing is cached: the last
 commit is cloned, and what was compiled before is not found. Two cores that do nothing
-else are meant. Results go to `suite_PART.json`; `.ci/run` reads from that of `full`
-which commit has passed whole.
+else are meant. Results go to `suite_PART.json`.
 """
 
 import os
