@@ -60,16 +60,16 @@ def found() -> tuple[Message, ...]:
 
 
 @functools.cache
-def opened(path: Path) -> tuple[ast.Module, Reader, Around]:
-    """A file of the package, a reader of its texts, and what is around a node."""
+def opened(path: Path) -> tuple[tuple[ast.AST, ...], Reader, Around]:
+    """All nodes of a file, a reader of its texts, and what is around a node."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return tree, Reader(tree), enclosing(tree)
+    return tuple(ast.walk(tree)), Reader(tree), enclosing(tree)
 
 
 def _of_file(path: Path) -> Iterator[Message]:
-    tree, reader, around = opened(path)
+    nodes, reader, around = opened(path)
     where = path.relative_to(PACKAGE).as_posix()
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.AnnAssign(target=ast.Name(id="irreversible"), value=value) if (
                 value
@@ -111,7 +111,7 @@ def unread() -> list[str]:
     missing = []
     for path in sorted(PACKAGE.rglob("*.py")):
         where = path.relative_to(PACKAGE).as_posix()
-        for node in ast.walk(opened(path)[0]):
+        for node in opened(path)[0]:
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
                 name, line = called(node.exc), node.exc.lineno
                 ours = name in SPEAKING or name in carriers()
@@ -145,8 +145,8 @@ def carriers() -> dict[str, tuple[str, str, int, str, list[str]]]:
     """
     found: dict[str, tuple[str, str, int, str, list[str]]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree, reader, around = opened(path)
-        for node in ast.walk(tree):
+        nodes, reader, around = opened(path)
+        for node in nodes:
             name = called(node) if isinstance(node, ast.Call) else ""
             inside = around(node) if name in SPEAKING else None
             if inside is None or inside.name in SPEAKING or inside.name == "__init__":
