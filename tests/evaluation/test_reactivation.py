@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import A, B, Part, network
+from common import A, B, Part, device, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.reactivation import (
@@ -25,7 +25,7 @@ UNEQUAL = gaussians([[0.2], [0.5]], [[0.2], [0.05]])
 def test_the_designs_example():
     """phi_1(0.2) = 1, phi_1(0.5) = 0.245085, phi_1(0.9) = 1 (DESIGN section 5)."""
     z = np.array([[0.2], [0.5], [0.9]])
-    phi = np.asarray(eqx.filter_jit(UNEQUAL)(z.T, np.ones(2, bool)))
+    phi = np.asarray(eqx.filter_jit(UNEQUAL)(device(z.T), device(ALL)))
     np.testing.assert_allclose(phi[0], [1.0, 0.245085, 1.0], atol=5e-7)
     got = reactivation(UNEQUAL, ALL, z)
     np.testing.assert_allclose(got, [1 - 0.245085, 0.0], atol=5e-7)

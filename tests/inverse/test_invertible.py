@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import device
 from inverse_problems import delayed_zero, exact, plant, recorded, reversing, widened
 
 from jaxnarx.data import Dataset
@@ -192,8 +193,8 @@ def test_a_model_with_limits_is_linearised_where_it_sees_its_inputs(curved):
     found, expected = local_slopes(held, data), local_slopes(forward, by_hand)
     np.testing.assert_array_equal(found.slope, expected.slope)
     np.testing.assert_array_equal(found.place, expected.place)
-    far, edge = np.array([0.9, -1.0, 0.1]), np.array([0.6, -0.4, 0.1])
-    y = np.array([0.2])
+    far, edge = device(np.array([0.9, -1.0, 0.1])), device(np.array([0.6, -0.4, 0.1]))
+    y = device(np.array([0.2]))
     limited, free = (eqx.filter_jit(statics(net)) for net in (held, forward))
     np.testing.assert_array_equal(limited(y, far), free(y, edge))
 

@@ -7,11 +7,6 @@ from typing import Any
 
 import pytest
 
-from jaxnarx.evaluation import Report
-from jaxnarx.shell.report import html
-
-PICTURES = html._pictures
-
 
 @pytest.fixture(scope="module", autouse=True)
 def no_data_folder():
@@ -48,26 +43,29 @@ def described(tmp_path_factory):
 @pytest.fixture(scope="module")
 def undrawn():
     """Pages have no figures but where they are `drawn`; yields what draws them."""
+    from jaxnarx.shell.report import html
+
+    draws = html._pictures
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(html, "_pictures", _none)
-        yield PICTURES
+        yield draws
 
 
 @pytest.fixture
 def bare(monkeypatch):
     """Pages have no figures, in one test."""
-    monkeypatch.setattr(html, "_pictures", _none)
+    monkeypatch.setattr("jaxnarx.shell.report.html._pictures", _none)
 
 
-def _none(report: Report) -> dict[str, list[tuple[str, str]]]:
+def _none(report: Any) -> dict[str, list[tuple[str, str]]]:
     board = [(output, "") for output in report.leaderboard or ()]
     return defaultdict(list, leaderboard=board)
 
 
 @pytest.fixture
-def drawn(monkeypatch):
+def drawn(undrawn, monkeypatch):
     """Pages with figures, in a file that is `undrawn`."""
-    monkeypatch.setattr(html, "_pictures", PICTURES)
+    monkeypatch.setattr("jaxnarx.shell.report.html._pictures", undrawn)
 
 
 @pytest.fixture(scope="module")
