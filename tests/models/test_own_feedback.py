@@ -256,13 +256,13 @@ def test_poles_and_contraction_are_those_of_the_whole_state():
     assert every.shape[2] == 1 + 3
     points = points_of(net, drive, masks, count=6, outputs=every)
     slopes, h = jacobians(net, points), 1e-6
-    step = jax.jit(partial(advance, net))
+    step, history = jax.jit(partial(advance, net)), np.asarray(points.history)
     for i, d in np.ndindex(4, 2):
         to = np.zeros((1, 4, 2))
         to[0, i, d] = h
         one, two = (
             np.asarray(step(points.v, points.x, np.moveaxis(past, 0, -1)))
-            for past in (points.history + to, points.history - to)
+            for past in (history + to, history - to)
         )
         expected = (one - two).T / (2 * h)
         np.testing.assert_allclose(slopes[:, :, i, d], expected, atol=1e-7)

@@ -270,7 +270,8 @@ def test_slopes_are_those_of_the_network():
     past = np.stack(
         [drive.measured[0][program.history - k - 1] for k in range(depth)], axis=1
     )
-    slopes = jax.jit(jax.jacobian(lambda h: advance(net, *jax.device_put((v, x)), h)))
+    now, signals = jax.device_put((v, x))
+    slopes = jax.jit(jax.jacobian(lambda h: advance(net, now, signals, h)))
     slope = np.asarray(slopes(past))  # outputs, outputs, depth
     gain = np.asarray(net.gain)[list(net.signals)]
     names = [line for line, _ in program.past]
