@@ -198,9 +198,11 @@ def try_one(
         if not how:
             break
         file = how.partition("::")[0]
-        if file not in names or sound(file, home):
+        # Who ends without a word, or never, may be any of them.
+        unsound = [n for n in names if file in (n, how) and not sound(n, home)]
+        if not unsound:
             return {"killed": True, "by": how, "tried": len(names)}
-        names.remove(file)
+        names = [name for name in names if name not in unsound]
     return {"killed": False, "tried": len(names), "files": names}
 
 

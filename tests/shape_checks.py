@@ -53,11 +53,11 @@ def checked(*, typechecker: Any) -> Callable[[Any], Any]:
                 lambda: _jaxtyped(definition, typechecker=typechecker), definition
             )
         shapes = any(getattr(part, "__module__", "") == "jaxtyping" for part in parts)
-        make = (
-            (lambda: _scoped(plain(definition)))
-            if shapes
-            else lambda: plain(definition)
-        )
+
+        def make() -> Callable[..., Any]:
+            own = plain(definition)
+            return _scoped(own) if shapes else own
+
         return _at_first(make, definition)
 
     return decorate

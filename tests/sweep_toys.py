@@ -8,6 +8,26 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+BED = """
+[data]
+bed = "pfi-cc"
+count = 2
+spread = 0.02
+length = 120
+[identification.pool]
+outputs = ["speed"]
+input_lags = [0, 1]
+degree = 1
+[identification.select]
+max_terms = 3
+[identification.refine]
+horizons = []
+max_steps = 1
+[cases]
+refine.ridge = [1e-6, 1e-4]
+"""
+"""The smallest sweep of virtual engines, as the command reads it."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Toy:

@@ -8,7 +8,7 @@ speeds (4.48), residuals (4.9) and their tests. Beside ARX: ARMAX, output error,
 Box-Jenkins, and what the free run gains by refinement on the simulation error, with
 the validation record as guard.
 
-What differs from the thesis:
+Differences from the thesis:
 
 * the engine. Its speed goes from 800 to 1600 rpm, the thesis's from 450 to 1900, and
   its static gain is 29,000 rpm per unit of duty; (4.46) has 6,900, which over a range

@@ -9,7 +9,7 @@ afterwards; both get 15 terms beside the constant for torque and 11 for the air-
 ratio, as in Tables 5.3 and 5.4. Beside them: the staged search of appendix A, our
 default settings, and the choice on simulation error.
 
-What differs from the thesis:
+Differences from the thesis:
 
 * the engine and its excitation. The thesis shows its records (figure 5.5) and does not
   say how they were made; here it is the bed's usual one, APRBS on duty and speed and on

@@ -10,7 +10,7 @@ estimated there. Beside them: one global model, and a perceptron on the same lag
 variables and on the thesis's two inputs, trained one step ahead (NARX) and in the free
 run (NOE). Also the joint refinement of the local models on the simulation error.
 
-What differs from the thesis: the engine; the excitation, which is the bed's usual one
+Differences from the thesis: the engine; the excitation, which is the bed's usual one
 (the thesis does not say how its records were made); MAP is a measured input; the outer
 models are open-ended, since the printed symmetric weights do not sum to one there; an
 ERR of cubic terms is not staged. Fitness is the fit ratio (4.43) of the free run;
@@ -32,7 +32,7 @@ of ten models of the air-fuel ratio the unseen R2 rises in seven and falls in tw
 from -0.1 to -2.8. The perceptrons trained in the free run beat all of these (torque
 89.0 % with two units and 56 multiplications, air-fuel ratio 75.5 % with five and 140);
 trained one step ahead they are at 72.7 and 56.8 %, on the thesis's two inputs worse.
-What is trained in the free run decides more than the form of the model.
+Training in the free run decides more than the form of the model.
 
 Run as `python experiments/thesis/chapter6_local_models.py [--smoke] [--results DIR]`.
 Every row is written as soon as it is there; a second run goes on where the first

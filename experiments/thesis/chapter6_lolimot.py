@@ -13,7 +13,7 @@ The thesis does not name the output of its example nor its terms, and takes the 
 of models from the NMSE of the validation record (figure 6.22): two. NMSE is blind to
 bias; R2 is beside it. Scheduling variables are those of one revolution before.
 
-What came out over five seeds. Few models are best, as in the thesis: with its choice of
+Results over five seeds. Few models are best, as in the thesis: with its choice of
 splits the validation NMSE of one-step prediction is least at one or two models in every
 seed, in the free run at one to three; from four on free runs get worse and from six
 explain half. Nelles' choice of the model to split stands more models (free run: three

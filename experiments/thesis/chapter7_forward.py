@@ -13,7 +13,7 @@ per rpm as in figure 7.2. Then the axis-orthogonal tree of three regions refined
 coefficients and gates together, on the simulation error. A perceptron on the same
 lagged variables beside them.
 
-What differs from the thesis: the engine; the excitation, random steps about 2,000 rpm
+Differences from the thesis: the engine; the excitation, random steps about 2,000 rpm
 and 20 degrees of throttle whose fuel follows the air, since the mixture must burn; the
 place of the second gate, which figure 7.3 shows without numbers (20 degrees below 2,000
 rpm, 0.5 per degree here); one sample a cycle, every fourth event (the thesis takes

@@ -15,7 +15,7 @@ lambda on fuel stands alone and beside it (`inverse_bench`), its speed chosen by
 validation. `constant` holds the mean commands. On the `diesel` bed `invertible` looks
 for the sign reversal of the turbine (`inverse_diesel`).
 
-What differs from the thesis: the engine; fuel and speed are given, as the fuel of the
+Differences from the thesis: the engine; fuel and speed are given, as the fuel of the
 record follows its air; a preview of what is asked for.
 
 What came out, medians over three seeds on unseen records. Free run of the direct

@@ -9,6 +9,7 @@ import common
 import numpy as np
 import pytest
 from format_writers import NO_TIME_COLUMN, WRITERS
+from sweep_toys import BED
 
 from jaxnarx.models import save
 
@@ -24,24 +25,6 @@ import os
 with open({mark!r}, "a") as file:
     file.write({name!r} + " ")
 raise ImportError("a module of the folder of data")
-"""
-SWEEP = """
-[data]
-bed = "pfi-cc"
-count = 2
-spread = 0.02
-length = 120
-[identification.pool]
-outputs = ["speed"]
-input_lags = [0, 1]
-degree = 1
-[identification.select]
-max_terms = 3
-[identification.refine]
-horizons = []
-max_steps = 1
-[cases]
-refine.ridge = [1e-6, 1e-4]
 """
 
 
@@ -71,7 +54,7 @@ def folder(tmp_path_factory) -> Path:
             write(folder / f"r{n}.{kind}", columns, units)
         (folder / f"{kind}.toml").write_text(description(kind))
     save(common.named("one model"), folder / "m.safetensors")
-    (folder / "sweep.toml").write_text(SWEEP)
+    (folder / "sweep.toml").write_text(BED)
     for name in NAMES:
         code = CODE.format(mark=str(folder / "executed"), name=name)
         (folder / f"{name}.py").write_text(code)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sweep_toys import BED
 
 from jaxnarx.sweep import read_sweep
 
@@ -32,24 +33,6 @@ y = "V"
 train = ["r0.csv", "r1.csv"]
 test = ["r2.csv"]
 """
-BED = """
-[data]
-bed = "pfi-cc"
-count = 3
-spread = 0.02
-length = 120
-[identification.pool]
-outputs = ["speed"]
-input_lags = [0, 1]
-degree = 1
-[identification.select]
-max_terms = 3
-[identification.refine]
-horizons = []
-max_steps = 1
-[cases]
-refine.ridge = [1e-6, 1e-4]
-"""
 IDENTIFY = "identify engine.toml --terms 4 --steps 2 --window-steps 2 --out run"
 SWEEP = "sweep bed.toml --folder run --chunk 1"
 COMMANDS = {
@@ -71,7 +54,7 @@ def place(tmp_path, monkeypatch):
         with open(tmp_path / f"r{k}.csv", "w", newline="") as file:
             csv.writer(file).writerows([("u", "y"), *zip(u, y, strict=True)])
     (tmp_path / "engine.toml").write_text(ENGINE)
-    (tmp_path / "bed.toml").write_text(BED)
+    (tmp_path / "bed.toml").write_text(BED.replace("count = 2", "count = 3"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("JAXNARX_DATA", raising=False)
     return tmp_path

@@ -7,31 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sweep_toys import BED
 
 from jaxnarx.errors import DataFileError
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.sweep import run as command
 from jaxnarx.shell.sweep.description import Measured, Relatives, load_sweep
 from jaxnarx.sweep import IdentificationWork, read_sweep
-
-BED = """
-[data]
-bed = "pfi-cc"
-count = 2
-spread = 0.02
-length = 120
-[identification.pool]
-outputs = ["speed"]
-input_lags = [0, 1]
-degree = 1
-[identification.select]
-max_terms = 3
-[identification.refine]
-horizons = []
-max_steps = 1
-[cases]
-refine.ridge = [1e-6, 1e-4]
-"""
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.refinement.stability.bound import Bound, bounds
+from jaxnarx.refinement.stability.bound import RUN, Bound, bounds
 from jaxnarx.refinement.stability.certificate import Certificate, certificate
 from jaxnarx.refinement.stability.points import points_of
 from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
@@ -68,8 +68,8 @@ class Stability:
     def summary(self) -> str:
         """What was found, in one or two sentences."""
         bound = self.bound
-        proven = self.certificate or bound
-        if not proven.rate:
+        everywhere = self.certificate or (bound if bound.kind != RUN else None)
+        if everywhere is not None and everywhere.rate == 0:
             return "Feeds no output back: two runs with the same inputs are the same."
         if self.certificate is not None:
             rate = self.certificate.rate
