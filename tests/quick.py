@@ -46,9 +46,20 @@ def share_contexts() -> None:
     make = getattr(mlir, "make_ir_context", None)
     if make is None:
         return
+    from jaxlib.mlir import ir
+
     own = threading.local()
 
+    def writing() -> bool:
+        """Whether a program is written right now, within which another one begins."""
+        try:
+            return ir.InsertionPoint.current is not None
+        except ValueError:
+            return False
+
     def shared() -> object:
+        if writing():
+            return make()
         if not hasattr(own, "context"):
             own.context = make()
         return own.context

@@ -21,7 +21,7 @@ from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import ForwardOLS, Global
-from jaxnarx.models import Network
+from jaxnarx.models import Network, run_record
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
@@ -29,7 +29,6 @@ from jaxnarx.simulation import (
     has_diverged,
     make_drive,
     predict,
-    run_record,
     simulate,
 )
 from jaxnarx.sweep.number_type import number_type

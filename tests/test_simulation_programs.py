@@ -1,4 +1,4 @@
-"""One program for many networks, long records in blocks, runs parallel in time."""
+"""One program for many networks, and long records in blocks."""
 
 import common
 import equinox as eqx
@@ -7,33 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
-from common import LENGTHS, A, W, Y
 
 from jaxnarx.data.batch import stack
 from jaxnarx.models import Network
 from jaxnarx.simulation import make_drive, run, simulate
-
-
-@pytest.mark.parametrize("bound", [50.0, 0.25], ids=["free", "limited"])
-@pytest.mark.parametrize("kind", ["by inputs", "coupled, by own output"])
-def test_time_parallel_is_the_loop(kind, bound):
-    records = [common.signals(n) for n in LENGTHS]
-    records[0][20:23, A], records[0][40, W], records[0][50:, Y:] = (
-        np.nan,
-        np.nan,
-        np.nan,
-    )
-    gaps = common.from_rows(records)
-    net = common.named(kind, bound=bound)
-    plain, found = simulate(net, gaps), simulate(net, gaps, time_parallel=True)
-    assert found.stats["time_parallel"].all()
-    for n in range(len(gaps)):
-        # The contract of `parallel_run`, on values of order ten.
-        np.testing.assert_allclose(found.value[n], plain.value[n], rtol=0, atol=1e-8)
-        np.testing.assert_array_equal(found.value.scored[n], plain.value.scored[n])
-        np.testing.assert_array_equal(found.value.limited[n], plain.value.limited[n])
-    assert found.status_name == plain.status_name
-    assert "time_parallel" not in plain.stats
 
 
 @pytest.mark.slow

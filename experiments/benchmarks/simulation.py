@@ -177,7 +177,6 @@ def _ratios(rounds: list[dict[str, Any]]) -> dict[str, float]:
         pairs = {
             "gradient over free run": ("loss_and_gradient", "free_run"),
             "autodiff over gradient": ("autodiff", "loss_and_gradient"),
-            "newton over loop": ("newton", "loop"),
         }
         for name, (above, below) in pairs.items():
             if above in ours:

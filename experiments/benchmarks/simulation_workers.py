@@ -119,7 +119,7 @@ def plain_run(network, v, x, measured, anchor):
 
 
 def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str, Any]:
-    """Free run, loss and gradient, Newton's method; writes what the peers need.
+    """Free run, loss and gradient; writes what the peers need.
 
     `loop` is the run on ready coefficients G_t, as the compiled loop of the peers has
     them; `free_run` starts from lagged variables and parameters, and so do the loss
@@ -131,11 +131,9 @@ def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str
     import numpy as np
 
     from jaxnarx.arrays.recurrence import free_run
-    from jaxnarx.arrays.time_parallel import newton_run
-    from jaxnarx.models import depth
+    from jaxnarx.models import depth, recursion, run_record
     from jaxnarx.models.feedback import monomials
     from jaxnarx.refinement.layout import freeze
-    from jaxnarx.simulation import recursion, run_record
 
     network = make_network(6, 8)
     drive, anchors, u = make_records(network, samples)
@@ -158,10 +156,6 @@ def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str
             lambda g, m, a: free_run(step, params, g, m, a, *bounds, depth=lags),
             g, measured, anchor,
         ),
-        "newton": compiled(
-            lambda g, m, a: newton_run(step, params, g, m, a, *bounds, depth=lags),
-            g, measured, anchor,
-        ),
         "free_run": compiled(run_record, network, *args),
         "loss_and_gradient": compiled(
             jax.value_and_grad(lambda m, *a: loss(m, run_record, *a)), moving, *args
@@ -172,7 +166,7 @@ def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str
             jax.value_and_grad(lambda m, *a: loss(m, plain_run, *a)), moving, *args
         )
     times = in_turn(calls, repeats)
-    y, (newton, converged, count) = calls["loop"](), calls["newton"]()
+    y = calls["loop"]()
     np.savez(
         path,
         g=g,
@@ -182,14 +176,7 @@ def run_model(path: str, samples: int, repeats: int, autodiff: bool) -> dict[str
         y=y,
         u=u[0],
     )
-    found = {
-        "times": times,
-        "newton": {
-            "converged": bool(converged),
-            "iterations": int(count),
-            "largest_difference": float(jnp.max(jnp.abs(newton - y)[START:])),
-        },
-    }
+    found: dict[str, Any] = {"times": times}
     if autodiff:
         ours, theirs = (
             jnp.concatenate([a.reshape(-1) for a in jax.tree.leaves(calls[k]()[1])])

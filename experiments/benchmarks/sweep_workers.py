@@ -87,7 +87,7 @@ def make_work(samples: int, count: int, lanes: int, at_once: int) -> Any:
             horizons=(), max_steps=STEPS, train="joint", tolerance=0, patience=1000
         ),
     )
-    return jnx.IdentificationWork(fleet, method, lanes=lanes, at_once=at_once)
+    return jnx.sweep.IdentificationWork(fleet, method, lanes=lanes, at_once=at_once)
 
 
 def sweep(

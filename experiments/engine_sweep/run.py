@@ -93,7 +93,9 @@ def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row
     records = records_of(bed, size, folder)
     fleet = fleet_of(records, size.seed)
     method = changed(jnx.Identification(), settings | BEDS[bed].settings)
-    work = jnx.IdentificationWork(fleet, method, list(CASES.values()), lanes=LANES)
+    work = jnx.sweep.IdentificationWork(
+        fleet, method, list(CASES.values()), lanes=LANES
+    )
     rows = swept(work, folder / bed)
     names = list(CASES)
     rows = [row | {"structure": names[row["case"]]} for row in rows]

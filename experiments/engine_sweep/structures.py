@@ -26,7 +26,7 @@ class RefitWork:
     without any fit.
     """
 
-    work: jnx.IdentificationWork
+    work: jnx.sweep.IdentificationWork
     rows: dict[str, Row]
     pairs: Sequence[tuple[str, str, str]]
     refinement: jnx.SimulationError
@@ -100,9 +100,11 @@ def free_run(network: jnx.Network, data: jnx.Dataset) -> float:
     return float(np.sqrt(np.mean((y - run) ** 2)) / np.std(y))
 
 
-def restricted(work: jnx.IdentificationWork, row: Row) -> jnx.IdentificationWork:
+def restricted(
+    work: jnx.sweep.IdentificationWork, row: Row
+) -> jnx.sweep.IdentificationWork:
     """Every engine with the terms of a row, and regions of its own."""
     terms = terms_of(work.pool, row["term_index"])
     few = changed(work.method, {"select.max_terms": len(row["term_index"])})
     method = dataclasses.replace(few, pool=terms)
-    return jnx.IdentificationWork(work.fleet, method, lanes=work.lanes)
+    return jnx.sweep.IdentificationWork(work.fleet, method, lanes=work.lanes)

@@ -35,8 +35,8 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.excitation import aprbs
+from jaxnarx.metrics import nrmse
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.signal
 
 import jaxnarx as jnx
-from jaxnarx.evaluation.metrics import scores
 from jaxnarx.linear import LinearModel, OrderSearch, innovations
+from jaxnarx.metrics import scores
 from jaxnarx.regressors import Pool
 
 PARTS = ("identification", "validation", "unseen")

@@ -8,7 +8,7 @@ import numpy as np
 from inverse_bed import COMMANDS, TARGETS
 
 import jaxnarx as jnx
-from jaxnarx.evaluation.metrics import scores
+from jaxnarx.metrics import scores
 
 LEAD = {"TRQ": 4, "lambda": 8}
 """Samples by which the inverse sees what is asked for."""

@@ -47,7 +47,7 @@ from validity_surface import validity_surface
 import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
 from jaxnarx.evaluation import describe_partition
-from jaxnarx.evaluation.metrics import scores
+from jaxnarx.metrics import scores
 from jaxnarx.shell.figures.style import BLUE, INK, canvas, save, styled, tone
 from jaxnarx.simulation import Trajectories
 

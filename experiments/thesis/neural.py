@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxnarx import Dataset, Network, Pool
 from jaxnarx.arrays.recurrence import free_run
 from jaxnarx.data.batch import stack
-from jaxnarx.evaluation.metrics import nrmse
+from jaxnarx.metrics import nrmse
 from jaxnarx.models import assemble, depth, global_model, with_history
 from jaxnarx.regressors.rows import regression_rows
 from jaxnarx.simulation import (

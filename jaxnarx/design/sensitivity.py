@@ -13,8 +13,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, OutputModel, scheduling_values
-from jaxnarx.simulation import run_record
+from jaxnarx.models import Network, OutputModel, run_record, scheduling_values
 
 
 class AbstractSensitivity(eqx.Module):

@@ -1,6 +1,6 @@
 """How good a network is: metrics, and a report of one-step and free-run figures."""
 
-from jaxnarx.evaluation import metrics as metrics
+from jaxnarx import metrics as metrics
 from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
 from jaxnarx.evaluation.cost import Cost as Cost

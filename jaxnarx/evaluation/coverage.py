@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.special import ndtri, stdtrit
 
+from jaxnarx import metrics
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation import metrics
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.metrics import pooled_rms
 from jaxnarx.evaluation.outside import NOTICEABLE
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
+from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.trust import DomainIndex, Excursion, domain
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx import metrics
 from jaxnarx.data import Channel
-from jaxnarx.evaluation import metrics
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, ScoredSamples
 from jaxnarx.shown import page

@@ -13,9 +13,9 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.metrics import pooled_rms
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.guard import guarded
+from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.shown import page

@@ -10,6 +10,7 @@ from jaxnarx.data import Channels, Dataset, Record, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import data_of, number
 from jaxnarx.models import Network
+from jaxnarx.refinement.stability import stability
 from jaxnarx.solution import Solution
 
 APART = 3.0
@@ -240,10 +241,6 @@ def assess(network: Any, data: Dataset, free: Any) -> Any:
     """
     if not isinstance(network, Network):
         return None
-    # Inside the function: refinement stands above `evaluation.metrics`, so that an
-    # import of this folder must not need it.
-    from jaxnarx.refinement.stability import stability
-
     simulated = free if isinstance(free, Solution) else None
     return stability(network, data, samples=SAMPLES, simulated=simulated).value
 

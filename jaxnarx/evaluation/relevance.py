@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 from jaxnarx.checks import choice
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.evaluation.rows import collect
 from jaxnarx.guard import guarded
+from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network
 from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import Trajectories, fitting, simulate

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx import metrics
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import metrics
 
 POOLED = "pooled"
 FREE_RUN = "free run"

@@ -12,6 +12,7 @@ from jaxnarx.data import Channel, Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
+from jaxnarx.refinement import bands
 from jaxnarx.shown import page
 from jaxnarx.simulation import Trajectories, fitting, simulate
 from jaxnarx.trust import domain, intervals
@@ -363,8 +364,6 @@ def _band(
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Lower and upper end at the last sample of every run."""
     if uncertainty is not None:
-        from jaxnarx.refinement import bands  # it needs the metrics of this room
-
         found = bands(network, uncertainty, data, level=level).value
     elif network.errors is not None and network.domain is not None:
         found = intervals(network, data, level=level, run=run).value

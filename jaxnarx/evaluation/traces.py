@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx import metrics
 from jaxnarx.data import Channel
-from jaxnarx.evaluation import metrics
 from jaxnarx.evaluation.rows import ScoredSamples
 
 PAIRS = 3000

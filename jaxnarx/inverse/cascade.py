@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.methods.inverse import ActuatorLimits
+from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, reported
 from jaxnarx.simulation import has_diverged
 from jaxnarx.solution import NAMES, RESULTS, Solution

@@ -33,11 +33,15 @@ that was constant in training is held at that constant.
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.checks import not_negative
 from jaxnarx.data.batch import Batch
 from jaxnarx.guard import guarded
@@ -92,37 +96,14 @@ def reported_range(
     return low - wider, high + wider
 
 
-def overshoot(
-    network: Network, inputs: Float[np.ndarray, "*rows time inputs"]
-) -> Float[np.ndarray, "*rows time"]:
-    """How far an input in use has been beyond its range, in widths of that range,
-    fading with the network's memory.
-
-    Zero where inputs are held, and of inputs that were constant in training.
-    """
-    moved, rate = overshoot_rule(network)
-    if not moved:
-        return np.zeros(inputs.shape[:-1], inputs.dtype)
-    at = list(moved)
-    low, high = (np.asarray(a)[at] for a in (network.low, network.high))
-    inputs = inputs[..., at]
-    beyond = np.maximum(low - inputs, inputs - high) / (high - low)
-    beyond = np.maximum(beyond.max(axis=-1), 0.0)
-    if not beyond.any():
-        return beyond
-    fade = np.frompyfunc(lambda before, now: max(now, rate * before), 2, 1)
-    return fade.accumulate(beyond, axis=-1, dtype=object).astype(inputs.dtype)
-
-
 def overshoot_rule(network: Network) -> tuple[tuple[int, ...], float]:
     """The inputs whose overshoot widens what is reported, and the share of it that is
     left a sample later."""
     if network.outside == HOLD:
         return (), 0.0
     low, high = np.asarray(network.low), np.asarray(network.high)
-    inputs = range(len(network.channels.inputs))
-    moved = tuple(s for s in network.used if s in inputs and high[s] > low[s])
-    return moved, math.exp(-1.0 / memory_of(network))
+    moved = tuple(s for s in _inputs_used(network) if high[s] > low[s])
+    return moved, fading(network)
 
 
 def reported(
@@ -134,7 +115,7 @@ def reported(
 ]:
     """What is reported of computed outputs (physical units), and where it was held.
 
-    Without `inputs` as if they were in their ranges.
+    Without `inputs` as if they were in their ranges; host only.
     """
     if network.hold is None:
         return outputs, np.zeros(outputs.shape, bool)
@@ -142,9 +123,88 @@ def reported(
     if inputs is not None:
         own = np.array(network.signals)[: len(network.modelled)]
         width = (np.asarray(network.high) - np.asarray(network.low))[own]
-        wider = overshoot(network, inputs)[..., None] * width
+        wider = overshoots(network, inputs)[..., None] * width
         low, high = low - wider, high + wider
     return np.clip(outputs, low, high), (outputs < low) | (outputs > high)
+
+
+def overshoots(
+    network: Network, inputs: Float[np.ndarray, "*rows time inputs"]
+) -> Float[np.ndarray, "*rows time"]:
+    """`overshoot` of records, on the host; zero where inputs are held."""
+    if network.outside == HOLD:
+        return np.zeros(inputs.shape[:-1], inputs.dtype)
+    rows = inputs.reshape(-1, *inputs.shape[-2:])
+    rate = np.asarray(fading(network), inputs.dtype)
+    found = np.asarray(_overshoots(network, *jax.device_put((rows, rate))))
+    return found.reshape(inputs.shape[:-1])
+
+
+@program
+def _overshoots(
+    network: Network, rows: Float[Array, "rows time inputs"], rate: Float[Array, ""]
+) -> Float[Array, "rows time"]:
+    return jax.vmap(lambda u: overshoot(network, u, rate))(rows)
+
+
+def overshoot(
+    network: Network, inputs: Float[Array, "time inputs"], rate: Any
+) -> Float[Array, " time"]:
+    """How far an input in use has been beyond its range, in widths of that range,
+    fading at the `rate` of the network's memory (`fading`). Can be traced."""
+    beyond = beyond_range(network, inputs)
+
+    def fade(before, now):
+        over = jnp.maximum(now, rate * before)
+        return over, over
+
+    return jax.lax.scan(fade, jnp.zeros((), beyond.dtype), beyond)[1]
+
+
+def beyond_range(
+    network: Network, inputs: Float[Array, "*rows inputs"]
+) -> Float[Array, "*rows"]:
+    """How far an input in use is beyond its range at most, in widths of that range;
+    zero within, and of inputs that were constant in training."""
+    at = np.array(_inputs_used(network), int)
+    low, high = network.low[at], network.high[at]
+    moved = high > low
+    width = jnp.where(moved, high - low, jnp.inf)
+    values = inputs[..., at]
+    lead = (1,) * (values.ndim - 1)
+    low, high, width = (a.reshape(*lead, -1) for a in (low, high, width))
+    beyond = jnp.maximum(low - values, values - high) / width
+    return jnp.max(beyond, axis=-1, initial=0.0)
+
+
+def fading(network: Network) -> Any:
+    """The share of the overshoot that is left a sample later; can be traced."""
+    memory = memory_of(network)
+    if isinstance(memory, Tracer):
+        return jnp.exp(-1.0 / memory)
+    return math.exp(-1.0 / memory)
+
+
+def _inputs_used(network: Network) -> tuple[int, ...]:
+    inputs = range(len(network.channels.inputs))
+    return tuple(s for s in network.used if s in inputs)
+
+
+def within_margin(
+    network: Network,
+    outputs: Float[Array, "*rows outputs"],
+    overshoots: Float[Array, "*rows"],
+) -> Float[Array, "*rows outputs"]:
+    """What is reported of computed outputs (physical units) at these overshoots of the
+    inputs; as `reported`, and can be traced."""
+    if network.hold is None:
+        return outputs
+    own = np.array(network.signals)[: len(network.modelled)]
+    low, high = network.low[own], network.high[own]
+    lead = (1,) * (outputs.ndim - 1)
+    low, high = low.reshape(*lead, -1), high.reshape(*lead, -1)
+    wider = (network.hold + overshoots[..., None]) * (high - low)
+    return jnp.clip(outputs, low - wider, high + wider)
 
 
 def held_inputs(network: Network, batch: Batch) -> Batch:

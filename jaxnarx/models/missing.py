@@ -19,9 +19,12 @@ are at rest at the held inputs and know nothing of the engine.
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import positive
@@ -71,19 +74,24 @@ def set_nan_policy(
     return dataclasses.replace(network, nan=nan, invalid_after=count)
 
 
-def memory_of(network: Network) -> float:
+def memory_of(network: Network) -> Any:
     """Samples for which the network remembers its inputs: as its domain knows, else the
-    slowest of its filters, or ten times its history."""
+    slowest of its filters, or ten times its history. A number, unless its sample time
+    is traced."""
     if network.domain is not None:
         filters = _filters(network.domain.features)
     else:
         tables = (network.variables, *(m.scheduling for m in network.models))
         filters = [f for table in tables for f in _filters(table)]
     slowest = max((1 / -p.real for f in filters for p in f.sections), default=0.0)
-    samples = slowest / float(network.sample_time)
-    if network.domain is not None and samples > 0:
+    step = network.sample_time
+    samples = slowest / (step if isinstance(step, Tracer) else float(step))
+    if network.domain is not None and slowest > 0:
         return samples
-    return max(samples, float(HISTORIES * max(network.history, 1)))
+    least = float(HISTORIES * max(network.history, 1))
+    if isinstance(samples, Tracer):
+        return jnp.maximum(samples, least)
+    return max(samples, least)
 
 
 def _filters(table: Variables) -> list:

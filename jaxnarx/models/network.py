@@ -11,6 +11,8 @@ state-space model is one of them, with z(t) the state after sample t,
     z(t) = f(z(t-1), u(t)) ,   y(t) = g(z(t-1), u(t)) .
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -34,6 +36,8 @@ from jaxnarx.regressors import (
     variable_names,
 )
 from jaxnarx.shown import count, page
+
+Arrays = Array | np.ndarray
 
 MISSING = HOLD, NAN
 """What outputs are where an input is missing: those of the last finite input, or not a
@@ -117,7 +121,7 @@ class Network(eqx.Module):
     its free run (`jaxnarx.models.error_model`). A free run starts from `history`
     measured samples, those of local models with their own feedback too; hidden channels
     start from what the outputs of `window` samples before tell about them
-    (`jaxnarx.simulation.observer`).
+    (`jaxnarx.models.observer`).
     """
 
     channels: Channels = eqx.field(static=True)
@@ -359,6 +363,60 @@ class Network(eqx.Module):
             scaled.append(table((given - signals) / self.gain[None], self.variables))
         x = tuple(table(signals, m.scheduling) for m in self.models)
         return jnp.concatenate([ones, *scaled]), x
+
+    def __call__(
+        self, u: Float[Arrays, "time inputs"], start: Any = "zeros"
+    ) -> Float[Array, "time outputs"]:
+        """The free run of one record, plain arrays in physical units.
+
+        Can be jitted, mapped and differentiated, by the network, `u` and `start`.
+        Outputs are those that `jnx.simulate` reports; where its policy is to say
+        nothing (NaN), these go on. Shapes that do not fit are a `SpecError`.
+
+        Args:
+            u: Inputs, one column each, then those of measured outputs that the network
+                looks at and does not compute.
+            start: Measured outputs (time, outputs), of which the first `history` rows
+                are used, with hidden channels `before` rows: these are repeated at the
+                start of the result, and hidden channels begin with what fits them best.
+                Or a state (`init`, `step`), `"steady"`, at rest under the first inputs,
+                or `"zeros"`, outputs that were zero and inputs that were the first.
+
+        Example:
+            y = network(u, y_measured)
+            slope = jax.grad(lambda u: network(u, "steady")[-1, 0])(u)
+        """
+        from jaxnarx.models.state_form import run  # it is made of networks
+
+        return run(self, u, start)
+
+    def init(self, start: Any = "zeros", u: Any = None) -> Float[Array, " states"]:
+        """The state of a run that goes on behind measured samples, see `step`.
+
+        `start` are outputs (time, outputs) measured at the samples before, at least
+        `before` of them for hidden channels, and `u` the inputs there; without `u` the
+        middle of their trained ranges. Or `"steady"` or `"zeros"`, as in a call.
+        """
+        from jaxnarx.models.state_form import init  # it is made of networks
+
+        return init(self, start, u)
+
+    def step(
+        self, state: Float[Arrays, " states"], u: Float[Arrays, " inputs"]
+    ) -> tuple[Float[Array, " states"], Float[Array, " outputs"]]:
+        """The next state and the outputs at one sample of its inputs.
+
+        The two functions of the state-space form, see `jnx.state_space`.
+
+        Example:
+            state = network.init("steady", u[0])
+            state, y = network.step(state, u[0])
+            step = lambda state, row: network.step(state, row)
+            state, ys = jax.lax.scan(step, state, u)
+        """
+        from jaxnarx.models.state_form import step  # it is made of networks
+
+        return step(self, state, u)
 
     def equations(self, *, style: str = "text") -> list[dict]:
         """Every local model's equation in physical units, host only.

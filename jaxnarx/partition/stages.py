@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx import metrics
 from jaxnarx.arrays.criteria import information
 from jaxnarx.data import Dataset
-from jaxnarx.evaluation import metrics
 from jaxnarx.methods import Lolimot, SigmoidTree
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate

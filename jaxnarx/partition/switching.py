@@ -20,7 +20,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, depth, reported
+from jaxnarx.models import Network, depth, recursion, reported
 from jaxnarx.simulation import (
     RunInputs,
     Trajectories,
@@ -29,7 +29,6 @@ from jaxnarx.simulation import (
     has_diverged,
     make_drive,
     make_masks,
-    recursion,
     tables,
 )
 from jaxnarx.solution import RESULTS, Solution

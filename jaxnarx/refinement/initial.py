@@ -8,7 +8,7 @@ The finished network is judged and used from measured starts all the same.
 
 Hidden channels have no measurement: their values before a record's start are always
 estimated, as departures from those that fit the start's network best, with the weight
-of the prior of `jaxnarx.simulation.observer`. Used they start from its windows.
+of the prior of `jaxnarx.models.observer`. Used they start from its windows.
 """
 
 import equinox as eqx
@@ -17,9 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.models import Network, depth, fed_back
+from jaxnarx.models import PRIOR, Network, depth, fed_back, scales
 from jaxnarx.refinement.task import Task
-from jaxnarx.simulation.observer import PRIOR, scales
 
 
 class Initial(eqx.Module):

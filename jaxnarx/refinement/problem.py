@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays.levenberg import AbstractProblem, Linear
 from jaxnarx.arrays.programs import twin
+from jaxnarx.models import scales
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.normal import loss, normal_equations
@@ -21,7 +22,6 @@ from jaxnarx.refinement.stability import (
 )
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import RunInputs
-from jaxnarx.simulation.observer import scales
 
 Arrays = Array | np.ndarray
 

@@ -25,6 +25,7 @@ from jaxnarx.models import (
     Network,
     depth,
     places,
+    recursion,
     scheduling_values,
     shares,
     term_values,
@@ -33,7 +34,7 @@ from jaxnarx.models import (
     with_own,
 )
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.simulation import RunInputs, recursion
+from jaxnarx.simulation import RunInputs
 
 SAMPLES = 4096
 """Samples per block over all records: the block's Jacobian then stays near the
@@ -165,7 +166,7 @@ def seen_history(
 ]:
     """The past outputs every step of a finished run has seen, and which are its own.
 
-    `y` is all that its loop carried, see `jaxnarx.simulation.run_states`.
+    `y` is all that its loop carried, see `jaxnarx.models.run_states`.
     """
     lags, measured = depth(network), widened(network, measured)
 

@@ -2,8 +2,11 @@
 
 from jaxnarx.regressors.columns import record_columns as record_columns
 from jaxnarx.regressors.columns import row_columns as row_columns
+from jaxnarx.regressors.filter_text import filter_text as filter_text
 from jaxnarx.regressors.filtering import FilterSystem as FilterSystem
+from jaxnarx.regressors.filtering import filter_table as filter_table
 from jaxnarx.regressors.filtering import realise as realise
+from jaxnarx.regressors.filtering import system_of as system_of
 from jaxnarx.regressors.filters import AbstractFilter as AbstractFilter
 from jaxnarx.regressors.filters import Kautz as Kautz
 from jaxnarx.regressors.filters import Laguerre as Laguerre

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.guard import guarded
+from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, assemble, global_model
 from jaxnarx.regressors import evaluate
 from jaxnarx.regressors.rows import regression_rows

@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, match_channels, read_files
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.evaluation.metrics import nrmse
 from jaxnarx.inverse import Tracking, cascade
+from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate

@@ -8,25 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.blocks import map_blocks
 from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.recurrence import free_run, history_of
-from jaxnarx.arrays.time_parallel import parallel_run
+from jaxnarx.arrays.recurrence import history_of
 from jaxnarx.data.batch import Batch
 from jaxnarx.models import (
     Network,
     advance,
-    collapse,
-    collapsed_step,
-    collapses,
     depth,
-    general_step,
-    group_weights,
+    run_record,
+    run_states,
     widened,
 )
-
-BLOCK = 512
-"""Samples of a record collapsed at a time: at 100,000 that took a third of the time."""
 
 
 class RunInputs(eqx.Module):
@@ -34,7 +26,7 @@ class RunInputs(eqx.Module):
 
     `v`: a leading one and the scaled lagged variables; `x`: scheduling variables of
     every output in physical units; `measured`: scaled outputs, and zeros for hidden
-    channels, in whose place `jaxnarx.simulation.observer` puts what they start from;
+    channels, in whose place `jaxnarx.models.observer` puts what they start from;
     `known`: where an output was measured.
     """
 
@@ -67,50 +59,6 @@ def drive_of(
     return RunInputs(*jax.lax.map(one, (signals, valid)))
 
 
-def recursion(network: Network, v: Float[Array, "vars time"], x: tuple):
-    """Step, parameters and drive of `free_run` for one record."""
-    if collapses(network):
-
-        def block(columns):
-            parts = (collapse(network, *columns),)
-            if network.parallel:
-                parts = *parts, group_weights(network, columns[1])
-            return tuple(jnp.moveaxis(part, -1, 0) for part in parts)
-
-        g = map_blocks(block, (v, x), BLOCK)
-        return collapsed_step(network), None, g if network.parallel else g[0]
-    drive = (v.T, tuple(x_o.T for x_o in x))
-    return general_step(network), eqx.filter(network, eqx.is_array), drive
-
-
-def run_record(
-    network: Network,
-    v: Float[Array, "vars time"],
-    x: tuple[Float[Array, "_ time"], ...],
-    measured: Float[Array, "time outputs"],
-    anchor: Bool[Array, " time"],
-) -> Float[Array, "time outputs"]:
-    """Scaled outputs of one record, restarted from the measurement at anchors.
-
-    The one simulation semantics: a free run has one anchor. Pure and differentiable.
-    """
-    return run_states(network, v, x, measured, anchor)[:, : len(network.models)]
-
-
-def run_states(
-    network: Network,
-    v: Float[Array, "vars time"],
-    x: tuple[Float[Array, "_ time"], ...],
-    measured: Float[Array, "time outputs"],
-    anchor: Bool[Array, " time"],
-) -> Float[Array, "time states"]:
-    """What the loop of a run carries: the outputs, and those of local models that have
-    feedback of their own (`jaxnarx.models.feedback`)."""
-    bounds = widened(network, network.lower), widened(network, network.upper)
-    inputs, start = recursion(network, v, x), widened(network, measured)
-    return free_run(*inputs, start, anchor, *bounds, depth=depth(network))
-
-
 @program
 def run(
     network: Network, drive: RunInputs, anchor: Bool[Array, "records time"]
@@ -127,26 +75,6 @@ def states(
     """All that the loop of a run carries, for all records; see `run_states`."""
     one = partial(run_states, network)
     return jax.vmap(one)(drive.v, drive.x, drive.measured, anchor)
-
-
-@program
-def run_parallel(
-    network: Network, drive: RunInputs, anchor: Bool[Array, "records time"]
-) -> tuple[Float[Array, "records time outputs"], Bool[Array, " records"]]:
-    """Scaled outputs of all records, parallel in time, and where that has succeeded.
-
-    See `jaxnarx.arrays.time_parallel.parallel_run`; records go one after the other.
-    """
-
-    def one(record):
-        v, x, measured, anchor = record
-        bounds = widened(network, network.lower), widened(network, network.upper)
-        inputs, start = recursion(network, v, x), widened(network, measured)
-        lags = depth(network)
-        y, converged = parallel_run(*inputs, start, anchor, *bounds, depth=lags)
-        return y[:, : len(network.models)], converged
-
-    return jax.lax.map(one, (drive.v, drive.x, drive.measured, anchor))
 
 
 @program

@@ -1,80 +1,25 @@
 """Run a network: k steps ahead from measured history, or freely on its own outputs."""
 
-import dataclasses
-
-import equinox as eqx
 import jax
 import numpy as np
 
-from jaxnarx.checks import choice
-from jaxnarx.data import Dataset, match_channels
-from jaxnarx.data.batch import Batch, stack
-from jaxnarx.errors import DataError, SpecError
+from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import HOLD, Gaps, Network, hold_missing
-from jaxnarx.simulation.masks import Masks, first_anchor, make_masks
-from jaxnarx.simulation.observer import begun, observed
-from jaxnarx.simulation.runs import RunInputs, make_drive, run, run_parallel, run_steps
+from jaxnarx.models import Network
+from jaxnarx.simulation.observer import observed
+from jaxnarx.simulation.outputs import scaled_run
+from jaxnarx.simulation.prepared import (
+    Prepared,
+    dataset_of,
+    fitting,
+    made_of,
+    prepared,
+    stacked,
+)
+from jaxnarx.simulation.runs import run_steps
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
 from jaxnarx.solution import NAMES, RESULTS, Solution
-
-
-def _prepare(
-    network: Network, data: Dataset, missing: str | None = None
-) -> tuple[Dataset, Batch, Masks, RunInputs, Gaps | None]:
-    matched = fitting(network, data)
-    batch, gaps = stacked(network, matched, missing)
-    masks = make_masks(network, batch, network.window)
-    if np.all(masks.start == masks.anchors.shape[1]):
-        shortest = min(data, key=len)
-        raise DataError(
-            f"no record can be run: the model needs {network.before} valid "
-            f"measured samples to start from (record {shortest.name!r} has "
-            f"{len(shortest)} rows)"
-        )
-    return matched, batch, masks, make_drive(network, batch), gaps
-
-
-def stacked(
-    network: Network, data: Dataset, missing: str | None
-) -> tuple[Batch, Gaps | None]:
-    """The records side by side; with `missing="hold"` inputs held where they are
-    missing, and where that is."""
-    if missing is None:
-        return stack(data), None
-    choice(missing, (HOLD,), "missing")
-    return hold_missing(network, stack(data), [len(record) for record in data])
-
-
-def fitting(network: Network, data: Dataset) -> Dataset:
-    """`data` with the network's channels, in its order.
-
-    `SpecError` where the sample time is another, or where the network's parameters are
-    not finite: it could not be told from one that runs away.
-    """
-    data, _ = match_channels(data, network.channels)
-    _same_sample_time(network, data)
-    for name, model in zip(network.computed_names, network.models, strict=True):
-        parts = {"coefficient": model.local.coefficient, "partition": model.validity}
-        for part, tree in parts.items():
-            leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
-            if not all(np.all(np.isfinite(leaf)) for leaf in leaves):
-                raise SpecError(
-                    f"the model of {name} has a {part} that is not finite; "
-                    "load or grow it anew",
-                    field=part,
-                )
-    return data
-
-
-def _same_sample_time(network: Network, data: Dataset) -> None:
-    expected = float(network.sample_time)
-    if abs(data.sample_time - expected) > 1e-6 * expected:
-        raise SpecError(
-            f"the model was identified at a sample time of {expected:g} s, the data "
-            f"have {data.sample_time:g} s; resample the data",
-            field="sample_time",
-        )
 
 
 def _ignored(network: Network, data: Dataset) -> list[str]:
@@ -144,9 +89,8 @@ def _solution(
 @guarded
 def simulate(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
-    time_parallel: bool | None = None,
     missing: str | None = None,
 ) -> Solution[Trajectories]:
     """Free run of every record on the network's own outputs (physical units).
@@ -162,17 +106,9 @@ def simulate(
     their trained ranges, and reports no output far beyond its own; neither what is fed
     back nor the status depends on that margin.
 
-    `time_parallel` solves for the whole trajectory at once (Newton's method, see
-    `jaxnarx.arrays.time_parallel`) with the same outputs to 1e-9; the records for which
-    that has not converged are run step by step, and `stats["time_parallel"]` says for
-    which it has. None uses it where it is measured to win, which is nowhere so far: on
-    a CPU of two cores it takes 5 to 7 times as long as the loop at 1,800 samples of one
-    output with three lags, about 30 times at 100,000; accelerators are not measured.
-
     Args:
         network: The model.
-        data: Records with its channels, at its sample time.
-        time_parallel: Solve for the whole trajectory at once; see above.
+        data: Records with its channels, at its sample time, or prepared for it.
         missing: `"hold"`: run over gaps of the inputs as exported models do
             (`jaxnarx.models.missing`): the last value that was not missing stands in
             their place, before the first the middle of the trained range, outputs are
@@ -190,24 +126,26 @@ def simulate(
         run = jnx.simulate(network, data)
         print(run.status_name, run.value[0].shape)
     """
-    matched, batch, masks, drive, gaps = _prepare(network, data, missing)
-    drive = begun(network, drive, jax.device_put(masks.start))
-    anchor = jax.device_put(first_anchor(masks))
-    stats = {}
-    if time_parallel:
-        scaled, converged = run_parallel(network, drive, anchor)
-        stats["time_parallel"] = np.asarray(converged)
+    if missing is None:
+        (runs, origin), gaps = prepared(network, data), None
     else:
-        scaled = run(network, drive, anchor)
+        records = dataset_of(data)
+        matched = fitting(network, records)
+        batch, gaps = stacked(network, matched, missing)
+        runs, origin = prepared(network, made_of(network, records, matched, batch))
+    scaled, masks = scaled_run(network, runs), origin.masks
+    matched = origin.matched
     value = make_trajectories(
-        network, matched, batch, scaled, masks.scored, masks.first, gaps=gaps
+        network, matched, origin.batch, scaled, masks.scored, masks.first, gaps=gaps
     )
-    solution = _solution(network, matched, value, masks.first, _ignored(network, data))
-    return dataclasses.replace(solution, stats=solution.stats | stats)
+    ignored = _ignored(network, origin.data)
+    return _solution(network, matched, value, masks.first, ignored)
 
 
 @guarded
-def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectories]:
+def predict(
+    network: Network, data: Dataset | Prepared, k: int = 1
+) -> Solution[Trajectories]:
     """k-step-ahead prediction of every sample from measured history k samples before.
 
     Hidden channels are estimated at every sample from the `network.window` before it.
@@ -219,7 +157,7 @@ def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectorie
 
     Args:
         network: The model.
-        data: Records with its channels, at its sample time.
+        data: Records with its channels, at its sample time, or prepared for it.
         k: Samples from the newest measurement used to the one predicted.
 
     Returns:
@@ -231,12 +169,15 @@ def predict(network: Network, data: Dataset, k: int = 1) -> Solution[Trajectorie
     """
     if k < 1:
         raise SpecError(f"k must be at least 1, got {k}", field="k")
-    matched, batch, masks, drive, _ = _prepare(network, data)
-    drive = observed(network, drive)
+    runs, origin = prepared(network, data)
+    matched, masks = origin.matched, origin.masks
+    drive = observed(network, runs.drive)
     scaled, held = run_steps(network, drive, jax.device_put(np.asarray(k)))
     ready = np.zeros_like(masks.anchors)
     ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
     scored = masks.scored & ready[:, :, None]
     start = masks.first + k - 1
-    value = make_trajectories(network, matched, batch, scaled, scored, start, (k, held))
-    return _solution(network, matched, value, start, _ignored(network, data), k)
+    value = make_trajectories(
+        network, matched, origin.batch, scaled, scored, start, (k, held)
+    )
+    return _solution(network, matched, value, start, _ignored(network, origin.data), k)

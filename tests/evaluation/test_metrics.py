@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnarx.evaluation import metrics
+from jaxnarx import metrics
 
 NAMES = list(metrics.PERFECT)
 WORST = {"rmse": np.inf, "nrmse": np.inf, "r2": -np.inf, "fit": -np.inf, "nmse": np.inf}

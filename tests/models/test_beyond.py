@@ -23,11 +23,12 @@ from jaxnarx.models import (
     fed_back,
     hold_to_range,
     reported,
+    run_record,
 )
-from jaxnarx.models.limits import overshoot
+from jaxnarx.models.limits import overshoots
 from jaxnarx.models.missing import memory_of
+from jaxnarx.simulation import make_drive, run
 from jaxnarx.simulation.masks import first_anchor, make_masks
-from jaxnarx.simulation.runs import make_drive, run, run_record
 
 LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
 """Trained ranges that about a third of the inputs leave."""
@@ -163,8 +164,8 @@ def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
     # widths are 2.5 and 0.7: beyond by 0.1, then 2.0, then 0.4 of them
     fade = np.exp(-1 / memory_of(net))
     farthest = np.array([0.0, 0.1, 0.1 * fade, 2.0, 2.0 * fade])
-    np.testing.assert_allclose(overshoot(net, inputs), farthest, atol=1e-12)
-    assert np.all(overshoot(ranged("coupled", HOLD), inputs) == 0)
+    np.testing.assert_allclose(overshoots(net, inputs), farthest, atol=1e-12)
+    assert np.all(overshoots(ranged("coupled", HOLD), inputs) == 0)
     net, y = hold_to_range(net, 0.1), np.tile([100.0, -100.0], (5, 1))
     width = np.array([9.0, 3.0])
     edge = np.array([5.0, -1.0]) + np.array([1, -1]) * width * (0.1 + farthest)[:, None]
@@ -179,7 +180,7 @@ def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
     net = hold_to_range(ranged("coupled", FLAG), 0.1)
     inputs = np.zeros((1000, 2))
     inputs[100] = 1e5
-    far = overshoot(net, inputs)
+    far = overshoots(net, inputs)
     memory = memory_of(net)
     assert memory == 10 * net.history and np.all(far[:100] == 0) and far[100] > 1e4
     assert np.all(far[100 + int(25 * memory) :] < 1e-5)
@@ -189,13 +190,13 @@ def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
     assert edges[100, 0] == 50
     blind = common.network([common.Part([[((0,), 0.3)]])], variables=((A, 0),))
     inputs[:, A] = 0
-    assert not overshoot(blind, inputs).any() and overshoot(net, inputs).any()
+    assert not overshoots(blind, inputs).any() and overshoots(net, inputs).any()
 
 
 def test_of_constant_inputs_nothing_is_beyond():
     net = ranged("coupled", FLAG)
     net = dataclasses.replace(net, low=net.high)
-    assert np.all(overshoot(net, np.full((3, 4, 2), 9.0)) == 0)
+    assert np.all(overshoots(net, np.full((3, 4, 2), 9.0)) == 0)
 
 
 def test_a_file_keeps_what_inputs_do(tmp_path):

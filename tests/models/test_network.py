@@ -23,8 +23,9 @@ from jaxnarx.models import (
     fed_back,
     general_step,
     respond,
+    run_record,
 )
-from jaxnarx.simulation import make_drive, run_record
+from jaxnarx.simulation import make_drive
 
 # Rounding of sums of some ten products of order one.
 ROUNDING = 1e-13

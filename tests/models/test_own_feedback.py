@@ -13,6 +13,7 @@ import numpy as np
 import oracles
 import pytest
 from common import some
+from kinds import OWN, own_feedback
 
 import jaxnarx as jnx
 from jaxnarx.data.batch import stack
@@ -26,32 +27,6 @@ from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.refinement.stability.points import jacobians, points_of
 from jaxnarx.refinement.task import make_task
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, states
-
-OWN = {
-    "by inputs": ((True, False, True),),
-    "coupled, by own output": ((True, False, True), None),
-    "both": ((False, True, True), (True, False)),
-    "shared": (((True, False, True),),),
-}
-"""Which local models of every output are fed back their own; "shared": which groups
-share one."""
-KIND = {"both": "coupled, by own output", "shared": "by inputs"}
-
-
-@cache
-def network(name: str, bound: float = 50.0) -> Network:
-    net = common.named(KIND.get(name, name), bound=bound)
-    models = tuple(
-        m if own is None else dataclasses.replace(m, own=groups(own))
-        for m, own in zip(net.models, OWN[name], strict=True)
-    )
-    return dataclasses.replace(net, models=models)
-
-
-def groups(own) -> jax.Array:
-    """Each of these local models a group of its own, or the rows of a table."""
-    table = np.array(own)
-    return jax.device_put(np.diag(table) if table.ndim == 1 else table)
 
 
 @cache
@@ -112,7 +87,7 @@ def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
 @pytest.mark.parametrize("bound", [50.0, 0.3], ids=["free", "limited"])
 @pytest.mark.parametrize("name", OWN)
 def test_a_free_run_is_the_sample_by_sample_one(name, bound):
-    net = network(name, bound)
+    net = own_feedback(name, bound)
     found = jnx.simulate(net, data()).value
     for n in range(len(data())):
         expected = plain_run(net, common.rows_of(data(), n), net.history)
@@ -123,7 +98,7 @@ def test_a_free_run_is_the_sample_by_sample_one(name, bound):
 
 def test_own_feedback_acts():
     """Fed back the network's output instead, the same local models run elsewhere."""
-    net = network("by inputs")
+    net = own_feedback("by inputs")
     plain = dataclasses.replace(
         net, models=tuple(dataclasses.replace(m, own=None) for m in net.models)
     )
@@ -135,18 +110,12 @@ def test_own_feedback_acts():
 
 
 def test_prediction_over_several_steps_starts_from_measured_outputs():
-    net, k = network("both"), 4
+    net, k = own_feedback("both"), 4
     found = jnx.predict(net, data(), k=k).value
     rows = common.rows_of(data(), 0)
     for t in (10, 23, 40):
         expected = plain_run(net, rows, t - k + 1, k)[t]
         np.testing.assert_allclose(found[0][t], expected, rtol=1e-9)
-
-
-def test_in_parallel_over_time_it_is_the_same_run():
-    net = network("by inputs")
-    one, two = (jnx.simulate(net, data(), time_parallel=p).value for p in (False, True))
-    np.testing.assert_allclose(one[0], two[0], rtol=1e-7)  # its stopping rule
 
 
 compiled_run = eqx.filter_jit(run)
@@ -160,7 +129,7 @@ compiled_run = eqx.filter_jit(run)
     ),
 )
 def test_normal_equations_are_those_of_the_central_differences(name, bound):
-    net = network(name, bound)
+    net = own_feedback(name, bound)
     task, _ = make_task(net, data())
     layout = make_layout(net, None, (0.5, 2.0))
     u = np.asarray(layout.gather(net))
@@ -182,7 +151,7 @@ def test_normal_equations_are_those_of_the_central_differences(name, bound):
 
 def test_a_perturbed_network_comes_back():
     """Data of a network with both kinds; its coefficients, moved by 5 %, return."""
-    true = network("by inputs")
+    true = own_feedback("by inputs")
     made = common.from_rows(
         [
             np.column_stack(
@@ -206,7 +175,7 @@ def test_a_perturbed_network_comes_back():
 def test_sensitivities_by_parameters_and_by_the_start():
     """J'J by coefficients is that of the refinement; H, by the measured samples before
     the start, has the squared norms of central differences."""
-    net = network("shared")
+    net = own_feedback("shared")
     task, _ = make_task(net, data())
     layout = make_layout(net, None, (0.5, 2.0))
     anchor, start = task.anchors(None), jnp.asarray(task.masks.start)
@@ -248,7 +217,7 @@ def test_sensitivities_by_parameters_and_by_the_start():
 def test_poles_and_contraction_are_those_of_the_whole_state():
     """The state has an entry for the output and one for every local model; slopes by
     all of its past equal central differences of a step."""
-    net = network("by inputs")
+    net = own_feedback("by inputs")
     found = stability(net, data()).value
     batch = stack(data())
     masks, drive = make_masks(net, batch), make_drive(net, batch)
@@ -279,7 +248,7 @@ def same(one: Network, other: Network) -> bool:
 
 @pytest.mark.parametrize("name", ["both", "shared"])
 def test_it_is_kept_in_a_file_of_its_own_format(name, tmp_path):
-    net = network(name)
+    net = own_feedback(name)
     save(net, tmp_path / "m.safetensors")
     assert same(net, load(tmp_path / "m.safetensors"))
 
@@ -294,13 +263,15 @@ def test_it_is_kept_in_a_file_of_its_own_format(name, tmp_path):
     ids=["too few", "one in two", "square, and two share one"],
 )
 def test_a_file_with_groups_that_cannot_be_is_damaged(own, tmp_path):
-    wrong = eqx.tree_at(lambda n: n.models[0].own, network("shared"), jnp.array(own))
+    wrong = eqx.tree_at(
+        lambda n: n.models[0].own, own_feedback("shared"), jnp.array(own)
+    )
     with pytest.raises(ModelFileError, match="not written"):
         save(wrong, tmp_path / "m.safetensors")
 
 
 def test_a_list_of_local_models_in_a_file_of_format_four_is_read(tmp_path):
-    net = network("by inputs")
+    net = own_feedback("by inputs")
     save(net, tmp_path / "m.safetensors")
     flat = eqx.tree_at(
         lambda n: n.models[0].own, net, jnp.diag(jnp.asarray(net.models[0].own))
@@ -310,7 +281,7 @@ def test_a_list_of_local_models_in_a_file_of_format_four_is_read(tmp_path):
 
 
 def test_equations_say_whose_past_they_take():
-    first, second, _ = network("by inputs").equations()
+    first, second, _ = own_feedback("by inputs").equations()
     assert first["feedback"] == "own" and second["feedback"] == "network"
     assert first["text"].startswith("y_1[t] =") and "y_1[t-1]" in first["text"]
     assert second["text"].startswith("y[t] =") and "y[t-1]" in second["text"]

@@ -14,6 +14,7 @@ from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
+from jaxnarx.models import PRIOR, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
@@ -21,7 +22,6 @@ from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.refinement.refine import make_task
 from jaxnarx.refinement.stability import penalty_points
 from jaxnarx.simulation import run, simulate
-from jaxnarx.simulation.observer import PRIOR, scales
 
 BAND = (0.5, 2.0)
 TOP = 0.5

@@ -10,13 +10,12 @@ from common import A, B
 from hidden_problems import network, truth
 
 from jaxnarx.methods import SimulationError
-from jaxnarx.models import Network
+from jaxnarx.models import Network, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.problem import make_problem
 from jaxnarx.refinement.refine import make_task
 from jaxnarx.simulation import run
-from jaxnarx.simulation.observer import scales
 
 BAND = (0.5, 2.0)
 START = {(0, 0): 0.4, (0, 1): 0.5, (0, 2): -0.3, (1, 2): 0.2}

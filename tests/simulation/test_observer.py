@@ -14,6 +14,7 @@ from hidden_problems import CHANNELS, GAIN, WINDOW, X1, X2, Truth, network, trut
 
 from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError
+from jaxnarx.models.observer import POINTS, PRIOR, scales, spread_out
 from jaxnarx.simulation import (
     begun,
     make_drive,
@@ -22,7 +23,6 @@ from jaxnarx.simulation import (
     predict,
     simulate,
 )
-from jaxnarx.simulation.observer import POINTS, PRIOR, scales, spread_out
 
 HIDDEN = GAIN[[X1, X2]]
 BEFORE = 1 + WINDOW

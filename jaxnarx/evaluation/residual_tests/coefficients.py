@@ -11,6 +11,7 @@ from jaxnarx.checks import require
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation.residual_tests.one_step import OneStep, slots
 from jaxnarx.models import Network
+from jaxnarx.selection import Selection
 
 MOST = 10
 """Samples of high leverage that are listed."""
@@ -135,10 +136,6 @@ def influences(one: OneStep, data: Dataset) -> tuple[Influence, ...]:
 
 def err_of(selection: Any, output: str) -> dict[str, float]:
     """Error reduction ratio by term: of a `Selection`, or of what a report stores."""
-    # Inside the function: selection stands above `evaluation.metrics`, so that an
-    # import of this folder must not need it.
-    from jaxnarx.selection import Selection
-
     if selection is None:
         return {}
     if isinstance(selection, Selection):

@@ -48,7 +48,7 @@ class Member(eqx.Module):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedMember:
     """A member, or None and the reason why it cannot be identified."""
 
     member: Member | None
@@ -58,14 +58,14 @@ class Prepared:
 
 def prepare(
     fleet: Fleet, n: int, pool: Pool, scheduling: tuple[str, ...], most: int
-) -> Prepared:
+) -> PreparedMember:
     """Bring one engine of the fleet into the program's form, for at most so many terms.
 
     `too_short` where a part has too few rows, `unidentifiable` where the output, all
     inputs or a scheduling variable are constant.
     """
     if fleet.status[n] != "ok":
-        return Prepared(None, fleet.status[n], fleet.detail[n])
+        return PreparedMember(None, fleet.status[n], fleet.detail[n])
     check_precision(fleet.train.signals.dtype)
     data = fleet.dataset(n)
     try:
@@ -74,12 +74,14 @@ def prepare(
         passed_over = unusable_signals(data, pool)
     except DataError as error:
         status = "too_short" if error.channel is None else "unidentifiable"
-        return Prepared(None, status, str(error))
+        return PreparedMember(None, status, str(error))
     network = _frame_of(ground, data, few)
     parts = {name: make_part(p.pick([n]), network) for name, p in fleet.parts.items()}
     for name, part in parts.items():
         if not part.scored.any():
-            return Prepared(None, "too_short", f"no sample of {name} can be scored")
+            return PreparedMember(
+                None, "too_short", f"no sample of {name} can be scored"
+            )
     names = pool.channels.names
     good = [names[s] not in passed_over for s, _ in pool.variables]
     member = Member(
@@ -90,7 +92,7 @@ def prepare(
         parts.get("validation"),
         parts.get("test"),
     )
-    return Prepared(member)
+    return PreparedMember(member)
 
 
 def _frame_of(

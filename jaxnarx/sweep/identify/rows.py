@@ -17,7 +17,7 @@ from jaxnarx.models import (
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.fleet import PARTS, Fleet
-from jaxnarx.sweep.identify.member import Prepared
+from jaxnarx.sweep.identify.member import PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 
 Row = dict[str, Any]
@@ -46,7 +46,7 @@ def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
     return [f"{p}_{mode}{when}" for p in parts for when in WHEN for mode in MODES]
 
 
-def empty_row(fleet: Fleet, prepared: Prepared) -> Row:
+def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
     """Of a member whose data cannot be used."""
     scores = score_names(tuple(fleet.parts))
     return (

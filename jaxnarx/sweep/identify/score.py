@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.evaluation import metrics
+from jaxnarx import metrics
 from jaxnarx.models import Network
 from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, limited, run
 from jaxnarx.sweep.identify.member import Part

@@ -20,7 +20,7 @@ from jaxnarx.simulation import drive_of
 from jaxnarx.solution import NAMES, Solution
 from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.choose import Chosen
-from jaxnarx.sweep.identify.member import Member, Part, Prepared
+from jaxnarx.sweep.identify.member import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.score import Score, score
@@ -39,7 +39,7 @@ def run_member(
     try:
         fit = identify(fleet.dataset(engine), own, validation=judge)
     except DataError as error:
-        return empty_row(fleet, Prepared(None, "unidentifiable", str(error)))
+        return empty_row(fleet, PreparedMember(None, "unidentifiable", str(error)))
     if fit.value.models[0].own is not None:
         raise SpecError(
             "a sweep's rows tell of networks that are fed back their own output, not "

@@ -19,7 +19,7 @@ from jaxnarx.regressors import Pool
 from jaxnarx.sweep.cases import Case, label_of
 from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.frame import Frame, make_frame
-from jaxnarx.sweep.identify.member import Prepared, prepare, stacked
+from jaxnarx.sweep.identify.member import PreparedMember, prepare, stacked
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.settings import (
@@ -34,7 +34,7 @@ from jaxnarx.sweep.identify.verbs import run_member
 LANES = 16
 """Fits in one call of the program."""
 KEPT = 64
-"""Prepared members that are kept for further cases."""
+"""PreparedMember members that are kept for further cases."""
 MADE = ("pool", "methods", "shapes", "frames", "settings", "prepared", "labels")
 
 
@@ -129,16 +129,16 @@ class IdentificationWork:
         ]
 
     @functools.cached_property
-    def prepared(self) -> Callable[[int, tuple[str, ...]], Prepared]:
+    def prepared(self) -> Callable[[int, tuple[str, ...]], PreparedMember]:
         """One engine's records as the program takes them; the last ones are kept."""
         most = max(getattr(m.select, "max_terms", 1) for m in self.methods)
 
-        def make(engine: int, scheduling: tuple[str, ...]) -> Prepared:
+        def make(engine: int, scheduling: tuple[str, ...]) -> PreparedMember:
             return prepare(self.fleet, engine, self.pool, scheduling, most)
 
         return functools.lru_cache(maxsize=KEPT)(make)
 
-    def prepared_for(self, engine: int, case: int) -> Prepared:
+    def prepared_for(self, engine: int, case: int) -> PreparedMember:
         """One engine's records for a case."""
         return self.prepared(engine, _scheduling(self.methods[case]))
 

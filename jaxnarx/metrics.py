@@ -1,8 +1,12 @@
 """Measures of agreement between a measured and a predicted output, per output.
 
 Every function takes `y` measured, `yhat` predicted and a `mask` of the samples that
-count, all of shape (time, outputs), as NumPy or jax arrays, and returns one number per
-output. Records are pooled by concatenating them along time.
+count, all of shape (time, outputs) or (records, time, outputs), as NumPy or jax arrays,
+and returns one number per output; records are pooled. All can be traced, and have a
+derivative by `yhat` wherever there is one; where the error is zero throughout, zero
+stands for it.
+
+    e = jnx.metrics.nrmse(runs.measured, jnx.free_run(net, runs), runs.scored)
 
 Edges, the same everywhere. *No* counted sample gives the worst value (`inf`, or `-inf`
 where larger is better), never NaN: an error that was not measured is not a small one. A
@@ -27,21 +31,21 @@ PERFECT = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
 
 
 def rmse(
-    y: Float[Array, "time outputs"],
-    yhat: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    y: Float[Array, "*records time outputs"],
+    yhat: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> Float[Array, " outputs"]:
     """Root mean square error in the unit of `y`; 0 is perfect, no sample gives `inf`.
 
     sqrt(sum e^2 / N), e = y - yhat, over the N samples where `mask` holds.
     """
-    return _root_mean_square(_error(y, yhat, mask), mask)
+    return _root_mean_square(_pooled(_error(y, yhat, mask)), _pooled(mask))
 
 
 def nrmse(
-    y: Float[Array, "time outputs"],
-    yhat: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    y: Float[Array, "*records time outputs"],
+    yhat: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> Float[Array, " outputs"]:
     """Root mean square error over the standard deviation of `y`, that is sqrt(SSE/SST).
 
@@ -49,13 +53,13 @@ def nrmse(
     as good as predicting the mean, larger is worse. A constant output gives `inf`
     unless the error is zero.
     """
-    return _quotient(rmse(y, yhat, mask), _spread(y, mask))
+    return _quotient(rmse(y, yhat, mask), _spread(_pooled(y), _pooled(mask)))
 
 
 def r2(
-    y: Float[Array, "time outputs"],
-    yhat: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    y: Float[Array, "*records time outputs"],
+    yhat: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> Float[Array, " outputs"]:
     """Coefficient of determination (4.44), 1 - SSE/SST; 1 is perfect, 0 is the mean.
 
@@ -66,9 +70,9 @@ def r2(
 
 
 def fit(
-    y: Float[Array, "time outputs"],
-    yhat: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    y: Float[Array, "*records time outputs"],
+    yhat: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> Float[Array, " outputs"]:
     """Fit ratio (4.43) in percent: 100 (1 - |y - yhat| / |y - mean y|).
 
@@ -80,16 +84,17 @@ def fit(
 
 
 def nmse(
-    y: Float[Array, "time outputs"],
-    yhat: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    y: Float[Array, "*records time outputs"],
+    yhat: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> Float[Array, " outputs"]:
     """Var(e)/Var(y), the thesis's NMSE (6.8). *Blind to bias*, and not 1 - R2.
 
     A prediction that is wrong by a constant scores a perfect 0, so read it beside the
     RMSE. A constant output gives `inf` unless the error is constant too.
     """
-    xp, error = _namespace(y), _error(y, yhat, mask)
+    y, error, mask = _pooled(y), _pooled(_error(y, yhat, mask)), _pooled(mask)
+    xp = _namespace(y)
     measured = xp.isfinite(_root_mean_square(error, mask))
     scatter = xp.where(measured, _spread(error, mask), xp.inf)
     with np.errstate(over="ignore"):
@@ -97,23 +102,23 @@ def nmse(
 
 
 def scores(
-    measured: Float[Array, "time outputs"],
-    predicted: Float[Array, "time outputs"],
-    mask: Bool[Array, "time outputs"],
+    measured: Float[Array, "*records time outputs"],
+    predicted: Float[Array, "*records time outputs"],
+    mask: Bool[Array, "*records time outputs"],
 ) -> dict[str, Shaped[Array, " outputs"]]:
     """All metrics above by name, and `samples`, the count of samples in `mask`."""
     values: dict[str, Any] = {
         name: function(measured, predicted, mask)
         for name, function in zip(PERFECT, (rmse, nrmse, r2, fit, nmse), strict=True)
     }
-    return values | {"samples": mask.sum(axis=0)}
+    return values | {"samples": _pooled(mask).sum(axis=0)}
 
 
 def is_constant(
-    y: Float[Array, "time outputs"], mask: Bool[Array, "time outputs"]
+    y: Float[Array, "*records time outputs"], mask: Bool[Array, "*records time outputs"]
 ) -> Bool[Array, " outputs"]:
     """Whether the counted samples of an output are all equal (or there are none)."""
-    return _spread(y, mask) == 0
+    return _spread(_pooled(y), _pooled(mask)) == 0
 
 
 def pooled_rms(
@@ -134,6 +139,18 @@ def _namespace(y: Array) -> Any:
     return y.__array_namespace__()
 
 
+def _pooled(value: Array) -> Array:
+    """All records behind one another."""
+    return value if value.ndim == 2 else value.reshape(-1, value.shape[-1])
+
+
+def _root(square: Array) -> Array:
+    """Square root whose slope at zero is zero."""
+    xp = _namespace(square)
+    some = square > 0
+    return xp.where(some, xp.sqrt(xp.where(some, square, 1.0)), 0.0)
+
+
 def _error(y: Array, yhat: Array, mask: Array) -> Array:
     """y - yhat, zero outside `mask`, `inf` where a counted value is not finite."""
     xp = _namespace(y)
@@ -151,7 +168,7 @@ def _root_mean_square(value: Array, mask: Array) -> Array:
     count = xp.sum(mask, axis=0, dtype=value.dtype)
     mean = xp.sum(scaled**2, axis=0) / xp.maximum(count, 1.0)
     usable = (count > 0) & xp.isfinite(largest)
-    return xp.where(usable, scale * xp.sqrt(mean), xp.inf)
+    return xp.where(usable, scale * _root(mean), xp.inf)
 
 
 def _spread(value: Array, mask: Array) -> Array:
@@ -172,7 +189,7 @@ def _spread(value: Array, mask: Array) -> Array:
     count = xp.maximum(xp.sum(mask, axis=0, dtype=value.dtype), 1.0)
     mean = xp.sum(unit, axis=0) / count
     deviation = xp.where(mask, unit - mean[None], 0.0)
-    spread = half * xp.sqrt(xp.sum(deviation**2, axis=0) / count)
+    spread = half * _root(xp.sum(deviation**2, axis=0) / count)
     return xp.where(varied, spread, 0.0)
 
 

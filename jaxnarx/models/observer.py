@@ -1,0 +1,124 @@
+"""What hidden channels start from: the values that fit the measured outputs best.
+
+Nobody measures them, so a run that is to begin at sample t takes the values s before t
+with which its outputs y come nearest to the measured ones over a window of w samples,
+
+    min_s  sum_(i < w) sum_o ((y_o(t+i; s) - measured) / sigma_o)^2
+           + PRIOR sum_k ((s_k - middle_k) / sigma_k)^2 ,
+
+by Levenberg-Marquardt with exact sensitivities of the run by s, from the best of some
+points spread over the trained range: the sum has several minima (moving-horizon
+estimation, Rao, Rawlings and Lee 2001, of full information over the window, without
+noise on the state). sigma is a quarter of a channel's trained range; the prior matters
+where the window tells nothing of a state. The free run that begins there is judged
+behind its window. For k steps ahead every sample has a window of its own behind it.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxnarx.models.feedback import depth
+from jaxnarx.models.network import Network
+from jaxnarx.models.record_run import run_record
+
+PRIOR = 1e-3
+"""Weight of a hidden value's squared distance from the middle of its range."""
+STEPS = 15
+"""Steps of Levenberg-Marquardt, rejected ones with them."""
+DAMPING = 1e-3
+POINTS = 16
+"""Points in the trained range that are looked at first."""
+
+
+def hidden_start(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    measured: Float[Array, "time outputs"],
+    known: Bool[Array, "time outputs"],
+    start: Int[Array, ""],
+) -> tuple[Float[Array, "depth hidden"], Float[Array, " hidden"]]:
+    """Hidden values before sample `start`, and those at the end of the window."""
+    lags, count = depth(network), len(network.modelled)
+    size = min(lags + network.window, measured.shape[0])
+    row = jnp.clip(start - lags, 0, measured.shape[0] - size)
+
+    def cut(a, axis):
+        return jax.lax.dynamic_slice_in_dim(a, row, size, axis)
+
+    v, x = cut(v, 1), tuple(cut(x_o, 1) for x_o in x)
+    measured, known = cut(measured, 0), cut(known, 0)[:, :count]
+    middle, sigma = scales(network)
+    weight = jnp.where(known & (jnp.arange(size) >= lags)[:, None], 1.0, 0.0)
+    weight = weight / sigma[None, :count]
+    anchor = jnp.arange(size) == lags
+
+    def outputs(s):
+        begin = middle[None, count:] + s.reshape(lags, -1) * sigma[None, count:]
+        filled = measured.at[:lags, count:].set(begin)
+        return begin, run_record(network, v, x, filled, anchor)
+
+    def residual(s):
+        e = (outputs(s)[1][:, :count] - measured[:, :count]) * weight
+        return jnp.concatenate([e.ravel(), jnp.sqrt(PRIOR) * s])
+
+    starts = spread_out(lags * network.hidden).astype(measured.dtype)
+    losses = jax.lax.map(lambda s: jnp.sum(residual(s) ** 2), jnp.asarray(starts))
+    s = _least(residual, jnp.asarray(starts)[jnp.argmin(losses)])
+    begin, y = outputs(s)
+    return begin, y[-1, count:]
+
+
+def scales(
+    network: Network,
+) -> tuple[Float[Array, " outputs"], Float[Array, " outputs"]]:
+    """Middle and a quarter of the trained range of all that is computed, scaled."""
+    own = np.array(network.signals)
+    gain = network.gain[own]
+    low, high = network.low[own] / gain, network.high[own] / gain
+    sigma = jnp.where(high > low, (high - low) / 4.0, 1.0)
+    return (low + high) / 2.0, sigma
+
+
+def spread_out(n: int) -> Float[np.ndarray, "points n"]:
+    """Points of the box from -2 to 2, the middle first: an additive recurrence with
+    the powers of the root of x^(n+1) = x + 1 (M. Roberts 2018)."""
+    root = 1.5
+    for _ in range(50):
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    step = root ** -np.arange(1.0, n + 1)
+    return 4.0 * ((0.5 + np.arange(POINTS)[:, None] * step[None]) % 1.0) - 2.0
+
+
+def _least(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Levenberg-Marquardt with a fixed number of steps, for batches of small
+    problems.
+
+    Its derivative is that of the minimum, by the implicit function theorem: that of the
+    steps would cost many times as much, and is rougher where one is rejected.
+    """
+
+    def step(_, state):
+        s, r, damping = state
+        jacobian = jax.jacfwd(residual)(s)
+        gram = jacobian.T @ jacobian
+        damped = gram + damping * jnp.diag(jnp.diagonal(gram))
+        new = s - jnp.linalg.solve(damped, jacobian.T @ r)
+        other = residual(new)
+        lower = jnp.sum(other**2) < jnp.sum(r**2)
+        damping = jnp.where(lower, damping / 5.0, damping * 5.0)
+        return jnp.where(lower, new, s), jnp.where(lower, other, r), damping
+
+    def minimise(_, s):
+        start = s, residual(s), jnp.asarray(DAMPING, s.dtype)
+        return jax.lax.fori_loop(0, STEPS, step, start)[0]
+
+    def slope(s):
+        return jax.grad(lambda s: 0.5 * jnp.sum(residual(s) ** 2))(s)
+
+    def solve(curvature, right):
+        return jnp.linalg.solve(jax.jacfwd(curvature)(right), right)
+
+    return jax.lax.custom_root(slope, s, minimise, solve)
