@@ -124,8 +124,8 @@ def test_a_search_gives_them_and_a_refinement_takes_them_away():
     fit = jnx.identify(data, preset="linear", candidates=4)
     inside, _ = held(fit.value, noisy(45), 0.9)
     assert 0.8 < inside.mean() < 0.98
-    few = jnx.SimulationError(max_steps=1, horizons=(), window_steps=0)
-    assert jnx.refine(fit.value, data, few).value.errors is None
+    refined = jnx.refine(fit.value, data, jnx.PredictionError(max_steps=1))
+    assert refined.value.errors is None
 
 
 def test_a_file_keeps_them(known, tmp_path):
