@@ -22,7 +22,9 @@ from jaxnarx.methods.settings import made
 LENGTH = 240
 
 
-figures = eqx.filter_jit(criteria)
+@eqx.filter_jit
+def figures(slope, reference, power=None):
+    return criteria(slope, reference, power=power)
 
 
 @eqx.filter_jit

@@ -19,8 +19,8 @@ unit = jax.jit(lambda shape: shape.unit())
 
 def of(direction, border, log_steepness, path) -> SigmoidTree:
     """A tree of numbers."""
-    floats = (np.asarray(a, float) for a in (direction, border, log_steepness))
-    return SigmoidTree(*map(device, (*floats, np.asarray(path, int))))
+    d, b, a = (np.asarray(x, float) for x in (direction, border, log_steepness))
+    return SigmoidTree(device(d), device(b), device(a), device(np.asarray(path, int)))
 
 
 def gates(seed: int = 0):
@@ -42,7 +42,8 @@ def tree(seed: int = 0, spare: int = 0) -> SigmoidTree:
         # an unused gate may hold a direction too
         unused[0][-1] = 3.0
     fields = zip((direction, border, log_steepness), unused, strict=True)
-    return of(*(np.concatenate(pair) for pair in fields), path)
+    direction, border, log_steepness = (np.concatenate(pair) for pair in fields)
+    return of(direction, border, log_steepness, path)
 
 
 def active(spare: int = 0) -> jax.Array:

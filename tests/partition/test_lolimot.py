@@ -1,6 +1,7 @@
 """Growth of a local linear model tree against published curves and a plain version."""
 
 from functools import cache
+from typing import Any
 
 import common
 import jax
@@ -208,7 +209,7 @@ def test_a_split_without_samples_for_its_parameters_is_forbidden():
 
 def test_one_program_serves_every_dataset_and_width():
     compiled(*problem(1))
-    others = {"k_sigma": 0.4, "ridge": 0.1, "least": 7.0}
+    others: dict[str, Any] = {"k_sigma": 0.4, "ridge": 0.1, "least": 7.0}
     assert common.compilations(lambda: compiled(*problem(2), **others)) == 0
 
 
