@@ -314,11 +314,13 @@ def test_far_outside_the_training_range_a_model_still_answers(how):
     np.testing.assert_array_equal(run.extrapolated[0], [True, False])
 
 
-@pytest.mark.parametrize("make", [SigmoidTree, Grid])
+@pytest.mark.parametrize("make", [Lolimot, SigmoidTree, Grid])
 def test_a_constant_scheduling_variable_is_refused_by_name(make):
     u = data().records[0].u
     still = np.column_stack([u[:, 0], np.full(ROWS, 7.0)])
     flat = records("tiny", still, data().records[0].y)
     settings: dict[str, Any] = {"models": (2, 2)} if make is Grid else {}
-    with pytest.raises(DataError, match=r"u2\[t\] is constant \(7\)"):
+    constant = r"u2\[t\] is constant \(7\).*choose"
+    with pytest.raises(DataError, match=constant) as caught:
         grow(pool(), flat, make(SCHEDULE, **settings))
+    assert caught.value.channel == "u2"

@@ -260,15 +260,6 @@ def test_a_linear_process_needs_one_model():
     assert solution.status_name == "no_improvement"
 
 
-def test_the_network_has_the_error_that_growth_reports():
-    data = noisy()
-    solution = grown(data, Lolimot(SCHEDULE, max_models=10))
-    y = predict(solution.value, data).value[0]
-    sse = np.sum((y - data.records[0].y) ** 2) / float(solution.value.gain[-1]) ** 2
-    best = solution.stats["best"][0]
-    np.testing.assert_allclose(sse, solution.stats["sse"][0][best], rtol=1e-9)
-
-
 def test_units_and_masked_rows_do_not_matter():
     data = noisy()
     method = Lolimot(SCHEDULE, max_models=10)
@@ -302,15 +293,6 @@ def test_every_output_has_a_partition_of_its_own():
         np.testing.assert_array_equal(centres(solution.value, o), centres(single.value))
     first, second = (centres(solution.value, o) for o in range(2))
     assert first.shape != second.shape or np.any(first != second)
-
-
-def test_a_constant_scheduling_variable_is_refused_by_name():
-    data = noisy()
-    record = data.records[0]
-    still = static(np.column_stack([record.u[:, 0], np.full(200, 7.0)]), record.y)
-    with pytest.raises(DataError, match=r"u2\[t\] is constant \(7\).*choose") as caught:
-        grown(still, Lolimot(SCHEDULE))
-    assert caught.value.channel == "u2"
 
 
 @pytest.mark.parametrize(
