@@ -1,10 +1,10 @@
-"""Three problems that the tests share, and what is grown from them, once a process.
+"""A problem that tests of partitions share, and what is grown from it, once a process.
 
 `tiny`: one record of a bent surface with noise, y over two inputs of the same sample.
-`pair`: two records of a first-order process with a bent gain, scheduled by its input.
-`coupled`: two records of two outputs that depend on each other and on their past.
 
-Tests that need nothing else take these, so that their programs have the same shapes.
+Tests that need nothing else take it, so that their programs have the same shapes. Those
+of runs and refinements have networks of one or several local models, by inputs and by
+their own outputs, in `common.named`, on `common.dataset`.
 """
 
 from functools import cache
@@ -19,17 +19,11 @@ from jaxnarx.regressors import Pool, polynomial_pool
 from jaxnarx.solution import Solution
 
 ROWS = 240
-SCHEDULE = {"tiny": ("u1[t]", "u2[t]"), "pair": ("u[t-1]",), "coupled": ("y[t-1]",)}
+SCHEDULE = {"tiny": ("u1[t]", "u2[t]")}
 NAMES: dict[str, dict[str, Any]] = {
-    "tiny": {"inputs": ["u1", "u2"], "outputs": ["y"], "sample_time": 1.0},
-    "pair": {"inputs": ["u"], "outputs": ["y"], "sample_time": 0.1},
-    "coupled": {"inputs": ["u"], "outputs": ["y", "w"], "sample_time": 0.1},
+    "tiny": {"inputs": ["u1", "u2"], "outputs": ["y"], "sample_time": 1.0}
 }
-LAGS: dict[str, dict[str, Any]] = {
-    "tiny": {"input_lags": (0,), "output_lags": ()},
-    "pair": {"input_lags": (1, 2), "output_lags": (1, 2)},
-    "coupled": {"input_lags": (1,), "output_lags": (1,)},
-}
+LAGS: dict[str, dict[str, Any]] = {"tiny": {"input_lags": (0,), "output_lags": ()}}
 
 
 def records(name: str, us: Any, ys: Any, **more: Any) -> Dataset:
@@ -41,14 +35,12 @@ def records(name: str, us: Any, ys: Any, **more: Any) -> Dataset:
 def data(name: str = "tiny", seed: int = 0, outputs: int = 1) -> Dataset:
     """The records of a problem; `outputs=2`: of `tiny`, w = y^2 as well."""
     rng = np.random.default_rng(seed)
-    if name == "tiny":
-        u = np.column_stack([rng.uniform(10, 30, ROWS), rng.uniform(-1, 1, ROWS)])
-        u[:2] = [[10.0, -1.0], [30.0, 1.0]]
-        y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2
-        y = y + 0.05 * rng.normal(size=ROWS)
-        both = np.column_stack([y, y**2])[:, :outputs]
-        return records(name, u, both, outputs=["y", "w"][:outputs])
-    raise KeyError(name)
+    u = np.column_stack([rng.uniform(10, 30, ROWS), rng.uniform(-1, 1, ROWS)])
+    u[:2] = [[10.0, -1.0], [30.0, 1.0]]
+    y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2
+    y = y + 0.05 * rng.normal(size=ROWS)
+    both = np.column_stack([y, y**2])[:, :outputs]
+    return records(name, u, both, outputs=["y", "w"][:outputs])
 
 
 @cache
