@@ -161,6 +161,16 @@ PARTS = {
     ),
 }
 
+HALVES = Part(
+    [[((0, 0), 0.0)]] * 2,
+    scheduling=((A, 0),),
+    offset=(-1.0,),
+    span=(2.0,),
+    centre=[[0.25], [0.75]],
+    width=[[0.2]] * 2,
+)
+"""Two local models by a; both say zero, so that the error is y itself."""
+
 KINDS = {
     "one model": (("one",), (0,)),
     "by inputs": (("inputs",), (0,)),
@@ -220,6 +230,9 @@ def signals(length: int, seed: int = 0) -> Float[np.ndarray, "time signals"]:
         x[t] = 0.6 * x[t - 1] + 0.8 * x[t]
     return x[20:] * np.array([1.6, 0.4, 5.0, 1.5])
 
+
+BRIEF: dict[str, Any] = {"stability": False, "diagnostics": False, "horizons": (1,)}
+"""Settings of a report without what costs most."""
 
 LENGTHS = (60, 45, 3, 52)
 TIME = bucket(max(LENGTHS))

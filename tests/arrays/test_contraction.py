@@ -11,7 +11,7 @@ from oracles import full_pool, term_matrix
 
 from jaxnarx.arrays.contraction import BLOCK, LANES, contract, plan, positions
 
-compiled = jax.jit(contract, static_argnames="degree")
+compiled = jax.jit(contract, static_argnames=("degree", "squared"))
 
 
 def problem(variables: int, time: int, vectors: int = 1, seed: int = 0):
@@ -52,7 +52,7 @@ SIZES = [
 def test_equals_the_formed_pool(degree, variables):
     v, q = problem(variables, 40)
     factor = full_pool(variables, degree)
-    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    found = compiled(v, q, degree=degree)
     assert_products(
         np.asarray(found)[:, positions(factor, variables + 1)], v, q, factor
     )
@@ -63,18 +63,18 @@ def test_equals_the_formed_pool(degree, variables):
 def test_every_remainder_of_a_block_counts_once(time, degree):
     v, q = problem(3, time)
     factor = full_pool(3, degree)
-    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    found = compiled(v, q, degree=degree)
     assert_products(np.asarray(found)[:, positions(factor, 4)], v, q, factor)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_several_vectors_are_each_alone(degree):
     v, q = problem(5, BLOCK + 8, vectors=3)
-    together = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    together = np.asarray(compiled(v, q, degree=degree))
     factor = full_pool(5, degree)
     assert_products(np.asarray(together)[:, positions(factor, 6)], v, q, factor)
     for n in range(3):
-        alone = compiled(jnp.asarray(v), jnp.asarray(q[n : n + 1]), degree=degree)
+        alone = np.asarray(compiled(v, q[n : n + 1], degree=degree))
         # Another batch size may be summed in another order.
         np.testing.assert_allclose(together[n], alone[0], rtol=0, atol=1e-11)
 
@@ -85,7 +85,7 @@ def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
     v[1:, 11] = 1e150
     keep = np.arange(30) != 11
     factor = full_pool(4, 2)
-    found = contract(jnp.asarray(v), jnp.asarray(q), 2)
+    found = compiled(v, q, degree=2)
     assert_products(
         np.asarray(found)[:, positions(factor, 5)], v[:, keep], q[:, keep], factor
     )
@@ -95,15 +95,15 @@ def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
 def test_squared_is_the_contraction_of_the_squares(time):
     v, q = problem(4, time)
     factor = full_pool(4, 3)
-    found = contract(jnp.asarray(v), jnp.asarray(q), 3, squared=True)
+    found = compiled(v, q, degree=3, squared=True)
     assert_products(np.asarray(found)[:, positions(factor, 5)], v**2, q, factor)
 
 
 @pytest.mark.parametrize("squared", [False, True])
 def test_no_copy_of_the_variables_is_made(squared):
-    v, q = (jnp.zeros((n, 64 * BLOCK)) for n in (10, 1))
-    search = jax.jit(lambda v, q: contract(v, q, 3, squared=squared))
-    memory = search.lower(v, q).compile().memory_analysis()
+    v, q = (np.zeros((n, 64 * BLOCK)) for n in (10, 1))
+    lowered = compiled.lower(v, q, degree=3, squared=squared)
+    memory = lowered.compile().memory_analysis()
     assert memory is not None
     assert memory.temp_size_in_bytes < v.nbytes / 4
 
@@ -111,17 +111,17 @@ def test_no_copy_of_the_variables_is_made(squared):
 def test_vmap_over_data_is_a_loop():
     problems = [problem(4, 60, seed=s) for s in (1, 2, 3)]
     v, q = (np.stack(a) for a in zip(*problems, strict=True))
-    batched = jax.vmap(lambda v, q: contract(v, q, 3))(jnp.asarray(v), jnp.asarray(q))
+    batched = np.asarray(jax.jit(jax.vmap(lambda v, q: contract(v, q, 3)))(v, q))
     factor = full_pool(4, 3)
     for n in range(3):
-        found = np.asarray(batched[n])[:, positions(factor, 5)]
+        found = batched[n][:, positions(factor, 5)]
         assert_products(found, v[n], q[n], factor)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_float32_stays_float32(degree):
     v, q = (a.astype(np.float32) for a in problem(3, BLOCK + 5))
-    found = compiled(jnp.asarray(v), jnp.asarray(q), degree=degree)
+    found = compiled(v, q, degree=degree)
     assert found.dtype == jnp.float32
     factor = full_pool(3, degree)
     sums = np.asarray(found, float)[:, positions(factor, 4)]

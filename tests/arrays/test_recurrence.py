@@ -73,7 +73,7 @@ def compiled(params, drive, measured, anchor, lower, upper):
 
 
 def run(p: Problem, bounds=WIDE):
-    return compiled(*(jnp.asarray(a) for a in (*p, *bounds)))
+    return np.asarray(compiled(*p, *bounds))
 
 
 ANCHORS = {
@@ -96,13 +96,13 @@ def test_equals_the_plain_loop_from_the_first_anchor(anchor, bounds):
     first = int(np.argmax(anchor))
     # Forty steps of a contraction: rounding only.
     np.testing.assert_allclose(
-        np.asarray(run(p, bounds))[first:], expected[first:], rtol=0, atol=1e-13
+        run(p, bounds)[first:], expected[first:], rtol=0, atol=1e-13
     )
 
 
 def test_tight_bounds_do_limit():
-    free = np.asarray(run(problem(ANCHORS["one"])))[DEPTH:]
-    held = np.asarray(run(problem(ANCHORS["one"]), TIGHT))[DEPTH:]
+    free = run(problem(ANCHORS["one"]))[DEPTH:]
+    held = run(problem(ANCHORS["one"]), TIGHT)[DEPTH:]
     at_border = (held == TIGHT[0]) | (held == TIGHT[1])
     assert 0.1 < at_border.mean() < 0.9
     assert not np.allclose(free[~at_border], held[~at_border])
@@ -110,7 +110,7 @@ def test_tight_bounds_do_limit():
 
 def test_an_anchor_at_every_sample_is_the_one_step_prediction():
     p = problem(ANCHORS["every"])
-    found = np.asarray(run(p))
+    found = run(p)
     for t in range(DEPTH, TIME):
         past = np.array([p.measured[t - 1 - d] for d in range(DEPTH)]).T
         expected = formula(p.params, p.drive[t], past)
@@ -126,11 +126,11 @@ def test_nothing_before_the_first_anchor_matters():
     spoilt = p._replace(drive=wild, measured=measured)
 
     def loss(params, q: Problem):
-        y = compiled(*(jnp.asarray(a) for a in (params, *q[1:], *WIDE)))
+        y = compiled(params, *q[1:], *WIDE)
         return jnp.sum(y[late:] ** 2)
 
     graded = jax.jit(jax.value_and_grad(loss))
-    plain, other = (graded(jnp.asarray(p.params), q) for q in (p, spoilt))
+    plain, other = (graded(p.params, q) for q in (p, spoilt))
     np.testing.assert_array_equal(plain[0], other[0])
     np.testing.assert_array_equal(plain[1], other[1])
 
@@ -164,9 +164,9 @@ def test_a_chaotic_stretch_before_an_anchor_leaves_the_derivative_behind_it_fini
 
 def test_vmap_is_a_loop():
     problems = [problem(ANCHORS["several"], seed=s) for s in (1, 2, 3)]
-    stacked = [jnp.asarray(np.stack(a)) for a in zip(*problems, strict=True)]
-    bounds = [jnp.asarray(b) for b in TIGHT]
-    batched = jax.vmap(compiled, in_axes=(0, 0, 0, 0, None, None))(*stacked, *bounds)
+    stacked = [np.stack(a) for a in zip(*problems, strict=True)]
+    batch = jax.jit(jax.vmap(compiled, in_axes=(0, 0, 0, 0, None, None)))
+    batched = np.asarray(batch(*stacked, *TIGHT))
     for n, p in enumerate(problems):
         np.testing.assert_allclose(
             batched[n, 3:], run(p, TIGHT)[3:], rtol=0, atol=1e-14
@@ -175,10 +175,9 @@ def test_vmap_is_a_loop():
 
 def test_float32_stays_float32():
     p = problem(ANCHORS["one"])
-    numbers = [jnp.asarray(a, jnp.float32) for a in p[:3]]
-    bounds = [jnp.asarray(b, jnp.float32) for b in WIDE]
-    y = compiled(*numbers, jnp.asarray(p.anchor), *bounds)
-    assert y.dtype == jnp.float32
+    numbers = [a.astype(np.float32) for a in p[:3]]
+    y = np.asarray(compiled(*numbers, p.anchor, *(b.astype(np.float32) for b in WIDE)))
+    assert y.dtype == np.float32
     np.testing.assert_allclose(y[3:], run(p)[3:], rtol=0, atol=1e-5)
 
 
@@ -231,19 +230,18 @@ CASES = [
 
 
 def arguments(anchor, bounds):
-    args = tuple(jnp.asarray(a) for a in problem(anchor)[:3])
-    return args, tuple(jnp.asarray(a) for a in (anchor, *bounds))
+    return tuple(problem(anchor)[:3]), (anchor, *bounds)
 
 
 def normal(*shape: int, seed: int):
-    return jnp.asarray(np.random.default_rng(seed).normal(size=shape))
+    return np.random.default_rng(seed).normal(size=shape)
 
 
 @pytest.mark.parametrize(("anchor", "bounds"), CASES)
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["params", "drive", "measured"])
 def test_jvp_is_the_central_difference(anchor, bounds, which):
     args, rest = arguments(anchor, bounds)
-    tangents = [jnp.zeros_like(a) for a in args]
+    tangents = [np.zeros_like(a) for a in args]
     tangents[which] = normal(*args[which].shape, seed=which)
     _, found = forward(args, tuple(tangents), rest)
 
@@ -264,9 +262,9 @@ def test_forward_is_the_transpose_of_reverse(anchor, bounds):
     y, pushed = forward(args, tangents, rest)
     cotangent = normal(*y.shape, seed=9)
     pulled = reverse(args, cotangent, rest)
-    inner = sum(float(jnp.sum(a * b)) for a, b in zip(pulled, tangents, strict=True))
+    inner = sum(np.sum(a * b) for a, b in zip(pulled, tangents, strict=True))
     # Both are sums of some hundred products of order one.
-    np.testing.assert_allclose(float(jnp.sum(cotangent * pushed)), inner, rtol=1e-11)
+    np.testing.assert_allclose(np.sum(cotangent * pushed), inner, rtol=1e-11)
 
 
 @pytest.mark.parametrize(("anchor", "bounds"), CASES)
@@ -281,7 +279,7 @@ def test_gradient_is_that_of_autodiff_through_an_explicit_scan(anchor, bounds):
 
 def test_a_limited_sample_has_no_derivative():
     args, rest = arguments(ANCHORS["one"], TIGHT)
-    y, tangent = forward(args, tuple(jnp.ones_like(a) for a in args), rest)
+    y, tangent = forward(args, tuple(np.ones_like(a) for a in args), rest)
     y, tangent = np.asarray(y)[DEPTH:], np.asarray(tangent)[DEPTH:]
     at_border = (y == TIGHT[0]) | (y == TIGHT[1])
     assert at_border.any()
@@ -292,9 +290,12 @@ def test_a_limited_sample_has_no_derivative():
 # its parts ------------------------------------------------------------------------
 
 
+history = jax.jit(partial(history_of, depth=DEPTH))
+
+
 def test_history_is_newest_first():
     y = np.random.default_rng(0).normal(size=(6, OUTPUTS))
-    found = history_of(jnp.asarray(y), DEPTH)
+    found = np.asarray(history(y))
     for t in range(DEPTH, 6):
         for d in range(DEPTH):
             np.testing.assert_array_equal(found[t, :, d], y[t - 1 - d])
@@ -305,10 +306,8 @@ def test_run_history_is_simulated_since_the_anchor_and_measured_before():
     anchor = ANCHORS["several"]
     rng = np.random.default_rng(1)
     y, measured = (rng.normal(size=(TIME, OUTPUTS)) for _ in range(2))
-    found = run_history(
-        jnp.asarray(y), history_of(jnp.asarray(measured), DEPTH), jnp.asarray(anchor)
-    )
-    own = own_history(jnp.asarray(anchor), DEPTH)
+    found = np.asarray(jax.jit(run_history)(y, history(measured), anchor))
+    own = np.asarray(jax.jit(partial(own_history, depth=DEPTH))(anchor))
     for t in range(3, TIME):
         last = max(a for a in (3, 10, 11, 25) if a <= t)
         for d in range(DEPTH):
@@ -339,7 +338,7 @@ def test_linear_recurrence_solves_the_dense_triangular_system(shape):
                 right[rows] += a[t, :, :, k] @ start[k - t].reshape(OUTPUTS, -1)
     expected = np.linalg.solve(matrix, right).reshape(d.shape)
 
-    end, found = linear_recurrence(*(jnp.asarray(x) for x in (a, d, start)))
+    end, found = jax.jit(linear_recurrence)(a, d, start)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(end, expected[::-1][:DEPTH], rtol=0, atol=1e-11)
 
@@ -358,13 +357,12 @@ def test_polynomial_step_is_its_sum(copies):
     polynomial = polynomial_step(
         np.tile(table, (copies, 1)), np.tile(output, (OUTPUTS, 1)), lag
     )
-    args = jnp.asarray(g), jnp.asarray(history)
     found, slope = jax.jit(
         lambda g, h: (
             polynomial(None, g, h),
             jax.jacfwd(lambda h: polynomial(None, g, h))(h),
         )
-    )(*args)
+    )(g, history)
 
     def plain(h):
         x = np.array([1.0, *h[output, lag]])
@@ -376,7 +374,7 @@ def test_polynomial_step_is_its_sum(copies):
     )
     # Quadratic: central differences are exact but for rounding, 1e-14 / 1e-5.
     np.testing.assert_allclose(
-        slope.reshape(OUTPUTS, -1), expected, rtol=1e-8, atol=1e-8
+        np.reshape(slope, (OUTPUTS, -1)), expected, rtol=1e-8, atol=1e-8
     )
 
 
@@ -384,7 +382,7 @@ def test_polynomial_step_is_its_sum(copies):
 def test_unrolling_changes_nothing(unroll):
     args, (anchor, lower, upper) = arguments(ANCHORS["several"], TIGHT)
     unrolled = partial(free_run, step, depth=DEPTH, unroll=unroll)
-    y = jax.jit(unrolled)(*args, anchor, lower, upper)
+    y = np.asarray(jax.jit(unrolled)(*args, anchor, lower, upper))
     expected = run(problem(ANCHORS["several"]), TIGHT)
     # Another arrangement of the same sums.
     np.testing.assert_allclose(y[3:], expected[3:], rtol=0, atol=1e-15)

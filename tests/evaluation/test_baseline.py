@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import Part, network
+from common import BRIEF, Part, from_rows, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
@@ -27,11 +27,7 @@ def record(seed, slope=0.5, extent=1.0, samples=150):
 
 
 def dataset(*records) -> Dataset:
-    u, y = zip(*records, strict=True)
-    inputs, outputs = ["a", "b"], ["y", "w"]
-    return Dataset.from_arrays(
-        list(u), list(y), inputs=inputs, outputs=outputs, sample_time=0.1
-    )
+    return from_rows([np.hstack(pair) for pair in records])
 
 
 # Poor on purpose: what it predicts must not matter to the linear model.
@@ -40,7 +36,7 @@ POOR = network([Part([[((0, 1), 0.5), ((0, 3), 0.1)]])])
 
 def beside(train, test, net=POOR):
     parts = {"train": train, "test": test}
-    found = report(net, parts, horizons=(1,), stability=False, diagnostics=False)
+    found = report(net, parts, **BRIEF)
     (row,) = found.beside[NAME]
     return found, row
 

@@ -12,7 +12,6 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import compare, errors_by_size
 
 data = cache(lambda: common.dataset((150, 150)))
-PLAIN: dict[str, Any] = {"horizons": (1,), "stability": False, "diagnostics": False}
 
 
 @cache
@@ -30,7 +29,7 @@ def test_models_and_parts_have_the_figures_of_their_reports():
     parts = {"train": data()[0], "test": data()[1]}
     found = compare(models, parts, output="w")
     for name, network in models.items():
-        told = jnx.report(network, parts, **PLAIN)
+        told = jnx.report(network, parts, **common.BRIEF)
         for part in parts:
             row = told.pooled("w", part=part)
             assert found.pooled[name][part].nrmse == row.nrmse
@@ -67,7 +66,7 @@ def test_errors_by_size_are_those_of_smaller_selections():
     found = errors_by_size(chosen(), parts)
     for size in (2, 4):
         alone = jnx.grow(chosen().head(size), data()[0], jnx.Global()).value
-        told = jnx.report(alone, parts, **PLAIN)
+        told = jnx.report(alone, parts, **common.BRIEF)
         for one in found:
             for part in parts:
                 row = told.pooled(one.output.name, part=part)

@@ -31,8 +31,7 @@ def test_the_curve_is_that_of_sorted_errors_of_bounded_records():
 
 def test_a_report_tells_them_and_draws_the_curve():
     net, data = common.named("one model"), common.dataset((60, 45))
-    plain = {"horizons": (1,), "stability": False, "diagnostics": False}
-    found = jnx.report(net, data, within=4, **plain)
+    found = jnx.report(net, data, within=4, **common.BRIEF)
     (one,) = found.distributions
     run = jnx.simulate(net, data).value
     parts = zip(data, run.outputs, run.scored, strict=True)
@@ -45,5 +44,5 @@ def test_a_report_tells_them_and_draws_the_curve():
     assert "data data" not in page
     assert found.to_dict()["distributions"][0]["within"] == one.within
     with pytest.raises(SpecError, match="within"):
-        jnx.report(net, data, within=-1.0, **plain)
+        jnx.report(net, data, within=-1.0, **common.BRIEF)
     assert "How large" not in render(made(*FINE))

@@ -4,9 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from common import A, B, Part, network
+from common import BRIEF, A, B, Part, from_rows, network
 
-from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.error_map import error_maps
@@ -17,15 +16,13 @@ def dataset():
     rng = np.random.default_rng(4)
     u = rng.uniform(-1, 1, (400, 2))
     y = np.stack([u[:, 0] + 2 * (u[:, 1] > 0), rng.normal(size=400)], axis=1)
-    return Dataset.from_arrays(
-        u, y, inputs=["a", "b"], outputs=["y", "w"], sample_time=0.1
-    )
+    return from_rows([np.hstack([u, y])])
 
 
 def test_the_error_lies_where_it_was_made():
     data = dataset()
     net = network([Part([[((0, 1), 0.0)]])])  # it says zero: the error is y itself
-    found = report(net, data, stability=False, diagnostics=False, horizons=(1,))
+    found = report(net, data, **BRIEF)
     (one,) = found.maps
     # b tells most about y, then a: the shift by 2 against a spread of 0.6.
     assert one.variables == ("b[t]", "a[t]") and one.output == "y"
@@ -65,16 +62,13 @@ def test_scheduling_variables_come_first_and_what_is_no_network_has_no_map():
         centre=[[0.2, 0.2], [0.8, 0.8]],
         width=[[0.3, 0.3]] * 2,
     )
-    found = report(
-        network([part]), dataset(), stability=False, diagnostics=False, horizons=(1,)
-    )
+    found = report(network([part]), dataset(), **BRIEF)
     assert found.maps[0].variables == ("a[t]", "b[t-1]")
-    plain = {"stability": False, "diagnostics": False, "horizons": (1,)}
     for over in (("b", "w"), ("b[t-3]", "a")):
-        told = report(network([part]), dataset(), over=over, **plain).maps[0].variables
+        told = report(network([part]), dataset(), over=over, **BRIEF).maps[0].variables
         assert [t.removesuffix("[t]") for t in told] == list(over)
     with pytest.raises(SpecError, match=r"unknown|no channel|c\[t\]"):
-        report(network([part]), dataset(), over=("b", "c"), **plain)
+        report(network([part]), dataset(), over=("b", "c"), **BRIEF)
     with pytest.raises(SpecError, match="over must name two channels"):
-        report(network([part]), dataset(), over=("b",), **plain)
+        report(network([part]), dataset(), over=("b",), **BRIEF)
     assert error_maps(object(), dataset(), []) == ()

@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import A, B, Part, Y, network
+from common import A, B, Part, Y, from_rows, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
@@ -20,14 +20,7 @@ GAIN = {"a": 2.0, "b": 0.5, "y": 10.0, "w": 3.0}
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     rng = np.random.default_rng(4)
-    return Dataset.from_arrays(
-        rng.uniform(-1, 1, (80, 2)),
-        rng.uniform(-3, 3, (80, 2)),
-        inputs=["a", "b"],
-        outputs=["y", "w"],
-        sample_time=0.1,
-        units={"a": "V", "y": "ppm"},
-    )
+    return from_rows([rng.uniform(-1, 1, (80, 4)) * [1.0, 1.0, 3.0, 3.0]])
 
 
 def two_models() -> Network:
@@ -74,11 +67,10 @@ def test_a_network_with_limits_is_looked_at_where_it_sees_its_inputs(data):
     net = two_models()
     low, high = jnp.array([-0.4, -0.3, -9, -9]), jnp.array([0.5, 0.6, 9, 9])
     held = hold_to_range(dataclasses.replace(net, low=low, high=high), outside="hold")
-    pairs = [(r.u.copy(), r.y) for r in data]
-    for u, _ in pairs:
-        u[:] = np.clip(u, [-0.4, -0.3], [0.5, 0.6])
-    names = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
-    by_hand = Dataset.from_arrays(*zip(*pairs, strict=True), sample_time=0.1, **names)
+    inside = [np.clip(r.u, [-0.4, -0.3], [0.5, 0.6]) for r in data]
+    by_hand = from_rows(
+        [np.hstack([u, r.y]) for u, r in zip(inside, data, strict=True)]
+    )
     for a, b in zip(
         local_behaviour(held, data), local_behaviour(net, by_hand), strict=True
     ):

@@ -4,9 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import A, B, Part, device, network
+from common import A, B, Part, device, from_rows, network
 
-from jaxnarx.data import Dataset
 from jaxnarx.evaluation.reactivation import (
     reactivation,
     reactivation_notes,
@@ -98,9 +97,7 @@ def scheduled(width):
 def test_a_report_says_where_it_happens():
     rng = np.random.default_rng(2)
     u, y = rng.uniform(-1, 1, (200, 2)), rng.uniform(size=(200, 2))
-    data = Dataset.from_arrays(
-        u, y, inputs=["a", "b"], outputs=["y", "w"], sample_time=0.1
-    )
+    data = from_rows([np.hstack([u, y])])
     (note,) = reactivation_notes(scheduled([[0.2, 0.2], [0.05, 0.05]]), data)
     assert "y: local model 1 is valid again behind model 2, by 0.7" in note
     assert "a[t] = " in note and "b[t-1] = " in note

@@ -2,20 +2,10 @@
 
 import numpy as np
 import pytest
-from common import A, Part, network
+from common import BRIEF, HALVES, from_rows, network
 
-from jaxnarx.data import Dataset
 from jaxnarx.evaluation import RegionError, region_sentence, report
 from jaxnarx.evaluation.region_errors import region_text
-
-HALVES = Part(
-    [[((0, 0), 0.0)]] * 2,  # it says zero: the error is y itself
-    scheduling=((A, 0),),
-    offset=(-1.0,),
-    span=(2.0,),
-    centre=[[0.25], [0.75]],
-    width=[[0.2]] * 2,
-)
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +15,7 @@ def found():
     u = rng.uniform(-1, 1, (9000, 2))
     u[:, 0] = np.where(np.arange(9000) % 4 == 0, abs(u[:, 0]), -abs(u[:, 0]))
     y = np.stack([np.where(u[:, 0] > 0, 2.0, 0.1), rng.normal(size=9000)], axis=1)
-    data = Dataset.from_arrays(
-        u, y, inputs=["a", "b"], outputs=["y", "w"], sample_time=0.1
-    )
-    options = {"stability": False, "diagnostics": False, "horizons": (1,)}
-    return report(network([HALVES]), data, **options)
+    return report(network([HALVES]), from_rows([np.hstack([u, y])]), **BRIEF)
 
 
 def test_the_region_that_errs_comes_first(found):

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from common import A, Part, network
+from common import BRIEF, HALVES, from_rows, network
 
-from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
 
 SAMPLE_TIME = 0.1
@@ -25,18 +24,8 @@ def found():
         y[first:stop, 0] += size
         us.append(u)
         ys.append(y)
-    names = {"inputs": ["a", "b"], "outputs": ["y", "w"], "sample_time": SAMPLE_TIME}
-    data = Dataset.from_arrays(us, ys, **names)
-    part = Part(
-        [[((0, 0), 0.0)]] * 2,
-        scheduling=((A, 0),),
-        offset=(-1.0,),
-        span=(2.0,),
-        centre=[[0.25], [0.75]],
-        width=[[0.2]] * 2,
-    )
-    options = {"stability": False, "diagnostics": False, "horizons": (1,)}
-    return data, report(network([part]), data, **options)
+    data = from_rows([np.hstack(pair) for pair in zip(us, ys, strict=True)])
+    return data, report(network([HALVES]), data, **BRIEF)
 
 
 def test_the_largest_comes_first_with_its_time_bias_and_region(found):
@@ -68,10 +57,5 @@ def test_none_overlaps_another_and_all_are_told(found):
 
 
 def test_of_a_perfect_run_nothing_is_told():
-    u = np.zeros((60, 2))
-    data = Dataset.from_arrays(
-        u, u, inputs=["a", "b"], outputs=["y", "w"], sample_time=SAMPLE_TIME
-    )
-    options = {"stability": False, "diagnostics": False, "horizons": (1,)}
-    nothing = network([Part([[((0, 0), 0.0)]])])
-    assert report(nothing, data, **options).worst == ()
+    data = from_rows([np.zeros((800, 4))] * 2)
+    assert report(network([HALVES]), data, **BRIEF).worst == ()

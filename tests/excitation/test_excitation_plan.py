@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from common import device
 
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import (
@@ -38,14 +39,13 @@ def by_hand(plan: AprbsPlan) -> np.ndarray:
 
 
 def plan(level, hold, *, rate=np.inf, length=LENGTH, low=-10.0, high=10.0):
-    level = jnp.asarray(level, float)
+    level = np.asarray(level, float)
     inputs = level.shape[1]
+    ends = (np.full(inputs, end) for end in (rate, low, high))
     return AprbsPlan(
-        level=level,
-        hold=jnp.asarray(hold),
-        rate=jnp.full(inputs, rate),
-        low=jnp.full(inputs, low),
-        high=jnp.full(inputs, high),
+        device(level),
+        device(np.asarray(hold)),
+        *map(device, ends),
         length=length,
         names=tuple(f"u{i}" for i in range(inputs)),
     )
@@ -56,9 +56,8 @@ def hasty():
     """Eight segments of three inputs, one free, two with steps that are not reached."""
     keys = jax.random.split(jax.random.key(8))
     level = jax.random.uniform(keys[0], (8, 3), float, -10, 10)
-    hold = jax.random.randint(keys[1], (8, 3), 3, 10)
-    made = plan(level, hold)
-    return eqx.tree_at(lambda p: p.rate, made, jnp.array([np.inf, 1.0, 1.5]))
+    made = plan(level, jax.random.randint(keys[1], (8, 3), 3, 10))
+    return eqx.tree_at(lambda p: p.rate, made, device(np.array([np.inf, 1.0, 1.5])))
 
 
 @pytest.fixture(scope="module")
@@ -83,28 +82,30 @@ def test_the_slope_is_limited_whatever_the_levels(hasty):
 
 
 def test_a_free_plan_is_its_levels(slow):
-    free = eqx.tree_at(lambda p: p.rate, slow, jnp.full(3, np.inf))
-    expected = np.repeat(slow.level[:, 0], slow.hold[:, 0])
+    free = eqx.tree_at(lambda p: p.rate, slow, device(np.full(3, np.inf)))
+    expected = np.repeat(*(np.asarray(a)[:, 0] for a in (slow.level, slow.hold)))
     found = np.asarray(render(free))[:, 0][: len(expected)]
     np.testing.assert_array_equal(found, expected[: len(found)])
 
 
 def test_the_last_segment_lasts_to_the_end():
     short = plan([[1.0], [2.0]], [[3], [4]], length=20)
-    np.testing.assert_array_equal(render(short)[3:], 2.0)
+    np.testing.assert_array_equal(np.asarray(render(short))[3:], 2.0)
 
 
 def test_segments_after_the_end_have_no_effect(slow):
+    hold = np.array(slow.hold)
+    hold[-1] = LENGTH
     more = plan(
         np.concatenate([slow.level, np.full((4, 3), 1e6)]),
-        np.concatenate([slow.hold.at[-1].set(LENGTH), np.full((4, 3), 2)]),
+        np.concatenate([hold, np.full((4, 3), 2)]),
     )
     more = eqx.tree_at(lambda p: p.rate, more, slow.rate)
     np.testing.assert_array_equal(render(more), render(slow))
-    assert feasible(more) and not np.any(more.used[8:])
+    assert feasible(more) and not np.any(np.asarray(more.used)[8:])
     check_plan(more)
-    gradient = jax.grad(lambda level: weighted(more, level))(more.level)
-    np.testing.assert_array_equal(gradient[8:], 0.0)
+    gradient = jax.jit(jax.grad(lambda level: weighted(more, level)))(more.level)
+    np.testing.assert_array_equal(np.asarray(gradient)[8:], 0.0)
 
 
 def weighted(plan, level):
@@ -119,19 +120,24 @@ def test_derivatives_to_the_levels(which, request):
     made = request.getfixturevalue(which)
     if which == "slow":
         # Off the border of what is reached, where the signal has a kink.
-        made = eqx.tree_at(lambda p: p.level, made, 0.9 * made.level)
+        made = eqx.tree_at(
+            lambda p: p.level, made, device(0.9 * np.asarray(made.level))
+        )
 
     @jax.jit
     def value(level):
         return weighted(made, level)
 
-    tangent = jnp.sin(jnp.arange(24.0)).reshape(8, 3)
-    slope = jax.jvp(value, (made.level,), (tangent,))[1]
-    h = 1e-5
-    ends = [value(made.level + s * h * tangent) for s in (1, -1)]
+    here, tangent, h = (
+        np.asarray(made.level),
+        np.sin(np.arange(24.0)).reshape(8, 3),
+        1e-5,
+    )
+    slope = jax.jvp(value, (made.level,), (device(tangent),))[1]
+    ends = [float(value(here + s * h * tangent)) for s in (1, -1)]
     # Quadratic between kinks, so the central difference is exact up to eps / h.
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-6)
-    backward = jnp.vdot(jax.grad(value)(made.level), tangent)
+    backward = np.vdot(jax.grad(value)(made.level), tangent)
     np.testing.assert_allclose(backward, slope, rtol=1e-12)
 
 
@@ -150,16 +156,18 @@ def test_reachable_levels_are_those_at_the_ends_of_the_segments(hasty, slow):
     x, ends = by_hand(hasty), np.cumsum(np.asarray(hasty.hold), axis=0) - 1
     for i in range(3):
         here = ends[:, i] < LENGTH
-        np.testing.assert_allclose(slow.level[here, i], x[ends[here, i], i], atol=1e-13)
+        level = np.asarray(slow.level)[here, i]
+        np.testing.assert_allclose(level, x[ends[here, i], i], atol=1e-13)
     np.testing.assert_allclose(render(slow), render(hasty), atol=1e-13)
 
 
 def test_reaching_is_a_projection(hasty, slow):
     assert not feasible(hasty) and feasible(slow)
     np.testing.assert_array_equal(reachable(slow).level, slow.level)
-    np.testing.assert_array_equal(slow.level[:, 0], hasty.level[:, 0])
-    wild = eqx.tree_at(lambda p: p.level, hasty, 100 * hasty.level)
-    tame = reachable(wild)
+    ours, theirs = (np.asarray(p.level)[:, 0] for p in (slow, hasty))
+    np.testing.assert_array_equal(ours, theirs)
+    far = device(100 * np.asarray(hasty.level))
+    tame = reachable(eqx.tree_at(lambda p: p.level, hasty, far))
     assert feasible(tame) and np.abs(tame.level).max() == 10
     assert np.abs(render(tame)).max() <= 10
 
@@ -203,9 +211,9 @@ def test_what_is_impossible_is_named_with_advice():
 )
 def test_plans_that_make_no_sense_are_refused(where, value, field):
     made = plan([[0.0], [1.0]], [[4], [4]])
-    wrong = eqx.tree_at(
-        lambda p: getattr(p, where), made, jnp.full_like(getattr(made, where), value)
-    )
+    there = np.asarray(getattr(made, where))
+    full = device(np.full_like(there, value))
+    wrong = eqx.tree_at(lambda p: getattr(p, where), made, full)
     with pytest.raises(SpecError) as caught:
         check_plan(wrong)
     assert caught.value.field == field
@@ -246,7 +254,8 @@ def test_every_input_visits_each_of_its_strata_once(key):
     made = aprbs_plan(key, 3000, **request(hold=hold, rate=None))
     used = np.asarray(made.used)
     assert len(set(used.sum(axis=0))) == 3, "inputs differ in their segments"
-    share = np.asarray((made.level - made.low[None]) / (made.high - made.low)[None])
+    level, low, high = (np.asarray(a) for a in (made.level, made.low, made.high))
+    share = (level - low) / (high - low)
     for i, n in enumerate(used.sum(axis=0)):
         stratum = np.sort(np.floor(share[:n, i] * n))
         np.testing.assert_array_equal(stratum, np.arange(n))

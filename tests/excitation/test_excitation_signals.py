@@ -1,5 +1,8 @@
 """PRBS, random walk, multisine, chirp, ramps and limits against their definitions."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,10 +23,9 @@ from jaxnarx.excitation import (
 )
 
 
-def refused(function, *args, field, **options):
-    with pytest.raises(SpecError) as caught:
-        function(*args, **options)
-    assert caught.value.field == field, str(caught.value)
+def made(function, *args, **request) -> np.ndarray:
+    """A signal, made in one program."""
+    return np.asarray(jax.jit(lambda: function(*args, **request))())
 
 
 # pseudo-random binary sequence ----------------------------------------------------
@@ -32,7 +34,7 @@ def refused(function, *args, field, **options):
 @pytest.mark.parametrize("order", [2, 3, 6, 11])
 def test_the_autocorrelation_of_a_period_has_two_values(order):
     period = 2**order - 1
-    x = np.asarray(prbs(period, amplitude=(-1.0, 1.0), order=order))
+    x = made(prbs, period, amplitude=(-1.0, 1.0), order=order)
     assert set(x) == {-1.0, 1.0}
     found = np.fft.ifft(np.abs(np.fft.fft(x)) ** 2).real
     # Whole numbers, off by the rounding of the transform.
@@ -40,33 +42,18 @@ def test_the_autocorrelation_of_a_period_has_two_values(order):
 
 
 def test_the_clock_repeats_and_the_order_follows_from_the_length():
-    x = np.asarray(prbs(300, amplitude=(2.0, 5.0), clock=5))
+    x = made(prbs, 300, amplitude=(2.0, 5.0), clock=5)
     # 60 clocks need order 6, whose period is 63.
     np.testing.assert_array_equal(x, np.repeat(x[::5], 5))
-    expected = prbs(60, amplitude=(2.0, 5.0), order=6)
+    expected = made(prbs, 60, amplitude=(2.0, 5.0), order=6)
     np.testing.assert_array_equal(x[::5], expected)
 
 
 def test_a_shift_begins_later_in_the_same_period():
-    period = np.asarray(prbs(31, amplitude=(0.0, 1.0), order=5))
+    period = made(prbs, 31, amplitude=(0.0, 1.0), order=5)
     for shift in (1, 12, 31 + 12):
-        found = prbs(40, amplitude=(0.0, 1.0), order=5, shift=shift)
+        found = made(prbs, 40, amplitude=(0.0, 1.0), order=5, shift=shift)
         np.testing.assert_array_equal(found, np.resize(np.roll(period, -shift), 40))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"length": 0}, "length"),
-        ({"order": 1}, "order"),
-        ({"order": 25}, "order"),
-        ({"clock": 0}, "clock"),
-        ({"shift": -1}, "shift"),
-        ({"amplitude": (1.0, -1.0)}, "amplitude"),
-    ],
-)
-def test_impossible_binary_sequences_are_refused(wrong, field):
-    refused(prbs, field=field, **({"length": 9, "amplitude": (0.0, 1.0)} | wrong))
 
 
 # random walk ----------------------------------------------------------------------
@@ -86,7 +73,7 @@ def between_mirrors(start, moves, low, high):
 @pytest.mark.parametrize("step", [0.3, 7.0])
 def test_the_walk_is_reflected_as_light_between_mirrors(key, step):
     low, high, length = -1.0, 2.0, 2000
-    found = np.asarray(random_walk(key, length, amplitude=(low, high), step=step))
+    found = made(random_walk, key, length, amplitude=(low, high), step=step)
     moves = np.array(jax.random.uniform(key, (length,), float, -step, step))
     moves[0] = 0
     # Rounding of a sum of 2000 numbers of at most 7.
@@ -98,20 +85,11 @@ def test_the_walk_is_reflected_as_light_between_mirrors(key, step):
 
 
 def test_the_walk_holds_starts_and_stays(key):
-    x = random_walk(key, 10, amplitude=(0.0, 1.0), step=0.1, hold=3, start=0.9)
+    x = made(random_walk, key, 10, amplitude=(0, 1.0), step=0.1, hold=3, start=0.9)
     np.testing.assert_array_equal(x[:3], 0.9)
     np.testing.assert_array_equal(x, np.repeat(x[::3], 3)[:10])
-    still = random_walk(key, 5, amplitude=(4.0, 4.0), step=1.0)
+    still = made(random_walk, key, 5, amplitude=(4.0, 4.0), step=1.0)
     np.testing.assert_array_equal(still, 4.0)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [({"step": 0.0}, "step"), ({"start": 2.0}, "start"), ({"hold": 0}, "hold")],
-)
-def test_impossible_walks_are_refused(key, wrong, field):
-    request = {"amplitude": (0.0, 1.0), "step": 0.1} | wrong
-    refused(random_walk, key, 10, field=field, **request)
 
 
 # multisine ------------------------------------------------------------------------
@@ -128,7 +106,7 @@ def lines(signal) -> np.ndarray:
 def test_only_the_chosen_harmonics_are_there(key, random):
     weights = [1.0, 1.0, 2.0, 1.0, 0.5, 1.0, 3.0]
     request = {"harmonics": HARMONICS, "weights": weights, "amplitude": (-3.0, 5.0)}
-    x = np.asarray(multisine(64, **request, key=key if random else None))
+    x = made(multisine, 64, **request, key=key if random else None)
     size = np.abs(lines(x))[list(HARMONICS)]
     np.testing.assert_allclose(size / size[0], weights, rtol=1e-12)
     others = np.setdiff1d(np.arange(1, 33), HARMONICS)
@@ -139,49 +117,31 @@ def test_only_the_chosen_harmonics_are_there(key, random):
 
 def test_phases_are_schroeders():
     count = 30
-    x = multisine(256, harmonics=range(1, count + 1), amplitude=(-1.0, 1.0))
+    x = made(multisine, 256, harmonics=range(1, count + 1), amplitude=(-1.0, 1.0))
     k = np.arange(1, count + 1)
     expected = np.exp(-1j * np.pi * k * (k - 1) / count)
     found = lines(x)[1 : count + 1]
     np.testing.assert_allclose(found / np.abs(found), expected, atol=1e-11)
     # In phase, the crest factor is sqrt(2 K) = 7.7; Schroeder's reaches about 1.7.
-    assert crest_factor(x) < 1.8
-    shuffled = multisine(256, harmonics=k[::-1].tolist(), amplitude=(-1.0, 1.0))
+    assert made(crest_factor, jnp.asarray(x)) < 1.8
+    shuffled = made(multisine, 256, harmonics=k[::-1].tolist(), amplitude=(-1.0, 1.0))
     np.testing.assert_array_equal(x, shuffled)
 
 
 def test_a_multisine_repeats_after_its_period():
-    x = multisine(100, harmonics=[1, 4], amplitude=(0.0, 1.0), period=30)
+    x = made(multisine, 100, harmonics=[1, 4], amplitude=(0.0, 1.0), period=30)
     np.testing.assert_array_equal(x[30:], x[:70])
 
 
 def test_crest_factors_of_simple_signals():
-    t = jnp.arange(64.0)
+    t, factor = np.arange(64.0), jax.jit(crest_factor)
     for signal, expected in [
-        (jnp.cos(2 * jnp.pi * t / 16), np.sqrt(2)),
-        (jnp.where(t % 2 == 0, 1.0, -1.0), 1.0),
-        (jnp.full(64, 2.0), 1.0),
+        (np.cos(2 * np.pi * t / 16), np.sqrt(2)),
+        (np.where(t % 2 == 0, 1.0, -1.0), 1.0),
+        (np.full(64, 2.0), 1.0),
     ]:
-        np.testing.assert_allclose(crest_factor(signal), expected, rtol=1e-12)
-        np.testing.assert_allclose(crest_factor(3 - 5 * signal), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"harmonics": [1, 32]}, "harmonics"),
-        ({"harmonics": [0]}, "harmonics"),
-        ({"harmonics": [2, 2]}, "harmonics"),
-        ({"harmonics": []}, "harmonics"),
-        ({"weights": [1.0, 2.0]}, "weights"),
-        ({"weights": [-1.0]}, "weights"),
-        ({"period": 0}, "period"),
-        ({"amplitude": (0.0, np.inf)}, "amplitude"),
-    ],
-)
-def test_impossible_multisines_are_refused(wrong, field):
-    request = {"harmonics": [1], "amplitude": (0.0, 1.0)} | wrong
-    refused(multisine, 64, field=field, **request)
+        for same in (signal, 3 - 5 * signal):
+            np.testing.assert_allclose(factor(same), expected, rtol=1e-12)
 
 
 # chirp ----------------------------------------------------------------------------
@@ -198,21 +158,6 @@ def test_a_chirp_is_scipys(sweep, frequency):
     np.testing.assert_allclose(found, 3 + 2 * wave, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"frequency": (1.0, 51.0)}, "frequency"),
-        ({"frequency": (-1.0, 5.0)}, "frequency"),
-        ({"frequency": (np.nan, 5.0)}, "frequency"),
-        ({"frequency": (0.0, 5.0), "sweep": "logarithmic"}, "frequency"),
-        ({"sample_time": 0.0}, "sample_time"),
-    ],
-)
-def test_impossible_chirps_are_refused(wrong, field):
-    request = {"frequency": (1.0, 5.0), "amplitude": (0.0, 1.0), "sample_time": 0.01}
-    refused(chirp, 100, field=field, **(request | wrong))
-
-
 # limits and ramps -----------------------------------------------------------------
 
 RATE = {"rate": 3.0, "sample_time": 0.1}
@@ -226,55 +171,41 @@ def followed(signal, move, low, high):
     return np.array(path)
 
 
+@jax.jit
+def held(x):
+    return limited(x, low=-0.8, high=0.6, **RATE)
+
+
 @pytest.fixture(scope="module")
 def rough():
     return jax.random.normal(jax.random.key(3), (200,), float)
 
 
 def test_limits_are_kept_sample_by_sample(rough):
-    found = np.asarray(limited(rough, low=-0.8, high=0.6, **RATE))
+    found = np.asarray(held(rough))
     np.testing.assert_allclose(found, followed(rough, 0.3, -0.8, 0.6), atol=1e-14)
     assert np.abs(np.diff(found)).max() <= 0.3 * (1 + 1e-12)
-    np.testing.assert_array_equal(
-        limited(jnp.asarray(found), low=-0.8, high=0.6, **RATE), found
-    )
+    np.testing.assert_array_equal(held(found), found)
 
 
 def test_what_does_not_limit_changes_nothing(rough):
     np.testing.assert_array_equal(limited(rough), rough)
     np.testing.assert_array_equal(limited(rough, rate=1e3, sample_time=0.1), rough)
-    np.testing.assert_array_equal(limited(rough, low=0.0), jnp.maximum(rough, 0.0))
+    np.testing.assert_array_equal(limited(rough, low=0.0), np.maximum(rough, 0.0))
 
 
 def test_the_limiter_is_differentiated_as_it_acts(rough):
+    @jax.jit
     def weighted(x):
-        return jnp.vdot(
-            limited(x, low=-0.8, high=0.6, **RATE), jnp.cos(jnp.arange(200.0))
-        )
+        return jnp.vdot(held(x), jnp.cos(jnp.arange(200.0)))
 
-    tangent = jnp.sin(jnp.arange(200.0))
-    slope = jax.jvp(weighted, (rough,), (tangent,))[1]
-    h = 1e-6
-    centred = (weighted(rough + h * tangent) - weighted(rough - h * tangent)) / (2 * h)
+    here, tangent, h = np.asarray(rough), np.sin(np.arange(200.0)), 1e-6
+    slope = jax.jvp(weighted, (rough,), (jax.device_put(tangent),))[1]
+    ends = [float(weighted(here + s * h * tangent)) for s in (1, -1)]
     # Piecewise linear: only the rounding of the difference, about eps / h, is left.
-    np.testing.assert_allclose(slope, centred, rtol=1e-7)
-    backward = jnp.vdot(jax.grad(weighted)(rough), tangent)
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-7)
+    backward = np.vdot(jax.grad(weighted)(rough), tangent)
     np.testing.assert_allclose(backward, slope, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"rate": 0.0, "sample_time": 0.1}, "rate"),
-        ({"rate": np.inf, "sample_time": 0.1}, "rate"),
-        ({"rate": 1.0}, "sample_time"),
-        ({"rate": 1.0, "sample_time": -0.1}, "sample_time"),
-        ({"low": 1.0, "high": 0.0}, "low"),
-        ({"low": np.nan}, "low"),
-    ],
-)
-def test_impossible_limits_are_refused(rough, wrong, field):
-    refused(limited, rough, field=field, **wrong)
 
 
 def test_ramps_are_limited_steps():
@@ -295,21 +226,6 @@ def test_every_ramp_may_have_its_own_rate():
     np.testing.assert_array_equal(
         ramps([0.0, 1.0], rate=1e9, hold=3, sample_time=1.0), steps([0.0, 1.0], hold=3)
     )
-
-
-@pytest.mark.parametrize(
-    ("wrong", "field"),
-    [
-        ({"rate": [1.0]}, "rate"),
-        ({"rate": 0.0}, "rate"),
-        ({"hold": 0}, "hold"),
-        ({"levels": []}, "levels"),
-        ({"sample_time": np.nan}, "sample_time"),
-    ],
-)
-def test_impossible_ramps_are_refused(wrong, field):
-    request = {"levels": [0.0, 1.0, 0.0], "rate": 1.0, "hold": 2, "sample_time": 0.1}
-    refused(ramps, field=field, **(request | wrong))
 
 
 # driving cycle --------------------------------------------------------------------
@@ -338,5 +254,50 @@ def test_phases_follow_each_other_and_accelerations_are_those_of_the_table():
     assert np.diff(whole).min() / 3.6 == pytest.approx(-1.39, abs=0.01)
 
 
-def test_a_cycle_refuses_a_step_of_zero():
-    refused(driving_cycle, sample_time=0, field="sample_time")
+# what is refused ------------------------------------------------------------------
+
+UNIT = {"amplitude": (0.0, 1.0)}
+RAMPS = {"levels": [0.0, 1.0, 0.0], "rate": 1.0, "hold": 2, "sample_time": 0.1}
+WALK = UNIT | {"length": 10, "step": 0.1}
+CHIRP = UNIT | {"length": 100, "frequency": (1.0, 5.0), "sample_time": 0.01}
+SINES = UNIT | {"length": 64, "harmonics": [1]}
+
+
+def walk(**request):
+    return random_walk(jax.random.key(1), **request)
+
+
+def actuator(**request):
+    return limited(jax.device_put(np.zeros(9)), **request)
+
+
+IMPOSSIBLE: list[tuple[Callable[..., Any], dict[str, Any], dict[str, list]]] = [
+    (prbs, UNIT | {"length": 9}, {"length": [0], "order": [1, 25], "clock": [0]}),
+    (prbs, UNIT | {"length": 9}, {"shift": [-1], "amplitude": [(1.0, -1.0)]}),
+    (walk, WALK, {"step": [0.0], "start": [2.0], "hold": [0]}),
+    (multisine, SINES, {"harmonics": [[1, 32], [0], [2, 2], []], "period": [0]}),
+    (multisine, SINES, {"weights": [[1.0, 2.0], [-1.0]], "amplitude": [(0.0, np.inf)]}),
+    (chirp, CHIRP, {"frequency": [(1.0, 51.0), (-1.0, 5.0), (np.nan, 5.0)]}),
+    (chirp, CHIRP | {"sweep": "logarithmic"}, {"frequency": [(0.0, 5.0)]}),
+    (chirp, CHIRP, {"sample_time": [0.0]}),
+    (actuator, {"sample_time": 0.1}, {"rate": [0.0, np.inf]}),
+    (actuator, {"rate": 1.0}, {"sample_time": [None, -0.1]}),
+    (actuator, {"high": 0.0}, {"low": [1.0]}),
+    (actuator, {}, {"low": [np.nan]}),
+    (ramps, RAMPS, {"rate": [[1.0], 0.0], "hold": [0], "levels": [[]]}),
+    (ramps, RAMPS, {"sample_time": [np.nan]}),
+    (driving_cycle, {}, {"sample_time": [0]}),
+]
+
+
+def test_impossible_signals_are_refused_by_the_field():
+    passed = []
+    for function, request, wrong in IMPOSSIBLE:
+        for field, value in ((f, v) for f, values in wrong.items() for v in values):
+            try:
+                function(**request | {field: value})
+            except SpecError as error:
+                if error.field == field:
+                    continue
+            passed.append((function.__name__, field, value))
+    assert not passed

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import some
-from search_problems import plant
+from search_problems import LENGTHS, plant
 
 import jaxnarx as jnx
 from jaxnarx.data import Groups, groups
@@ -114,7 +114,7 @@ def test_the_model_knows_where_it_has_been_and_that_it_is_stable(whole):
 def test_what_it_tells_of_records_left_out_is_about_so_on_new_ones(whole):
     _, found = whole
     chosen = board_of(found).chosen("y")
-    (fresh,) = plant(1, (150, 160, 140, 155, 400)).records[4:]
+    (fresh,) = plant(1, (*LENGTHS, 400)).records[4:]
     data = dataclasses.replace(plant(), records=(fresh,))
     run = jnx.simulate(found.value, data).value
     error = np.std(run.outputs[0] - fresh.y) / np.std(fresh.y)

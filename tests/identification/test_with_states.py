@@ -297,9 +297,9 @@ def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed,
     found = judging.judge(METHOD, data, groups(data), 1.0)
     assert fits["all"] == [(METHOD, sum(LENGTHS))]
     rest = [sum(LENGTHS) - n for n in LENGTHS]
-    every = [(pull, n) for n in rest for pull in (PULLS[0], *PULLS)]
     # What cannot be trained without a group is not tried without the others.
-    expected = [c for c in every if c[0] != PULLS[-1] or c[1] in rest[:2]]
+    pulls = [(PULLS[0], *PULLS)[: 3 + (g < 2)] for g in range(len(rest))]
+    expected = [(p, n) for own, n in zip(pulls, rest, strict=True) for p in own]
     assert fits["again"] == expected
     # The network of the strongest pull, then what has come of it without the group.
     assert fits["from"] == [0, 10, 20, 30, 0, 10, 20, 30, 0, 10, 20, 0, 10, 20]

@@ -1,46 +1,31 @@
 """Partitions that are there already, and the stages that a growth keeps."""
 
 import dataclasses
-from functools import cache
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from common import some
+from problems import data, fitted, growth, pool, records
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import ForwardOLS, Given, Global, Grid, Lolimot
-from jaxnarx.methods import SigmoidTree as SigmoidTreeMethod
 from jaxnarx.models import AbstractValidity, Gaussians, SigmoidTree
 from jaxnarx.partition import grow
 
-ROWS, SCHEDULE = 240, ("u1[t]", "u2[t]")
-LOLIMOT = Lolimot(SCHEDULE, max_models=4, criterion="none")
+SCHEDULE = ("u1[t]", "u2[t]")
+METHODS = growth("tiny")
 
 
-@cache
-def data(outputs: int = 1) -> jnx.Dataset:
-    """A bent surface and, as a second output, its square; u1 from 10 to 30."""
-    rng = np.random.default_rng(3)
-    u = np.column_stack([rng.uniform(10, 30, ROWS), rng.uniform(-1, 1, ROWS)])
-    u[:2] = [[10.0, -1.0], [30.0, 1.0]]
-    y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2 + 0.05 * rng.normal(size=ROWS)
-    both = np.column_stack([y, y**2])[:, :outputs]
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y", "w"][:outputs]}
-    return jnx.Dataset.from_arrays(u, both, sample_time=1.0, **names)
-
-
-@cache
-def pool(outputs: int = 1) -> jnx.Pool:
-    lags: dict[str, Any] = {"input_lags": (0,), "output_lags": (), "degree": 1}
-    return jnx.polynomial_pool(data(outputs).channels, **lags)
-
-
-@cache
 def grown() -> jnx.Solution:
-    return grow(pool(), data(), LOLIMOT)
+    return fitted("tiny", "gaussians")
+
+
+def to_both(partition: Any, **more: Any) -> jnx.Network:
+    """Both outputs in given regions."""
+    return grow(pool(outputs=2), data(outputs=2), Given(partition, **more)).value
 
 
 def same_regions(a: jnx.Network, b: jnx.Network, output: int = 0) -> bool:
@@ -56,7 +41,7 @@ def same_regions(a: jnx.Network, b: jnx.Network, output: int = 0) -> bool:
 def test_the_stages_of_a_growth_are_networks_with_the_errors_it_reports():
     """Every stage's one-step squared error is the one in the figures."""
     (stages,), (sse,) = (grown().stats[k] for k in ("stages", "sse"))
-    assert [int(n.models[0].active.sum()) for n in stages] == [1, 2, 3, 4]
+    assert [int(n.models[0].active.sum()) for n in stages] == [1, 2, 3, 4, 5]
     gain = float(grown().value.gain[2])
     for network, expected in zip(stages, sse, strict=True):
         run = jnx.predict(network, data()).value[0]
@@ -77,18 +62,17 @@ def test_a_partition_that_is_handed_on_keeps_its_regions_and_is_fitted_anew():
 
 def test_outputs_share_the_regions_of_one():
     network = grown().value
-    both = grow(pool(2), data(2), Given(network)).value
+    both = to_both(network)
     assert both.output_names == ["y", "w"]
     assert same_regions(network, both, 0) and same_regions(network, both, 1)
-    named = grow(pool(2), data(2), Given(both, output="w")).value
+    named = to_both(both, output="w")
     assert same_regions(both, named, 1)
 
 
 def test_regions_of_their_own_for_every_output():
     """Each output keeps those of the output of its name, also over other variables."""
-    first = grow(pool(), data(), Lolimot(("u1[t]",), max_models=2)).value
-    both = grow(pool(2), data(2), Given(first)).value
-    mixed = grow(pool(2), data(2), Given(both)).value
+    first = grow(pool(), data(), Grid("u1[t]", models=(2,))).value
+    mixed = to_both(to_both(first))
     assert [list(mixed.regions(o)[0]) for o in (0, 1)] == [["u1[t]"], ["u1[t]"]]
     assert same_regions(first, mixed, 0)
 
@@ -159,10 +143,7 @@ def test_a_region_without_samples_is_named():
     whole = grow(pool(), data(), Grid(("u1[t]",), models=(4,), k_sigma=0.1)).value
     kept = data().records[0].u[:, 0] < 16
     record = data().records[0]
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    part = jnx.Dataset.from_arrays(
-        record.u[kept], record.y[kept], sample_time=1.0, **names
-    )
+    part = records("tiny", record.u[kept], record.y[kept])
     solution = grow(pool(), part, Given(whole))
     assert solution.status_name == "unidentifiable" and solution.stats["poor"] == [
         [2, 3]
@@ -182,31 +163,24 @@ def test_wrong_use_says_what_to_do():
         validity = network.models[0].validity
         grow(pool(), data(), Given(validity, scheduling=("u1[t]",)))
     with pytest.raises(SpecError, match="no partition to take"):
-        grow(pool(), data(), Given(grow(pool(), data(), Global()).value))
+        grow(pool(), data(), Given(fitted("tiny", "global").value))
     with pytest.raises(SpecError, match="no partition 'speed'"):
         grow(pool(), data(), Given("speed"))
 
 
 # growth that goes on from a partition ---------------------------------------------
 
-TREE = SigmoidTreeMethod(SCHEDULE, max_models=5, criterion="none", steps=4)
-FIRST = {
-    "boxes": Lolimot(SCHEDULE, max_models=5, criterion="none", validity="boxes"),
-    "gaussians": Lolimot(SCHEDULE, max_models=5, criterion="none"),
-    "compact": Lolimot(SCHEDULE, max_models=5, criterion="none", validity="compact"),
-    "tree": TREE,
-}
 
-
-@pytest.mark.parametrize("kind", some(FIRST, "tree", "gaussians"))
+@pytest.mark.parametrize(
+    "kind", some(["boxes", "gaussians", "compact", "tree"], "tree", "gaussians")
+)
 def test_a_growth_goes_on_from_the_regions_of_a_network(kind: str):
     """From the third stage on: that stage's regions, fitted anew, then their splits.
 
     Without overlap local models do not know of each other, so that the whole growth is
     the one that was not interrupted.
     """
-    method = FIRST[kind]
-    whole = grow(pool(), data(), method)
+    method, whole = METHODS[kind], fitted("tiny", kind)
     third = whole.stats["stages"][0][2]
     on = grow(pool(), data(), method, start=third)
     stages = on.stats["stages"][0]
@@ -238,22 +212,20 @@ def test_a_growth_goes_on_from_regions_drawn_by_hand_and_of_other_data():
     assert (0.25 in kept) != (0.75 in kept)
     record = data().records[0]
     low = record.u[:, 0] < 25
-    part = jnx.Dataset.from_arrays(
-        *(record.u[low], record.y[low]),
-        sample_time=1.0,
-        inputs=["u1", "u2"],
-        outputs=["y"],
-    )
+    part = records("tiny", record.u[low], record.y[low])
     start = grow(pool(), data(), Given(drawn, scheduling=("u1[t]",))).value
     moved = grow(pool(), part, method, start=start).stats["stages"][0][0]
     assert same_regions(start, moved)
 
 
 def test_a_growth_goes_on_output_by_output():
-    both = grow(pool(2), data(2), LOLIMOT).value
-    larger = dataclasses.replace(LOLIMOT, max_models=5)
-    on = grow(pool(2), data(2), larger, start=both)
+    """From three regions of one output and four of the other."""
+    whole = fitted("tiny", "gaussians", outputs=2)
+    stages = [whole.stats["stages"][o][3 - 1 + o].models[0] for o in (0, 1)]
+    both = dataclasses.replace(whole.value, models=tuple(stages))
+    on = grow(pool(outputs=2), data(outputs=2), METHODS["gaussians"], start=both)
     for o in (0, 1):
+        assert on.stats["models"][o].tolist() == [3, 4, 5][o:]
         assert same_regions(on.stats["stages"][o][0], both, o)
 
 
@@ -264,8 +236,8 @@ def test_a_start_that_does_not_fit_is_named():
     with pytest.raises(SpecError, match=r"the start is scheduled by u1\[t\], u2\[t\]"):
         grow(pool(), data(), Lolimot("u1[t]"), start=network)
     with pytest.raises(SpecError, match="the start has Gaussians"):
-        grow(pool(), data(), TREE, start=network)
+        grow(pool(), data(), METHODS["tree"], start=network)
     with pytest.raises(SpecError, match="the start has Gaussians"):
-        grow(pool(), data(), FIRST["boxes"], start=network)
+        grow(pool(), data(), METHODS["boxes"], start=network)
     with pytest.raises(SpecError, match="Global does not grow"):
         grow(pool(), data(), Global(), start=network)

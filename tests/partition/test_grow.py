@@ -1,12 +1,13 @@
 """The verb `grow` beyond LOLIMOT: given partitions, criteria, terms of their own."""
 
-from functools import cache
+import dataclasses
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import oracles
 import pytest
+from problems import ROWS, data, fitted, growth, pool, records
 
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
@@ -14,29 +15,9 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import ForwardOLS, Grid, Lolimot, SigmoidTree, StepwiseF
 from jaxnarx.models import Boxes, Compact, Gaussians, LogSigmoids
 from jaxnarx.partition import grow
-from jaxnarx.regressors import polynomial_pool
 from jaxnarx.simulation import simulate
 
-ROWS = 240
 SCHEDULE = ("u1[t]", "u2[t]")
-
-
-@cache
-def data(seed: int = 0, rows: int = ROWS) -> Dataset:
-    """y of a bent surface with noise; u1 from 10 to 30, u2 from -1 to 1."""
-    rng = np.random.default_rng(seed)
-    u = np.column_stack([rng.uniform(10, 30, rows), rng.uniform(-1, 1, rows)])
-    u[:2] = [[10.0, -1.0], [30.0, 1.0]]
-    y = np.exp((u[:, 0] - 20) / 6) + 2 * u[:, 1] ** 2
-    y = y + 0.05 * rng.normal(size=rows)
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    return Dataset.from_arrays(u, y, sample_time=1.0, **names)
-
-
-@cache
-def pool(degree: int = 1):
-    lags = {"input_lags": (0,), "output_lags": ()}
-    return polynomial_pool(data().channels, degree=degree, **lags)
 
 
 def error(network, records: Dataset) -> float:
@@ -55,11 +36,20 @@ def phi_of(network, records: Dataset) -> np.ndarray:
     z = (records.records[0].u.T - np.asarray(model.offset)[:, None]) / np.asarray(
         model.span
     )[:, None]
-    return np.asarray(model.validity(jnp.asarray(z), model.active))
+    return np.asarray(_validity(model.validity, z, model.active))
+
+
+_validity = jax.jit(lambda validity, z, active: validity(z, active))
+
+
+def sse_of(network) -> float:
+    """Squared errors of the free run, scaled."""
+    error = simulate(network, data()).value[0] - data().records[0].y
+    return float(np.sum(error**2) / float(network.gain[-1]) ** 2)
 
 
 def test_every_local_model_of_a_grid_is_its_own_weighted_least_squares():
-    solution = grow(pool(), data(), Grid(SCHEDULE, models=(3, 2)))
+    solution = fitted("tiny", "grid")
     assert solution.status_name == "ok" and solution.stats["poor"] == [[]]
     u, y = data().records[0].u, data().records[0].y[:, 0]
     p = np.column_stack([np.ones(ROWS), u])
@@ -74,11 +64,14 @@ def test_every_local_model_of_a_grid_is_its_own_weighted_least_squares():
 
 
 def test_a_grid_stands_where_it_is_told_in_physical_units():
-    equal = grow(pool(), data(), Grid(SCHEDULE, models=(2, 2))).value
-    by_hand = Grid(SCHEDULE, borders=[[20.0], [0.0]])
+    equal = fitted("tiny", "grid").value
+    third = 20 / 3
+    by_hand = Grid(SCHEDULE, borders=[[10 + third, 30 - third], [0.0]])
     told = grow(pool(), data(), by_hand).value
-    centres = [[15.0, -0.5], [15.0, 0.5], [25.0, -0.5], [25.0, 0.5]]
-    widths = [[10 / 3, 1 / 3]] * 4
+    centres = [
+        [a, b] for a in (10 + third / 2, 20.0, 30 - third / 2) for b in (-0.5, 0.5)
+    ]
+    widths = [[third / 3, 1 / 3]] * 6
     gaussians = grow(pool(), data(), Grid(SCHEDULE, centres=centres, widths=widths))
     for other in (told, gaussians.value):
         assert error(other, data()) == pytest.approx(error(equal, data()), rel=1e-9)
@@ -114,8 +107,7 @@ def test_log_sigmoids_take_borders_or_centres_and_a_steepness_per_unit():
 def test_a_region_without_samples_keeps_the_global_model():
     u = np.column_stack([np.linspace(0, 1, 60) ** 3, np.linspace(-1, 1, 60)])
     y = u @ [1.0, 2.0] + 3
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    few = Dataset.from_arrays(u, y, sample_time=1.0, **names)
+    few = records("tiny", u, y)
     # The data run along a curve: corners of the grid are empty.
     method = Grid(SCHEDULE, models=(3, 3), validity="boxes")
     solution = grow(pool(), few, method)
@@ -168,17 +160,22 @@ def test_a_scheduling_variable_named_twice_is_refused():
 KINDS = {"gaussians": Gaussians, "compact": Compact, "boxes": Boxes}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_boxes_can_speak_through_other_curves(kind):
-    method = Lolimot(SCHEDULE, max_models=5, validity=kind, criterion="none")
-    solution = grow(pool(), data(), method)
-    assert isinstance(solution.value.models[0].validity, KINDS[kind])
-    gain = float(solution.value.gain[-1])
-    y = data().records[0].y
-    sse = np.sum((simulate(solution.value, data()).value[0] - y) ** 2) / gain**2
-    # What growth reports is what the network does.
-    np.testing.assert_allclose(solution.stats["sse"][0][-1], sse, rtol=1e-9)
+@pytest.mark.parametrize("how", [*KINDS, "tree", "straight"])
+def test_what_growth_reports_is_what_the_network_does(how):
+    """Boxes speak through all curves; a gate of a tree is of one variable or turned."""
+    solution = fitted("tiny", how)
+    np.testing.assert_allclose(
+        solution.stats["sse"][0][-1], sse_of(solution.value), rtol=1e-9
+    )
     assert solution.stats["stopped"] == ["capacity"] and solution.status_name == "ok"
+    if how in KINDS:
+        assert isinstance(solution.value.models[0].validity, KINDS[how])
+        return
+    # One plane leaves 0.42 of the standard deviation of this surface.
+    assert error(solution.value, data()) < 0.2
+    (first, *_) = (e["region"] for e in solution.value.equations())
+    # A combination of variables has spaces, one variable has none.
+    assert first and all((" " in name) == (how == "tree") for name in first)
 
 
 def test_the_thesis_splits_the_model_with_the_largest_local_nmse():
@@ -187,8 +184,7 @@ def test_the_thesis_splits_the_model_with_the_largest_local_nmse():
     rng = np.random.default_rng(1)
     u = np.column_stack([np.linspace(0, 1, 400), rng.uniform(size=400)])
     y = np.where(u[:, 0] < 0.5, 50 * np.sin(6 * u[:, 0]), 0.1 * rng.normal(size=400))
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    two = Dataset.from_arrays(u, y, sample_time=1.0, **names)
+    two = records("tiny", u, y)
     found = {}
     for worst in ("squares", "nmse"):
         method = Lolimot(
@@ -243,31 +239,15 @@ def test_a_least_number_of_samples_stops_the_growth():
     assert phi_of(solution.value, data()).sum(axis=1).min() >= 50.0
 
 
-@pytest.mark.parametrize("oblique", [True, False])
-def test_a_sigmoid_tree_by_the_verb(oblique):
-    method = SigmoidTree(SCHEDULE, max_models=5, oblique=oblique, criterion="none")
-    solution = grow(pool(), data(), method)
-    y = data().records[0].y
-    gain = float(solution.value.gain[-1])
-    sse = np.sum((simulate(solution.value, data()).value[0] - y) ** 2) / gain**2
-    np.testing.assert_allclose(solution.stats["sse"][0][-1], sse, rtol=1e-9)
-    # One plane leaves 0.42 of the standard deviation of this surface.
-    assert error(solution.value, data()) < 0.2
-    (first, *_) = (e["region"] for e in solution.value.equations())
-    # A combination of variables has spaces, one variable has none.
-    assert first and all((" " in name) == oblique for name in first)
-
-
 def test_a_pruned_tree_has_the_smaller_criterion():
-    method = SigmoidTree("u1[t]", max_models=6, criterion="none", prune=True)
-    # A ramp, and a plane beyond it: some gates of six are not needed.
+    method = dataclasses.replace(growth("tiny")["tree"], prune=True)
+    # A ramp, and a plane beyond it: some gates of four are not needed.
     u = data().records[0].u
     y = np.maximum(u[:, 0], 20.0) + 0.05 * np.random.default_rng(5).normal(size=ROWS)
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    ramp = Dataset.from_arrays(u, y, sample_time=1.0, **names)
+    ramp = records("tiny", u, y)
     solution = grow(pool(), ramp, method)
     count = solution.stats["pruned_to"][0]
-    assert 2 <= count < solution.stats["models"][0][-1] == 6
+    assert 2 <= count < solution.stats["models"][0][-1] == 5
     assert int(solution.value.models[0].active.sum()) == count
     # Noise is 0.05 of a standard deviation of 3.5.
     assert error(solution.value, ramp) < 0.03
@@ -275,7 +255,7 @@ def test_a_pruned_tree_has_the_smaller_criterion():
 
 def test_a_tree_of_one_leaf_is_the_plain_model():
     one = grow(pool(), data(), SigmoidTree(SCHEDULE, max_models=1)).value
-    plain = grow(pool(), data(), jnx.Global()).value
+    plain = fitted("tiny", "global").value
     assert error(one, data()) == pytest.approx(error(plain, data()), rel=1e-9)
 
 
@@ -294,13 +274,13 @@ def test_every_region_chooses_its_own_terms(make, local):
     settings: dict[str, Any] = {"max_models": 3}
     if make is Grid:
         settings = {"models": (3, 1)}
-    solution = grow(pool(3), data(), make(SCHEDULE, local=local, **settings))
+    solution = grow(pool(degree=3), data(), make(SCHEDULE, local=local, **settings))
     network = solution.value
     phi = phi_of(network, data())
     for m, entry in enumerate(network.equations()):
-        chosen = jnx.select(pool(3), data(), local, weights=[phi[m]]).value
+        chosen = jnx.select(pool(degree=3), data(), local, weights=[phi[m]]).value
         assert [n for n, _ in entry["terms"]] == sorted(
-            chosen.names, key=pool(3).names.index
+            chosen.names, key=pool(degree=3).names.index
         )
         assert 1 < len(entry["terms"]) <= 4
     assert error(network, data()) < 0.1
@@ -309,45 +289,38 @@ def test_every_region_chooses_its_own_terms(make, local):
 def test_too_many_candidates_for_local_choice_are_refused(monkeypatch):
     monkeypatch.setattr("jaxnarx.selection.own.LARGEST", 1000)
     with pytest.raises(SpecError, match="choose among them first") as caught:
-        grow(pool(3), data(), Lolimot(SCHEDULE, local=ForwardOLS(max_terms=4)))
+        grow(pool(degree=3), data(), Lolimot(SCHEDULE, local=ForwardOLS(max_terms=4)))
     assert caught.value.field == "local"
 
 
 # bad input ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make", [Lolimot, SigmoidTree])
-def test_collinear_scheduling_variables_are_no_harm(make):
+@pytest.mark.parametrize("how", ["gaussians", "tree"])
+def test_collinear_scheduling_variables_are_no_harm(how):
     u = data().records[0].u
     twice = np.column_stack([u[:, 0], 3 * u[:, 0] + 1])
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    both = Dataset.from_arrays(twice, data().records[0].y, sample_time=1.0, **names)
-    solution = grow(pool(), both, make(SCHEDULE, max_models=5))
+    both = records("tiny", twice, data().records[0].y)
+    solution = grow(pool(), both, growth("tiny", criterion="aicc")[how])
     assert solution.is_okay
     assert error(solution.value, both) < 0.5
 
 
-@pytest.mark.parametrize("make", [Lolimot, SigmoidTree])
-def test_far_outside_the_training_range_a_model_still_answers(make):
-    network = grow(pool(), data(), make(SCHEDULE, max_models=5)).value
-    far = Dataset.from_arrays(
-        np.array([[1e4, -1e4], [20.0, 0.0]]),
-        np.zeros(2),
-        sample_time=1.0,
-        inputs=["u1", "u2"],
-        outputs=["y"],
-    )
-    run = simulate(network, far).value
+@pytest.mark.parametrize("how", ["gaussians", "tree"])
+def test_far_outside_the_training_range_a_model_still_answers(how):
+    far = records("tiny", np.array([[1e4, -1e4], [20.0, 0.0]]), np.zeros(2))
+    run = simulate(fitted("tiny", how).value, far).value
     assert np.all(np.isfinite(run[0]))
     np.testing.assert_array_equal(run.extrapolated[0], [True, False])
 
 
-@pytest.mark.parametrize("make", [SigmoidTree, Grid])
+@pytest.mark.parametrize("make", [Lolimot, SigmoidTree, Grid])
 def test_a_constant_scheduling_variable_is_refused_by_name(make):
     u = data().records[0].u
     still = np.column_stack([u[:, 0], np.full(ROWS, 7.0)])
-    names: dict[str, Any] = {"inputs": ["u1", "u2"], "outputs": ["y"]}
-    flat = Dataset.from_arrays(still, data().records[0].y, sample_time=1.0, **names)
+    flat = records("tiny", still, data().records[0].y)
     settings: dict[str, Any] = {"models": (2, 2)} if make is Grid else {}
-    with pytest.raises(DataError, match=r"u2\[t\] is constant \(7\)"):
+    constant = r"u2\[t\] is constant \(7\).*choose"
+    with pytest.raises(DataError, match=constant) as caught:
         grow(pool(), flat, make(SCHEDULE, **settings))
+    assert caught.value.channel == "u2"

@@ -2,13 +2,14 @@
 
 import dataclasses
 
-import jax.numpy as jnp
+import jax
 import numpy as np
+import problems
 import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Lolimot, Placed, SigmoidTree
+from jaxnarx.methods import ForwardOLS, Lolimot, Placed
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
@@ -35,6 +36,9 @@ def pool(data):
     return polynomial_pool(data.channels, input_lags=(0,), output_lags=(), degree=1)
 
 
+_validity = jax.jit(lambda validity, z, active: validity(z, active))
+
+
 def scaled(network, data) -> np.ndarray:
     """Scheduling variables (rows, dims), scaled."""
     model = network.models[0]
@@ -50,9 +54,9 @@ def centres(network) -> np.ndarray:
 def assert_least_squares(network, data) -> None:
     """Every local model is that of least squares weighted with its validity."""
     model = network.models[0]
-    phi = np.asarray(model.validity(jnp.asarray(scaled(network, data).T), model.active))
-    x = np.column_stack([np.ones(3 * EACH), data.records[0].u])
-    y, expected = data.records[0].y[:, 0], np.zeros(3 * EACH)
+    phi = np.asarray(_validity(model.validity, scaled(network, data).T, model.active))
+    u, y = data.records[0].u, data.records[0].y[:, 0]
+    x, expected = np.column_stack([np.ones(len(u)), u]), np.zeros(len(u))
     for weight in phi:
         root = np.sqrt(weight)
         own = np.linalg.lstsq(x * root[:, None], y * root, rcond=None)[0]
@@ -86,11 +90,12 @@ def test_samples_are_drawn_by_the_seed(data, pool):
     assert np.any(drawn[0] != drawn[2])
 
 
-@pytest.mark.parametrize("kind", [Lolimot, SigmoidTree])
-def test_a_grown_partition_is_moved_and_fitted_anew(data, pool, kind):
-    still = kind(["a[t]", "b[t]"], max_models=3, criterion="none")
-    moved = dataclasses.replace(still, scatter=0.5, seed=2)
-    networks = [grow(pool, data, method).value for method in (still, moved, moved)]
+@pytest.mark.parametrize("how", ["gaussians", "tree"])
+def test_a_grown_partition_is_moved_and_fitted_anew(how):
+    data, pool = problems.data(), problems.pool()
+    moved = dataclasses.replace(problems.growth("tiny")[how], scatter=0.5, seed=2)
+    networks = [grow(pool, data, moved).value for _ in range(2)]
+    networks.insert(0, problems.fitted("tiny", how).value)
     first, second, again = (
         [np.asarray(leaf) for leaf in (n.models[0].validity.parameters)]
         for n in networks

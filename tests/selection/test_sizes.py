@@ -52,7 +52,7 @@ def test_cp_takes_the_noise_of_the_whole_pool(solution, data):
 
 
 def test_cp_of_a_stepwise_search_is_not_its_size_by_construction(data):
-    value = select(pool(), data, StepwiseF()).value
+    value = select(pool(), data, StepwiseF(max_terms=12)).value
     noise = largest_variance(value, data)
     assert "cp" not in criteria_of(value)
     cp = criteria_of(value, variance=noise)["cp"]

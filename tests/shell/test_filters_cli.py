@@ -40,8 +40,11 @@ def place(described):
 def test_a_model_without_any_lag_is_identified_run_and_scored(place, capsys):
     words = ["identify", "engine.toml", "--filters", "0.3", "1", "--input-lags"]
     words += ["--output-lags", "--degree", "1", "--out", "lone", *QUICK]
+    words += ["--terms", "100"]
     assert run([*words, "--require-fit", "99.9"]) == 0
-    assert "4 of 5 terms" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "Choosing 5 of 5 terms" in told
+    assert "100 were asked for; there are no more candidates" in told
     network = load(place / "lone" / "model.safetensors")
     terms = dict(network.equations()[0]["terms"])
     # neither noise nor feedback: the system itself

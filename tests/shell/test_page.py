@@ -28,7 +28,6 @@ from jaxnarx.shell.report.page.records import FARTHEST, chosen
 from jaxnarx.simulation import simulate
 
 READY = "window.jaxnarx && jaxnarx.page.tried"
-PLAIN = {"horizons": (1,), "stability": False, "diagnostics": False}
 
 
 RANGE = np.array([-1.5, -0.3, -6.0, -2.0]), np.array([1.2, 0.4, 5.0, 2.5])
@@ -52,7 +51,7 @@ def made() -> Report:
     test = renamed(common.dataset((400, 300, 350), seed=3), ["r1", "r2", "r3"])
     train = renamed(common.dataset((400,), seed=9), ["t1"])
     parts = {"train": train, "test": test}
-    found = report(net, parts, beside={"another": other}, **PLAIN)
+    found = report(net, parts, beside={"another": other}, **common.BRIEF)
     return dataclasses.replace(found, next_command="jaxnarx simulate m new.csv")
 
 
@@ -575,7 +574,7 @@ def test_the_interval_lies_within_the_axis(browser, tmp_path, bare):
     net = jnx.trust.learn_domain(net, noisy((300,), 0))
     net = jnx.trust.learn_errors(net, noisy((300, 300), 4))
     path = tmp_path / "interval.html"
-    write_report(report(net, noisy((200,), 5), **PLAIN), path)
+    write_report(report(net, noisy((200,), 5), **common.BRIEF), path)
     browser.open(path, ready=READY)
     low, high, ends = browser.value(
         "(() => { const v = jaxnarx.page.view, s = v.shown, y = v.charts[0].scales.y;"

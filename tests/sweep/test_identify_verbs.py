@@ -104,11 +104,11 @@ def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
 
 
 def test_a_case_changes_the_settings_that_it_names():
-    method = changed(SMALL, {"grow": OWN, "select.max_terms": 6})
+    method = changed(SMALL, {"grow": OWN})
     fleet = fleet_of({"one": engine(1)})
     cases = [{"refine": "none"}, {"refine": "none", "select.max_terms": 2}]
     rows = identify_each(fleet, method, cases)
-    assert [row["select.max_terms"] for row in rows] == [6, 2]
+    assert [row["select.max_terms"] for row in rows] == [3, 2]
     assert [row["refine"] for row in rows] == ["none", "none"]
     assert rows[0]["term_count"] > 2 == rows[1]["term_count"]
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from common import BRIEF
 from test_domain import RECORDS, drawn, fitted, plant, same
 
 import jaxnarx as jnx
@@ -124,8 +125,8 @@ def test_a_search_gives_them_and_a_refinement_takes_them_away():
     fit = jnx.identify(data, preset="linear", candidates=4)
     inside, _ = held(fit.value, noisy(45), 0.9)
     assert 0.8 < inside.mean() < 0.98
-    few = jnx.SimulationError(max_steps=1, horizons=(), window_steps=0)
-    assert jnx.refine(fit.value, data, few).value.errors is None
+    refined = jnx.refine(fit.value, data, jnx.PredictionError(max_steps=1))
+    assert refined.value.errors is None
 
 
 def test_a_file_keeps_them(known, tmp_path):
@@ -150,8 +151,7 @@ def test_wrong_calls_are_refused(known):
 
 def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     data = noisy(46)
-    plain = {"stability": False, "diagnostics": False, "horizons": (1,)}
-    found = jnx.report(known, {"train": noisy(20), "test": data}, **plain)
+    found = jnx.report(known, {"train": noisy(20), "test": data}, **BRIEF)
     inside, half = held(known, data, 0.9)
     train, test = found.coverage
     assert (train.part, test.part, test.level) == ("train", "test", 0.9)
@@ -173,6 +173,6 @@ def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "90 % interval" in page and "intervals of the free run" in page
     errors = dataclasses.replace(known.errors, constant=known.errors.constant - 2.0)
-    short = jnx.report(dataclasses.replace(known, errors=errors), data, **plain)
+    short = jnx.report(dataclasses.replace(known, errors=errors), data, **BRIEF)
     assert any("too narrow on data for" in n for n in short.notes)
     assert any(f.remedy == "intervals" for f in short.verdict.findings)
