@@ -61,9 +61,6 @@ class SimulationError:
     the data hardly tell of."""
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
-    solver: Literal["levenberg", "bfgs", "lbfgs", "windows"] = "levenberg"
-    """Levenberg-Marquardt; quasi-Newton with or without a full matrix; or Adam on
-    random windows, which has no stage of full records."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"
     """What errors cost. The robust ones grow linearly beyond `corner`."""
     corner: Positive = 0.2
@@ -91,9 +88,7 @@ class SimulationError:
     """Keep the certificate of the start: the result contracts for every input there is
     (`jaxnarx.refinement.certificate`)."""
     batch: Count = 32
-    """Windows in one update of the solver `"windows"`."""
-    learning_rate: Positive = 0.01
-    """Step of Adam, in parameters scaled by their effect."""
+    """Windows in one update, where `refine` is given a transformation of optax."""
     seed: int = 0
     """Of random starts and windows."""
 
@@ -110,17 +105,6 @@ class SimulationError:
             all(math.isfinite(p) for p in powers),
             "box_cox",
             f"box_cox must be finite, got {self.box_cox}",
-        )
-        require(
-            self.solver != "windows" or self.initial_conditions == "measured",
-            "initial_conditions",
-            'solver="windows" starts every window from the measurement; take '
-            'initial_conditions="measured" with it',
-        )
-        require(
-            self.solver != "windows" or len(self.horizons) > 0,
-            "horizons",
-            'solver="windows" needs at least one horizon, the length of its windows',
         )
         require(
             not (self.folds and self.train == "either"),

@@ -91,15 +91,39 @@ class Criterion(eqx.Module):
         if self.loss == "squares":
             return jnp.sum(jnp.where(weight > 0, weight * e**2, 0.0))
         corner = self.corner[(None,) * (e.ndim - 1)]
-        x = jnp.abs(e) / corner
-        if self.loss == "huber":
-            rho = jnp.where(x <= 1.0, x**2, 2.0 * x - 1.0)
-        else:
-            # Each form loses its digits where the other keeps them.
-            near = jnp.log1p(2.0 * jnp.sinh(jnp.minimum(x, 1.0) / 2.0) ** 2)
-            far = x + jnp.log1p(jnp.exp(-2.0 * x)) - math.log(2.0)
-            rho = 2.0 * jnp.where(x < 1.0, near, far)
+        rho = self._rho(jnp.abs(e) / corner)
         return jnp.sum(jnp.where(weight > 0, weight * corner**2 * rho, 0.0))
+
+    def roots(
+        self,
+        y: Float[Array, "*rows outputs"],
+        measured: Float[Array, "*rows outputs"],
+        weight: Float[Array, "*rows outputs"],
+    ) -> Float[Array, "*rows outputs"]:
+        """What the loss is the sum of squares of, with the sign of the error; zero
+        where there is no weight."""
+        e, _ = self.errors(y, measured)
+        counted = weight > 0
+        e = jnp.where(counted, e, 0.0)
+        root = jnp.sqrt(jnp.where(counted, weight, 1.0))
+        if self.loss == "squares":
+            return root * e
+        corner = self.corner[(None,) * (e.ndim - 1)]
+        x = jnp.abs(e) / corner
+        rho = self._rho(x)
+        near = x < CLEAR
+        return root * jnp.where(
+            near, e, jnp.sign(e) * corner * jnp.sqrt(jnp.where(near, 1.0, rho))
+        )
+
+    def _rho(self, x: Array) -> Array:
+        """The robust loss of |e| / corner."""
+        if self.loss == "huber":
+            return jnp.where(x <= 1.0, x**2, 2.0 * x - 1.0)
+        # Each form loses its digits where the other keeps them.
+        near = jnp.log1p(2.0 * jnp.sinh(jnp.minimum(x, 1.0) / 2.0) ** 2)
+        far = x + jnp.log1p(jnp.exp(-2.0 * x)) - math.log(2.0)
+        return 2.0 * jnp.where(x < 1.0, near, far)
 
 
 def squares(outputs: int, dtype) -> Criterion:

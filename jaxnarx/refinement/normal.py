@@ -50,6 +50,24 @@ def _initial_loss(layout: Layout, u) -> Float[Array, ""]:
 
 
 @program
+def roots(
+    layout: Layout,
+    u: Float[Array, " params"],
+    drive: RunInputs,
+    anchor: Bool[Array, "records time"],
+    weight: Float[Array, "records time outputs"],
+    criterion: Criterion,
+) -> Float[Array, " errors"]:
+    """What the loss is the sum of squares of, for solvers that ask for that."""
+    y = run(layout.place(u), _started(layout, u, drive), anchor)
+    found = criterion.roots(y, drive.measured, weight).reshape(-1)
+    if layout.initial is None:
+        return found
+    offset = jnp.sqrt(layout.initial.weight.reshape(-1)) * u[layout.parameters :]
+    return jnp.concatenate([found, offset])
+
+
+@program
 def normal_equations(
     layout: Layout,
     u: Float[Array, " params"],

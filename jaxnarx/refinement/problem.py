@@ -11,7 +11,7 @@ from jaxnarx.arrays.programs import twin
 from jaxnarx.models import scales
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.refinement.normal import loss, normal_equations, roots
 from jaxnarx.refinement.stability import (
     Metric,
     Points,
@@ -99,6 +99,16 @@ class Problem(AbstractProblem):
         if self.restraint is None:
             return value
         return value + self.restraint(self.layout, u)
+
+    def roots(self, u: Float[Array, " params"]) -> Array:
+        """What the errors' loss is the sum of squares of, one for every sample; and
+        the penalty's root behind them."""
+        at = self.drive, self.anchor, self.weight, self.criterion
+        found = roots(self.layout, u, *at)
+        if self.restraint is None:
+            return found
+        penalty = self.restraint(self.layout, u)
+        return jnp.append(found, jnp.sqrt(jnp.where(penalty > 0, penalty, 1e-300)))
 
     def linear(self, u: Float[Array, " params"]) -> Linear:
         """Normal equations of both; zero where parameters rest."""

@@ -1,4 +1,4 @@
-"""Stochastic refinement: Adam on random windows of the records, by optax.
+"""Stochastic refinement: a transformation of optax on random windows of the records.
 
 For data too long to be run whole at every step. A window of H samples starts from the
 measured history; a batch of them gives an unbiased estimate of the loss of all windows
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.minimise import Levenberg, Standing
 from jaxnarx.models import depth
-from jaxnarx.refinement.quasi_newton import ScaledLoss, reached, scaled
+from jaxnarx.refinement.any_solver import ScaledLoss, reached, scaled
 from jaxnarx.simulation import RunInputs, run
 
 UPDATES = 25
@@ -64,17 +64,18 @@ def batch_loss(
 
 
 @eqx.filter_jit
-def updates(w, moments, s: ScaledLoss, windows, share, key, rate, *, length, batch):
-    """Several updates by Adam on fresh batches."""
-    adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
+def updates(
+    optimiser, w, moments, s: ScaledLoss, windows, share, key, *, length, batch
+):
+    """Several updates on fresh batches."""
 
     def one(carry, key):
         w, moments = carry
         at = jax.random.choice(key, windows, (batch,), axis=0)
         gradient = jax.grad(batch_loss)(w, s, at, share, length)
         with jax.numpy_dtype_promotion("standard"):
-            step, moments = adam.update(gradient, moments)
-        return (w - rate * step, moments), None
+            step, moments = optimiser.update(gradient, moments, w)
+        return (w + step, moments), None
 
     (w, moments), _ = jax.lax.scan(one, (w, moments), jax.random.split(key, UPDATES))
     return w, moments, s.place(w)
@@ -89,9 +90,9 @@ class RandomWindows:
         stage: Levenberg,
         s: Standing,
         length: int,
+        optimiser: optax.GradientTransformation,
         *,
         batch: int,
-        learning_rate: float | int,
         seed: int,
     ):
         self.judge, self.length, self.batch = stage.judge, length, batch
@@ -106,10 +107,10 @@ class RandomWindows:
         self.windows = jnp.asarray(at)
         dtype = problem.weight.dtype
         self.share = jnp.asarray(len(at) / batch, dtype)
-        self.rate = jnp.asarray(learning_rate, dtype)
         w = jnp.zeros_like(self.scaled.origin)
-        adam = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
-        state = w, adam.init(w), jax.random.key(seed)
+        clip = optax.clip_by_global_norm(CLIP)
+        self.optimiser = optax.chain(clip, optimiser)
+        state = w, self.optimiser.init(w), jax.random.key(seed)
         self.start = dataclasses.replace(s, state=state, damping=0.0)
 
     def step(self, s: Standing) -> Standing:
@@ -119,13 +120,13 @@ class RandomWindows:
         w, moments, key = s.state
         key, now = jax.random.split(key)
         w, moments, u = updates(
+            self.optimiser,
             w,
             moments,
             self.scaled,
             self.windows,
             self.share,
             now,
-            self.rate,
             length=self.length,
             batch=self.batch,
         )

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ from jaxnarx.refinement.folds import best_position, curve, divided
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
-from jaxnarx.refinement.search import Search
+from jaxnarx.refinement.search import Search, takes_windows
 from jaxnarx.refinement.stability import first_horizon
 from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.stages import Stage, stages
@@ -39,6 +40,7 @@ def refine(
     weights: Sequence[float | int] | None = None,
     deviations: Network | None = None,
     progress: Progress | None = None,
+    solver: Any = None,
 ) -> Solution[Network]:
     """Refine coefficients, centres and widths together on simulation error.
 
@@ -76,6 +78,10 @@ def refine(
             network; infinite for none). The noise it is weighed against is what is left
             at the start of a stage.
         progress: Called on the host with a dictionary after every accepted step.
+        solver: In place of Levenberg-Marquardt, which never stores the Jacobian: any
+            minimiser or least-squares solver of optimistix, or a transformation of
+            optax, which sees batches of random windows of `method.horizons` and no
+            whole records. Theirs is the step; schedule, guard and end stay.
 
     Returns:
         `value` is the best network. `stats["history"]` lists the steps: stage, horizon,
@@ -86,12 +92,15 @@ def refine(
     Example:
         refined = jnx.refine(network, data, jnx.SimulationError(max_steps=2))
         print(refined.status_name, refined.stats["history"][-1]["loss"])
+        bfgs = optimistix.BFGS(rtol=1e-9, atol=1e-9)
+        refined = jnx.refine(network, data, solver=bfgs)
     """
     method = SimulationError() if method is None else method
     data = fitting(network, data)
     if isinstance(method, SimulationError) and method.stable:
         bare = dataclasses.replace(method, stable=False)
         given = {"trainable": trainable, "weights": weights, "progress": progress}
+        given["solver"] = solver
 
         def again(start: Network, deviations: Network | None) -> Solution[Network]:
             given["deviations"] = deviations
@@ -112,7 +121,7 @@ def refine(
     task, _ = make_task(network, data, weights=weights, **settings)
     require_motion(network, task)
     require_window(network, data)
-    _require_outputs(network, method)
+    _require_solver(network, method, solver)
     task = task.begun(network)
     guard = task
     if validation is not None:
@@ -140,7 +149,14 @@ def refine(
     if method.folds:
         found = groups(data, folds=method.folds, gap=network.history)
     return refine_task(
-        layout, task, guard, method, progress, left_out=found, deviations=deviations
+        layout,
+        task,
+        guard,
+        method,
+        progress,
+        left_out=found,
+        deviations=deviations,
+        solver=solver,
     )
 
 
@@ -153,12 +169,13 @@ def refine_task(
     *,
     left_out: Groups | None = None,
     deviations: Network | None = None,
+    solver: Any = None,
 ) -> Solution[Network]:
     """`refine` on prepared data, for those who refine many networks on the same.
 
     With groups to be left out the length of the search is chosen by them.
     """
-    schedules = _schedules(layout, task, method)
+    schedules = _schedules(layout, task, method, solver)
     prior = _prior(layout, deviations)
 
     def search(task: Task, guard: Task, limit: int | None = None) -> Search:
@@ -171,9 +188,10 @@ def refine_task(
             prior=prior,
             progress=progress,
             limit=limit,
+            solver=solver,
         )
 
-    if method.solver == "windows" and all(len(s) == 1 for s in schedules.values()):
+    if takes_windows(solver) and all(len(s) == 1 for s in schedules.values()):
         found = search(task, guard).solution(RESULTS.too_short)
         detail = f"no record is longer than the windows of {method.horizons} samples"
         return dataclasses.replace(found, detail=detail)
@@ -206,21 +224,40 @@ def _require_free(deviations: Network | None) -> None:
         )
 
 
-def _require_outputs(
-    network: Network, method: SimulationError | PredictionError
+def _require_solver(
+    network: Network, method: SimulationError | PredictionError, solver: Any
 ) -> None:
-    """SpecError for methods that begin anew at measurements, of hidden channels."""
-    whole = isinstance(method, SimulationError) and method.solver != "windows"
-    if network.hidden and not whole:
+    """SpecError for a solver that does not go with the method or the network."""
+    windows = takes_windows(solver)
+    if network.hidden and (windows or isinstance(method, PredictionError)):
         raise SpecError(
             "hidden channels are trained on free runs of whole records: take "
-            'SimulationError with another solver than "windows"',
+            "SimulationError and no transformation of optax",
             field="method",
+        )
+    if isinstance(method, PredictionError):
+        if solver is None:
+            return
+        raise SpecError(
+            "PredictionError has a solver of its own; solver is for SimulationError",
+            field="solver",
+        )
+    if windows and method.initial_conditions != "measured":
+        raise SpecError(
+            "a transformation of optax starts every window from the measurement; take "
+            'initial_conditions="measured" with it',
+            field="initial_conditions",
+        )
+    if windows and not method.horizons:
+        raise SpecError(
+            "a transformation of optax needs at least one horizon, the length of its "
+            "windows",
+            field="horizons",
         )
 
 
 def _schedules(
-    layout: Layout, task: Task, method: SimulationError
+    layout: Layout, task: Task, method: SimulationError, solver: Any
 ) -> dict[str, list[Stage]]:
     """The orders of training that are tried, by name."""
     if layout.base.hidden:
@@ -235,7 +272,7 @@ def _schedules(
     # Where only one kind is trained, there is no order in which to train the two.
     both = layout.coefficients().size and layout.partition().size
     train = method.train if both else "joint"
-    steps = 0 if method.solver == "windows" else method.max_steps
+    steps = 0 if takes_windows(solver) else method.max_steps
     return {
         order: stages(horizons, method.window_steps, steps, staged=order == "staged")
         for order in (("staged", "joint") if train == "either" else (train,))

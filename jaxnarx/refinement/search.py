@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.arrays.minimise import Course, Levenberg, Progress, Standing, minimise
+from jaxnarx.errors import SpecError
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement.guard import Judged, judged, make_guard
@@ -14,6 +15,28 @@ from jaxnarx.refinement.problem import Problem, make_problem, restraint
 from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
 from jaxnarx.solution import RESULTS, Solution
+
+
+def takes_windows(solver: Any) -> bool:
+    """Whether a solver is a transformation of optax, which takes gradients of batches.
+
+    `SpecError` where it is no solver at all.
+    """
+    if solver is None:
+        return False
+    import optax
+    import optimistix
+
+    if isinstance(solver, optax.GradientTransformation):
+        return True
+    known = optimistix.AbstractMinimiser, optimistix.AbstractLeastSquaresSolver
+    if not isinstance(solver, known):
+        raise SpecError(
+            "solver must be a minimiser or least-squares solver of optimistix, or a "
+            f"transformation of optax such as optax.adam(0.01), got {solver!r}",
+            field="solver",
+        )
+    return False
 
 
 class Search(Course):
@@ -35,7 +58,9 @@ class Search(Course):
         prior: np.ndarray | None = None,
         progress: Progress | None = None,
         limit: int | None = None,
+        solver: Any = None,
     ):
+        self.solver = solver
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
         self.limit = limit
@@ -90,25 +115,24 @@ class Search(Course):
 
     def begun(self, u: np.ndarray, stage: Stage) -> tuple[Any, Standing]:
         """The method of a stage, and where it stands."""
-        method = self.method
+        method, solver = self.method, self.solver
         levenberg = Levenberg(self.problem(u, stage), self.guard)
         start = levenberg.start(u)
-        if method.solver == "levenberg" or start.status != "ok":
+        if solver is None or start.status != "ok":
             return levenberg, start
-        if method.solver != "windows":
-            from jaxnarx.refinement.quasi_newton import QuasiNewton
+        if not takes_windows(solver):
+            from jaxnarx.refinement.any_solver import AnySolver
 
-            limited = method.solver == "lbfgs"
-            newton = QuasiNewton(levenberg, start, limited_memory=limited)
-            return newton, newton.start
+            stepped = AnySolver(levenberg, start, solver)
+            return stepped, stepped.start
         from jaxnarx.refinement.random_windows import RandomWindows
 
         windows = RandomWindows(
             levenberg,
             start,
             stage.horizon or self.task.longest,
+            solver,
             batch=method.batch,
-            learning_rate=method.learning_rate,
             seed=method.seed,
         )
         return windows, windows.start
@@ -131,7 +155,7 @@ class Search(Course):
             return stage is self.last and self.since >= self.method.patience
 
         # Batches are noisy: their loss may rest for a while.
-        noisy = self.method.solver == "windows"
+        noisy = takes_windows(self.solver)
         end, _, status = minimise(
             method,
             start,

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import oracles
 import pytest
 from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
@@ -203,11 +204,13 @@ def test_random_starts_move_the_partition_and_nothing_runs_away(spoiled):
 
 
 @pytest.mark.parametrize(
-    "method", [PredictionError(), SimulationError(solver="windows")], ids=["one", "w"]
+    ("method", "solver"),
+    [(PredictionError(), None), (SimulationError(), optax.adam(0.01))],
+    ids=["one", "w"],
 )
-def test_methods_that_begin_anew_at_measurements_are_refused(method):
+def test_methods_that_begin_anew_at_measurements_are_refused(method, solver):
     with pytest.raises(SpecError, match="trained on free runs of whole records"):
-        refine(network(), truth().data, method)
+        refine(network(), truth().data, method, solver=solver)
 
 
 def test_records_without_a_window_cannot_train():

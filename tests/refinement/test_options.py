@@ -12,6 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
+import optimistix
 import oracles
 import pytest
 from common import Y, some
@@ -157,20 +159,37 @@ def test_a_robust_loss_forgives_outliers():
     assert errors["log-cosh"] < errors["squares"] / 5
 
 
-@pytest.mark.parametrize(
-    "solver", some(("bfgs", "lbfgs", "windows"), "bfgs", "windows")
-)
+SOLVERS = {
+    "bfgs": optimistix.BFGS(rtol=1e-9, atol=1e-9),
+    "lbfgs": optimistix.LBFGS(rtol=1e-9, atol=1e-9),
+    "conjugate gradients": optimistix.NonlinearCG(rtol=1e-9, atol=1e-9),
+    "dogleg": optimistix.Dogleg(rtol=1e-9, atol=1e-9),
+    "windows": optax.adam(0.01),
+}
+
+
+@pytest.mark.parametrize("solver", some(SOLVERS, "bfgs", "dogleg", "windows"))
 def test_every_solver_comes_near_the_system(solver):
     truth = common.named("one model", **SPARE)
     measured, start = made_by(truth), perturbed(truth, 0.1)
     before = free_run_error(start, measured, measured)
-    method = SimulationError(
-        horizons=(8,), window_steps=25, max_steps=40, solver=solver, ridge=1e-9
-    )
-    solution = refine(start, measured, method)
+    method = SimulationError(horizons=(8,), window_steps=25, max_steps=40, ridge=1e-9)
+    solution = refine(start, measured, method, solver=SOLVERS[solver])
     assert solution.is_okay, solution.detail
     after = free_run_error(solution.value, measured, measured)
     assert after < before / (20 if solver == "windows" else 1e4)
+
+
+def test_what_is_no_solver_is_refused():
+    net = common.named("one model")
+    for solver in ("bfgs", 3):
+        with pytest.raises(SpecError, match="solver must be a minimiser"):
+            refine(net, made_by(net), solver=solver)
+    with pytest.raises(SpecError, match="solver of its own"):
+        refine(net, made_by(net), PredictionError(), solver=SOLVERS["bfgs"])
+    with pytest.raises(SpecError, match="at least one horizon"):
+        none = SimulationError(horizons=())
+        refine(net, made_by(net), none, solver=SOLVERS["windows"])
 
 
 def test_windows_may_leave_the_partition_alone():

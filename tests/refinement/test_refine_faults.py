@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from common import A, Y
 from test_refine import (
@@ -127,8 +128,8 @@ def test_one_step_least_squares_mends_an_unstable_one_step_model():
 def test_random_windows_bring_an_unstable_start_back_or_say_that_they_did_not():
     truth = common.named("one model", bound=3.0, **SPARE)
     measured = made_by(truth, noise=0.01)
-    method = SimulationError(horizons=(6,), window_steps=2, solver="windows")
-    solution = refine(unstable(truth), measured, method)
+    method = SimulationError(horizons=(6,), window_steps=2)
+    solution = refine(unstable(truth), measured, method, solver=optax.adam(0.01))
     assert solution.stats["start_diverged"] and finite(solution)
     ends = simulate(solution.value, measured).status_name
     assert (ends == "diverged") == (solution.status_name == "start_diverged")
@@ -147,14 +148,14 @@ def test_folds_mend_a_start_that_diverges_as_a_search_without_them_does():
 
 
 @pytest.mark.parametrize(
-    "method",
+    ("method", "solver"),
     [
-        PredictionError(),
-        SimulationError(horizons=(6,), window_steps=2, solver="windows"),
+        (PredictionError(), None),
+        (SimulationError(horizons=(6,), window_steps=2), optax.adam(0.01)),
     ],
     ids=["one step", "windows"],
 )
-def test_without_information_nothing_moves_and_nobody_claims_success(method):
+def test_without_information_nothing_moves_and_nobody_claims_success(method, solver):
     rows = [common.rows_of(data(), n) for n in range(4)]
     for r in rows:
         r[:, A] = 0.0
@@ -162,7 +163,7 @@ def test_without_information_nothing_moves_and_nobody_claims_success(method):
     still = common.network(
         [common.Part([[((1,), 0.5)]])], variables=((A, 0), (Y, 1)), bound=50.0
     )
-    solution = refine(still, common.from_rows(rows), method)
+    solution = refine(still, common.from_rows(rows), method, solver=solver)
     np.testing.assert_array_equal(used(solution.value), [0.5])
     assert solution.status_name == "unidentifiable"
 
@@ -217,8 +218,8 @@ def test_windows_longer_than_every_record_are_left_out():
 def test_random_windows_longer_than_every_record_say_so():
     truth = common.named("one model", **SPARE)
     measured, start = made_by(truth, noise=0.05), perturbed(truth, 0.1, seed=3)
-    method = SimulationError(horizons=(100,), window_steps=2, solver="windows")
-    solution = refine(start, measured, method)
+    method = SimulationError(horizons=(100,), window_steps=2)
+    solution = refine(start, measured, method, solver=optax.adam(0.01))
     assert solution.status_name == "too_short"
 
 

@@ -1,13 +1,14 @@
-"""Quasi-Newton steps (BFGS, L-BFGS) of a stage, by optimistix.
+"""Steps of a stage by any solver of optimistix, for a minimum or for least squares.
 
 The loss is minimised in coordinates that start at zero and in which the start's
 J'J has a unit diagonal, and is divided by its value there: the solver's absolute
-tolerances then mean the same for every network. Gradients are those of the run's own
-differentiation rule. One step costs a few runs and a gradient; it needs no P x P
-matrix with L-BFGS, and no Jacobian with either.
+tolerances then mean the same for every network. Derivatives are those of the run's own
+differentiation rule. A solver for least squares sees an error of every sample, and
+stores what it needs of their Jacobian; the house's Levenberg-Marquardt does not.
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,9 +22,7 @@ from jaxnarx.arrays.minimise import Levenberg, Standing
 from jaxnarx.refinement.problem import Problem
 
 TRIALS = 40
-"""Trial points of one line search, at most."""
-MEMORY = 15
-"""Past steps that L-BFGS remembers."""
+"""Steps of a solver without a new point, at most."""
 
 
 class ScaledLoss(eqx.Module):
@@ -68,12 +67,26 @@ def objective(w: Float[Array, " params"], s: ScaledLoss):
     return (s.problem.loss(u) + s.ridge(u)) / s.height, None
 
 
+def errors(w: Float[Array, " params"], s: ScaledLoss):
+    """What the objective is the sum of squares of, and nothing beside it.
+
+    Entries that do not move are held where they are: a Jacobian with empty columns
+    would be singular.
+    """
+    u, height = s.place(w), jnp.sqrt(s.height)
+    pulled = jnp.sqrt(s.pull) * (u - s.origin) / height
+    still = jnp.where(s.unit > 0, 0.0, w)
+    return (s.problem.roots(u) / height, pulled, still), None
+
+
 @eqx.filter_jit
-def trial(solver: optx.AbstractMinimiser, w, s: ScaledLoss, inner):
-    """One trial of the solver: where it stands, its state, and that in `u`."""
-    with jax.numpy_dtype_promotion("standard"):
-        w, inner, _ = solver.step(objective, w, s, {}, inner, frozenset())
-    return w, inner, s.place(w)
+def trial(solver: Any, function: Any, w, s: ScaledLoss, inner):
+    """One step of the solver: where it stands, its state, that in `u`, and whether it
+    has moved, and whether it is done."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        new, inner, _ = solver.step(function, w, s, {}, inner, frozenset())
+        done, _ = solver.terminate(function, new, s, {}, inner, frozenset())
+    return new, inner, s.place(new), jnp.any(new != w), done
 
 
 @eqx.filter_jit
@@ -93,37 +106,42 @@ def reached(s: ScaledLoss, judge, u: Array, before: Standing, state) -> Standing
     return Standing(np.asarray(u), value, total, state, gain=gain, judged=judged)
 
 
-class QuasiNewton:
+class AnySolver:
     """Steps of one stage, from where Levenberg-Marquardt has taken stock."""
 
-    def __init__(self, stage: Levenberg, s: Standing, *, limited_memory: bool):
-        self.judge = stage.judge
-        if limited_memory:
-            self.solver = optx.LBFGS(rtol=1e-9, atol=1e-9, history_length=MEMORY)
-        else:
-            self.solver = optx.BFGS(rtol=1e-9, atol=1e-9)
+    def __init__(self, stage: Levenberg, s: Standing, solver: Any):
+        self.judge, self.solver = stage.judge, solver
+        least = isinstance(solver, optx.AbstractLeastSquaresSolver)
+        self.function = errors if least else objective
         self.scaled = scaled(stage.problem, s.state)
         w = jnp.zeros_like(self.scaled.origin)
-        struct = jax.ShapeDtypeStruct((), w.dtype)
-        with jax.numpy_dtype_promotion("standard"):
-            inner = self.solver.init(
-                objective, w, self.scaled, {}, struct, None, frozenset()
-            )
-        self.start = dataclasses.replace(s, state=(w, inner), damping=0.0)
+        self.start = dataclasses.replace(
+            s, state=(w, self._begun(w), False), damping=0.0
+        )
+
+    def _begun(self, w: Array) -> Any:
+        """The solver's state before its first step."""
+
+        @eqx.filter_jit
+        def begun(solver, w, s):
+            shape, _ = jax.eval_shape(self.function, w, s)
+            with jax.numpy_dtype_promotion("standard"):
+                return solver.init(self.function, w, s, {}, shape, None, frozenset())
+
+        return begun(self.solver, w, self.scaled)
 
     def step(self, s: Standing) -> Standing:
-        """One accepted step; `stalled` when a line search finds no lower point."""
-        w, inner = s.state
-        before = int(inner.num_accepted_steps)
+        """One accepted step; `stalled` when the solver finds no other point."""
+        w, inner, _ = s.state
         for _ in range(TRIALS):
-            w, inner, u = trial(self.solver, w, self.scaled, inner)
-            # The solver's first trial only evaluates its start.
-            if int(inner.num_accepted_steps) > max(before, 1):
-                return reached(self.scaled, self.judge, u, s, (w, inner))
-            if bool(inner.terminate):
-                return s
+            new = trial(self.solver, self.function, w, self.scaled, inner)
+            w, inner, u, moved, done = new
+            if bool(moved):
+                return reached(self.scaled, self.judge, u, s, (w, inner, bool(done)))
+            if bool(done):
+                return dataclasses.replace(s, status="stalled", state=(w, inner, True))
         return dataclasses.replace(s, status="stalled")
 
     def has_arrived(self, s: Standing) -> bool:
-        """Whether no step promises a decrease any more."""
-        return bool(s.state[1].terminate)
+        """Whether the solver says that it is done."""
+        return bool(s.state[2])
