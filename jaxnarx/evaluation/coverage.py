@@ -14,6 +14,7 @@ from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
 from jaxnarx.shown import page
+from jaxnarx.simulation import Prepared
 from jaxnarx.trust import Intervals, intervals
 
 LEVEL = 0.9
@@ -68,7 +69,7 @@ class IntervalCoverage:
 
 
 def interval_runs(
-    network: Any, parts: Mapping[str, Dataset], free: Mapping[str, Any]
+    network: Any, parts: Mapping[str, Dataset | Prepared], free: Mapping[str, Any]
 ) -> dict[str, Intervals]:
     """By part, around the free runs at hand; empty without an error model."""
     known = isinstance(network, Network) and network.errors is not None

@@ -13,6 +13,7 @@ from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
+from jaxnarx.simulation import Prepared
 from jaxnarx.trust import DomainIndex, Excursion, domain
 
 EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
@@ -68,7 +69,7 @@ class DomainErrors:
 
 
 def domain_indices(
-    network: Any, parts: Mapping[str, Dataset]
+    network: Any, parts: Mapping[str, Dataset | Prepared]
 ) -> dict[str, DomainIndex]:
     """By part; empty of a network that knows no domain."""
     if not isinstance(network, Network) or network.domain is None:

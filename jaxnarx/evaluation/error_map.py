@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.arrays.windows import usable
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples, collect
@@ -19,7 +18,7 @@ from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.shown import page
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import Prepared, batched, dataset_of, fitting, prepare, simulate
 
 CELLS = 12
 """Cells along each variable."""
@@ -114,11 +113,15 @@ def error_map(
         found = jnx.evaluation.error_map(network, data, over=("a", "b"))
         print(found.rms.shape, int(found.samples.sum()))
     """
-    data = fitting(network, data)
+    runs = prepare(network, dataset_of(data))
     name = network.output_names[0] if output is None else output
     known_name(name, network.output_names, "output", f"no model of output {name!r}")
-    run = simulate(network, data).value
-    found = error_maps(network, data, collect(data, network.output_channels, run), over)
+    samples = collect(
+        fitting(network, runs),
+        network.output_channels,
+        simulate(network, runs).value,
+    )
+    found = error_maps(network, runs, samples, over)
     for one in found:
         if one.output == name:
             return one
@@ -130,7 +133,7 @@ def error_map(
 
 def error_maps(
     network: Any,
-    data: Dataset,
+    data: Dataset | Prepared,
     free: list[list[ScoredSamples]],
     over: Sequence[str] | None = None,
 ) -> tuple[ErrorMap, ...]:
@@ -142,9 +145,8 @@ def error_maps(
     """
     if not isinstance(network, Network):
         return ()
-    data = fitting(network, data)
     chosen = None if over is None else _named(network, over)
-    batch = stack(data)
+    _, batch = batched(network, data)
     length = batch.valid.shape[1]
     maps = []
     for o, samples in enumerate(free):

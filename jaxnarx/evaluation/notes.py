@@ -11,6 +11,7 @@ from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import data_of, number
 from jaxnarx.models import Network
 from jaxnarx.refinement.stability import stability
+from jaxnarx.simulation import Prepared
 from jaxnarx.solution import Solution
 
 APART = 3.0
@@ -234,7 +235,7 @@ SAMPLES = 2000
 """Samples a report looks at, evenly spaced: it should not take longer than the runs."""
 
 
-def assess(network: Any, data: Dataset, free: Any) -> Any:
+def assess(network: Any, data: Dataset | Prepared, free: Any) -> Any:
     """The `Stability` of a network on `data`; None for what is no `Network`.
 
     `free` is the free run at hand: what `simulate` returned, else it is run again.

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import Batch, stack
+from jaxnarx.data.batch import Batch
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network, scaled_points, weights_of
 from jaxnarx.regressors import row_columns
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import Prepared, batched
 
 POINTS = 4096
 """Samples looked at, evenly spaced; always as many, so that one program serves."""
@@ -37,7 +37,7 @@ class RegionError:
 
 
 def region_errors(
-    network: Any, data: Dataset, free: list[list[ScoredSamples]]
+    network: Any, data: Dataset | Prepared, free: list[list[ScoredSamples]]
 ) -> tuple[RegionError, ...]:
     """The part of every local model, the largest error first, by output.
 
@@ -46,7 +46,7 @@ def region_errors(
     """
     if not isinstance(network, Network):
         return ()
-    batch, found = stack(fitting(network, data)), []
+    (_, batch), found = batched(network, data), []
     length = batch.valid.shape[1]
     for o, samples in enumerate(free):
         calm = [(n, one) for n, one in enumerate(samples) if not one.diverged]

@@ -48,6 +48,7 @@ from jaxnarx.evaluation.worst import worst_stretches
 from jaxnarx.guard import guarded
 from jaxnarx.models import FLAG, Network
 from jaxnarx.shown import count
+from jaxnarx.simulation import Prepared, predict, prepare, simulate
 from jaxnarx.trust import DomainIndex, Intervals
 
 OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
@@ -132,17 +133,18 @@ def report(
     if not (stability is None or isinstance(stability, bool)):
         _require_result(stability, "summary", "stability")
     parts = {part: in_units(data, network.channels) for part, data in parts.items()}
+    ready = {part: _ready(network, data) for part, data in parts.items()}
     outputs = tuple(network.output_channels)
     known = simulated if isinstance(simulated, Mapping) else {}
     if simulated is not None and not isinstance(simulated, Mapping):
         known = dict.fromkeys(list(parts)[:1], simulated)
-    free = {part: _free_run(network, parts[part], known.get(part)) for part in parts}
+    free = {part: _free_run(network, ready[part], known.get(part)) for part in parts}
     runs = {
-        part: _runs(network, part_data, outputs, horizons, free[part])
+        part: _runs(network, part_data, ready[part], outputs, horizons, free[part])
         for part, part_data in parts.items()
     }
     rows = tuple(row for part in parts for row in _rows(part, outputs, runs[part]))
-    bounded = interval_runs(network, parts, free)
+    bounded = interval_runs(network, ready, free)
     traces, errors = _pictures(
         outputs, runs[main], parts[main].sample_time, bounded.get(main)
     )
@@ -152,7 +154,7 @@ def report(
     limits = _limits(network)
     beyond = network.outside if isinstance(network, Network) else FLAG
     notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
-    index = domain_indices(network, parts)
+    index = domain_indices(network, ready)
     known = domain_errors(index, main, outputs, runs[main][FREE_RUN])
     notes += domain_notes(known, main)
     held = [
@@ -163,9 +165,9 @@ def report(
     notes += coverage_notes(held, main)
     notes += reactivation_notes(network, parts[main])
     if stability is True:
-        stability = assess(network, parts[main], free[main])
+        stability = assess(network, ready[main], free[main])
     notes += stability_notes(stability or None, main)
-    tested, sentences = _diagnostics(network, parts[main], diagnostics, selection)
+    tested, sentences = _diagnostics(network, ready[main], diagnostics, selection)
     notes += [f"One-step residuals on {main}: {text}" for text in sentences]
     if partition is None:
         partition = describe_partition(network, data=parts[main])
@@ -188,8 +190,8 @@ def report(
         provenance=_provenance(parts) | dict(provenance or {}),
         outside=strayed,
         limits=limits,
-        maps=error_maps(network, parts[main], runs[main][FREE_RUN], over),
-        regions=region_errors(network, parts[main], runs[main][FREE_RUN]),
+        maps=error_maps(network, ready[main], runs[main][FREE_RUN], over),
+        regions=region_errors(network, ready[main], runs[main][FREE_RUN]),
         leaderboard=leaderboard,
         domain=known,
         worst=worst_stretches(
@@ -206,14 +208,14 @@ def report(
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
         network=network,
         records=_shown(
-            network, parts, main, outputs, runs, free, bounded, index, others
+            network, ready, main, outputs, runs, free, bounded, index, others
         ),
     )
 
 
 def _shown(
     network: Any,
-    parts: Mapping[str, Dataset],
+    parts: Mapping[str, Dataset | Prepared],
     main: str,
     outputs: tuple[Channel, ...],
     runs: Mapping[str, Mapping[str, list[list[ScoredSamples]]]],
@@ -267,7 +269,7 @@ def _check(parts: Mapping[str, Dataset], horizons: Sequence[int]) -> None:
 
 def _diagnostics(
     network: Any,
-    data: Dataset,
+    data: Dataset | Prepared,
     chosen: Diagnostics | bool,
     selection: Mapping[str, Any] | None,
 ) -> tuple[Diagnostics | None, list[str]]:
@@ -299,9 +301,13 @@ def _gains(
     return check_gains(network, data) if wanted else ()
 
 
-def _free_run(network: Any, data: Dataset, simulated: Any) -> Any:
-    from jaxnarx.simulation import simulate
+def _ready(network: Any, data: Dataset) -> Dataset | Prepared:
+    """The records prepared once for all that follows; as they are for what is no
+    `Network`."""
+    return prepare(network, data) if isinstance(network, Network) else data
 
+
+def _free_run(network: Any, data: Dataset | Prepared, simulated: Any) -> Any:
     if simulated is None:
         return simulate(network, data)
     _require_result(getattr(simulated, "value", simulated), "outputs", "simulated")
@@ -320,15 +326,14 @@ def _require_result(value: Any, attribute: str, field: str) -> None:
 def _runs(
     network: Any,
     data: Dataset,
+    ready: Dataset | Prepared,
     outputs: tuple[Channel, ...],
     horizons: Sequence[int],
     free: Any,
 ) -> dict[str, list[list[ScoredSamples]]]:
     """Samples by output and record, for every mode; the free run comes last."""
-    from jaxnarx.simulation import predict
-
     runs = {
-        mode_name(int(k)): predict(network, data, k=int(k))
+        mode_name(int(k)): predict(network, ready, k=int(k))
         for k in dict.fromkeys(horizons)
     }
     runs[FREE_RUN] = free

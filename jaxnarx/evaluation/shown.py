@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
-from jaxnarx.simulation import fitting, make_masks
+from jaxnarx.simulation import Prepared, dataset_of, prepared
 from jaxnarx.trust import DomainIndex, Intervals
 
 
@@ -71,7 +70,7 @@ class ShownRecord:
 def shown_records(
     network: Any,
     part: str,
-    data: Dataset,
+    data: Dataset | Prepared,
     outputs: tuple[Channel, ...],
     run: Any,
     free: list[list[ScoredSamples]],
@@ -85,6 +84,7 @@ def shown_records(
     those of other models, by model and output.
     """
     starts, begins = _begins(network, data, run)
+    data = dataset_of(data)
     names = [channel.name for channel in outputs]
     columns = data.channels.names
     order = [n for n in columns if n not in names] + names
@@ -128,14 +128,15 @@ def _side(free: list[list[ScoredSamples]], n: int, what: str) -> np.ndarray:
 
 
 def _begins(
-    network: Any, data: Dataset, run: Any
+    network: Any, data: Dataset | Prepared, run: Any
 ) -> tuple[list[int], list[Float[np.ndarray, "begin computed"] | None]]:
     """Where free runs begin, and what they begin from."""
     if not isinstance(network, Network):
-        return [0] * len(data), [None] * len(data)
-    own = fitting(network, data)
-    starts = make_masks(network, stack(own), network.window).start.tolist()
-    starts = [min(s, len(record)) for s, record in zip(starts, data, strict=True)]
+        known = dataset_of(data)
+        return [0] * len(known), [None] * len(known)
+    _, origin = prepared(network, data)
+    own, starts = origin.matched, origin.masks.start.tolist()
+    starts = [min(s, len(record)) for s, record in zip(starts, own, strict=True)]
     begins = []
     for n, (record, start) in enumerate(zip(own, starts, strict=True)):
         rows = slice(0, start + 1)

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.evaluation.region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.shown import page, span_text
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import Prepared, batched
 from jaxnarx.trust import DomainIndex
 
 WORST = 10
@@ -155,13 +154,13 @@ def _mean_square(
 
 
 def _regions(
-    network: Any, data: Dataset, o: int, peaks: list[tuple[int, int]]
+    network: Any, data: Dataset | Prepared, o: int, peaks: list[tuple[int, int]]
 ) -> list[str]:
     """Where the local model that leads at each peak is valid; empty with one alone."""
     nothing = [""] * len(peaks)
     if not isinstance(network, Network) or not peaks:
         return nothing
-    batch = stack(fitting(network, data))
+    _, batch = batched(network, data)
     length = batch.valid.shape[1]
     lead = leading_at(network, batch, o, np.array([n * length + t for n, t in peaks]))
     if lead is None:

@@ -9,7 +9,6 @@ import scipy.special
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, reported
@@ -18,11 +17,11 @@ from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.uncertainty import Uncertainty
 from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation import (
+    Prepared,
     Trajectories,
     first_anchor,
-    fitting,
-    make_drive,
     make_masks,
+    prepared,
     simulate,
 )
 from jaxnarx.solution import Solution
@@ -69,7 +68,7 @@ class Bands:
 def bands(
     network: Network,
     uncertainty: Uncertainty,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     level: float | int = 0.95,
 ) -> Solution[Bands]:
@@ -104,16 +103,16 @@ def bands(
     if not 0 < level < 1:
         raise SpecError(f"level must lie between 0 and 1, got {level}", field="level")
     _require_same(network, uncertainty)
-    simulated = simulate(network, data)
-    data = fitting(network, data)
-    batch = stack(data)
+    runs, origin = prepared(network, data)
+    simulated = simulate(network, runs)
+    data, batch = origin.matched, origin.batch
     masks = make_masks(network, batch)
     layout = uncertainty.layout
     layout = Layout(network, layout.low, layout.high, layout.chosen)
     scaled = variances(
         network,
         layout,
-        make_drive(network, batch),
+        runs.drive,
         jnp.asarray(first_anchor(masks)),
         jnp.asarray(masks.start),
         jnp.asarray(root(uncertainty).astype(network.gain.dtype)),

@@ -55,6 +55,7 @@ def free_run(network: Network, runs: Prepared) -> Float[Array, "records time out
     return _physical(network, runs, scaled_run(network, runs), runs.first)
 
 
+@program
 def scaled_run(
     network: Network, runs: Prepared
 ) -> Float[Array, "records time computed"]:
@@ -118,10 +119,10 @@ def residual(network: Network, runs: Prepared) -> Float[Array, " samples"]:
         Records, samples and outputs behind one another.
 
     Example:
-        trained, fixed = eqx.partition(network, jnx.freeze(network, "gain"))
-        solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
+        moving, fixed = eqx.partition(network, jnx.freeze(network))
+        solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
         errors = lambda moving, _: jnx.residual(eqx.combine(moving, fixed), runs)
-        found = optimistix.least_squares(errors, solver, trained)
+        found = optimistix.least_squares(errors, solver, moving, throw=False)
     """
     y, measured, scored = free_run(network, runs), runs.measured, runs.scored
     count = jnp.maximum(jnp.sum(scored, axis=(0, 1), dtype=y.dtype), 1.0)[None, None]

@@ -250,12 +250,23 @@ def _scales(network: Network) -> tuple[np.ndarray, ...]:
     return tuple(map(np.asarray, (network.gain, network.sample_time, *ranges)))
 
 
-def fitting(network: Network, data: Dataset) -> Dataset:
+def batched(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Batch]:
+    """`fitting` records, and side by side: at hand where they are prepared."""
+    if isinstance(data, Prepared):
+        _, origin = prepared(network, data)
+        return origin.matched, origin.batch
+    matched = fitting(network, data)
+    return matched, stack(matched)
+
+
+def fitting(network: Network, data: Dataset | Prepared) -> Dataset:
     """`data` with the network's channels, in its order.
 
     `SpecError` where the sample time is another, or where the network's parameters are
     not finite: it could not be told from one that runs away.
     """
+    if isinstance(data, Prepared):
+        return prepared(network, data)[1].matched
     data, _ = match_channels(data, network.channels)
     _same_sample_time(network, data)
     require_finite(network)

@@ -10,7 +10,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Network
 from jaxnarx.shown import page, span_text
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import Prepared, fitting
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust.learn import feature_rows, layers_of
 
@@ -105,7 +105,7 @@ class DomainIndex:
 
 
 @guarded
-def domain(network: Network, data: Dataset) -> Solution[DomainIndex]:
+def domain(network: Network, data: Dataset | Prepared) -> Solution[DomainIndex]:
     """How far every sample of these records is outside of the network's training.
 
     Args:

@@ -10,7 +10,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LEVELS, Network
 from jaxnarx.shown import aligned, brief, page, some
-from jaxnarx.simulation import Trajectories, fitting, simulate
+from jaxnarx.simulation import Prepared, Trajectories, fitting, simulate
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.trust.errors import told_by
 from jaxnarx.trust.learn import feature_rows, layers_of
@@ -53,7 +53,7 @@ class Intervals:
 @guarded
 def intervals(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     level: float | int = 0.9,
     run: Trajectories | None = None,

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 import types
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from jaxnarx.data import Channel, Channels, Dataset, Record
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import Report, metrics, report
+from jaxnarx.evaluation import Report, metrics, report, reporting
 from jaxnarx.evaluation.notes import score_notes
 
 CHANNELS = Channels(
@@ -72,10 +71,12 @@ class Network:
 
 @pytest.fixture(autouse=True)
 def verbs(monkeypatch):
-    fake = types.ModuleType("jaxnarx.simulation")
-    fake.__dict__["predict"] = lambda network, data, k=1: network.run(data, k)
-    fake.__dict__["simulate"] = lambda network, data: network.run(data, None)
-    monkeypatch.setitem(sys.modules, "jaxnarx.simulation", fake)
+    monkeypatch.setattr(
+        reporting, "predict", lambda network, data, k=1: network.run(data, k)
+    )
+    monkeypatch.setattr(
+        reporting, "simulate", lambda network, data: network.run(data, None)
+    )
 
 
 def make(seed, records=3, channels=CHANNELS, constant=False):
@@ -304,7 +305,7 @@ def test_ranks_and_residuals_describe_the_free_run():
 def test_a_known_free_run_is_not_simulated_again(monkeypatch):
     data = make(4)
     run = Network(error=0.5).run(data, None)
-    monkeypatch.setattr(sys.modules["jaxnarx.simulation"], "simulate", None)
+    monkeypatch.setattr(reporting, "simulate", None)
     got = report(Network(), data, simulated=run)
     again = report(Network(), {"test": data}, simulated={"test": run.value})
     assert got.pooled("NOx").rmse == again.pooled("NOx").rmse

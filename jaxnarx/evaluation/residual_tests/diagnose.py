@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import Batch, stack
+from jaxnarx.data.batch import Batch
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.gain_signs import check_gains
 from jaxnarx.evaluation.residual_tests.coefficients import (
@@ -41,7 +41,7 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import (
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.simulation import Trajectories, fitting, predict
+from jaxnarx.simulation import Prepared, Trajectories, batched, predict
 from jaxnarx.solution import RESULTS, Solution
 
 SPARE = 10
@@ -51,7 +51,7 @@ SPARE = 10
 @guarded
 def diagnose(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     lags: int = 20,
     level: float = 0.05,
@@ -87,9 +87,8 @@ def diagnose(
     """
     _check(network, lags, level, estimated)
     network.require_measured("The analysis of residuals")
-    matched = fitting(network, data)
-    batch = stack(matched)
-    run = predict(network, matched).value if predicted is None else predicted
+    matched, batch = batched(network, data)
+    run = predict(network, data).value if predicted is None else predicted
     run = run.value if isinstance(run, Solution) else run
     found, left_out = [], []
     for place, name in enumerate(network.output_names):

@@ -9,7 +9,6 @@ import scipy.special
 from jaxtyping import Float, Int
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.data.scaling import unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
@@ -20,7 +19,7 @@ from jaxnarx.evaluation.residual_tests.one_step import usable_inputs
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.shown import aligned, page
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import Prepared, batched, simulate
 from jaxnarx.solution import RESULTS, Solution
 
 SPARE = 10
@@ -72,7 +71,7 @@ class FreeRunResiduals:
 @guarded
 def diagnose_free_run(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     lags: int = 20,
     level: float = 0.05,
@@ -104,10 +103,9 @@ def diagnose_free_run(
     """
     if lags < 1 or not 0 < level <= 0.5:
         raise SpecError("lags is at least 1, level above 0 and up to 0.5", field="lags")
-    matched = fitting(network, data)
-    run = simulate(network, matched).value if simulated is None else simulated
+    matched, batch = batched(network, data)
+    run = simulate(network, data).value if simulated is None else simulated
     run = run.value if isinstance(run, Solution) else run
-    batch = stack(matched)
     found, status = [], RESULTS.ok
     for o, channel in enumerate(network.output_channels):
         lost = any(bool(d[o]) for d in run.diverged)

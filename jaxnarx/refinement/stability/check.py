@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.refinement.stability.bound import RUN, Bound, bounds
@@ -18,14 +17,13 @@ from jaxnarx.refinement.stability.poles import Poles, pole_table, time_constant
 from jaxnarx.shown import page
 from jaxnarx.simulation import (
     Masks,
+    Prepared,
     RunInputs,
     Trajectories,
     begun,
     first_anchor,
-    fitting,
-    make_drive,
-    make_masks,
     observed,
+    prepared,
     simulate,
     states,
 )
@@ -168,7 +166,7 @@ def _own_outputs(
 @guarded
 def stability(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     samples: int | None = None,
     simulated: Solution[Trajectories] | None = None,
@@ -195,23 +193,22 @@ def stability(
     """
     if samples is not None:
         samples = whole(samples, "samples")
-    run = simulate(network, data) if simulated is None else simulated
-    matched = fitting(network, data)
-    batch = stack(matched)
-    masks = make_masks(network, batch, network.window)
-    drive = observed(network, make_drive(network, batch))
+    runs, origin = prepared(network, data)
+    run = simulate(network, runs) if simulated is None else simulated
+    matched, masks = origin.matched, origin.masks
+    drive = observed(network, runs.drive)
     own = _own_outputs(network, drive, masks, run.value)
     visited = points_of(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(
         network,
         points_of(network, drive, masks, count=POLES),
         points_of(network, drive, masks, count=POLES, outputs=own),
-        data.sample_time,
+        matched.sample_time,
     )
     total = int(masks.anchors.sum())
-    found = bounds(network, visited, list(matched.names), data.sample_time, total)
+    found = bounds(network, visited, list(matched.names), matched.sample_time, total)
     proven = certificate(network)
-    value = Stability(poles, found, float(data.sample_time), proven)
+    value = Stability(poles, found, float(matched.sample_time), proven)
     stats = {
         "contracts": value.contracts,
         "rate": value.bound.rate,
