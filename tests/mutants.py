@@ -9,9 +9,11 @@ the original does and cannot be found; the list is there to be looked at.
     python tests/mutants.py reach reach.json      # each file once, by `coverage`
     python tests/mutants.py draw mutants.json [--number 150] [--seed 0]
     python tests/mutants.py run mutants.json reach.json [--files 12] [--workers 1]
+                                                        [--known earlier.json]
 
 `reach` needs the package `coverage`, `run` only the tests. `run` writes its findings
-into the list and goes on where it was stopped.
+into the list and goes on where it was stopped. The test that killed a mutant in an
+earlier list is tried first, alone.
 """
 
 import argparse
@@ -181,15 +183,25 @@ def judges(mutant: dict[str, Any], reached: dict[str, Any], most: int) -> list[s
 
 
 def try_one(
-    mutant: dict[str, Any], reached: dict[str, Any], most: int, home: Path
+    mutant: dict[str, Any],
+    reached: dict[str, Any],
+    most: int,
+    home: Path,
+    known: str = "",
 ) -> dict[str, Any]:
-    """Whether a test notices, and which."""
+    """Whether a test notices, and which; the `known` one is asked first."""
     path = home / mutant["path"]
     source = path.read_bytes()
     start, old = mutant["start"], mutant["old"].encode()
     assert source[start : start + len(old)] == old, f"{path} is not what it was"
     names = [n for n in judges(mutant, reached, most) if (home / n).exists()]
     changed = source[:start] + mutant["new"].encode() + source[start + len(old) :]
+    if "::" in known and (home / known.partition("::")[0]).exists():
+        path.write_bytes(changed)
+        how = _fails([known], home, SECONDS + 240.0)
+        path.write_bytes(source)
+        if "::" in how and sound(known, home):
+            return {"killed": True, "by": how, "tried": 1}
     while names:
         limit = SLACK * sum(reached[name]["seconds"] for name in names) + SECONDS
         path.write_bytes(changed)
@@ -239,7 +251,13 @@ def _fails(names: list[str], home: Path, limit: float) -> str:
     return found[1] if found else f"exit code {done.returncode}"
 
 
-def run(path: Path, reached: dict[str, Any], most: int, workers: int) -> None:
+def run(
+    path: Path,
+    reached: dict[str, Any],
+    most: int,
+    workers: int,
+    known: dict[tuple, str],
+) -> None:
     """Try every mutant that has no finding yet; the list is written after each."""
     mutants = json.loads(path.read_text())
     left = [m for m in mutants if "killed" not in m]
@@ -255,13 +273,19 @@ def run(path: Path, reached: dict[str, Any], most: int, workers: int) -> None:
 
         def work(number: int) -> None:
             for mutant in left[number::workers]:
-                mutant |= try_one(mutant, reached, most, homes[number])
+                by = known.get(place(mutant), "")
+                mutant |= try_one(mutant, reached, most, homes[number], by)
                 path.write_text(json.dumps(mutants, indent=1) + "\n")
                 print(mutant["path"], mutant["line"], mutant.get("by", "survives"))
 
         list(pool.map(work, range(workers)))
     killed = sum(m["killed"] for m in mutants)
     print(f"{killed} of {len(mutants)} killed")
+
+
+def place(mutant: dict[str, Any]) -> tuple:
+    """What a mutant changes, wherever it stands in its file."""
+    return tuple(mutant[key] for key in ("path", "text", "old", "new"))
 
 
 def main() -> None:
@@ -277,10 +301,13 @@ def main() -> None:
             command.add_argument("reach", type=Path)
             command.add_argument("--files", type=int, default=12)
             command.add_argument("--workers", type=int, default=1)
+            command.add_argument("--known", type=Path, help="an earlier list")
     chosen = parser.parse_args()
     if chosen.command == "run":
         reached = json.loads(chosen.reach.read_text())
-        run(chosen.path, reached, chosen.files, chosen.workers)
+        earlier = json.loads(chosen.known.read_text()) if chosen.known else []
+        known = {place(m): m.get("by", "") for m in earlier}
+        run(chosen.path, reached, chosen.files, chosen.workers, known)
         return
     made = reach() if chosen.command == "reach" else draw(chosen.number, chosen.seed)
     chosen.path.write_text(json.dumps(made, indent=1) + "\n")
