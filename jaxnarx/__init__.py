@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 from jaxnarx.texts import document
 
 if TYPE_CHECKING:
-    from jaxnarx import arrays as arrays
-    from jaxnarx import contracts as contracts
     from jaxnarx import data as data
     from jaxnarx import design as design
     from jaxnarx import engines as engines
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from jaxnarx import methods as methods
     from jaxnarx import metrics as metrics
     from jaxnarx import models as models
-    from jaxnarx import output_error as output_error
     from jaxnarx import partition as partition
     from jaxnarx import refinement as refinement
     from jaxnarx import regressors as regressors
@@ -42,7 +39,6 @@ if TYPE_CHECKING:
     from jaxnarx.data import check as check
     from jaxnarx.data import read as read
     from jaxnarx.data import read_split as read_split
-    from jaxnarx.data import suggest_lags as suggest_lags
     from jaxnarx.errors import DataError as DataError
     from jaxnarx.errors import JaxnarxError as JaxnarxError
     from jaxnarx.errors import SpecError as SpecError
@@ -58,6 +54,7 @@ if TYPE_CHECKING:
     from jaxnarx.methods import Grid as Grid
     from jaxnarx.methods import Identification as Identification
     from jaxnarx.methods import Lolimot as Lolimot
+    from jaxnarx.methods import Placed as Placed
     from jaxnarx.methods import Polynomial as Polynomial
     from jaxnarx.methods import PredictionError as PredictionError
     from jaxnarx.methods import SigmoidTree as SigmoidTree
@@ -98,12 +95,12 @@ if TYPE_CHECKING:
     from jaxnarx.trust import intervals as intervals
 
 _HOME = {
-    "data": "Channel Channels Dataset check read read_split suggest_lags",
+    "data": "Channel Channels Dataset check read read_split",
     "errors": "DataError JaxnarxError SpecError",
     "evaluation": "Report diagnose report",
     "identification": "identify",
     "methods": "Anova Backward ForwardOLS Given Global Grid Identification Lolimot "
-    "Polynomial PredictionError SigmoidTree SimulationError "
+    "Placed Polynomial PredictionError SigmoidTree SimulationError "
     "SimulationOLS StepwiseF",
     "models": "Network load save state_space",
     "partition": "grow",
@@ -123,9 +120,9 @@ _MODULE = {name: module for module, names in _HOME.items() for name in names.spl
 _ROOMS = {
     name: f"jaxnarx.{name}"
     for name in (
-        "arrays contracts data design engines errors evaluation excitation "
-        "identification inverse linear methods metrics models output_error partition "
-        "refinement regressors selection simulation states sweep targets trust"
+        "data design engines errors evaluation excitation identification inverse "
+        "linear methods metrics models partition refinement regressors selection "
+        "simulation states sweep targets trust"
     ).split()
 }
 
@@ -136,7 +133,7 @@ _MOVED = {
     "Laguerre": "regressors",
     "ModelFileError": "errors",
     "Orthonormal": "regressors",
-    "Placed": "methods",
+    "suggest_lags": "data",
 }
 """Names of version 0.2 that stand in their rooms alone; here for one release more."""
 

@@ -8,6 +8,8 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator
 
+__all__ = ["DataError", "DataFileError", "JaxnarxError", "ModelFileError", "SpecError"]
+
 
 class JaxnarxError(ValueError):
     """Root of all errors this package raises on purpose.

@@ -88,7 +88,7 @@ def is_fit(value: Any, wanted: Any) -> bool:
     if wanted in _NUMBERS:
         return _is_number(value, wanted)
     if origin is collections.abc.Callable:
-        return callable(value) and not isinstance(value, type)
+        return callable(value) and not isinstance(value, type) and not _is_noun(value)
     if origin in (collections.abc.Mapping, dict):
         return isinstance(value, collections.abc.Mapping) and all(
             is_fit(k, inner[0]) and is_fit(each, inner[1]) for k, each in value.items()
@@ -101,6 +101,9 @@ def is_fit(value: Any, wanted: Any) -> bool:
     if wanted in (str, os.PathLike, pathlib.Path) or _is_ours(wanted):
         # A class can be called as a function of one's own can, and is none.
         fits = isinstance(value, wanted) and not isinstance(value, type)
+        # A network can be called, but is no function of one's own either.
+        called = getattr(wanted, "_is_protocol", False) and "__call__" in vars(wanted)
+        fits = fits and not (called and _is_noun(value))
         solved = fits and wanted.__name__ == "Solution" and inner
         return is_fit(value.value, inner[0]) if solved else fits
     return not _is_noun(value)

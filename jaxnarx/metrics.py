@@ -18,18 +18,38 @@ scaled values, so magnitudes up to 1e150 neither overflow nor vanish.
 Reference: Z. Li 2012, (4.43), (4.44), (6.8).
 """
 
-from typing import Any
+import functools
+import typing
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+F = TypeVar("F", bound=Callable[..., Any])
 Array = np.ndarray | jax.Array
+
+
+def _compiled(metric: F) -> F:
+    """Of jax arrays as one program, of NumPy's as it is."""
+    program = jax.jit(metric)
+
+    @functools.wraps(metric)
+    def call(*args):
+        traced = any(isinstance(a, jax.Array) for a in args)
+        return program(*args) if traced else metric(*args)
+
+    return typing.cast(F, call)
+
+
+__all__ = ["fit", "nmse", "nrmse", "r2", "rmse", "scores"]
 
 PERFECT = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
 """The metrics in the order in which they are shown, with the value of a perfect fit."""
 
 
+@_compiled
 def rmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -42,6 +62,7 @@ def rmse(
     return _root_mean_square(_pooled(_error(y, yhat, mask)), _pooled(mask))
 
 
+@_compiled
 def nrmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -56,6 +77,7 @@ def nrmse(
     return _quotient(rmse(y, yhat, mask), _spread(_pooled(y), _pooled(mask)))
 
 
+@_compiled
 def r2(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -69,6 +91,7 @@ def r2(
         return 1.0 - nrmse(y, yhat, mask) ** 2
 
 
+@_compiled
 def fit(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -83,6 +106,7 @@ def fit(
         return 100.0 * (1.0 - nrmse(y, yhat, mask))
 
 
+@_compiled
 def nmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],

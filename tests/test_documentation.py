@@ -93,7 +93,8 @@ def test_every_public_name_is_in_the_reference_once():
 
 def offered(room: str) -> set[str]:
     """Names of a room by its `__init__`, without importing it."""
-    path = Path(jaxnarx.__file__).parent / room / "__init__.py"
+    path = Path(jaxnarx.__file__).parent / room
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     body = ast.parse(path.read_text()).body
     for node in body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":

@@ -7,7 +7,10 @@ import textwrap
 from pathlib import Path
 
 import common
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+import optimistix
 import pytest
 from common import some
 
@@ -19,7 +22,8 @@ PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     f"{room}.{name}": getattr(getattr(jnx, room), name)
     for room in (
         *("data", "design", "evaluation", "inverse", "linear", "models"),
-        *("refinement", "regressors", "selection", "states", "targets", "trust"),
+        *("refinement", "regressors", "selection", "simulation", "states"),
+        *("targets", "trust"),
     )
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__
@@ -29,7 +33,14 @@ KINDS = {
 }
 SETTINGS = {n: v for n, v in PUBLIC.items() if isinstance(v, type) and v in KINDS}
 FUNCTIONS = {n: v for n, v in PUBLIC.items() if inspect.isfunction(v)}
-VERBS = FUNCTIONS | {"Dataset.from_arrays": jnx.Dataset.from_arrays}
+METHODS = {
+    "Dataset.from_arrays": jnx.Dataset.from_arrays,
+    "Network.__call__": jnx.Network.__call__,
+    "Network.step": jnx.Network.step,
+    "Prepared.with_inputs": jnx.simulation.Prepared.with_inputs,
+    "StateForm": jnx.models.StateForm,
+}
+VERBS = FUNCTIONS | METHODS
 EXAMPLES = {
     n: textwrap.dedent(found[1])
     for n, told in (VERBS | SETTINGS).items()
@@ -40,7 +51,8 @@ EXAMPLES = {
     )
 }
 MAIN = (
-    "simulate predict select grow refine report check suggest_lags read read_split "
+    "simulate predict select grow refine report check data.suggest_lags read "
+    "read_split prepare free_run predict_ahead residual state_space "
     "Dataset.from_arrays polynomial_pool stability uncertainty bands evaluation.cost "
     "diagnose linear.fit_linear run_sweep"
 ).split()
@@ -84,8 +96,12 @@ def scope():
     pool = jnx.polynomial_pool(
         data.channels, outputs=["y"], input_lags=(1,), output_lags=(1,), degree=1
     )
-    named = {"network": common.named("one model"), "data": data, "pool": pool}
-    return {"jnx": jnx} | named
+    network = common.named("one model")
+    named = {"network": network, "data": data, "pool": pool}
+    named |= {"runs": jnx.prepare(network, data), "u": jnp.asarray(data.records[0].u)}
+    named |= {"y_measured": jnp.asarray(data.records[0].y[:, :1])}
+    libraries = {"jax": jax, "jnp": jnp, "eqx": eqx, "optimistix": optimistix}
+    return {"jnx": jnx} | named | libraries
 
 
 DEAR = {"states.fit_states", "design.plan", "identify", "evaluation.errors_by_size"}
@@ -93,7 +109,7 @@ DEAR = {"states.fit_states", "design.plan", "identify", "evaluation.errors_by_si
 
 @pytest.mark.parametrize("name", some(EXAMPLES, *set(EXAMPLES) - DEAR))
 def test_an_example_runs_as_it_is_printed(name, scope, tmp_path, monkeypatch):
-    assert f"jnx.{name}(" in EXAMPLES[name]
+    assert f"jnx.{name}(" in EXAMPLES[name] or name in METHODS
     monkeypatch.chdir(tmp_path)
     # A user's session has jax's own promotion rules.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):

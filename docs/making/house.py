@@ -13,7 +13,7 @@ FLOORS = {
         *("partition", "selection", "trust", "refinement", "simulation"),
     ],
     "2 data and models": ["models", "regressors", "excitation", "data", "engines"],
-    "1 arrays": ["arrays"],
+    "1 arrays": ["arrays", "metrics"],
     "ground": [
         *("solution", "methods", "shown", "texts", "extensions"),
         *("checks", "child_process", "files", "guard", "errors"),

@@ -84,8 +84,8 @@ def modules_of(names: Iterable[Name]) -> list[str]:
     """The pages in the order in which an identification needs them."""
     order = (
         "identification data regressors methods selection partition simulation "
-        "refinement trust evaluation models targets shell states linear inverse design "
-        "excitation engines sweep solution errors"
+        "refinement trust evaluation metrics models targets shell states linear "
+        "inverse design excitation engines sweep solution errors"
     ).split()
     pages = {name.page for name in names}
     missing = pages - set(order)

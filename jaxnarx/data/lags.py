@@ -116,7 +116,7 @@ def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
         delays they come from.
 
     Example:
-        print(jnx.suggest_lags(data))
+        print(jnx.data.suggest_lags(data))
     """
     if not data.samples:
         raise DataError("suggest_lags needs at least one record with samples")

@@ -384,7 +384,7 @@ class Network(eqx.Module):
 
         Example:
             y = network(u, y_measured)
-            slope = jax.grad(lambda u: network(u, "steady")[-1, 0])(u)
+            slope = jax.jit(jax.grad(lambda u: network(u, "steady")[-1, 0]))(u)
         """
         from jaxnarx.models.state_form import run  # it is made of networks
 

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models.feedback import advance, depth, sources, widened
 from jaxnarx.models.limits import beyond_range, fading, overshoot, within_margin
 from jaxnarx.models.network import Network
@@ -476,6 +477,16 @@ def _rest(
     return joined(at_rest(network, row, found.value * size)), good
 
 
+@program
+def _jacobians(network: Network, x: Array, u: Array, rate: Array) -> tuple:
+    def both(x, u):
+        past, y = advanced(network, split(network, x), u, _fixed(network, rate))
+        return joined(past), y
+
+    (a, c), (b, d) = jax.jacfwd(both)(x, u), jax.jacfwd(both, argnums=1)(x, u)
+    return a, b, c, d
+
+
 class StateForm(eqx.Module):
     """A network as x(t+1) = f(x(t), u(t)), y(t) = h(x(t), u(t)).
 
@@ -523,13 +534,9 @@ class StateForm(eqx.Module):
         self, x: Float[Arrays, " states"], u: Float[Arrays, " inputs"]
     ) -> tuple[Array, Array, Array, Array]:
         """A = df/dx, B = df/du, C = dh/dx and D = dh/du there."""
-        u = _row(self.network, u)
-
-        def both(x, u):
-            return step(self.network, x, u)
-
-        (a, c), (b, d) = jax.jacfwd(both)(x, u), jax.jacfwd(both, argnums=1)(x, u)
-        return a, b, c, d
+        return _jacobians(
+            self.network, jnp.asarray(x), _row(self.network, u), rate_of(self.network)
+        )
 
     def equilibrium(
         self,
@@ -545,6 +552,7 @@ class StateForm(eqx.Module):
         return equilibrium(self.network, u, start)
 
 
+@guarded
 def state_space(network: Network) -> StateForm:
     """The network as a state-space model with named states.
 

@@ -35,3 +35,19 @@ from jaxnarx.simulation.trajectories import has_diverged as has_diverged
 from jaxnarx.simulation.trajectories import limited as limited
 from jaxnarx.simulation.verbs import predict as predict
 from jaxnarx.simulation.verbs import simulate as simulate
+
+__all__ = [
+    "Prepared",
+    "Trajectories",
+    "free_run",
+    "has_diverged",
+    "predict",
+    "predict_ahead",
+    "prepare",
+    "ready",
+    "residual",
+    "run_status",
+    "simulate",
+    "stack",
+    "unstack",
+]

@@ -12,10 +12,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import SpecError
+from jaxnarx.guard import guarded
 from jaxnarx.models import Network, fading, overshoot, within_margin
 from jaxnarx.models.outside import HOLD
 from jaxnarx.simulation.masks import first_anchor
@@ -28,6 +30,7 @@ from jaxnarx.solution import NAMES
 OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short"))
 
 
+@guarded
 def free_run(network: Network, runs: Prepared) -> Float[Array, "records time outputs"]:
     """The free run of every record on the network's own outputs, physical units.
 
@@ -50,7 +53,7 @@ def free_run(network: Network, runs: Prepared) -> Float[Array, "records time out
             y = jnx.free_run(network, runs)
             return (jnx.metrics.nrmse(runs.measured, y, runs.scored) ** 2).sum()
 
-        value, slope = eqx.filter_value_and_grad(loss)(network)
+        slope = eqx.filter_jit(eqx.filter_grad(loss))(network)
     """
     return _physical(network, runs, scaled_run(network, runs), runs.first)
 
@@ -71,6 +74,7 @@ def started(network: Network, runs: Prepared) -> Prepared:
     return dataclasses.replace(runs, drive=begun(network, runs.drive, runs.start))
 
 
+@guarded
 def predict_ahead(
     network: Network, runs: Prepared, k: int | Int[Array, ""]
 ) -> Float[Array, "records time outputs"]:
@@ -105,6 +109,7 @@ def ready(
     return runs.scored & before[:, :, None]
 
 
+@guarded
 def residual(network: Network, runs: Prepared) -> Float[Array, " samples"]:
     """Errors of the free run for a least-squares solver: a vector whose sum of squares
     is the mean over the outputs of their squared NRMSE, the loss of `refine`.
@@ -172,9 +177,17 @@ def stack(networks: Sequence[Network]) -> Network:
                 "numbers of terms and models, channels and policies must be the same",
                 field="networks",
             )
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *networks)
+    return jax.tree.map(lambda *leaves: _stacked(leaves), *networks)
 
 
+def _stacked(leaves: Sequence[Array]) -> Array:
+    """Without a program of its own, unless they are traced."""
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
+        return jnp.stack(leaves)
+    return jax.device_put(np.stack(leaves))
+
+
+@guarded
 def unstack(network: Network) -> list[Network]:
     """The networks that were stacked, see `stack`.
 
@@ -183,7 +196,10 @@ def unstack(network: Network) -> list[Network]:
     """
     count = int(network.sample_time.shape[0])
     leaves, tree = jax.tree.flatten(network)
-    return [tree.unflatten([leaf[n] for leaf in leaves]) for n in range(count)]
+    if not any(isinstance(leaf, Tracer) for leaf in leaves):
+        leaves = [np.asarray(leaf) for leaf in leaves]
+    every = [[leaf[n] for leaf in leaves] for n in range(count)]
+    return [tree.unflatten(jax.device_put(one)) for one in every]
 
 
 def _shape(network: Network) -> Any:

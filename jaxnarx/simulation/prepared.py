@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.programs import program
 from jaxnarx.checks import choice
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.data.batch import Batch, stack
@@ -87,11 +88,11 @@ class Prepared:
             def peak(u):
                 return jnx.free_run(network, runs.with_inputs(network, u)).max()
 
-            slope = jax.grad(peak)(runs.inputs)
+            slope = jax.jit(jax.grad(peak))(runs.inputs)
         """
-        at = np.array(self.columns[0], int)
-        signals = self.signals.at[..., at].set(inputs)
-        drive = drive_of(network, signals, self.valid)
+        signals, drive = _driven(
+            network, self.signals, self.valid, inputs, at=self.columns[0]
+        )
         return dataclasses.replace(self, signals=signals, drive=drive, origin=None)
 
     def __str__(self) -> str:
@@ -104,6 +105,13 @@ class Prepared:
 
     __repr__ = __str__
     _repr_html_ = page
+
+
+@program
+def _driven(network: Network, signals: Array, valid: Array, inputs: Array, *, at):
+    """The signals with other inputs, and what is computed of them."""
+    signals = signals.at[..., np.array(at, int)].set(inputs)
+    return signals, drive_of(network, signals, valid)
 
 
 _MASKS = ("start", "first", "end", "anchors")

@@ -24,7 +24,7 @@ from jaxnarx.models import (
     memory_of,
     set_nan_policy,
 )
-from jaxnarx.models.limits import overshoot
+from jaxnarx.models.limits import overshoots
 from jaxnarx.simulation import simulate
 from jaxnarx.targets import Instance, lower, octave, runners
 from jaxnarx.targets.export import write_files
@@ -277,7 +277,7 @@ def test_the_limit_of_an_export_forgets_a_spike():
     for row in u:
         instance.step(row)
         limits.append(float(instance.states["overshoot"]))
-    np.testing.assert_allclose(limits, overshoot(net, u), rtol=1e-12)
+    np.testing.assert_allclose(limits, overshoots(net, u), rtol=1e-12)
     assert limits[100] > 1e4 and limits[100 + 25 * math.ceil(memory_of(net))] < 1e-5
 
 
