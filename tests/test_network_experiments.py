@@ -162,6 +162,15 @@ def test_growth_without_peers(tmp_path, measured):
 
 
 @pytest.mark.slow
+def test_an_own_loss_and_other_solvers(tmp_path):
+    experiment("nelles/own_loss.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "own_loss.json").read_text())["figures"]
+    (row,) = figures["rows"]
+    for kind, solver in (("squares", "optimistix"), ("own loss", "optax")):
+        assert row[kind][solver] < row[kind]["start"]
+
+
+@pytest.mark.slow
 def test_refinement_on_virtual_engines(tmp_path):
     experiment("refinement/engines.py", "--results", str(tmp_path))
     figures = json.loads((tmp_path / "engines.json").read_text())["figures"]

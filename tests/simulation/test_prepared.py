@@ -223,6 +223,26 @@ def test_a_record_alone_is_that_record_among_others():
     np.testing.assert_allclose(alone[0, :45], every[1, :45], rtol=0, atol=ROUNDING)
 
 
+# elsewhere ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("platform", ["cuda", "tpu"])
+def test_programs_are_lowered_for_devices_that_are_not_here(platform):
+    net, _, runs = bed("coupled, by own output")
+    moving, fixed = eqx.partition(net, jnx.freeze(net))
+
+    def run(moving, runs):
+        return jnx.free_run(eqx.combine(moving, fixed), runs)
+
+    def slope(moving, runs):
+        return jax.grad(lambda moving: loss(eqx.combine(moving, fixed), runs))(moving)
+
+    for function in (run, slope):
+        made = jax.export.export(jax.jit(function), platforms=[platform])(moving, runs)
+        assert made.platforms == (platform,)
+        assert "callback" not in made.mlir_module()
+
+
 # what least squares wants ---------------------------------------------------------
 
 

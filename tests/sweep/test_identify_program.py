@@ -4,6 +4,8 @@ import dataclasses
 import json
 import pickle
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from identify_problems import CASES, METHOD, engine, fleet_of, parts, replaced
@@ -16,6 +18,7 @@ from jaxnarx.models import Gaussians
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify import identify_each, network_of, program
+from jaxnarx.sweep.identify.member import stacked
 from jaxnarx.sweep.identify.rows import score_names
 from jaxnarx.sweep.identify.work import IdentificationWork
 
@@ -244,3 +247,21 @@ def test_work_for_the_run_folder(engines, rows):
         assert again.members[index] | row == rows[index]
     other = IdentificationWork(fleet_of(engines), METHOD, CASES[:1], lanes=LANES)
     assert other.describe() != work.describe()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["cuda", "tpu"])
+def test_the_program_is_lowered_for_devices_that_are_not_here(engines, platform):
+    work = IdentificationWork(fleet_of(engines), METHOD, CASES, lanes=LANES)
+    shape = next(iter(work.frames))
+    members = stacked([work.prepared_for(n, 0).member for n in range(LANES)])
+    settings = stacked([work.settings[0]] * LANES)
+    given = work.frames[shape], members, settings
+    arrays, fixed = eqx.partition(given, eqx.is_array)
+
+    def lanes(arrays):
+        return program.identify_lanes(*eqx.combine(arrays, fixed), at_once=1)
+
+    numbers = lambda *args: eqx.filter(lanes(*args), eqx.is_array)  # noqa: E731
+    made = jax.export.export(jax.jit(numbers), platforms=[platform])(arrays)
+    assert "callback" not in made.mlir_module()
