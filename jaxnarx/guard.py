@@ -88,7 +88,7 @@ def is_fit(value: Any, wanted: Any) -> bool:
     if wanted in _NUMBERS:
         return _is_number(value, wanted)
     if origin is collections.abc.Callable:
-        return callable(value) and not isinstance(value, type) and not _is_noun(value)
+        return callable(value) and not isinstance(value, type)
     if origin in (collections.abc.Mapping, dict):
         return isinstance(value, collections.abc.Mapping) and all(
             is_fit(k, inner[0]) and is_fit(each, inner[1]) for k, each in value.items()
