@@ -71,9 +71,11 @@ def test_the_unit_row_and_the_description_tell_the_unit(tmp_path):
     assert error.field == "time_unit"
 
 
-def test_dates_and_durations_have_units_of_their_own():
-    t = pd.Timestamp("2024-05-31") + pd.to_timedelta(100 * np.arange(9), unit="s")
-    assert timed(t).sample_time == 100
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_dates_and_durations_have_units_of_their_own(unit):
+    since = pd.to_timedelta(100 * np.arange(9), unit="s")
+    for t in (since, pd.Timestamp("2024-05-31") + since):
+        assert timed(t.as_unit(unit)).sample_time == 100
 
 
 # gaps and jitter ------------------------------------------------------------------

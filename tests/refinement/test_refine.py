@@ -287,7 +287,8 @@ def test_validation_ends_a_search_that_no_longer_helps():
     )
     assert solution.status_name == "no_improvement"
     assert solution.is_okay
-    assert solution.stats["steps"] < 40
+    # Nothing gets better: the last stage ends after as many steps as patience says.
+    assert solution.stats["history"][-1]["stage_step"] == 2
     # The start is the true system there: nothing can beat it.
     np.testing.assert_allclose(used(solution.value), used(truth), rtol=0, atol=1e-12)
 
