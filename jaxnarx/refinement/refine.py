@@ -23,7 +23,7 @@ from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import Prepared, fitting
 from jaxnarx.solution import RESULTS, Solution
 
 __all__ = ["make_task", "refine", "refine_task"]
@@ -32,10 +32,10 @@ __all__ = ["make_task", "refine", "refine_task"]
 @guarded
 def refine(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     method: SimulationError | PredictionError | None = None,
     *,
-    validation: Dataset | None = None,
+    validation: Dataset | Prepared | None = None,
     trainable: Network | None = None,
     weights: Sequence[float | int] | None = None,
     deviations: Network | None = None,
@@ -67,7 +67,7 @@ def refine(
 
     Args:
         network: The start.
-        data: Records with its channels, to be trained on.
+        data: Records with its channels, to be trained on, or prepared for it.
         method: `SimulationError` (the default) or `PredictionError`.
         validation: Records that judge each step (default `data`; with `method.folds`
             its groups take turns, see `jaxnarx.data.groups`).

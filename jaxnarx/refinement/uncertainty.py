@@ -33,7 +33,7 @@ from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.noise import OutputNoise, estimate_noise
 from jaxnarx.refinement.refine import Task, make_task
 from jaxnarx.shown import aligned, page
-from jaxnarx.simulation import fitting, has_diverged, run
+from jaxnarx.simulation import Prepared, fitting, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
 ROUNDINGS = 4096
@@ -105,7 +105,7 @@ class Uncertainty:
 @guarded
 def uncertainty(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     trainable: Network | None = None,
     noise: str = "white",

@@ -247,10 +247,10 @@ def test_programs_are_lowered_for_devices_that_are_not_here(platform):
 
 
 def test_the_residual_is_the_loss_of_refine():
-    net, data, runs = bed("coupled, by own output")
+    net, _, runs = bed("coupled, by own output")
     errors = eqx.filter_jit(jnx.residual)(net, runs)
     step = jnx.SimulationError(max_steps=1, horizons=())
-    history = jnx.refine(net, data, step).stats["history"]
+    history = jnx.refine(net, runs, step, validation=runs).stats["history"]
     y = np.asarray(eqx.filter_jit(jnx.free_run)(net, runs))
     nrmse = jnx.metrics.nrmse(*map(np.asarray, (runs.measured, y, runs.scored)))
     np.testing.assert_allclose(np.sum(np.asarray(errors) ** 2), np.mean(nrmse**2))
