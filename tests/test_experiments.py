@@ -205,8 +205,6 @@ def test_simulation_with_peers_that_may_be_missing(tmp_path):
     for one in length["rounds"]:
         # Both gradients and both runs are the same numbers by other orders of sums.
         assert one["jaxnarx"]["gradient_difference"] < 1e-9
-        assert one["jaxnarx"]["newton"]["converged"]
-        assert one["jaxnarx"]["newton"]["largest_difference"] < 1e-9
         assert one.get("numba", {}).get("largest_difference", 0.0) < 1e-9
     assert figures["search"]["programs"] == 1
     assert figures["normal_equations"]["parameters"] == 100
