@@ -27,6 +27,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+__all__ = ["fit", "nmse", "nrmse", "r2", "rmse", "scores"]
+
 F = TypeVar("F", bound=Callable[..., Any])
 Array = np.ndarray | jax.Array
 
@@ -36,14 +38,13 @@ def _compiled(metric: F) -> F:
     program = jax.jit(metric)
 
     @functools.wraps(metric)
-    def call(*args):
-        traced = any(isinstance(a, jax.Array) for a in args)
-        return program(*args) if traced else metric(*args)
+    def call(*args, **kwargs):
+        given = (*args, *kwargs.values())
+        ours = program if any(isinstance(a, jax.Array) for a in given) else metric
+        return ours(*args, **kwargs)
 
     return typing.cast(F, call)
 
-
-__all__ = ["fit", "nmse", "nrmse", "r2", "rmse", "scores"]
 
 PERFECT = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
 """The metrics in the order in which they are shown, with the value of a perfect fit."""

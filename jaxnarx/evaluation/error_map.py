@@ -18,7 +18,7 @@ from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.shown import page
-from jaxnarx.simulation import Prepared, batched, dataset_of, fitting, prepare, simulate
+from jaxnarx.simulation import Prepared, batched, prepared, simulate
 
 CELLS = 12
 """Cells along each variable."""
@@ -92,7 +92,7 @@ class ErrorMap:
 @guarded
 def error_map(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     over: Sequence[str] | None = None,
     output: str | None = None,
@@ -113,11 +113,11 @@ def error_map(
         found = jnx.evaluation.error_map(network, data, over=("a", "b"))
         print(found.rms.shape, int(found.samples.sum()))
     """
-    runs = prepare(network, dataset_of(data))
+    runs, origin = prepared(network, data)
     name = network.output_names[0] if output is None else output
     known_name(name, network.output_names, "output", f"no model of output {name!r}")
     samples = collect(
-        fitting(network, runs),
+        origin.matched,
         network.output_channels,
         simulate(network, runs).value,
     )

@@ -54,6 +54,7 @@ from jaxnarx.models.network import OutputModel as OutputModel
 from jaxnarx.models.observer import PRIOR as PRIOR
 from jaxnarx.models.observer import hidden_start as hidden_start
 from jaxnarx.models.observer import scales as scales
+from jaxnarx.models.observer import with_hidden_start as with_hidden_start
 from jaxnarx.models.outside import FLAG as FLAG
 from jaxnarx.models.outside import HOLD as HOLD
 from jaxnarx.models.outside import LINEAR as LINEAR
@@ -69,8 +70,8 @@ from jaxnarx.models.record_run import run_states as run_states
 from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
+from jaxnarx.models.state import driving as driving
 from jaxnarx.models.state_form import StateForm as StateForm
-from jaxnarx.models.state_form import driving as driving
 from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about

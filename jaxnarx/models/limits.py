@@ -194,8 +194,8 @@ def within_margin(
     outputs: Float[Array, "*rows outputs"],
     overshoots: Float[Array, "*rows"],
 ) -> Float[Array, "*rows outputs"]:
-    """What is reported of computed outputs (physical units) at these overshoots of the
-    inputs; as `reported`, and can be traced."""
+    """Computed outputs (physical units) held to their ranges, at these overshoots of
+    the inputs; as `reported`, and can be traced."""
     if network.hold is None:
         return outputs
     own = np.array(network.signals)[: len(network.modelled)]

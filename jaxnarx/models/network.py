@@ -381,6 +381,8 @@ class Network(eqx.Module):
                 start of the result, and hidden channels begin with what fits them best.
                 Or a state (`init`, `step`), `"steady"`, at rest under the first inputs,
                 or `"zeros"`, outputs that were zero and inputs that were the first.
+                Whether a state of rest was found `StateForm.equilibrium` tells; where
+                none is, the run begins where the search for it ended.
 
         Example:
             y = network(u, y_measured)

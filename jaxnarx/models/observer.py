@@ -1,4 +1,4 @@
-"""What hidden channels start from: the values that fit the measured outputs best.
+"""Hidden channels start from the values that fit the measured outputs best.
 
 Nobody measures them, so a run that is to begin at sample t takes the values s before t
 with which its outputs y come nearest to the measured ones over a window of w samples,
@@ -69,6 +69,25 @@ def hidden_start(
     s = _least(residual, jnp.asarray(starts)[jnp.argmin(losses)])
     begin, y = outputs(s)
     return begin, y[-1, count:]
+
+
+def with_hidden_start(
+    network: Network,
+    v: Float[Array, "vars time"],
+    x: tuple[Float[Array, "_ time"], ...],
+    measured: Float[Array, "time outputs"],
+    known: Bool[Array, "time outputs"],
+    start: Int[Array, ""],
+) -> Float[Array, "time outputs"]:
+    """The scaled outputs of a record with the hidden channels' values before sample
+    `start`; zeros where there is no such sample (`start` is the record's length)."""
+    lags, count = depth(network), len(network.modelled)
+    found, _ = hidden_start(network, v, x, measured, known, start)
+    row = jnp.clip(start - lags, 0, measured.shape[0] - lags)
+    block = jax.lax.dynamic_slice_in_dim(measured, row, lags)
+    there = start < measured.shape[0]
+    block = block.at[:, count:].set(jnp.where(there, found, 0.0))
+    return jax.lax.dynamic_update_slice_in_dim(measured, block, row, 0)
 
 
 def scales(

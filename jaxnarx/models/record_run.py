@@ -58,8 +58,8 @@ def run_states(
     measured: Float[Array, "time outputs"],
     anchor: Bool[Array, " time"],
 ) -> Float[Array, "time states"]:
-    """What the loop of a run carries: the outputs, and those of local models that have
-    feedback of their own (`jaxnarx.models.feedback`)."""
+    """All that the loop of a run carries: the outputs, and those of local models that
+    have feedback of their own (`jaxnarx.models.feedback`)."""
     bounds = widened(network, network.lower), widened(network, network.upper)
     inputs, start = recursion(network, v, x), widened(network, measured)
     return free_run(*inputs, start, anchor, *bounds, depth=depth(network))

@@ -116,19 +116,19 @@ class AnySolver:
         self.scaled = scaled(stage.problem, s.state)
         w = jnp.zeros_like(self.scaled.origin)
         self.start = dataclasses.replace(
-            s, state=(w, self._begun(w), False), damping=0.0
+            s, state=(w, self._begin(w), False), damping=0.0
         )
 
-    def _begun(self, w: Array) -> Any:
+    def _begin(self, w: Array) -> Any:
         """The solver's state before its first step."""
 
         @eqx.filter_jit
-        def begun(solver, w, s):
+        def begin(solver, w, s):
             shape, _ = jax.eval_shape(self.function, w, s)
             with jax.numpy_dtype_promotion("standard"):
                 return solver.init(self.function, w, s, {}, shape, None, frozenset())
 
-        return begun(self.solver, w, self.scaled)
+        return begin(self.solver, w, self.scaled)
 
     def step(self, s: Standing) -> Standing:
         """One accepted step; `stalled` when the solver finds no other point."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays.programs import program
-from jaxnarx.models import Network, depth, hidden_start
+from jaxnarx.models import Network, depth, hidden_start, with_hidden_start
 from jaxnarx.simulation.runs import RunInputs
 
 BATCH = 256
@@ -39,16 +39,8 @@ def observed(network: Network, drive: RunInputs) -> RunInputs:
 def _begun(
     network: Network, drive: RunInputs, start: Int[Array, " records"]
 ) -> Float[Array, "records time outputs"]:
-    lags, count = depth(network), len(network.modelled)
-
     def one(record):
-        v, x, measured, known, start = record
-        found, _ = hidden_start(network, v, x, measured, known, start)
-        row = jnp.clip(start - lags, 0, measured.shape[0] - lags)
-        block = jax.lax.dynamic_slice_in_dim(measured, row, lags)
-        there = start < measured.shape[0]
-        block = block.at[:, count:].set(jnp.where(there, found, 0.0))
-        return jax.lax.dynamic_update_slice_in_dim(measured, block, row, 0)
+        return with_hidden_start(network, *record)
 
     each = drive.v, drive.x, drive.measured, drive.known, start
     return jax.lax.map(one, each)

@@ -120,7 +120,7 @@ _ARRAYS = ("signals", "valid", "scored", *_MASKS, "drive")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PreparedFrom:
-    """What a `Prepared` was made of: the records, and the network's part in it."""
+    """The records that a `Prepared` was made of, and the network's part in it."""
 
     data: Dataset
     """The records as they were given."""
@@ -212,13 +212,7 @@ def prepared(
     """
     if not isinstance(data, Prepared):
         data = prepare(network, data)
-    origin = data.origin
-    if origin is None:
-        raise SpecError(
-            "these prepared records have been through a transformation and know no "
-            "names any more; give the verbs what prepare returned",
-            field="data",
-        )
+    origin = _origin_of(data)
     require_finite(network)
     same = origin.structure == _structure(network) and all(
         map(np.array_equal, origin.scales, _scales(network))
@@ -234,15 +228,17 @@ def prepared(
 
 def dataset_of(data: Dataset | Prepared) -> Dataset:
     """The records of what is either."""
-    if not isinstance(data, Prepared):
-        return data
+    return _origin_of(data).data if isinstance(data, Prepared) else data
+
+
+def _origin_of(data: Prepared) -> PreparedFrom:
     if data.origin is None:
         raise SpecError(
             "these prepared records have been through a transformation and know no "
             "names any more; give the verbs what prepare returned",
             field="data",
         )
-    return data.origin.data
+    return data.origin
 
 
 def _structure(network: Network) -> tuple:

@@ -1,0 +1,294 @@
+"""The state of a network: all that it remembers before a sample, and how it moves on.
+
+In physical units: the last values of the inputs and outputs a network looks back at,
+the states of its filters, the last values of its hidden channels and of local models
+with feedback of their own, and, where its outputs are held to their ranges, by how much
+the inputs have overshot theirs. `state_names` tells which entry is which. Pure
+functions; `jaxnarx.models.state_form` runs and linearises networks by them.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxnarx.errors import SpecError
+from jaxnarx.models.feedback import advance, depth, sources, widened
+from jaxnarx.models.limits import beyond_range, fading, within_margin
+from jaxnarx.models.network import Network
+from jaxnarx.models.outside import HOLD, LINEAR
+from jaxnarx.regressors import (
+    AbstractFilter,
+    FilterSystem,
+    filter_table,
+    filter_text,
+    system_of,
+    variable_name,
+)
+
+Arrays = Array | np.ndarray
+
+
+class Past(NamedTuple):
+    """All that a network remembers, by kind; physical units.
+
+    `raw` has the last values of each signal it is driven by, newest first; `filters`
+    the state of each filter and the earlier values of its output; of a network that
+    goes on to first order beyond its ranges, `far` the same for how far the inputs have
+    been beyond them. `loop` has the last values of all that the recursion carries.
+    """
+
+    raw: tuple[Float[Array, " lags"], ...]
+    filters: tuple[tuple[Float[Array, " states"], Float[Array, " lags"]], ...]
+    far: tuple[tuple[Float[Array, " states"], Float[Array, " lags"]], ...]
+    loop: Float[Array, "states depth"]
+    overshoot: Float[Array, " one"]
+
+
+class LookedBack(NamedTuple):
+    """How long a network remembers what: `raw` (signal, lags), `filtered` (signal,
+    filter, lags); static."""
+
+    raw: tuple[tuple[int, int], ...]
+    filtered: tuple[tuple[int, AbstractFilter, int], ...]
+
+    @property
+    def place(self) -> dict[int, int]:
+        """Where each signal stands among the raw ones."""
+        return {s: n for n, (s, _) in enumerate(self.raw)}
+
+
+def driving(network: Network) -> tuple[int, ...]:
+    """Signals that drive a network: its inputs, then outputs it does not compute but
+    looks at. The columns of `u`."""
+    inputs = range(len(network.channels.inputs))
+    return (*inputs, *(s for s in network.used if s not in inputs))
+
+
+def memory(network: Network) -> LookedBack:
+    """How far back a network looks at which signal, static."""
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    raw = dict.fromkeys(driving(network), 0)
+    filtered: dict[tuple[int, AbstractFilter], int] = {}
+    for table in tables:
+        for s, lag, filter_ in table.entries:
+            if s in network.signals:
+                continue
+            if filter_ is None:
+                raw[s] = max(raw[s], lag)
+            else:
+                filtered[s, filter_] = max(filtered.get((s, filter_), 0), lag)
+    return LookedBack(
+        tuple(raw.items()), tuple((s, f, lag) for (s, f), lag in filtered.items())
+    )
+
+
+def filters_of(network: Network) -> list[FilterSystem]:
+    """The filters that a network's inputs pass, as discrete systems."""
+    every = [filter_table((f,))[0] for _, f, _ in memory(network).filtered]
+    return [system_of(row, jnp.asarray(network.sample_time)) for row in every]
+
+
+def _moves(filter_: AbstractFilter) -> np.ndarray:
+    """Places of the states that move: the second one of a real pole rests."""
+    places = [
+        2 * n + which
+        for n, pole in enumerate(filter_.sections)
+        for which in range(2 if complex(pole).imag else 1)
+    ]
+    return np.array(places, int)
+
+
+def loop_gain(network: Network) -> Float[Array, " states"]:
+    """The gain of each entry of the loop's state."""
+    return network.gain[np.array(network.signals)[sources(network)]]
+
+
+def _hold_inputs(
+    network: Network, u: Float[Array, " driving"]
+) -> Float[Array, " driving"]:
+    return network.within(u, np.array(driving(network), int))
+
+
+def at_rest(
+    network: Network, u: Float[Array, " driving"], loop: Float[Array, " states"]
+) -> Past:
+    """The memory after these values have been constant for ever."""
+    found = memory(network)
+    place, held = found.place, _hold_inputs(network, u)
+
+    def bank(values):
+        rows = []
+        for (s, f, lags), system in zip(
+            found.filtered, filters_of(network), strict=True
+        ):
+            state = system.rest * values[place[s]]
+            rows.append(
+                (
+                    state[_moves(f)],
+                    jnp.broadcast_to(jnp.sum(system.c * state), (max(lags - 1, 0),)),
+                )
+            )
+        return tuple(rows)
+
+    raw = tuple(jnp.broadcast_to(u[place[s]], (lags,)) for s, lags in found.raw)
+    past = jnp.broadcast_to(loop[:, None], (len(loop), depth(network)))
+    far = bank(u - held) if network.outside == LINEAR else ()
+    return Past(raw, bank(held), far, past, _overshoot_at(network, u))
+
+
+def has_overshoot(network: Network) -> bool:
+    """Whether a state tells how far inputs have overshot their ranges."""
+    return network.hold is not None and network.outside != HOLD
+
+
+def _overshoot_at(network: Network, u: Float[Array, " driving"]) -> Array:
+    """The overshoot of these inputs; one entry, or none where nothing is held."""
+    if not has_overshoot(network):
+        return jnp.zeros((0,), u.dtype)
+    return beyond_range(network, u[: len(network.channels.inputs)])[None]
+
+
+class Fixed(NamedTuple):
+    """The filters, and the share of an overshoot that is left a sample later: all
+    samples of a run have them in common."""
+
+    systems: list[FilterSystem]
+    rate: Float[Arrays, ""]
+
+
+def rate_of(network: Network) -> Float[Arrays, ""]:
+    """The share of an overshoot that is left a sample later; one without any."""
+    value = fading(network) if has_overshoot(network) else 1.0
+    return jnp.asarray(value, network.gain.dtype)
+
+
+def advanced(
+    network: Network,
+    past: Past,
+    u: Float[Array, " driving"],
+    fixed: Fixed,
+    measured: Float[Array, " states"] | None = None,
+) -> tuple[Past, Float[Array, " outputs"]]:
+    """The memory after a sample, and the outputs at it.
+
+    With `measured` (physical) these are remembered in place of what is computed.
+    """
+    found, held, systems = memory(network), _hold_inputs(network, u), fixed.systems
+    filters, values = _filtered(found, systems, past.filters, held)
+    far, beyond = past.far, {}
+    if network.outside == LINEAR:
+        far, beyond = _filtered(found, systems, past.far, u - held)
+    for n, (s, _) in enumerate(found.raw):
+        line = jnp.concatenate([u[n : n + 1], past.raw[n]])
+        kept = network.within(line[:, None], np.array([s]))[:, 0]
+        for lag in range(len(line)):
+            values[s, lag, None] = kept[lag]
+            beyond[s, lag, None] = line[lag] - kept[lag]
+    zero = jnp.zeros((), u.dtype)
+
+    def table(variables, source):
+        rows = [source.get(entry, zero) for entry in variables.entries]
+        return jnp.stack(rows) if rows else jnp.zeros((0,), u.dtype)
+
+    gain = network.gain[network.variables.signal] if len(network.variables) else 1.0
+    v = [jnp.ones((1,), u.dtype), table(network.variables, values) / gain]
+    if network.outside == LINEAR:
+        v.append(table(network.variables, beyond) / gain)
+    x = tuple(table(m.scheduling, values) for m in network.models)
+    size = loop_gain(network)
+    y = advance(network, jnp.concatenate(v), x, past.loop / size[:, None])
+    lower, upper = (widened(network, b) for b in (network.lower, network.upper))
+    y = jnp.clip(y, lower, upper) * size
+    now = y if measured is None else measured
+    over = jnp.maximum(_overshoot_at(network, u), fixed.rate * past.overshoot)
+    raw = tuple(
+        jnp.concatenate([u[n : n + 1], line])[: len(line)]
+        for n, line in enumerate(past.raw)
+    )
+    loop = jnp.concatenate([now[:, None], past.loop[:, :-1]], axis=1)
+    outputs = y[: len(network.modelled)]
+    if network.hold is not None:
+        outputs = within_margin(network, outputs, over[0] if len(over) else zero)
+    return Past(raw, filters, far, loop, over), outputs
+
+
+def _filtered(
+    found: LookedBack, systems: list[FilterSystem], bank: tuple, values: Array
+) -> tuple[tuple, dict]:
+    """Filters with these values taken in; their outputs by (signal, lag, filter)."""
+    rows, seen, place = [], {}, found.place
+    for (s, f, lags), system, (state, line) in zip(
+        found.filtered, systems, bank, strict=True
+    ):
+        at = _moves(f)
+        whole = jnp.zeros(system.b.shape, state.dtype).at[at].set(state)
+        new, y = system.step(whole, values[place[s]])
+        outputs = jnp.concatenate([y[None], jnp.sum(system.c * whole)[None], line])
+        seen |= {(s, lag, f): outputs[lag] for lag in range(lags + 1)}
+        rows.append((new[at], outputs[1 : 1 + len(line)]))
+    return tuple(rows), seen
+
+
+def split(network: Network, x: Float[Array, " states"]) -> Past:
+    """The entries of a state by kind."""
+    found, size = memory(network), len(state_names(network))
+    if x.shape != (size,):
+        raise SpecError(
+            f"the state has the shape {x.shape}, that of this network {size} entries; "
+            "make it with network.init",
+            field="state",
+        )
+    ends = [0]
+
+    def take(size: int) -> Array:
+        ends.append(ends[-1] + size)
+        return x[ends[-2] : ends[-1]]
+
+    def bank():
+        return tuple(
+            (take(len(_moves(f))), take(max(lags - 1, 0)))
+            for _, f, lags in found.filtered
+        )
+
+    raw = tuple(take(lags) for _, lags in found.raw)
+    filters = bank()
+    far = bank() if network.outside == LINEAR else ()
+    shape = len(sources(network)), depth(network)
+    loop = take(shape[0] * shape[1]).reshape(shape)
+    over = take(1 if has_overshoot(network) else 0)
+    return Past(raw, filters, far, loop, over)
+
+
+def joined(past: Past) -> Float[Array, " states"]:
+    """A state as one vector."""
+    return jnp.concatenate([leaf.reshape(-1) for leaf in jax.tree.leaves(past)])
+
+
+def state_names(network: Network) -> list[str]:
+    """A name for each entry of a state, as `speed[t-1]`."""
+    found, channels = memory(network), network.channels
+    rows = [(s, d + 1) for s, lags in found.raw for d in range(lags)]
+    names = [variable_name(channels, *row) for row in rows]
+    banks = [""] + [" beyond the range"] * (network.outside == LINEAR)
+    for suffix in banks:
+        for s, f, lags in found.filtered:
+            text = filter_text(f, channels.names[s])
+            own = [f"{text} state {n + 1}" for n in range(len(_moves(f)))]
+            own += [variable_name(channels, s, d, f) for d in range(2, lags + 1)]
+            names += [name + suffix for name in own]
+    groups: dict[int, int] = {}
+    for n, o in enumerate(sources(network).tolist()):
+        name = network.computed_names[o]
+        if n >= len(network.models):
+            groups[o] = groups.get(o, 0) + 1
+            name = f"{name}_{groups[o]}"
+        names += [f"{name}[t-{d + 1}]" for d in range(depth(network))]
+    return names + ["overshoot"] * has_overshoot(network)
+
+
+def fixed_of(network: Network, rate: Array) -> Fixed:
+    """All that the samples of a run share, see `Fixed`."""
+    return Fixed(filters_of(network), rate)
