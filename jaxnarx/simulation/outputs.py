@@ -157,6 +157,7 @@ def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
     return jnp.where(runs.first >= runs.end, TOO_SHORT, code)
 
 
+@guarded
 def stack(networks: Sequence[Network]) -> Network:
     """Networks of one structure as one whose arrays have a leading axis, for `vmap`.
 
@@ -166,7 +167,7 @@ def stack(networks: Sequence[Network]) -> Network:
         fleet = jnx.stack([network, network])
         y = eqx.filter_vmap(jnx.free_run, in_axes=(0, None))(fleet, runs)
     """
-    if not networks:
+    if len(networks) == 0:
         raise SpecError("there are no networks to be stacked", field="networks")
     first, *others = networks
     shape = _shape(first)
@@ -189,12 +190,14 @@ def _stacked(leaves: Sequence[Array]) -> Array:
 
 @guarded
 def unstack(network: Network) -> list[Network]:
-    """The networks that were stacked, see `stack`.
+    """The networks that were stacked, see `stack`; `SpecError` where none were.
 
     Example:
         first, second = jnx.unstack(jnx.stack([network, network]))
     """
-    count = int(network.sample_time.shape[0])
+    if np.ndim(network.sample_time) == 0:
+        raise SpecError("unstack: network is one, not a stack", field="network")
+    count = network.sample_time.shape[0]
     leaves, tree = jax.tree.flatten(network)
     if not any(isinstance(leaf, Tracer) for leaf in leaves):
         leaves = [np.asarray(leaf) for leaf in leaves]

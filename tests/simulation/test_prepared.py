@@ -214,6 +214,8 @@ def test_only_networks_of_one_structure_are_stacked():
         jnx.stack([one, other])
     with pytest.raises(SpecError, match="no networks"):
         jnx.stack([])
+    with pytest.raises(SpecError, match="not a stack"):
+        jnx.unstack(one)
 
 
 def test_a_record_alone_is_that_record_among_others():
