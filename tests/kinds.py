@@ -10,11 +10,21 @@ import numpy as np
 from common import KINDS, A, B
 
 from jaxnarx.data import Dataset
-from jaxnarx.models import Network, hold_to_range
-from jaxnarx.regressors import Kautz, LowPass, Variables
+from jaxnarx.models import (
+    Network,
+    SigmoidTree,
+    assemble,
+    global_model,
+    hold_to_range,
+    local_models,
+    output_model,
+    total,
+)
+from jaxnarx.regressors import Kautz, LowPass, Variables, polynomial_pool
 
 EVERY = (
-    *(*KINDS, "own feedback", "filters", "filters beyond", "linear", "hold", "hidden"),
+    *(*KINDS, "own feedback", "sum", "filters"),
+    *("filters beyond", "linear", "hold", "nan", "hidden"),
 )
 TIME = 45
 
@@ -61,6 +71,47 @@ def narrow(net: Network, outside: str) -> Network:
     return hold_to_range(net, 0.02, outside=outside)
 
 
+def sum_part(data: Dataset, gain, seed: int, *, leaves: int, order: int) -> Network:
+    """A tree of gates for `y`: products of inputs at lags of its own, linear
+    feedback of this order."""
+    rng = np.random.default_rng(seed)
+    pool = polynomial_pool(
+        data.channels,
+        outputs=["y"],
+        input_lags={"a": (0, seed), "b": (1,)},
+        output_lags=tuple(range(1, order + 1)),
+        degree=2,
+        filters={"b": [LowPass(0.5 * seed)]},
+    )
+    theta = 0.04 * rng.normal(size=(leaves, len(pool)))  # far from the bounds
+    if leaves == 1:
+        model = global_model(pool.factor, theta[0])
+    else:
+        # Leaf after leaf is cut off; scheduling of its own, and scales of its own.
+        gates = leaves - 1
+        path = np.tril(np.ones((leaves, gates), np.int32), -1) - np.eye(
+            leaves, gates, dtype=np.int32
+        )
+        fields = rng.normal(size=(gates, 2)), rng.uniform(size=gates), np.ones(gates)
+        table = Variables.of([(0, seed, None), (1, 0, None)])
+        local = local_models(pool.factor, theta)
+        tree = SigmoidTree(*jax.device_put((*fields, path)))
+        scales = rng.uniform(-1, 1, 2), rng.uniform(1, 2, 2)
+        model = output_model(local, tree, table, *scales)
+    # Reported outputs are not held: a sum within limits is no sum of parts within them.
+    return hold_to_range(assemble(pool, data, gain, [model]), None)
+
+
+def summed(data: Dataset) -> Network:
+    """A tree of three regions and one of two, whose gates are 1 to 2 as shares."""
+    gain = np.array([1.0, 0.5, 2.0, 1.0])
+    parts = [
+        sum_part(data, gain, 1, leaves=3, order=2),
+        sum_part(data, gain, 3, leaves=2, order=1),
+    ]
+    return total(parts, (1.0, 2.0))
+
+
 @cache
 def problem(name: str) -> tuple[Network, Dataset]:
     """A network and one record of its channels."""
@@ -72,6 +123,8 @@ def problem(name: str) -> tuple[Network, Dataset]:
         return common.named(name), data
     if name == "own feedback":
         return own_feedback("both"), data
+    if name == "sum":
+        return summed(data), data
     net = common.named("by inputs")
     if name == "filters":
         return filtered(net), data

@@ -7,25 +7,15 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from kinds import sum_part
 from test_own_feedback import same
 
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost
-from jaxnarx.models import (
-    Network,
-    SigmoidTree,
-    assemble,
-    global_model,
-    hold_to_range,
-    load,
-    local_models,
-    output_model,
-    save,
-    total,
-)
-from jaxnarx.regressors import LowPass, Variables, polynomial_pool
+from jaxnarx.models import Network, load, save, total
+from jaxnarx.regressors import Variables
 
 GAIN = np.array([2.0, 0.5, 4.0])
 SHARE = 0.5, 0.2, 0.3
@@ -41,42 +31,12 @@ def data() -> Dataset:
     )
 
 
-def network(data: Dataset, seed: int, *, leaves: int, order: int) -> Network:
-    """Products of inputs at lags of its own, linear feedback of this order."""
-    rng = np.random.default_rng(seed)
-    pool = polynomial_pool(
-        data.channels,
-        outputs=["y"],
-        input_lags={"a": (0, seed), "b": (1,)},
-        output_lags=tuple(range(1, order + 1)),
-        degree=2,
-        filters={"b": [LowPass(0.5 * seed)]},
-    )
-    theta = 0.04 * rng.normal(size=(leaves, len(pool)))  # far from the bounds
-    if leaves == 1:
-        model = global_model(pool.factor, theta[0])
-    else:
-        # Leaf after leaf is cut off; scheduling of its own, and scales of its own.
-        gates = leaves - 1
-        path = np.tril(np.ones((leaves, gates), np.int32), -1) - np.eye(
-            leaves, gates, dtype=np.int32
-        )
-        fields = rng.normal(size=(gates, 2)), rng.uniform(size=gates), np.ones(gates)
-        table = Variables.of([(0, seed, None), (1, 0, None)])
-        local = local_models(pool.factor, theta)
-        tree = SigmoidTree(*jax.device_put((*fields, path)))
-        scales = rng.uniform(-1, 1, 2), rng.uniform(1, 2, 2)
-        model = output_model(local, tree, table, *scales)
-    # Reported outputs are not held: a sum within limits is no sum of parts within them.
-    return hold_to_range(assemble(pool, data, GAIN, [model]), None)
-
-
 @pytest.fixture(scope="module")
 def parts(data) -> list[Network]:
     return [
-        network(data, 1, leaves=3, order=2),
-        network(data, 2, leaves=1, order=0),
-        network(data, 3, leaves=2, order=1),
+        sum_part(data, GAIN, 1, leaves=3, order=2),
+        sum_part(data, GAIN, 2, leaves=1, order=0),
+        sum_part(data, GAIN, 3, leaves=2, order=1),
     ]
 
 
