@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, Fleet
 from jaxnarx.methods import (
     ForwardOLS,
     Identification,
@@ -13,7 +13,6 @@ from jaxnarx.methods import (
     SimulationError,
 )
 from jaxnarx.methods.settings import changed
-from jaxnarx.sweep.fleet import Fleet
 
 METHOD = Identification(
     pool=Polynomial(input_lags=(0, 1), output_lags=(1, 2), degree=2),

@@ -20,6 +20,9 @@ from jaxnarx.data.files import read_files as read_files
 from jaxnarx.data.files import read_split as read_split
 from jaxnarx.data.findings import Finding as Finding
 from jaxnarx.data.findings import Findings as Findings
+from jaxnarx.data.fleet import PARTS as PARTS
+from jaxnarx.data.fleet import Fleet as Fleet
+from jaxnarx.data.fleet import Padded as Padded
 from jaxnarx.data.groups import Fold as Fold
 from jaxnarx.data.groups import Groups as Groups
 from jaxnarx.data.groups import groups as groups

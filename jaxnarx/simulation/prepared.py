@@ -4,13 +4,15 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.programs import program
+from jaxnarx.arrays.sizes import bucket
 from jaxnarx.checks import choice
-from jaxnarx.data import Dataset, match_channels
-from jaxnarx.data.batch import Batch, stack
+from jaxnarx.data import Dataset, Fleet, match_channels
+from jaxnarx.data.batch import Batch, check_precision, stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import HOLD, Gaps, Network, driving, hold_missing
@@ -29,7 +31,8 @@ class Prepared:
 
     Records are padded to one length; what is padding is not `scored`. It can be given
     wherever a `Dataset` can, as long as it is what `prepare` returned: one that has
-    been through a transformation (`jit`, `vmap`, `tree.map`) is arrays alone.
+    been through a transformation (`jit`, `vmap`, `tree.map`) is arrays alone, and so is
+    that of a fleet, whose arrays have the members as a leading axis, for `vmap`.
 
     Attributes:
         signals: (records, time, signals), measured, physical units.
@@ -42,13 +45,13 @@ class Prepared:
         drive: What is computed of the signals before any run, scaled.
     """
 
-    signals: Float[Array, "records time signals"]
-    valid: Bool[Array, "records time signals"]
-    scored: Bool[Array, "records time outputs"]
-    start: Int[Array, " records"]
-    first: Int[Array, " records"]
-    end: Int[Array, " records"]
-    anchors: Bool[Array, "records time"]
+    signals: Float[Array, "*members records time signals"]
+    valid: Bool[Array, "*members records time signals"]
+    scored: Bool[Array, "*members records time outputs"]
+    start: Int[Array, "*members records"]
+    first: Int[Array, "*members records"]
+    end: Int[Array, "*members records"]
+    anchors: Bool[Array, "*members records time"]
     drive: RunInputs
     columns: tuple[tuple[int, ...], tuple[int, ...]]
     """Signals that drive the network, and those of the outputs it models."""
@@ -70,12 +73,12 @@ class Prepared:
         return made
 
     @property
-    def inputs(self) -> Float[Array, "records time inputs"]:
+    def inputs(self) -> Float[Array, "*members records time inputs"]:
         """What drives the network, physical units: the columns of its call."""
         return self.signals[..., np.array(self.columns[0], int)]
 
     @property
-    def measured(self) -> Float[Array, "records time outputs"]:
+    def measured(self) -> Float[Array, "*members records time outputs"]:
         """Measured outputs that the network models, physical units."""
         return self.signals[..., np.array(self.columns[1], int)]
 
@@ -96,10 +99,11 @@ class Prepared:
         return dataclasses.replace(self, signals=signals, drive=drive, origin=None)
 
     def __str__(self) -> str:
-        records, time = self.anchors.shape[-2:]
+        *members, records, time = self.anchors.shape
         outputs = self.scored.shape[-1]
+        many = f"{members[0]} members, each with " if members else ""
         return (
-            f"Prepared: {records} records of up to {time} samples, "
+            f"Prepared: {many}{records} records of up to {time} samples, "
             f"{self.signals.shape[-1]} signals, {outputs} outputs"
         )
 
@@ -133,7 +137,9 @@ class PreparedFrom:
 
 
 @guarded
-def prepare(network: Network, data: Dataset) -> Prepared:
+def prepare(
+    network: Network, data: Dataset | Fleet, *, part: str = "train"
+) -> Prepared:
     """Bring records to a network: match, stack, mask, filter and scale them, once.
 
     The result drives the array functions, which can be traced (`free_run`,
@@ -144,20 +150,88 @@ def prepare(network: Network, data: Dataset) -> Prepared:
     Channels are matched by name; `SpecError` for another sample time and for
     parameters that are not finite, `DataError` where no record can be run.
 
+    A fleet is prepared for one network, or for a stack of one for every member
+    (`jnx.stack`), and has the network's channels in its order. A member without usable
+    records has the status `too_short` (`run_status`).
+
     Args:
-        network: The model.
-        data: Records with its channels, at its sample time.
+        network: The model, or of a fleet one for every member, stacked.
+        data: Records with its channels, at its sample time; or a fleet of such.
+        part: Which records of a fleet, "train", "validation" or "test".
 
     Returns:
-        The `Prepared` records.
+        The `Prepared` records; of a fleet with the members as a leading axis.
 
     Example:
         runs = jnx.prepare(network, data)
         y = jnx.free_run(network, runs)
         error = jnx.metrics.nrmse(runs.measured, y, runs.scored)
+
+        fleet = jnx.Fleet.from_datasets({"one": data, "other": data}, train=slice(None))
+        every = jnx.prepare(network, fleet)
+        y = eqx.filter_vmap(jnx.free_run, in_axes=(None, 0))(network, every)
     """
+    if isinstance(data, Fleet):
+        return _of_fleet(network, data, part)
     matched = fitting(network, data)
     return made_of(network, data, matched, stack(matched))
+
+
+def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
+    """All members side by side."""
+    choice(part, tuple(fleet.parts), "part")
+    if network.channels.measured != fleet.channels:
+        raise SpecError(
+            "the fleet's channels are not the network's, "
+            f"{', '.join(network.channels.measured.names)}; make the fleet of datasets "
+            "with these, in this order and in the same units",
+            field="data",
+        )
+    members = len(fleet)
+    if np.shape(network.sample_time) not in ((), (members,)):
+        raise SpecError(
+            f"a fleet of {members} members needs one network, or a stack of "
+            f"{members}; this is a stack of {len(network.sample_time)}",
+            field="network",
+        )
+    _require_same_sample_time(network, fleet.sample_time)
+    require_finite(network)
+    padded = fleet.parts[part]
+    _, records, time, _ = padded.signals.shape
+    padded = padded.widened(records, bucket(time))
+    check_precision(padded.signals.dtype)
+    flat = (-1, *padded.signals.shape[2:])
+    signals = jax.device_put(padded.signals.reshape(flat))
+    batch = Batch(signals, padded.valid.reshape(flat))
+    host = _host(network, batch, make_masks(network, batch, network.window))
+    if not host["scored"].any():
+        raise DataError(
+            f"no record of the fleet can be run: the model needs {network.before} "
+            "valid measured samples to start from"
+        )
+    given = host | {"signals": batch.signals}
+    many = {k: a.reshape(members, records, *a.shape[1:]) for k, a in given.items()}
+    ready = jax.device_put(many)
+    drive = _drive_each(network, ready["signals"], ready["valid"])
+    return Prepared(drive=drive, columns=_columns(network), **ready)
+
+
+@program
+def _drive_each(network: Network, signals: Array, valid: Array) -> RunInputs:
+    """`drive_of` every member, by its own network where these are stacked."""
+    own = 0 if jnp.ndim(network.sample_time) else None
+    return eqx.filter_vmap(drive_of, in_axes=(own, 0, 0))(network, signals, valid)
+
+
+def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    return driving(network), tuple(network.signals[: len(network.modelled)])
+
+
+def _host(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:
+    """What of prepared records is known without a program."""
+    scored = np.ascontiguousarray(masks.scored[..., : len(network.modelled)])
+    own = {name: getattr(masks, name) for name in _MASKS}
+    return {"valid": batch.valid, "scored": scored, **own}
 
 
 def made_of(
@@ -172,22 +246,15 @@ def made_of(
             f"measured samples to start from (record {shortest.name!r} has "
             f"{len(shortest)} rows)"
         )
-    count = len(network.modelled)
-    host = {
-        "valid": batch.valid,
-        "scored": np.ascontiguousarray(masks.scored[..., :count]),
-        **{name: getattr(masks, name) for name in _MASKS},
-    }
-    own = tuple(network.signals[:count])
     origin = PreparedFrom(
         data, matched, batch, masks, _structure(network), _scales(network)
     )
     return Prepared(
         signals=batch.signals,
         drive=make_drive(network, batch),
-        columns=(driving(network), own),
+        columns=_columns(network),
         origin=origin,
-        **jax.device_put(host),
+        **jax.device_put(_host(network, batch, masks)),
     )
 
 
@@ -272,7 +339,7 @@ def fitting(network: Network, data: Dataset | Prepared) -> Dataset:
     if isinstance(data, Prepared):
         return prepared(network, data)[1].matched
     data, _ = match_channels(data, network.channels)
-    _same_sample_time(network, data)
+    _require_same_sample_time(network, data.sample_time)
     require_finite(network)
     return data
 
@@ -291,11 +358,11 @@ def require_finite(network: Network) -> None:
                 )
 
 
-def _same_sample_time(network: Network, data: Dataset) -> None:
-    expected = float(network.sample_time)
-    if abs(data.sample_time - expected) > RATE * expected:
-        raise SpecError(
-            f"the model was identified at a sample time of {expected:g} s, the data "
-            f"have {data.sample_time:g} s; resample the data",
-            field="sample_time",
-        )
+def _require_same_sample_time(network: Network, found: float) -> None:
+    for expected in np.unique(np.asarray(network.sample_time)).tolist():
+        if abs(found - expected) > RATE * expected:
+            raise SpecError(
+                f"the model was identified at a sample time of {expected:g} s, the "
+                f"data have {found:g} s; resample the data",
+                field="sample_time",
+            )

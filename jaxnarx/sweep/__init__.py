@@ -1,5 +1,6 @@
 """Many engines, settings or starts at once: resumable, on several processes."""
 
+from jaxnarx.data import Fleet as Fleet
 from jaxnarx.sweep.analysis import Comparison as Comparison
 from jaxnarx.sweep.analysis import Interval as Interval
 from jaxnarx.sweep.analysis import SweepTable as SweepTable
@@ -13,7 +14,6 @@ from jaxnarx.sweep.devices import OverDevices as OverDevices
 from jaxnarx.sweep.drive import read_sweep as read_sweep
 from jaxnarx.sweep.drive import run_sweep as run_sweep
 from jaxnarx.sweep.drive import so_far as so_far
-from jaxnarx.sweep.fleet import Fleet as Fleet
 from jaxnarx.sweep.folder.run_folder import find_run as find_run
 from jaxnarx.sweep.identify import IdentificationWork as IdentificationWork
 from jaxnarx.sweep.identify import identify_each as identify_each

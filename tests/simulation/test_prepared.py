@@ -14,6 +14,7 @@ from common import some
 from kinds import EVERY, problem
 
 import jaxnarx as jnx
+from jaxnarx import solution
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.simulation import ready, run_status
@@ -229,6 +230,55 @@ def test_a_record_alone_is_that_record_among_others():
     alone = eqx.filter_jit(jnx.free_run)(net, jnx.prepare(net, data[1:]))
     every = eqx.filter_jit(jnx.free_run)(net, runs)
     np.testing.assert_allclose(alone[0, :45], every[1, :45], rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", some(["coupled", "hidden"], "coupled"))
+def test_a_fleet_is_a_loop_over_its_members(name):
+    net, data, _ = bed(name)
+    ours = data.records
+    members = {"whole": data, "first": data[:1], "none": DataError("there is no file")}
+    fleet = jnx.Fleet.from_datasets(members, train=slice(None), test=[0])
+    others = [scaled(net, factor) for factor in (1.0, 0.97, 0.9)]
+    every = jnx.prepare(jnx.stack(others), fleet)
+    assert "3 members" in str(every)
+    free = eqx.filter_jit(eqx.filter_vmap(jnx.free_run))(jnx.stack(others), every)
+    status = eqx.filter_vmap(run_status)(jnx.stack(others), every)
+    one = eqx.filter_jit(jnx.free_run)
+    for n, (own, count) in enumerate(((data, len(ours)), (data[:1], 1))):
+        alone = jnx.prepare(others[n], own)
+        expected = one(others[n], alone)
+        for r in range(count):
+            same = slice(len(ours[r]))
+            np.testing.assert_allclose(
+                free[n, r, same], expected[r, same], rtol=0, atol=1e-12
+            )
+            np.testing.assert_array_equal(
+                every.scored[n, r, same], alone.scored[r, same]
+            )
+    too_short = solution.NAMES.index("too_short")
+    np.testing.assert_array_equal(np.asarray(status)[2], [too_short] * len(ours))
+    assert np.asarray(status)[0, 0] == 0 and np.asarray(status)[1, 1] == too_short
+    assert np.all(np.isfinite(free)) and not every.scored[2].any()
+    shared = jnx.prepare(net, fleet, part="test")
+    assert shared.signals.shape[:2] == (3, 1)
+
+
+def test_a_fleet_of_other_engines_is_refused():
+    net, data, runs = bed("coupled")
+    fleet = jnx.Fleet.from_datasets({"a": data, "b": data}, train=[0])
+    channels = dataclasses.replace(data.channels, outputs=data.channels.outputs[::-1])
+    other = dataclasses.replace(fleet, channels=channels)
+    with pytest.raises(SpecError, match="channels are not the network's"):
+        jnx.prepare(problem("sum")[0], other)
+    with pytest.raises(SpecError, match="2 members needs one network, or a stack of 2"):
+        jnx.prepare(jnx.stack([net] * 3), fleet)
+    with pytest.raises(SpecError, match="test"):
+        jnx.prepare(net, fleet, part="test")
+    with pytest.raises(SpecError, match="have been through"):
+        jnx.simulate(net, jnx.prepare(net, fleet))
+    fleet = dataclasses.replace(fleet, sample_time=0.2)
+    with pytest.raises(SpecError, match="resample"):
+        jnx.prepare(net, fleet)
 
 
 # elsewhere ------------------------------------------------------------------------

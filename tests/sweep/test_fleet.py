@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from identify_problems import engine, fleet_of, parts, replaced
 
+from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.sweep.fleet import Fleet
 
 
 def test_records_come_back_without_their_padding():

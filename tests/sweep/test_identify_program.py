@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from identify_problems import CASES, METHOD, engine, fleet_of, parts, replaced
 
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, Fleet
 from jaxnarx.evaluation import report
 from jaxnarx.identification import identify
 from jaxnarx.methods.settings import changed
 from jaxnarx.models import Gaussians
 from jaxnarx.simulation import simulate
-from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify import identify_each, network_of, program
 from jaxnarx.sweep.identify.member import stacked
 from jaxnarx.sweep.identify.rows import score_names

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from jaxnarx.data import Fleet
 from jaxnarx.guard import guarded
 from jaxnarx.methods import Identification
 from jaxnarx.sweep.cases import Case
-from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.work import LANES, IdentificationWork
 
 

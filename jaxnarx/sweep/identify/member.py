@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, Fleet, Padded
 from jaxnarx.data.batch import Batch, check_precision
 from jaxnarx.errors import DataError
 from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
@@ -16,7 +16,6 @@ from jaxnarx.partition import Ground, make_ground
 from jaxnarx.regressors import Pool
 from jaxnarx.selection import unusable_signals
 from jaxnarx.simulation import make_masks
-from jaxnarx.sweep.fleet import Fleet, Padded
 
 Arrays = np.ndarray | Array
 

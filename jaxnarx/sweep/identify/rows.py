@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxnarx.data import PARTS, Fleet
 from jaxnarx.guard import guarded
 from jaxnarx.models import (
     AbstractValidity,
@@ -16,7 +17,6 @@ from jaxnarx.models import (
 )
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.solution import NAMES
-from jaxnarx.sweep.fleet import PARTS, Fleet
 from jaxnarx.sweep.identify.member import PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 

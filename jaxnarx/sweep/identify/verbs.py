@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.arrays.programs import program
+from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.identification import identify, terms_of
 from jaxnarx.methods import Identification
@@ -18,7 +19,6 @@ from jaxnarx.models import Network
 from jaxnarx.regressors import Pool
 from jaxnarx.simulation import drive_of
 from jaxnarx.solution import NAMES, Solution
-from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.choose import Chosen
 from jaxnarx.sweep.identify.member import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome

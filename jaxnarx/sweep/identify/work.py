@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxnarx.data import Fleet
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
@@ -17,7 +18,6 @@ from jaxnarx.methods.settings import changed, spread
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
 from jaxnarx.sweep.cases import Case, label_of
-from jaxnarx.sweep.fleet import Fleet
 from jaxnarx.sweep.identify.frame import Frame, make_frame
 from jaxnarx.sweep.identify.member import PreparedMember, prepare, stacked
 from jaxnarx.sweep.identify.program import identify_lanes

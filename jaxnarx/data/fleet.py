@@ -10,7 +10,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.data import Channels, Dataset, Record, match_channels
+from jaxnarx.data.channels import Channels
+from jaxnarx.data.dataset import Dataset
+from jaxnarx.data.match import match_channels
+from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.shown import aligned, brief, page, some
 
