@@ -1,6 +1,9 @@
 """What every verb returns, and the one table of statuses."""
 
-from typing import Any, Generic, TypeVar
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -11,6 +14,13 @@ from jaxnarx.errors import JaxnarxError
 from jaxnarx.shown import page
 
 T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+SINGLE = (
+    "computed in float32, so that normal equations keep three to four digits; for more "
+    "give float64 data and switch jax_enable_x64 on"
+)
+"""What verbs that estimate say of data in single precision."""
 
 
 class RESULTS(eqx.Enumeration):
@@ -126,6 +136,24 @@ class Solution(eqx.Module, Generic[T]):
             text = self.detail or str(RESULTS[self.status])
             raise JaxnarxError(f"{self.status_name}: {text}")
         return self
+
+
+def tell_precision(verb: F) -> F:
+    """A verb that estimates, whose solution tells where it did so in single precision.
+
+    Its `stats` then have `precision`, "float32", and `detail` says what that costs.
+    """
+
+    @functools.wraps(verb)
+    def call(*args: Any, **kwargs: Any) -> Solution:
+        solution = verb(*args, **kwargs)
+        if solution.value.gain.dtype != np.float32:
+            return solution
+        stats = solution.stats | {"precision": "float32"}
+        detail = "; ".join(text for text in (solution.detail, SINGLE) if text)
+        return dataclasses.replace(solution, stats=stats, detail=detail)
+
+    return cast(F, call)
 
 
 def _ending(solution: Solution) -> str:

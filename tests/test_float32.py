@@ -1,4 +1,4 @@
-"""float32 data runs in float32 throughout: no accidental casts."""
+"""float32 data runs in float32 throughout: no accidental casts; verbs tell."""
 
 import jax
 import numpy as np
@@ -19,11 +19,16 @@ def test_float32_stays_float32():
     )
     parts = jnx.Lolimot(scheduling=["u[t-1]"], max_models=2)
     with number_type(float64=False):
-        terms = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4)).value
-        net = jnx.grow(terms, data, parts).value
-        fit = jnx.refine(net, data, jnx.SimulationError(max_steps=2, horizons=()))
+        terms = jnx.select(pool, data, jnx.ForwardOLS(max_terms=4))
+        net = jnx.grow(terms.value, data, parts)
+        steps = jnx.SimulationError(max_steps=2, horizons=())
+        fit = jnx.refine(net.value, data, steps)
+        for solution in (terms, net, fit):
+            assert solution.stats["precision"] == "float32"
+            assert "computed in float32" in solution.detail
         for leaf in jax.tree.leaves(fit.value):
             assert leaf.dtype.kind != "f" or leaf.dtype == np.float32, leaf.dtype
         run = jnx.simulate(fit.value, data).value[0]
+        assert jnx.diagnose(fit.value, data).status_name == "ok"
     assert run.dtype == np.float32 and np.all(np.isfinite(run))
     assert np.sqrt(np.mean((run - y)[1:] ** 2)) < 0.05 * y.std()

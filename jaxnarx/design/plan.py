@@ -431,7 +431,9 @@ def _dataset(
     """One record; outputs valid where a free run may need them to begin."""
     channels = network.channels.measured
     first = max(network.history + network.window, 1)
-    outputs = np.zeros((len(u), len(channels.outputs)))
+    kind = network.gain.dtype
+    u = np.asarray(u, kind)
+    outputs = np.zeros((len(u), len(channels.outputs)), kind)
     outputs[:, list(network.modelled)] = y[0]
     valid = np.ones((len(u), u.shape[1] + outputs.shape[1]), bool)
     valid[first:, u.shape[1] :] = False

@@ -325,8 +325,10 @@ def _constant(
     start: Float[np.ndarray, " outputs"],
     samples: int,
 ) -> Dataset:
-    """A record of every point."""
-    y = np.tile(np.asarray(start, float), (samples, 1))
+    """A record of every point, in the network's precision."""
+    kind = network.gain.dtype
+    inputs = np.asarray(inputs, kind)
+    y = np.tile(np.asarray(start, kind), (samples, 1))
     valid = np.ones((samples, inputs.shape[1] + y.shape[1]), bool)
     records = tuple(
         Record(np.tile(row, (samples, 1)), y, valid, f"point {n + 1}")

@@ -26,7 +26,7 @@ from jaxnarx.partition.placed import placed_output
 from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
-from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 _least_squares = jax.jit(least_squares)
 
@@ -34,6 +34,7 @@ Method = Given | Global | Grid | Lolimot | Placed | SigmoidTree
 
 
 @guarded
+@tell_precision
 def grow(
     source: Selection | Pool,
     data: Dataset,

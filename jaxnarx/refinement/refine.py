@@ -24,12 +24,13 @@ from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
 from jaxnarx.simulation import Prepared, fitting
-from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 __all__ = ["make_task", "refine", "refine_task"]
 
 
 @guarded
+@tell_precision
 def refine(
     network: Network,
     data: Dataset | Prepared,

@@ -43,7 +43,7 @@ from jaxnarx.selection.search import Program, make_lanes, search
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
-from jaxnarx.solution import RESULTS, Solution
+from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 COLLINEAR = "collinear with the chosen terms"
 ROOM = 8
@@ -56,6 +56,7 @@ _path = jax.jit(jax.vmap(path_of))
 
 
 @guarded
+@tell_precision
 def select(
     source: Pool | Selection,
     data: Dataset,
