@@ -23,7 +23,7 @@ from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.stages import Stage, stages
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
-from jaxnarx.simulation import Prepared, fitting
+from jaxnarx.simulation import Prepared, checked, fitting
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 __all__ = ["make_task", "refine", "refine_task"]
@@ -97,7 +97,7 @@ def refine(
         refined = jnx.refine(network, data, solver=bfgs)
     """
     method = SimulationError() if method is None else method
-    data = fitting(network, data)
+    data = checked(network, data)
     if isinstance(method, SimulationError) and method.stable:
         bare = dataclasses.replace(method, stable=False)
         given = {"trainable": trainable, "weights": weights, "progress": progress}
@@ -108,7 +108,7 @@ def refine(
             return refine(start, data, bare, validation=validation, **given)
 
         _require_free(deviations)
-        judge = data if validation is None else fitting(network, validation)
+        judge = fitting(network, data if validation is None else validation)
         return refine_stable(network, judge, again)
     # Of a network that changes they say nothing any more, and with the certificate goes
     # what allowed for bounds so wide that nothing is held.
@@ -126,7 +126,7 @@ def refine(
     task = task.begun(network)
     guard = task
     if validation is not None:
-        validation = fitting(network, validation)
+        validation = checked(network, validation)
         rule = {"criterion": task.criterion, "window": network.window}
         guard, _ = make_task(network, validation, **rule)
     trainable = _moving(network, trainable, method)
@@ -148,7 +148,7 @@ def refine(
     layout = make_layout(network, trainable, band, initial, centred=plain, every=every)
     found = None
     if method.folds:
-        found = groups(data, folds=method.folds, gap=network.history)
+        found = groups(fitting(network, data), folds=method.folds, gap=network.history)
     return refine_task(
         layout,
         task,

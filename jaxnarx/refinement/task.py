@@ -14,11 +14,14 @@ from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
 from jaxnarx.simulation import (
     Masks,
+    Prepared,
     RunInputs,
+    batched,
     begun,
     first_anchor,
     make_drive,
     make_masks,
+    prepared,
     window_anchors,
 )
 
@@ -98,7 +101,7 @@ class Task:
 
 def make_task(
     network: Network,
-    data: Dataset,
+    data: Dataset | Prepared,
     *,
     criterion: Criterion | None = None,
     weights: Sequence[float | int] | None = None,
@@ -107,7 +110,8 @@ def make_task(
     box_cox: float | int | Mapping[str, float | int] = 1.0,
     window: int = 0,
 ) -> tuple[Task, Float[np.ndarray, " outputs"]]:
-    """Prepare `data`; residuals are divided by the outputs' standard deviation in them.
+    """Prepare `data`, or take them as they are prepared; residuals are divided by the
+    outputs' standard deviation in them.
 
     So the loss is the squared NRMSE that a report of these data states. A `criterion`
     may be given, as for validation records that of the training is. Also returns the
@@ -115,10 +119,14 @@ def make_task(
     scale does not matter. Runs begin so many samples before the first that counts as
     the `window` has, see `Masks`.
     """
-    batch = stack(data)
+    if isinstance(data, Prepared):
+        runs, origin = prepared(network, data)
+        data, batch, drive = origin.matched, origin.batch, runs.drive
+    else:
+        batch = stack(data)
+        drive = make_drive(network, batch)
     masks = make_masks(network, batch, window)
     _require_scored(masks, network.history + window)
-    drive = make_drive(network, batch)
     measured = np.asarray(drive.measured)
     if criterion is None:
         criterion, spread = make_criterion(
@@ -140,11 +148,11 @@ def make_task(
     return Task(drive, masks, weight, criterion), spread
 
 
-def require_window(network: Network, data: Dataset) -> None:
+def require_window(network: Network, data: Dataset | Prepared) -> None:
     """`DataError` where no record is long enough to be run as the network is used, with
     a window to estimate hidden channels from."""
     if network.hidden:
-        masks = make_masks(network, stack(data), network.window)
+        masks = make_masks(network, batched(network, data)[1], network.window)
         _require_scored(masks, network.history + network.window)
 
 

@@ -33,7 +33,7 @@ from jaxnarx.refinement.layout import Layout, make_layout
 from jaxnarx.refinement.noise import OutputNoise, estimate_noise
 from jaxnarx.refinement.refine import Task, make_task
 from jaxnarx.shown import aligned, page
-from jaxnarx.simulation import Prepared, fitting, has_diverged, run
+from jaxnarx.simulation import Prepared, checked, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
 ROUNDINGS = 4096
@@ -150,8 +150,7 @@ def uncertainty(
     _one_of(start, ("measured", "exact"), "start")
     ridge = not_negative(ridge, "ridge")
     network.require_measured("The uncertainty of parameters")
-    data = fitting(network, data)
-    task, _ = make_task(network, data)
+    task, _ = make_task(network, checked(network, data))
     layout = make_layout(network, trainable, (0.5, 2.0))
     labels = label(network, layout)
 

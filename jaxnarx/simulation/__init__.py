@@ -18,6 +18,7 @@ from jaxnarx.simulation.outputs import started as started
 from jaxnarx.simulation.outputs import unstack as unstack
 from jaxnarx.simulation.prepared import Prepared as Prepared
 from jaxnarx.simulation.prepared import batched as batched
+from jaxnarx.simulation.prepared import checked as checked
 from jaxnarx.simulation.prepared import dataset_of as dataset_of
 from jaxnarx.simulation.prepared import fitting as fitting
 from jaxnarx.simulation.prepared import prepare as prepare

@@ -330,6 +330,15 @@ def batched(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Batch]
     return matched, stack(matched)
 
 
+def checked(network: Network, data: Dataset | Prepared) -> Dataset | Prepared:
+    """`fitting` records; such as are prepared already stay so."""
+    return (
+        prepared(network, data)[0]
+        if isinstance(data, Prepared)
+        else fitting(network, data)
+    )
+
+
 def fitting(network: Network, data: Dataset | Prepared) -> Dataset:
     """`data` with the network's channels, in its order.
 
