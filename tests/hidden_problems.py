@@ -19,7 +19,7 @@ from common import A, B, W
 from jaxtyping import Float
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import RunInputs, first_anchor, make_drive, make_masks, run
@@ -153,7 +153,7 @@ def _without(model: OutputModel, variable: int) -> OutputModel:
 
 def begun_at(net: Network, given: Truth, row: int = 1) -> RunInputs:
     """Drives with the true hidden values before sample `row` of every record."""
-    drive = make_drive(net, stack(given.data))
+    drive = make_drive(net, stack_records(given.data))
     measured = np.array(drive.measured)
     for n, every in enumerate(given.computed):
         measured[n, row - 1, 2:] = every[row - 1, 2:] / GAIN[[X1, X2]]
@@ -162,7 +162,7 @@ def begun_at(net: Network, given: Truth, row: int = 1) -> RunInputs:
 
 def free_run(net: Network, given: Truth) -> list[Float[np.ndarray, "_ computed"]]:
     """From the true hidden values before sample 1, in physical units."""
-    masks = make_masks(net, stack(given.data))
+    masks = make_masks(net, stack_records(given.data))
     anchor = jax.device_put(first_anchor(masks))
     y = np.asarray(run(net, begun_at(net, given), anchor)) * GAIN[list(OWN)]
     return [y[n, 1 : len(r)] for n, r in enumerate(given.data)]

@@ -18,7 +18,7 @@ from common import KINDS, LENGTHS, A, B, W, Y
 from jax.flatten_util import ravel_pytree
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import ForwardOLS, Global
 from jaxnarx.models import Network, run_record
@@ -523,7 +523,7 @@ gradient = eqx.filter_jit(eqx.filter_grad(loss))
 @pytest.mark.parametrize("bound", BOUNDS.values(), ids=BOUNDS)
 def test_gradient_of_a_run_is_the_central_difference(kind, bound):
     net = common.named(kind, bound=bound)
-    d = make_drive(net, stack(data()))
+    d = make_drive(net, stack_records(data()))
     args = d.v[0], tuple(x[0] for x in d.x), d.measured[0]
     # Two starts: the gradient must respect them.
     anchor = jnp.isin(jnp.arange(common.TIME), jnp.array([net.history, 25]))

@@ -8,7 +8,7 @@ import numpy as np
 import oracles
 import pytest
 
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.models import Network
 from jaxnarx.simulation import make_drive, run, simulate
 
@@ -17,7 +17,7 @@ from jaxnarx.simulation import make_drive, run, simulate
 def test_networks_of_one_capacity_compile_once():
     data = common.dataset()
     whole = common.named("by inputs", spare_models=5, spare_slots=2)
-    drive = make_drive(whole, stack(data))
+    drive = make_drive(whole, stack_records(data))
     anchor = jnp.asarray(np.arange(common.TIME) == whole.history)[None].repeat(
         len(data), 0
     )

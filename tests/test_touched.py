@@ -14,7 +14,7 @@ def test_what_everybody_needs_touches_every_experiment():
 def test_a_file_touches_what_leads_to_it_and_no_more():
     every = set(touched.touched(["pyproject.toml"]))
     diesel = set(touched.touched(["jaxnarx/engines/diesel.py"]))
-    least_squares = set(touched.touched(["jaxnarx/arrays/least_squares.py"]))
+    least_squares = set(touched.touched(["jaxnarx/arrays/_least_squares.py"]))
     assert "tests/test_experiments.py::test_engines" in diesel
     assert diesel < every and least_squares < every
     fitting = "tests/test_experiments.py::test_fitting_without_peers"

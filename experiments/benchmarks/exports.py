@@ -98,7 +98,7 @@ def network_and_data(samples: int) -> tuple[Any, Any, str]:
 
     from jaxnarx.data import Channel, Channels, Dataset
     from jaxnarx.models import Gaussians, Network
-    from jaxnarx.models.assemble import local_models, output_model
+    from jaxnarx.models._assemble import local_models, output_model
     from jaxnarx.regressors import Variables
 
     rng = np.random.default_rng(0)

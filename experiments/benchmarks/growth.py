@@ -62,7 +62,7 @@ def ours(rows: int, models: int, repeats: int, batch: bool) -> dict[str, Any]:
     import jax.numpy as jnp
     import numpy as np
 
-    from jaxnarx.partition.lolimot import lolimot
+    from jaxnarx.partition._lolimot import lolimot
 
     jax.config.update("jax_enable_x64", True)
     sets = [problem(rows, seed) for seed in range(BATCH)]

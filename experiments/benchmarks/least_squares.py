@@ -163,7 +163,7 @@ def run_adapt(samples: int, repeats: int) -> dict[str, Any]:
 
     jax.config.update("jax_enable_x64", True)
     from jaxnarx import Dataset, Global, grow, polynomial_pool
-    from jaxnarx.linear.adapt import adapt
+    from jaxnarx.linear._adapt import adapt
     from jaxnarx.methods.least_squares import Recursive
 
     rng = np.random.default_rng(1)

@@ -99,9 +99,9 @@ def prepared(network: Any, data: Any) -> tuple[Any, Any, Any]:
     """Task, layout and a point of a training, with starting values if it has any."""
     import numpy as np
 
+    from jaxnarx.refinement._refine import make_task
     from jaxnarx.refinement.initial import initial_conditions
     from jaxnarx.refinement.layout import make_layout
-    from jaxnarx.refinement.refine import make_task
 
     task = make_task(network, data)[0].begun(network)
     initial = initial_conditions(network, task, measured=False)

@@ -40,8 +40,8 @@ import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.excitation import aprbs
 from jaxnarx.models import Gaussians, LocalModels, Network, OutputModel
-from jaxnarx.refinement.bands import bands
-from jaxnarx.refinement.uncertainty import uncertainty
+from jaxnarx.refinement._bands import bands
+from jaxnarx.refinement._uncertainty import uncertainty
 from jaxnarx.regressors import Variables
 from jaxnarx.shell.figures import style
 

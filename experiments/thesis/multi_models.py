@@ -17,7 +17,7 @@ import numpy as np
 from neural import Budget, Lesson, Neural, neural_run, neural_size, train
 
 from jaxnarx import Channel, Dataset, Network, Pool, predict, simulate
-from jaxnarx.evaluation.cost import cost
+from jaxnarx.evaluation._cost import cost
 from jaxnarx.metrics import scores
 from jaxnarx.models import LocalModels
 from jaxnarx.simulation import Trajectories

@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jaxnarx import Dataset, Network, Pool
 from jaxnarx.arrays.recurrence import free_run
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import assemble, depth, global_model, with_history
 from jaxnarx.regressors.rows import regression_rows
@@ -155,7 +155,7 @@ def member(tree: Any, n: int) -> Any:
 
 def task(frame: Network, data: Dataset, horizon: int | None) -> Task:
     """Runs restarted every `horizon` samples; 1 is one step ahead, None a free run."""
-    batch = stack(data)
+    batch = stack_records(data)
     masks, drive = make_masks(frame, batch), make_drive(frame, batch)
     anchor, counted = first_anchor(masks), masks.scored
     if horizon is not None:

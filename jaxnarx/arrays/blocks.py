@@ -27,5 +27,7 @@ def map_blocks(
         padded = jnp.pad(a, ((0, 0), (0, blocks * size - time)), mode="edge")
         return jnp.moveaxis(padded.reshape(a.shape[0], blocks, size), 1, 0)
 
-    pieces = jax.lax.map(jax.checkpoint(f, prevent_cse=False), jax.tree.map(cut, columns))
+    pieces = jax.lax.map(
+        jax.checkpoint(f, prevent_cse=False), jax.tree.map(cut, columns)
+    )
     return jax.tree.map(lambda a: a.reshape(blocks * size, *a.shape[2:])[:time], pieces)

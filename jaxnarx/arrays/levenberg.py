@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.least_squares import cholesky_solve
+from jaxnarx.arrays._least_squares import cholesky_solve
 from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3

@@ -29,8 +29,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.arrays._least_squares import Fit
 from jaxnarx.arrays.column_scaling import column_norm, column_scale, power_of_two
-from jaxnarx.arrays.least_squares import Fit
 
 PRIOR = 0.7
 """Without a ridge a recursion starts from eps to this power of each column's squared

@@ -5,9 +5,7 @@ from pathlib import Path
 
 from jaxnarx.contracts.life import lives, plant
 from jaxnarx.data import groups
-from jaxnarx.identification import Candidate
-from jaxnarx.identification.by_method import by_method
-from jaxnarx.identification.candidates import Candidates
+from jaxnarx.identification import Candidate, Candidates, by_method
 from jaxnarx.methods import Identification, Preset
 from jaxnarx.output_error import look
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.data.readers import Asked, contents, read_table
+from jaxnarx.data import Asked, contents, read_table
 from jaxnarx.data.readers.columns import numbers
 from jaxnarx.errors import DataFileError
 

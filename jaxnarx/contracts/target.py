@@ -14,9 +14,7 @@ from jaxnarx.contracts.life import plant, pool
 from jaxnarx.methods import Given, Global
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.partition import grow
-from jaxnarx.targets import ExportError, Target, lower, write_files
-from jaxnarx.targets.export import golden_of
-from jaxnarx.targets.proof import cases_of
+from jaxnarx.targets import ExportError, Target, cases_of, golden_of, lower, write_files
 
 
 def _networks() -> list[Network]:

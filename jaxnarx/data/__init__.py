@@ -3,15 +3,29 @@
 Imported without jax, so that files can be read and checked without waiting for it.
 """
 
+from typing import TYPE_CHECKING, Any
+
+from jaxnarx.data._check import check as check
+from jaxnarx.data._check import first_look as first_look
+from jaxnarx.data._delays import Delay as Delay
+from jaxnarx.data._delays import Delays as Delays
+from jaxnarx.data._delays import delays as delays
+from jaxnarx.data._dynamics import dynamics as dynamics
+from jaxnarx.data._groups import Fold as Fold
+from jaxnarx.data._groups import Groups as Groups
+from jaxnarx.data._groups import groups as groups
+from jaxnarx.data._hold_out import hold_out as hold_out
+from jaxnarx.data._join import join as join
+from jaxnarx.data._shortened import shortened as shortened
+from jaxnarx.data._survey import ChannelGuess as ChannelGuess
+from jaxnarx.data._survey import Survey as Survey
+from jaxnarx.data._survey import measurement_files as measurement_files
+from jaxnarx.data._survey import survey as survey
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
-from jaxnarx.data.check import check as check
-from jaxnarx.data.check import first_look as first_look
+from jaxnarx.data.channels import numbered as numbered
 from jaxnarx.data.compare_records import other_units as other_units
 from jaxnarx.data.dataset import Dataset as Dataset
-from jaxnarx.data.delays import Delay as Delay
-from jaxnarx.data.delays import Delays as Delays
-from jaxnarx.data.delays import delays as delays
 from jaxnarx.data.description import load_toml as load_toml
 from jaxnarx.data.files import Split as Split
 from jaxnarx.data.files import fingerprint as fingerprint
@@ -23,16 +37,14 @@ from jaxnarx.data.findings import Findings as Findings
 from jaxnarx.data.fleet import PARTS as PARTS
 from jaxnarx.data.fleet import Fleet as Fleet
 from jaxnarx.data.fleet import Padded as Padded
-from jaxnarx.data.groups import Fold as Fold
-from jaxnarx.data.groups import Groups as Groups
-from jaxnarx.data.groups import groups as groups
-from jaxnarx.data.hold_out import hold_out as hold_out
-from jaxnarx.data.join import join as join
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
+from jaxnarx.data.lags import bank_times as bank_times
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags
 from jaxnarx.data.match import in_units as in_units
 from jaxnarx.data.match import match_channels as match_channels
+from jaxnarx.data.pieces import usual_length as usual_length
+from jaxnarx.data.preparation import AbstractStep as AbstractStep
 from jaxnarx.data.preparation import Changes as Changes
 from jaxnarx.data.preparation import Decimate as Decimate
 from jaxnarx.data.preparation import Detrend as Detrend
@@ -46,5 +58,74 @@ from jaxnarx.data.preparation import Shift as Shift
 from jaxnarx.data.preparation import ToCrankAngle as ToCrankAngle
 from jaxnarx.data.preparation import ToTime as ToTime
 from jaxnarx.data.preparation import prepare as prepare
+from jaxnarx.data.readers import Asked as Asked
+from jaxnarx.data.readers import contents as contents
+from jaxnarx.data.readers import read_table as read_table
 from jaxnarx.data.record import Record as Record
-from jaxnarx.data.shortened import shortened as shortened
+from jaxnarx.data.scaling import gains as gains
+from jaxnarx.data.scaling import unit_of as unit_of
+
+if TYPE_CHECKING:
+    from jaxnarx.data.batch import Batch as Batch
+    from jaxnarx.data.batch import check_precision as check_precision
+    from jaxnarx.data.batch import stack_records as stack_records
+
+__all__ = [
+    "Changes",
+    "Channel",
+    "Channels",
+    "Dataset",
+    "Decimate",
+    "Delay",
+    "Delays",
+    "Detrend",
+    "Finding",
+    "Findings",
+    "Fleet",
+    "Fold",
+    "Groups",
+    "Hampel",
+    "LagSuggestion",
+    "LowPass",
+    "PARTS",
+    "Padded",
+    "Preparation",
+    "Record",
+    "RemoveOffset",
+    "Resample",
+    "Scale",
+    "Shift",
+    "Split",
+    "ToCrankAngle",
+    "ToTime",
+    "check",
+    "delays",
+    "fingerprint",
+    "first_look",
+    "groups",
+    "hold_out",
+    "in_units",
+    "join",
+    "load_toml",
+    "match_channels",
+    "other_units",
+    "prepare",
+    "read",
+    "read_files",
+    "read_split",
+    "shortened",
+    "step_times",
+    "suggest_lags",
+]
+"""What users are offered; other rooms may take in all above."""
+
+_ON_ARRAYS = ("Batch", "check_precision", "stack_records")
+"""Taken in when asked for: they load jax."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ON_ARRAYS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from jaxnarx.data import batch
+
+    return getattr(batch, name)

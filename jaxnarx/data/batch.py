@@ -5,7 +5,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.sizes import bucket
+from jaxnarx.arrays import bucket
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import SpecError
 
@@ -39,7 +39,7 @@ def check_precision(dtype: np.dtype) -> None:
         )
 
 
-def stack(data: Dataset) -> Batch:
+def stack_records(data: Dataset) -> Batch:
     """Pad the records to one length and stack them. Needs at least one record.
 
     The length is that of the longest, rounded up so that few programs serve all.

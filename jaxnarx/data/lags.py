@@ -6,8 +6,8 @@ from collections.abc import Collection
 import numpy as np
 
 from jaxnarx.checks import known_name
+from jaxnarx.data._dynamics import dynamics
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.dynamics import dynamics
 from jaxnarx.errors import DataError
 from jaxnarx.guard import guarded
 from jaxnarx.shown import page

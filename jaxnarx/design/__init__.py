@@ -17,9 +17,9 @@ ranges, rates, forbidden combinations and limits of outputs.
 Reference: R. K. Mehra, IEEE Trans. Automatic Control 19, 1974; thesis section 6.2.1.
 """
 
-from jaxnarx.design.adjust import adjust
-from jaxnarx.design.criteria import Criteria, criteria
-from jaxnarx.design.plan import TestPlan, plan
+from jaxnarx.design._adjust import adjust
+from jaxnarx.design._criteria import Criteria, criteria
+from jaxnarx.design._plan import TestPlan, plan
 from jaxnarx.design.sensitivity import (
     AbstractSensitivity,
     NetworkSensitivity,

@@ -1,39 +1,89 @@
 """How good a network is: metrics, and a report of one-step and free-run figures."""
 
 from jaxnarx import metrics as metrics
+from jaxnarx.evaluation._cost import Cost as Cost
+from jaxnarx.evaluation._cost import cost as cost
+from jaxnarx.evaluation._cost import pareto as pareto
+from jaxnarx.evaluation._error_map import ErrorMap as ErrorMap
+from jaxnarx.evaluation._error_map import error_map as error_map
+from jaxnarx.evaluation._reactivation import reactivation as reactivation
+from jaxnarx.evaluation._region_errors import RegionError as RegionError
+from jaxnarx.evaluation._region_errors import region_errors as region_errors
+from jaxnarx.evaluation._region_errors import region_sentence as region_sentence
+from jaxnarx.evaluation._relevance import Relevance as Relevance
+from jaxnarx.evaluation._relevance import relevance as relevance
+from jaxnarx.evaluation._report import Report as Report
+from jaxnarx.evaluation._steady_states import Intersection as Intersection
+from jaxnarx.evaluation._steady_states import ResponseSurface as ResponseSurface
+from jaxnarx.evaluation._steady_states import intersections as intersections
+from jaxnarx.evaluation._steady_states import response_surface as response_surface
+from jaxnarx.evaluation._steady_states import steady_states as steady_states
+from jaxnarx.evaluation.comparison import ComparedRecord as ComparedRecord
 from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
-from jaxnarx.evaluation.cost import Cost as Cost
-from jaxnarx.evaluation.cost import cost as cost
-from jaxnarx.evaluation.cost import pareto as pareto
-from jaxnarx.evaluation.error_map import ErrorMap as ErrorMap
-from jaxnarx.evaluation.error_map import error_map as error_map
 from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
 from jaxnarx.evaluation.gain_signs import check_gains as check_gains
+from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
-from jaxnarx.evaluation.reactivation import reactivation as reactivation
-from jaxnarx.evaluation.region_errors import RegionError as RegionError
-from jaxnarx.evaluation.region_errors import region_errors as region_errors
-from jaxnarx.evaluation.region_errors import region_sentence as region_sentence
+from jaxnarx.evaluation.notes import data_hash as data_hash
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
-from jaxnarx.evaluation.relevance import Relevance as Relevance
-from jaxnarx.evaluation.relevance import relevance as relevance
-from jaxnarx.evaluation.report import Report as Report
 from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests import FreeRunResiduals as FreeRunResiduals
+from jaxnarx.evaluation.residual_tests import LagTest as LagTest
+from jaxnarx.evaluation.residual_tests import OperatingPoint as OperatingPoint
+from jaxnarx.evaluation.residual_tests import OutputDiagnostics as OutputDiagnostics
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.residual_tests import diagnose_free_run as diagnose_free_run
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.shown import ShownRecord as ShownRecord
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
-from jaxnarx.evaluation.steady_states import Intersection as Intersection
-from jaxnarx.evaluation.steady_states import ResponseSurface as ResponseSurface
-from jaxnarx.evaluation.steady_states import intersections as intersections
-from jaxnarx.evaluation.steady_states import response_surface as response_surface
-from jaxnarx.evaluation.steady_states import steady_states as steady_states
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
+from jaxnarx.evaluation.verdict import GOOD as GOOD
+from jaxnarx.evaluation.verdict import LIMITED as LIMITED
+from jaxnarx.evaluation.verdict import UNUSABLE as UNUSABLE
 from jaxnarx.evaluation.verdict import Verdict as Verdict
 from jaxnarx.evaluation.verdict import judge as judge
+
+__all__ = [
+    "Cost",
+    "Diagnostics",
+    "ErrorMap",
+    "FreeRunResiduals",
+    "GainFinding",
+    "Intersection",
+    "ModelComparison",
+    "RegionError",
+    "Relevance",
+    "Report",
+    "Residuals",
+    "ResponseSurface",
+    "Row",
+    "ShownRecord",
+    "SizeErrors",
+    "Trace",
+    "Verdict",
+    "check_gains",
+    "compare",
+    "cost",
+    "describe_partition",
+    "diagnose",
+    "diagnose_free_run",
+    "error_map",
+    "errors_by_size",
+    "intersections",
+    "judge",
+    "local_behaviour",
+    "metrics",
+    "pareto",
+    "reactivation",
+    "region_errors",
+    "region_sentence",
+    "relevance",
+    "report",
+    "response_surface",
+    "steady_states",
+]
+"""What users are offered; other rooms may take in all above."""

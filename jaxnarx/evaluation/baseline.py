@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import Batch, stack
+from jaxnarx.arrays import usable
+from jaxnarx.data import Batch, Dataset, stack_records
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns
@@ -27,7 +26,7 @@ def linear_runs(
     A(q) y = B(q) u + c, so that this costs no compiled program.
     """
     train, data = fitting(network, train), fitting(network, data)
-    sources, targets = stack(train), stack(data)
+    sources, targets = stack_records(train), stack_records(data)
     return [
         _runs(network, signal, sources, targets, bounds, one)
         for signal, bounds, one in zip(

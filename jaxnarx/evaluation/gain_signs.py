@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.steady_states import operating_point, steady_states
+from jaxnarx.evaluation._steady_states import operating_point, steady_states
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.shown import page

@@ -8,22 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.checks import known_name
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
 from jaxnarx.regressors import (
     Variables,
     evaluate,
+    even_places,
     parse_variable,
     realise,
     row_columns,
     variable_names,
 )
-from jaxnarx.regressors.columns import even_places
 from jaxnarx.simulation import fitting, tables
 
 POINTS = 600
@@ -71,7 +70,7 @@ def local_behaviour(
     o = _position(network, output)
     model = network.models[o]
     data = fitting(network, data)
-    batch = held_inputs(network, stack(data))
+    batch = held_inputs(network, stack_records(data))
     at = even_places(
         batch, tables(network), network.history, points, "local models need"
     )

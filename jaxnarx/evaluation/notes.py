@@ -10,7 +10,7 @@ from jaxnarx.data import Channels, Dataset, Record, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import data_of, number
 from jaxnarx.models import Network
-from jaxnarx.refinement.stability import stability
+from jaxnarx.refinement import stability
 from jaxnarx.simulation import Prepared
 from jaxnarx.solution import Solution
 

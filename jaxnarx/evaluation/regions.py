@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.arrays import usable
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.models import Network, OutputModel, SigmoidTree, weights_at
 from jaxnarx.regressors import Variables, row_columns, variable_names
 
@@ -80,7 +79,7 @@ def scheduling_cloud(
     data: Dataset, scheduling: Variables, *, points: int = POINTS
 ) -> Float[np.ndarray, "samples dims"]:
     """Measured scheduling variables, evenly thinned; rows that lack one left out."""
-    batch = stack(data)
+    batch = stack_records(data)
     good = usable(batch.valid, scheduling.rows, scheduling.longest)
     lengths = np.array([len(r) for r in data])
     good &= np.arange(good.shape[1])[None] < lengths[:, None]

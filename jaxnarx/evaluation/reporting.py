@@ -8,8 +8,12 @@ from typing import Any, Protocol, runtime_checkable
 from jaxnarx.checks import positive, require
 from jaxnarx.data import Channel, Dataset, in_units
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation._cost import cost
+from jaxnarx.evaluation._error_map import error_maps
+from jaxnarx.evaluation._reactivation import reactivation_notes
+from jaxnarx.evaluation._region_errors import region_errors
+from jaxnarx.evaluation._report import Report
 from jaxnarx.evaluation.baseline import NAME, linear_runs
-from jaxnarx.evaluation.cost import cost
 from jaxnarx.evaluation.coverage import coverage, coverage_notes, interval_runs
 from jaxnarx.evaluation.domain_errors import (
     domain_errors,
@@ -18,7 +22,6 @@ from jaxnarx.evaluation.domain_errors import (
 )
 from jaxnarx.evaluation.effects import effects
 from jaxnarx.evaluation.error_distribution import error_distribution
-from jaxnarx.evaluation.error_map import error_maps
 from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
 from jaxnarx.evaluation.notes import (
     assess,
@@ -28,10 +31,7 @@ from jaxnarx.evaluation.notes import (
     stability_notes,
 )
 from jaxnarx.evaluation.outside import held_notes, outside, range_notes
-from jaxnarx.evaluation.reactivation import reactivation_notes
-from jaxnarx.evaluation.region_errors import region_errors
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.evaluation.report import Report
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.evaluation.rows import (
     FREE_RUN,

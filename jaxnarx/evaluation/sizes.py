@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.cost import cost
+from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation.rows import collect, score
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network

@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from jaxnarx.evaluation.error_map import ErrorMap
+from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict

@@ -39,11 +39,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from jaxnarx.data import Channel
+from jaxnarx.evaluation._region_errors import RegionError
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.outside import NOTICEABLE, Outside
-from jaxnarx.evaluation.region_errors import RegionError
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 

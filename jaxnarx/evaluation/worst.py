@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.region_errors import leading_at, region_text
+from jaxnarx.evaluation._region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.shown import page, span_text

@@ -6,15 +6,15 @@ planned together with `aprbs_plan`. Not imported by `jaxnarx.data`, because this
 jax.
 """
 
-from jaxnarx.excitation.assess import Assessment as Assessment
-from jaxnarx.excitation.assess import Coverage as Coverage
-from jaxnarx.excitation.assess import Spectrum as Spectrum
-from jaxnarx.excitation.assess import assess as assess
-from jaxnarx.excitation.assess import bandwidth as bandwidth
-from jaxnarx.excitation.assess import cells as cells
-from jaxnarx.excitation.assess import coverage as coverage
-from jaxnarx.excitation.assess import spectrum as spectrum
-from jaxnarx.excitation.assess import visited as visited
+from jaxnarx.excitation._assess import Assessment as Assessment
+from jaxnarx.excitation._assess import Coverage as Coverage
+from jaxnarx.excitation._assess import Spectrum as Spectrum
+from jaxnarx.excitation._assess import assess as assess
+from jaxnarx.excitation._assess import bandwidth as bandwidth
+from jaxnarx.excitation._assess import cells as cells
+from jaxnarx.excitation._assess import coverage as coverage
+from jaxnarx.excitation._assess import spectrum as spectrum
+from jaxnarx.excitation._assess import visited as visited
 from jaxnarx.excitation.courses import driving_cycle as driving_cycle
 from jaxnarx.excitation.courses import limited as limited
 from jaxnarx.excitation.courses import ramps as ramps

@@ -1,8 +1,10 @@
 """A whole identification: by a search, or by one settings tree."""
 
+from jaxnarx.identification._by_method import Events, needed
+from jaxnarx.identification._by_method import by_method as by_method
 from jaxnarx.identification.account import described, figure, sentences, title, used
-from jaxnarx.identification.by_method import Events, needed
 from jaxnarx.identification.candidates import CANDIDATES, Candidate
+from jaxnarx.identification.candidates import Candidates as Candidates
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import SearchFolder, read_search

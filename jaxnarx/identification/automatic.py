@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
-from jaxnarx.evaluation.notes import data_hash
+from jaxnarx.evaluation import data_hash
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Contender, Leaderboard

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.errors import DataError, JaxnarxError
-from jaxnarx.identification.by_method import by_method
+from jaxnarx.identification._by_method import by_method
 from jaxnarx.methods import HiddenStates, Identification
 from jaxnarx.models import Network, hold_to_range, ranged
 from jaxnarx.simulation import fitting, predict, simulate

@@ -11,8 +11,8 @@ import numpy as np
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
+from jaxnarx.identification._by_method import Events, by_method
 from jaxnarx.identification.automatic import search
-from jaxnarx.identification.by_method import Events, by_method
 from jaxnarx.methods import PRESETS, Identification
 from jaxnarx.models import Network
 from jaxnarx.solution import Solution

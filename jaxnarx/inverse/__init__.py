@@ -8,12 +8,12 @@ what cannot be inverted, `unity_gain` afterwards how near the cascade comes to o
 Reference: thesis section 7.3; B. Widrow, E. Walach, Adaptive Inverse Control, 1996.
 """
 
-from jaxnarx.inverse.cascade import Tracking, cascade
-from jaxnarx.inverse.compensate import compensate
+from jaxnarx.inverse._cascade import Tracking, cascade
+from jaxnarx.inverse._compensate import compensate
+from jaxnarx.inverse._invertible import Invertibility, invertible
+from jaxnarx.inverse._reachable import Reach, reachable
 from jaxnarx.inverse.dataset import inverse_data
 from jaxnarx.inverse.forward import dead_times
-from jaxnarx.inverse.invertible import Invertibility, invertible
-from jaxnarx.inverse.reachable import Reach, reachable
 from jaxnarx.inverse.region import Region
 from jaxnarx.inverse.unity import UnityGain, unity_gain
 from jaxnarx.methods import ActuatorLimits, TrackingError

@@ -14,13 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from jaxnarx.arrays.programs import program
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.arrays import program
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, held_inputs, scheduling_values
-from jaxnarx.regressors import AbstractFilter, FilterSystem, realise, row_columns
-from jaxnarx.regressors.columns import even_places
+from jaxnarx.regressors import (
+    AbstractFilter,
+    FilterSystem,
+    even_places,
+    realise,
+    row_columns,
+)
 from jaxnarx.simulation import fitting, tables
 
 SMALL = 1e-8
@@ -108,7 +112,7 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
     """
     require_shared(network)
     data = fitting(network, data)
-    batch = held_inputs(network, stack(data))
+    batch = held_inputs(network, stack_records(data))
     at = even_places(
         batch, tables(network), network.history, points, "the network needs"
     )

@@ -21,12 +21,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.programs import program, twin
-from jaxnarx.arrays.recurrence import free_run
+from jaxnarx.arrays import free_run, program
+from jaxnarx.arrays.programs import twin
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
-from jaxnarx.methods.inverse import ActuatorLimits
+from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import FLAG, Network, advance, depth, widened
 
 

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.arrays import usable
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.inverse.loop import Loop
 from jaxnarx.simulation import fitting, tables
@@ -59,7 +58,7 @@ def make_task(loop: Loop, references: Dataset) -> CascadeTask:
     """
     forward, inverse = loop.forward, loop.inverse
     data = fitting(forward, references)
-    batch = stack(data)
+    batch = stack_records(data)
     sources = loop.wiring.source
     rows = set(tables(forward)) | {(s, 1) for s in loop.command_signals}
     # What lies ahead is the reference's future: only its present must be valid.

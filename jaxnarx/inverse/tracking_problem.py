@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.levenberg import AbstractProblem, Linear
+from jaxnarx.arrays import AbstractProblem
+from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import twin
 from jaxnarx.inverse.loop import Loop, run_record
 from jaxnarx.inverse.task import CascadeTask, TaskSignals
-from jaxnarx.refinement.layout import Layout
+from jaxnarx.refinement import Layout
 
 
 class Weighed(eqx.Module):

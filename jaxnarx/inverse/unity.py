@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run_record
 from jaxnarx.inverse.task import CascadeTask, make_task
-from jaxnarx.methods.inverse import ActuatorLimits
+from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import Network
 from jaxnarx.solution import RESULTS, Solution
 

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.arrays.recursive_least_squares import Recursion, update
 from jaxnarx.errors import SpecError
-from jaxnarx.methods.least_squares import Recursive
+from jaxnarx.methods import Recursive
 from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
 from jaxnarx.regressors import evaluate
 

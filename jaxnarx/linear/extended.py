@@ -14,16 +14,14 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset
-from jaxnarx.data.scaling import gains
+from jaxnarx.data import Dataset, gains
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.linear.fit import WORST
 from jaxnarx.linear.orders import output_place
 from jaxnarx.linear.triangle import factorise
 from jaxnarx.models import Network, assemble, global_model
-from jaxnarx.regressors import Pool, evaluate
-from jaxnarx.regressors.rows import Rows, regression_rows
+from jaxnarx.regressors import Pool, Rows, evaluate, regression_rows
 from jaxnarx.selection import Selection
 from jaxnarx.solution import RESULTS, Solution
 

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import Batch, stack
+from jaxnarx.data import Batch, Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.guard import guarded
 from jaxnarx.linear.model import LinearModel
@@ -19,9 +18,9 @@ from jaxnarx.linear.recursion import Signals, signals, window_start
 from jaxnarx.linear.starts import starts
 from jaxnarx.linear.structure import Structure, structure_of
 from jaxnarx.linear.triangle import triangle
-from jaxnarx.methods.linear import LinearMethod
-from jaxnarx.models.assemble import ranges
-from jaxnarx.regressors.rows import enough
+from jaxnarx.methods import LinearMethod
+from jaxnarx.models import ranges
+from jaxnarx.regressors import enough
 from jaxnarx.solution import RESULTS, Solution
 
 
@@ -184,7 +183,7 @@ def _with_constant(table, fit, structure: Structure):
 
 
 def _searched(data: Dataset, structure: Structure, output: int, method) -> Solution:
-    batch, inputs = stack(data), len(data.channels.inputs)
+    batch, inputs = stack_records(data), len(data.channels.inputs)
     whole = signals(structure, batch, inputs, output)
     known = np.asarray(whole.known)
     count = structure.size + int(np.any(known, axis=1).sum()) * sum(structure.nf)

@@ -14,7 +14,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.linear.structure import Polynomials, Structure
 from jaxnarx.linear.transfer_function import TransferFunction
 from jaxnarx.models import Network, global_model
-from jaxnarx.models.assemble import MARGIN
+from jaxnarx.models._assemble import MARGIN
 from jaxnarx.regressors import Variables
 from jaxnarx.shown import page
 

@@ -20,8 +20,8 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
+from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear.fit import fit_linear
-from jaxnarx.linear.innovations import Innovations, innovations
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.methods import BoxJenkins
 from jaxnarx.models import Network

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.arrays.criteria import information
+from jaxnarx.arrays import information
 from jaxnarx.checks import choice
 from jaxnarx.linear.triangle import Triangle
-from jaxnarx.methods.linear import ARX
+from jaxnarx.methods import ARX
 from jaxnarx.shown import page
 
 CRITERIA = ("aic", "aicc", "mdl", "fpe", "unexplained")

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.levenberg import AbstractProblem, Linear
-from jaxnarx.arrays.minimise import ROUNDING, Levenberg, minimise
+from jaxnarx.arrays import AbstractProblem, Levenberg, minimise
+from jaxnarx.arrays._minimise import ROUNDING
+from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.linear.recursion import (
     Signals,
     best_states,

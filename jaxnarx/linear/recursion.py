@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.recurrence import free_run
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data.batch import Batch
+from jaxnarx.arrays import free_run, usable
+from jaxnarx.data import Batch
 from jaxnarx.linear.structure import Coefficients, Structure
 
 

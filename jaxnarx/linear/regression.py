@@ -17,11 +17,11 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
-from jaxnarx.arrays.least_squares import Fit, leverage, solve
-from jaxnarx.arrays.recursive_least_squares import solve_recursively
+from jaxnarx.arrays import leverage, solve_recursively
+from jaxnarx.arrays._least_squares import Fit, solve
 from jaxnarx.guard import guarded
 from jaxnarx.linear.regression_input import require_numbers, require_weights
-from jaxnarx.methods.least_squares import LeastSquares
+from jaxnarx.methods import LeastSquares
 from jaxnarx.solution import RESULTS, Solution
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data.batch import check_precision
+from jaxnarx.data import check_precision
 from jaxnarx.errors import DataError, SpecError
 
 

@@ -21,7 +21,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays.factorisation import BLOCK, accumulate
+from jaxnarx.arrays import accumulate
+from jaxnarx.arrays.factorisation import BLOCK
 from jaxnarx.linear.state_space import recursion
 
 RIDGE = 1e-10

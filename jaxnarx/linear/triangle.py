@@ -14,8 +14,7 @@ from jaxtyping import Float
 from jaxnarx.arrays import factorisation
 from jaxnarx.arrays.factorisation import directions
 from jaxnarx.data import Dataset
-from jaxnarx.regressors import Variables
-from jaxnarx.regressors.rows import regression_rows
+from jaxnarx.regressors import Variables, regression_rows
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Settings of the verbs: frozen and jax-free, so that the command line can use them."""
 
 from jaxnarx.methods.anova import Anova
+from jaxnarx.methods.description import DESCRIPTION as DESCRIPTION
 from jaxnarx.methods.design import OptimalDesign
 from jaxnarx.methods.identification import Identification
 from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
@@ -13,6 +14,8 @@ from jaxnarx.methods.linear import (
     GeneralLinear,
     OutputError,
 )
+from jaxnarx.methods.linear import LinearMethod as LinearMethod
+from jaxnarx.methods.linear import Orders as Orders
 from jaxnarx.methods.own import PARTITIONS, SELECTORS, Partitioner, Selector
 from jaxnarx.methods.partition import (
     Given,

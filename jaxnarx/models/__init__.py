@@ -1,11 +1,13 @@
 """Validity functions, local models and the network that blends them."""
 
-from jaxnarx.models.assemble import assemble as assemble
-from jaxnarx.models.assemble import bounded as bounded
-from jaxnarx.models.assemble import global_model as global_model
-from jaxnarx.models.assemble import local_models as local_models
-from jaxnarx.models.assemble import output_model as output_model
-from jaxnarx.models.assemble import ranged as ranged
+from jaxnarx.models._assemble import assemble as assemble
+from jaxnarx.models._assemble import bounded as bounded
+from jaxnarx.models._assemble import global_model as global_model
+from jaxnarx.models._assemble import local_models as local_models
+from jaxnarx.models._assemble import output_model as output_model
+from jaxnarx.models._assemble import ranged as ranged
+from jaxnarx.models._assemble import ranges as ranges
+from jaxnarx.models._total import total as total
 from jaxnarx.models.consistent import require_consistent as require_consistent
 from jaxnarx.models.domain import FARTHEST as FARTHEST
 from jaxnarx.models.domain import LAYERS as LAYERS
@@ -22,6 +24,7 @@ from jaxnarx.models.feedback import fed_back as fed_back
 from jaxnarx.models.feedback import folded as folded
 from jaxnarx.models.feedback import general_step as general_step
 from jaxnarx.models.feedback import group_weights as group_weights
+from jaxnarx.models.feedback import monomials as monomials
 from jaxnarx.models.feedback import places as places
 from jaxnarx.models.feedback import respond as respond
 from jaxnarx.models.feedback import shares as shares
@@ -76,7 +79,6 @@ from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about
 from jaxnarx.models.storage import save as save
-from jaxnarx.models.total import total as total
 from jaxnarx.models.validity import VALIDITIES as VALIDITIES
 from jaxnarx.models.validity import AbstractValidity as AbstractValidity
 from jaxnarx.models.validity import Boxes as Boxes
@@ -87,3 +89,94 @@ from jaxnarx.models.validity import SigmoidTree as SigmoidTree
 from jaxnarx.models.validity import models_of as models_of
 from jaxnarx.models.validity import register_validity as register_validity
 from jaxnarx.models.validity import weights_of as weights_of
+
+__all__ = [
+    "AbstractValidity",
+    "Boxes",
+    "Compact",
+    "Domain",
+    "ErrorModel",
+    "FARTHEST",
+    "FLAG",
+    "GROWTH",
+    "Gaps",
+    "Gaussians",
+    "HOLD",
+    "LAYERS",
+    "LEVELS",
+    "LINEAR",
+    "LocalModels",
+    "LogSigmoids",
+    "MISSING",
+    "NAN",
+    "Network",
+    "OUTSIDE",
+    "OUTSIDE_WORDS",
+    "OutputModel",
+    "PRIOR",
+    "SigmoidTree",
+    "StateForm",
+    "VALIDITIES",
+    "advance",
+    "assemble",
+    "bounded",
+    "collapse",
+    "collapsed_step",
+    "collapses",
+    "depth",
+    "describe_missing",
+    "describe_policies",
+    "driving",
+    "fading",
+    "fed_back",
+    "folded",
+    "general_step",
+    "global_model",
+    "group_weights",
+    "held_inputs",
+    "hidden_names",
+    "hidden_start",
+    "hold_missing",
+    "hold_to_range",
+    "largest_sizes",
+    "limits_of",
+    "load",
+    "load_about",
+    "local_models",
+    "memory_of",
+    "merged",
+    "models_of",
+    "narrowed",
+    "output_model",
+    "overshoot",
+    "overshoot_rule",
+    "places",
+    "ranged",
+    "recursion",
+    "register_validity",
+    "reported",
+    "reported_range",
+    "require_consistent",
+    "respond",
+    "run_record",
+    "run_states",
+    "save",
+    "scaled_points",
+    "scales",
+    "scheduling_values",
+    "set_nan_policy",
+    "shares",
+    "sources",
+    "state_space",
+    "term_values",
+    "total",
+    "trusted_samples",
+    "weights_at",
+    "weights_of",
+    "widened",
+    "with_hidden_start",
+    "with_history",
+    "with_own",
+    "within_margin",
+]
+"""What users are offered; other rooms may take in all above."""

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.blocks import map_blocks
+from jaxnarx.arrays import map_blocks
 from jaxnarx.regressors import Variables
 
 LAYERS = ("range", "rate", "joint", "distance")

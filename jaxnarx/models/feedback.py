@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.recurrence import polynomial_step
+from jaxnarx.arrays import polynomial_step
 from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.scheduling import scheduling_values
 from jaxnarx.regressors import Variables, evaluate

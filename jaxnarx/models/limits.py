@@ -42,7 +42,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.checks import not_negative
-from jaxnarx.data.batch import Batch
+from jaxnarx.data import Batch
 from jaxnarx.guard import guarded
 from jaxnarx.models.missing import memory_of
 from jaxnarx.models.network import Network

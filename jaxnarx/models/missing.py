@@ -28,7 +28,7 @@ from jax.core import Tracer
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import positive
-from jaxnarx.data.batch import Batch
+from jaxnarx.data import Batch
 from jaxnarx.guard import guarded
 from jaxnarx.models.domain import FARTHEST
 from jaxnarx.models.network import Network

@@ -20,8 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxnarx.arrays.programs import twin
 from jaxnarx.checks import whole
-from jaxnarx.data import Channel, Channels
-from jaxnarx.data.channels import numbered
+from jaxnarx.data import Channel, Channels, numbered
 from jaxnarx.errors import SpecError
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
@@ -117,7 +116,7 @@ class Network(eqx.Module):
     are to be trusted then (`jaxnarx.models.missing`). `domain` is what the network
     knows of its training (`jaxnarx.models.domain`), `certificate` a norm of the past
     outputs, newest first, in which it contracts
-    (`jaxnarx.refinement.stability.certificate`), `errors` how far measurements lie from
+    (`jaxnarx.refinement.certificate`), `errors` how far measurements lie from
     its free run (`jaxnarx.models.error_model`). A free run starts from `history`
     measured samples, those of local models with their own feedback too; hidden channels
     start from what the outputs of `window` samples before tell about them

@@ -4,8 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.blocks import map_blocks
-from jaxnarx.arrays.recurrence import free_run
+from jaxnarx.arrays import free_run, map_blocks
 from jaxnarx.models.feedback import (
     collapse,
     collapsed_step,

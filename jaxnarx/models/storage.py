@@ -32,8 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.data import Channel, Channels
-from jaxnarx.data.batch import check_precision
+from jaxnarx.data import Channel, Channels, check_precision
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.guard import guarded

@@ -7,9 +7,9 @@ equations. They add over records, and leaving a group of records out costs one s
 solve and no pass over the data.
 """
 
+from jaxnarx.output_error._look import Look as Look
+from jaxnarx.output_error._look import look as look
 from jaxnarx.output_error.closed_form import ClosedForm as ClosedForm
-from jaxnarx.output_error.look import Look as Look
-from jaxnarx.output_error.look import look as look
 from jaxnarx.output_error.search import ClosedSearch as ClosedSearch
 from jaxnarx.output_error.sums import Sum as Sum
 from jaxnarx.output_error.sums import best_sum as best_sum

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.models import Network
-from jaxnarx.models.assemble import MARGIN
+from jaxnarx.models._assemble import MARGIN
 from jaxnarx.output_error.growth import GrownStage
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
+from jaxnarx.output_error._look import Look
 from jaxnarx.output_error.closed_form import ClosedForm, tame
 from jaxnarx.output_error.denominator import is_stable, of_times
 from jaxnarx.output_error.dictionary import Block, Dictionary
 from jaxnarx.output_error.equation_error import equation_error
 from jaxnarx.output_error.growth import Box, GrownStage, grown, sized
-from jaxnarx.output_error.look import Look
 from jaxnarx.output_error.signals import RunSignals, signals_of
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.output_error.tuning import places_of, tuned

@@ -7,13 +7,9 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
-from jaxnarx.data.scaling import gains
-from jaxnarx.models import assemble, global_model
-from jaxnarx.models.assemble import ranges
-from jaxnarx.regressors import Pool, Variables
-from jaxnarx.regressors.centring import Centring
+from jaxnarx.data import Dataset, gains, stack_records
+from jaxnarx.models import assemble, global_model, ranges
+from jaxnarx.regressors import Centring, Pool, Variables
 from jaxnarx.simulation import make_drive, make_masks
 
 
@@ -106,7 +102,7 @@ def signals_of(
     empty = dataclasses.replace(empty, scheduling=scheduling)
     larger = Pool(table, pool.factor, pool.channels, pool.outputs)
     network = assemble(larger, data, gain, [empty])
-    batch = stack(data)
+    batch = stack_records(data)
     drive, masks = make_drive(network, batch), make_masks(network, batch)
     v, x = np.asarray(drive.v)[:, :-1], np.asarray(drive.x[0])
     y, scored = np.asarray(drive.measured)[..., 0], masks.scored[..., 0]

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.output_error.look import Look
+from jaxnarx.output_error._look import Look
 from jaxnarx.regressors import (
     LowPass,
     Pool,

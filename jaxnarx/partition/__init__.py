@@ -1,9 +1,9 @@
 """How the operating space is divided among local models."""
 
+from jaxnarx.partition._grow import grow
+from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.ground import Ground, make_ground
-from jaxnarx.partition.grow import grow
 from jaxnarx.partition.local_fit import fit_models
-from jaxnarx.partition.lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.placed import place, scattered
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.partition.stages import best_stage

@@ -16,10 +16,10 @@ from jaxnarx.models import (
     OutputModel,
     models_of,
 )
+from jaxnarx.partition._lolimot import validity_of_boxes
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import local_fit
 from jaxnarx.partition.local_terms import own_terms
-from jaxnarx.partition.lolimot import validity_of_boxes
 
 SHARPNESS = 5.0
 """Steepness of log-sigmoids times the distance between borders: at the middle of a

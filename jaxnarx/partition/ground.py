@@ -13,14 +13,15 @@ from jaxnarx.methods import ForwardOLS, StepwiseF
 from jaxnarx.models import AbstractValidity, OutputModel, local_models, output_model
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.regressors import (
+    Centring,
     Pool,
+    Rows,
     Variables,
     evaluate,
+    regression_rows,
     row_columns,
     variable_names,
 )
-from jaxnarx.regressors.centring import Centring
-from jaxnarx.regressors.rows import Rows, regression_rows
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

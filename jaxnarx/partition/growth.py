@@ -21,10 +21,10 @@ from jaxnarx.models import (
     global_model,
 )
 from jaxnarx.models import SigmoidTree as SigmoidTreeValidity
+from jaxnarx.partition._lolimot import boxes_of_validity, lolimot, validity_of_boxes
 from jaxnarx.partition.given import Regions, placed
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_terms import own_terms
-from jaxnarx.partition.lolimot import boxes_of_validity, lolimot, validity_of_boxes
 from jaxnarx.partition.placed import moved_output
 from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import SplitRows

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.least_squares import cholesky_solve
+from jaxnarx.arrays import cholesky_solve
 
 TAU = 1e-8
 """Candidates whose orthogonal part falls below this share of their own squared norm are

@@ -8,8 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxnarx.methods import ForwardOLS, StepwiseF
 from jaxnarx.partition.ground import Ground
-from jaxnarx.selection.select_terms import choose_terms
-from jaxnarx.selection.unusable import unusable_signals, usable_terms
+from jaxnarx.selection import choose_terms, unusable_signals, usable_terms
 
 
 def own_terms(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.methods import Lolimot, Placed, SigmoidTree
 from jaxnarx.models import Gaussians, Network, OutputModel
 from jaxnarx.partition.ground import Ground

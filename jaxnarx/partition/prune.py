@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.criteria import information
+from jaxnarx.arrays import information
 from jaxnarx.partition.local_fit import effective
 from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.tree import TreeStage, validity_of_stage

@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.least_squares import cholesky_solve
+from jaxnarx.arrays import cholesky_solve
 from jaxnarx.partition.local_fit import local_fit
 
 STEEPNESS = 16.0

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnarx import metrics
-from jaxnarx.arrays.criteria import information
+from jaxnarx.arrays import information
 from jaxnarx.data import Dataset
 from jaxnarx.methods import Lolimot, SigmoidTree
 from jaxnarx.models import Network

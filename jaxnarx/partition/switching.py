@@ -14,10 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.recurrence import free_run
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.arrays import free_run, program
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, depth, recursion, reported
@@ -62,7 +60,7 @@ def switch(
     _check(networks, regions, hold)
     regions = [None] * len(networks) if regions is None else regions
     data = [fitting(network, data) for network in networks][0]
-    batch = stack(data)
+    batch = stack_records(data)
     masks = [make_masks(network, batch) for network in networks]
     start = np.max([m.start for m in masks], axis=0)
     if np.all(start == batch.signals.shape[1]):

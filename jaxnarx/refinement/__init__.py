@@ -1,12 +1,10 @@
 """Training of networks on simulation error; their stability and their uncertainty."""
 
-from jaxnarx.refinement.bands import Bands, bands
-from jaxnarx.refinement.criterion import squares
-from jaxnarx.refinement.guard import Guard, Judged
-from jaxnarx.refinement.layout import Layout, freeze, make_layout
-from jaxnarx.refinement.problem import Problem
-from jaxnarx.refinement.refine import refine
-from jaxnarx.refinement.stability import (
+from jaxnarx.refinement._bands import Bands, bands
+from jaxnarx.refinement._refine import make_task as make_task
+from jaxnarx.refinement._refine import refine
+from jaxnarx.refinement._refine import refine_task as refine_task
+from jaxnarx.refinement._stability import (
     Certificate,
     Stability,
     certificate,
@@ -15,8 +13,16 @@ from jaxnarx.refinement.stability import (
     rate_of,
     stability,
 )
-from jaxnarx.refinement.stages import Stage, stages
-from jaxnarx.refinement.uncertainty import Uncertainty, uncertainty
+from jaxnarx.refinement._stages import Stage, stages
+from jaxnarx.refinement._uncertainty import Uncertainty, uncertainty
+from jaxnarx.refinement.criterion import squares
+from jaxnarx.refinement.guard import Guard, Judged
+from jaxnarx.refinement.layout import Layout, freeze, make_layout
+from jaxnarx.refinement.normal import normal_equations as normal_equations
+from jaxnarx.refinement.problem import Problem
+from jaxnarx.refinement.sensitivity import linearised as linearised
+from jaxnarx.refinement.sensitivity import seen_history as seen_history
+from jaxnarx.refinement.starts import shrunk as shrunk
 
 __all__ = [
     "Bands",

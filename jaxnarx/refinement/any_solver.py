@@ -17,8 +17,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from jaxnarx.arrays import Levenberg, Standing
 from jaxnarx.arrays.levenberg import State
-from jaxnarx.arrays.minimise import Levenberg, Standing
 from jaxnarx.refinement.problem import Problem
 
 TRIALS = 40

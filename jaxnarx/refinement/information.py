@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.recurrence import linear_recurrence
+from jaxnarx.arrays import linear_recurrence, program
 from jaxnarx.models import Network, depth, folded
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import joined, stream

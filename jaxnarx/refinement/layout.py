@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.programs import program, twin
+from jaxnarx.arrays import program
+from jaxnarx.arrays.programs import twin
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.refinement.initial import Initial
-from jaxnarx.regressors.centring import Centring
+from jaxnarx.regressors import Centring
 
 
 @guarded

@@ -5,14 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxnarx.arrays.minimise import (
-    Course,
-    Levenberg,
-    Progress,
-    Standing,
-    minimise,
-    value_at,
-)
+from jaxnarx.arrays import Course, Levenberg, Progress, Standing, minimise
+from jaxnarx.arrays._minimise import value_at
 from jaxnarx.arrays.programs import plain
 from jaxnarx.methods import PredictionError
 from jaxnarx.models import Network

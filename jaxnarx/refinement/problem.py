@@ -6,13 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.levenberg import AbstractProblem, Linear
+from jaxnarx.arrays import AbstractProblem
+from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import twin
 from jaxnarx.models import scales
-from jaxnarx.refinement.criterion import Criterion
-from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.normal import loss, normal_equations, roots
-from jaxnarx.refinement.stability import (
+from jaxnarx.refinement._stability import (
     Metric,
     Points,
     find_metric,
@@ -20,6 +18,9 @@ from jaxnarx.refinement.stability import (
     penalty_points,
     penalty_residuals,
 )
+from jaxnarx.refinement.criterion import Criterion
+from jaxnarx.refinement.layout import Layout
+from jaxnarx.refinement.normal import loss, normal_equations, roots
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import RunInputs
 

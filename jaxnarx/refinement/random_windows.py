@@ -17,7 +17,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.minimise import Levenberg, Standing
+from jaxnarx.arrays import Levenberg, Standing
 from jaxnarx.models import depth
 from jaxnarx.refinement.any_solver import ScaledLoss, reached, scaled
 from jaxnarx.simulation import RunInputs, run

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.arrays.minimise import Course, Levenberg, Progress, Standing, minimise
+from jaxnarx.arrays import Course, Levenberg, Progress, Standing, minimise
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
+from jaxnarx.refinement._stages import Stage
 from jaxnarx.refinement.guard import Judged, judged, make_guard
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem, restraint
-from jaxnarx.refinement.stages import Stage
 from jaxnarx.refinement.task import Task
 from jaxnarx.solution import RESULTS, Solution
 

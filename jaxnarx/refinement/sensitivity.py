@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.recurrence import (
+from jaxnarx.arrays import (
     history_of,
     linear_recurrence,
     own_history,

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.levenberg import AbstractProblem, Linear
-from jaxnarx.arrays.programs import program, twin
+from jaxnarx.arrays import AbstractProblem, program
+from jaxnarx.arrays.levenberg import Linear
+from jaxnarx.arrays.programs import twin
 from jaxnarx.refinement.problem import Problem
 
 TINY = 1e-13

@@ -1,4 +1,4 @@
-"""Refinement that keeps a certificate (`jaxnarx.refinement.stability.certificate`).
+"""Refinement that keeps a certificate (`jaxnarx.refinement.certificate`).
 
 All is refined freely. Where that loses the certificate, the coefficients of past
 outputs go back towards those of the start, as far as they must: with the norm of the
@@ -18,7 +18,7 @@ from jaxtyping import Bool
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, fed_back
-from jaxnarx.refinement.stability import certificate, certified
+from jaxnarx.refinement._stability import certificate, certified
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 

@@ -7,8 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
 from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
@@ -123,7 +122,7 @@ def make_task(
         runs, origin = prepared(network, data)
         data, batch, drive = origin.matched, origin.batch, runs.drive
     else:
-        batch = stack(data)
+        batch = stack_records(data)
         drive = make_drive(network, batch)
     masks = make_masks(network, batch, window)
     _require_scored(masks, network.history + window)

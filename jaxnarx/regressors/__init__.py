@@ -1,8 +1,11 @@
 """Lagged variables, pools of polynomial terms, and how they read as text."""
 
+from jaxnarx.regressors._filter_text import filter_text as filter_text
+from jaxnarx.regressors._time_constants import time_constants as time_constants
+from jaxnarx.regressors.centring import Centring as Centring
+from jaxnarx.regressors.columns import even_places as even_places
 from jaxnarx.regressors.columns import record_columns as record_columns
 from jaxnarx.regressors.columns import row_columns as row_columns
-from jaxnarx.regressors.filter_text import filter_text as filter_text
 from jaxnarx.regressors.filtering import FilterSystem as FilterSystem
 from jaxnarx.regressors.filtering import filter_table as filter_table
 from jaxnarx.regressors.filtering import realise as realise
@@ -22,10 +25,46 @@ from jaxnarx.regressors.filters import require_sampled as require_sampled
 from jaxnarx.regressors.pool import Pool as Pool
 from jaxnarx.regressors.pool import evaluate as evaluate
 from jaxnarx.regressors.pool import polynomial_pool as polynomial_pool
+from jaxnarx.regressors.rows import Rows as Rows
+from jaxnarx.regressors.rows import enough as enough
+from jaxnarx.regressors.rows import flat_weights as flat_weights
+from jaxnarx.regressors.rows import regression_rows as regression_rows
 from jaxnarx.regressors.text import equation as equation
 from jaxnarx.regressors.text import parse_variable as parse_variable
 from jaxnarx.regressors.text import term_name as term_name
 from jaxnarx.regressors.text import variable_name as variable_name
 from jaxnarx.regressors.text import variable_names as variable_names
-from jaxnarx.regressors.time_constants import time_constants as time_constants
 from jaxnarx.regressors.variables import Variables as Variables
+
+__all__ = [
+    "AbstractFilter",
+    "FilterSystem",
+    "Kautz",
+    "Laguerre",
+    "LowPass",
+    "Orthonormal",
+    "Pool",
+    "Variables",
+    "equation",
+    "evaluate",
+    "filter_from_dict",
+    "filter_table",
+    "filter_text",
+    "filter_to_dict",
+    "kautz_bank",
+    "laguerre_bank",
+    "low_pass_bank",
+    "orthonormal_bank",
+    "parse_variable",
+    "polynomial_pool",
+    "realise",
+    "record_columns",
+    "require_sampled",
+    "row_columns",
+    "system_of",
+    "term_name",
+    "time_constants",
+    "variable_name",
+    "variable_names",
+]
+"""What users are offered; other rooms may take in all above."""

@@ -23,8 +23,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.data.batch import Batch
-from jaxnarx.data.channels import Channels
+from jaxnarx.data import Batch, Channels
 from jaxnarx.regressors.pool import evaluate
 from jaxnarx.regressors.variables import Variables
 

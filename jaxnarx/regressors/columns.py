@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.windows import lagged, usable
-from jaxnarx.data.batch import Batch
+from jaxnarx.arrays import lagged, usable
+from jaxnarx.data import Batch
 from jaxnarx.errors import DataError
 from jaxnarx.regressors.filtering import FilterTable, filter_table, filtered
 from jaxnarx.regressors.filters import require_sampled

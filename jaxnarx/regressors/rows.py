@@ -7,11 +7,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.sizes import bucket
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data.batch import Batch, stack
-from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.scaling import gains
+from jaxnarx.arrays import bucket, usable
+from jaxnarx.data import Batch, Dataset, gains, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.regressors.centring import Centring, centring
 from jaxnarx.regressors.columns import row_columns
@@ -68,7 +65,7 @@ def regression_rows(
     `DataError`. `weights` holds one non-negative weight per sample and record. With
     `exact` no row is padding, for those who compile nothing.
     """
-    batch = stack(data)
+    batch = stack_records(data)
     inputs = len(data.channels.inputs)
     targets = np.array([inputs + o for o in outputs])
     good = usable(batch.valid, variables.rows, history)

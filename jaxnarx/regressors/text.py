@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.regressors.filter_text import FORMS, filter_text, parse_filter
+from jaxnarx.regressors._filter_text import FORMS, filter_text, parse_filter
 from jaxnarx.regressors.filters import AbstractFilter
 from jaxnarx.regressors.variables import Entry, Variables
 

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.regressors import Pool
-from jaxnarx.regressors.centring import Centring
+from jaxnarx.regressors import Centring, Pool
 from jaxnarx.selection.basis import Basis
 from jaxnarx.selection.path import Path
 from jaxnarx.selection.program import (

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays.criteria import information
+from jaxnarx.arrays import information
 
 GREATER_IS_BETTER = ("r2", "adjusted_r2", "overall_f")
 

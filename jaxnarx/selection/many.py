@@ -12,8 +12,7 @@ from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
-from jaxnarx.regressors import Pool
-from jaxnarx.regressors.rows import Rows, flat_weights, regression_rows
+from jaxnarx.regressors import Pool, Rows, flat_weights, regression_rows
 from jaxnarx.selection.select_terms import choose_terms, solution_of
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.unusable import unusable_signals, usable_terms

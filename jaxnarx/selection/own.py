@@ -5,8 +5,7 @@ from jaxtyping import Bool
 
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import Selector
-from jaxnarx.regressors import Pool, evaluate
-from jaxnarx.regressors.rows import Rows
+from jaxnarx.regressors import Pool, Rows, evaluate
 
 LARGEST = 2**31
 """Bytes that the columns of all candidate terms may take where all are formed."""

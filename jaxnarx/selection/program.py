@@ -11,7 +11,7 @@ from jaxtyping import Bool, Int
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
 from jaxnarx.regressors import Pool
-from jaxnarx.selection.search import Program
+from jaxnarx.selection._search import Program
 
 Method = ForwardOLS | StepwiseF | Backward
 

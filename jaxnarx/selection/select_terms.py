@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.contraction import positions
+from jaxnarx.arrays import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
@@ -22,9 +22,8 @@ from jaxnarx.methods import (
     SimulationOLS,
     StepwiseF,
 )
-from jaxnarx.regressors import Pool, evaluate
-from jaxnarx.regressors.centring import Centring
-from jaxnarx.regressors.rows import Rows, regression_rows
+from jaxnarx.regressors import Centring, Pool, Rows, evaluate, regression_rows
+from jaxnarx.selection._search import Program, make_lanes, search
 from jaxnarx.selection.anova import anova, significant_terms
 from jaxnarx.selection.basis import Basis, Lane
 from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
@@ -39,7 +38,6 @@ from jaxnarx.selection.program import (
     constant_term,
     plan,
 )
-from jaxnarx.selection.search import Program, make_lanes, search
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
 from jaxnarx.selection.unusable import unusable_signals, usable_terms

@@ -30,18 +30,20 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.contraction import contract, positions
-from jaxnarx.arrays.minimise import Progress
-from jaxnarx.arrays.recurrence import linear_recurrence
+from jaxnarx.arrays import Progress, contract, linear_recurrence, positions
 from jaxnarx.data import Dataset
 from jaxnarx.methods import SimulationError, SimulationOLS
 from jaxnarx.models import Network, assemble, depth, global_model
-from jaxnarx.refinement.layout import Layout, make_layout
-from jaxnarx.refinement.normal import normal_equations
-from jaxnarx.refinement.refine import make_task, refine_task
-from jaxnarx.refinement.sensitivity import linearised, seen_history
-from jaxnarx.regressors import Pool
-from jaxnarx.regressors.centring import Centring
+from jaxnarx.refinement import (
+    Layout,
+    linearised,
+    make_layout,
+    make_task,
+    normal_equations,
+    refine_task,
+    seen_history,
+)
+from jaxnarx.regressors import Centring, Pool
 from jaxnarx.simulation import RunInputs, run
 from jaxnarx.solution import RESULTS
 

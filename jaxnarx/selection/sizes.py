@@ -10,8 +10,7 @@ from jaxnarx.errors import SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, assemble, global_model
-from jaxnarx.regressors import evaluate
-from jaxnarx.regressors.rows import regression_rows
+from jaxnarx.regressors import evaluate, regression_rows
 from jaxnarx.selection.criteria import GREATER_IS_BETTER, criteria
 from jaxnarx.selection.selection import Selection
 from jaxnarx.simulation import Trajectories, predict, simulate

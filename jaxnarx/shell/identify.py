@@ -11,8 +11,7 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, Preparation
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.evaluation import Report, Verdict, report
-from jaxnarx.evaluation.regions import describe_partition
+from jaxnarx.evaluation import Report, Verdict, describe_partition, report
 from jaxnarx.identification import identify as verb
 from jaxnarx.identification import make_pool, needed
 from jaxnarx.methods import (

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from jaxnarx.design import plan
-from jaxnarx.design.plan import TestPlan
+from jaxnarx.design import TestPlan, plan
 from jaxnarx.errors import SpecError
 from jaxnarx.models import load
 from jaxnarx.shell import output

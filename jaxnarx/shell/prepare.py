@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.data import (
+    AbstractStep,
     Channels,
     Dataset,
     Decimate,
@@ -23,7 +24,6 @@ from jaxnarx.data import (
     match_channels,
     prepare,
 )
-from jaxnarx.data.preparation import AbstractStep
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.shell.commands import Prepare
 from jaxnarx.shell.messages import count, say

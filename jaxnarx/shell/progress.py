@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from jaxnarx.arrays.minimise import Progress
+from jaxnarx.arrays import Progress
 from jaxnarx.shell.messages import count, say
 
 

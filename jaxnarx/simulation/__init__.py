@@ -1,5 +1,13 @@
 """Runs of a network: k steps ahead from measured history, or freely."""
 
+from jaxnarx.simulation._prepared import Prepared as Prepared
+from jaxnarx.simulation._prepared import batched as batched
+from jaxnarx.simulation._prepared import checked as checked
+from jaxnarx.simulation._prepared import dataset_of as dataset_of
+from jaxnarx.simulation._prepared import fitting as fitting
+from jaxnarx.simulation._prepared import prepare as prepare
+from jaxnarx.simulation._prepared import prepared as prepared
+from jaxnarx.simulation._prepared import stacked as stacked
 from jaxnarx.simulation.masks import Masks as Masks
 from jaxnarx.simulation.masks import first_anchor as first_anchor
 from jaxnarx.simulation.masks import make_masks as make_masks
@@ -16,14 +24,6 @@ from jaxnarx.simulation.outputs import scaled_run as scaled_run
 from jaxnarx.simulation.outputs import stack as stack
 from jaxnarx.simulation.outputs import started as started
 from jaxnarx.simulation.outputs import unstack as unstack
-from jaxnarx.simulation.prepared import Prepared as Prepared
-from jaxnarx.simulation.prepared import batched as batched
-from jaxnarx.simulation.prepared import checked as checked
-from jaxnarx.simulation.prepared import dataset_of as dataset_of
-from jaxnarx.simulation.prepared import fitting as fitting
-from jaxnarx.simulation.prepared import prepare as prepare
-from jaxnarx.simulation.prepared import prepared as prepared
-from jaxnarx.simulation.prepared import stacked as stacked
 from jaxnarx.simulation.runs import RunInputs as RunInputs
 from jaxnarx.simulation.runs import drive_of as drive_of
 from jaxnarx.simulation.runs import make_drive as make_drive

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
-from jaxnarx.arrays.windows import usable
-from jaxnarx.data.batch import Batch
+from jaxnarx.arrays import usable
+from jaxnarx.data import Batch
 from jaxnarx.models import Network
 
 

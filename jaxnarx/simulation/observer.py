@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.models import Network, depth, hidden_start, with_hidden_start
 from jaxnarx.simulation.runs import RunInputs
 

@@ -15,14 +15,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.models import Network, fading, overshoot, within_margin
-from jaxnarx.models.outside import HOLD
+from jaxnarx.models import HOLD, Network, fading, overshoot, within_margin
+from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begun, observed
-from jaxnarx.simulation.prepared import Prepared
 from jaxnarx.simulation.runs import run, run_steps
 from jaxnarx.simulation.trajectories import has_diverged, limited
 from jaxnarx.solution import NAMES

@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
-from jaxnarx.arrays.recurrence import history_of
-from jaxnarx.data.batch import Batch
+from jaxnarx.arrays import history_of, program
+from jaxnarx.data import Batch
 from jaxnarx.models import (
     Network,
     advance,

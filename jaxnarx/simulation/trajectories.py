@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.data.batch import Batch
+from jaxnarx.data import Batch
 from jaxnarx.models import NAN, Network, reported
 from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation.masks import tables

@@ -7,9 +7,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.simulation.observer import observed
-from jaxnarx.simulation.outputs import scaled_run
-from jaxnarx.simulation.prepared import (
+from jaxnarx.simulation._prepared import (
     Prepared,
     dataset_of,
     fitting,
@@ -17,6 +15,8 @@ from jaxnarx.simulation.prepared import (
     prepared,
     stacked,
 )
+from jaxnarx.simulation.observer import observed
+from jaxnarx.simulation.outputs import scaled_run
 from jaxnarx.simulation.runs import run_steps
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
 from jaxnarx.solution import NAMES, RESULTS, Solution

@@ -15,13 +15,11 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.data.batch import stack
-from jaxnarx.data.scaling import gains
+from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.linear.state_space import StateSpace
-from jaxnarx.models import Network, global_model, hidden_names
-from jaxnarx.models.assemble import MARGIN, ranges
+from jaxnarx.linear import StateSpace
+from jaxnarx.models import Network, global_model, hidden_names, ranges
+from jaxnarx.models._assemble import MARGIN
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import fitting, make_masks, simulate
 
@@ -125,7 +123,7 @@ def settled(network: Network, data: Dataset) -> Network:
     data = fitting(network, data)
     run = simulate(network, data).value
     # Before a run begins, and behind its last valid sample, nothing is computed.
-    masks = make_masks(network, stack(data), network.window)
+    masks = make_masks(network, stack_records(data), network.window)
     each = zip(run.hidden, run.limited, masks.start, masks.end, strict=True)
     found = np.concatenate([h[s:e][~m[s:e].any(axis=1)] for h, m, s, e in each])
     if not len(found):

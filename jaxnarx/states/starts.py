@@ -12,13 +12,8 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.linear.state_space import StateSpace
-from jaxnarx.linear.subspace import (
-    chain_model,
-    simulation_error,
-    subspace,
-    subspace_models,
-)
+from jaxnarx.linear import StateSpace, chain_model, subspace_models
+from jaxnarx.linear.subspace import simulation_error, subspace
 
 BLOCK_ROWS = (None, 10, 15)
 """The default of `subspace`, and two that short records bear."""

@@ -9,6 +9,7 @@ from jaxnarx.errors import DataFileError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.models import LEVELS, Network, bounded, require_consistent
 from jaxnarx.refinement import certified
+from jaxnarx.targets._lower import lower
 from jaxnarx.targets.calibration import (
     OVER,
     CalibrationBlock,
@@ -16,7 +17,6 @@ from jaxnarx.targets.calibration import (
     read_dcm,
 )
 from jaxnarx.targets.form import ParameterTable
-from jaxnarx.targets.lower import lower
 from jaxnarx.targets.maps import REST
 from jaxnarx.targets.parameters import OutputAt, tables_of
 

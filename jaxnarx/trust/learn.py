@@ -6,11 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.checks import whole
-from jaxnarx.data import Dataset, Groups, shortened
+from jaxnarx.data import Dataset, Groups, shortened, stack_records
 from jaxnarx.data import groups as make_groups
-from jaxnarx.data.batch import stack
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Domain, Network
@@ -119,7 +118,7 @@ def feature_rows(
     features: Variables, data: Dataset, groups: Groups | None
 ) -> InputRows:
     """Of all valid samples; before a filter has been fed as it is at rest."""
-    batch, used = stack(data), tuple(dict.fromkeys(s for s, _ in features))
+    batch, used = stack_records(data), tuple(dict.fromkeys(s for s, _ in features))
     length = batch.valid.shape[1]
     own = np.array(used)
     valid = np.asarray(batch.valid)[:, :, own].all(axis=2)

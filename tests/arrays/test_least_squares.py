@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnarx.arrays.least_squares import cholesky_solve, least_squares
+from jaxnarx.arrays._least_squares import cholesky_solve, least_squares
 
 TIME, TERMS = 40, 5
 solve = jax.jit(least_squares)

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnarx.arrays._least_squares import leverage, solve
 from jaxnarx.arrays.accurate_product import accurate_product, slices
 from jaxnarx.arrays.column_scaling import column_scale, power_of_two
-from jaxnarx.arrays.least_squares import leverage, solve
 
 TIME, TERMS = 30, 4
 WAYS = ("qr", "svd", "normal")

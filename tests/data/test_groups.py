@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from test_repeats import staircase
 
 from jaxnarx.data import Dataset, Groups, groups
-from jaxnarx.data.groups import block_labels
+from jaxnarx.data._groups import block_labels
 from jaxnarx.errors import DataError, SpecError
 
 

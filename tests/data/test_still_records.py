@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from jaxnarx.data import Dataset, check, delays, step_times, suggest_lags
-from jaxnarx.output_error.look import look
+from jaxnarx.output_error._look import look
 
 SECOND = {
     "differs": lambda k, n: np.full(n, (20.0, 30.0, 40.0)[k]),

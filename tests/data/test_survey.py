@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxnarx.data.survey import measurement_files, survey
+from jaxnarx.data._survey import measurement_files, survey
 from jaxnarx.errors import DataFileError, SpecError
 
 ROWS = 400

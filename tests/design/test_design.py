@@ -13,7 +13,7 @@ from jaxnarx.design import (
     criteria,
     network_sensitivity,
 )
-from jaxnarx.design.criteria import objective
+from jaxnarx.design._criteria import objective
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import AprbsPlan, aprbs_plan, check_plan, render
 from jaxnarx.methods import OptimalDesign

@@ -6,8 +6,8 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
+from jaxnarx.design._plan import HOLDS, REFUSED
 from jaxnarx.design.limits import limits_for
-from jaxnarx.design.plan import HOLDS, REFUSED
 from jaxnarx.design.stretches import Space, stretches
 from jaxnarx.design.views import told
 from jaxnarx.errors import SpecError

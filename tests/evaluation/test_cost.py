@@ -11,7 +11,7 @@ import pytest
 from common import A, B, Part, Y, network
 
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation.cost import cost, local_terms
+from jaxnarx.evaluation._cost import cost, local_terms
 from jaxnarx.evaluation.operations import Operations, filtering, weighing
 from jaxnarx.models import (
     AbstractValidity,

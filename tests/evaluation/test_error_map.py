@@ -8,7 +8,7 @@ from common import BRIEF, A, B, Part, from_rows, network
 
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import report
-from jaxnarx.evaluation.error_map import error_maps
+from jaxnarx.evaluation._error_map import error_maps
 
 
 def dataset():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxnarx.evaluation.cost import pareto
+from jaxnarx.evaluation._cost import pareto
 
 
 def dominated(points, i):

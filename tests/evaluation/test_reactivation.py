@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from common import A, B, Part, device, from_rows, network
 
-from jaxnarx.evaluation.reactivation import (
+from jaxnarx.evaluation._reactivation import (
     reactivation,
     reactivation_notes,
 )

@@ -5,7 +5,7 @@ import pytest
 from common import BRIEF, HALVES, from_rows, network
 
 from jaxnarx.evaluation import RegionError, region_sentence, report
-from jaxnarx.evaluation.region_errors import region_text
+from jaxnarx.evaluation._region_errors import region_text
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from common import Part
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import relevance
-from jaxnarx.evaluation.relevance import _permuted
+from jaxnarx.evaluation._relevance import _permuted
 
 network = cache(common.named)
 data = cache(lambda: common.dataset((150, 150)))

@@ -9,7 +9,7 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import intersections, response_surface, steady_states
-from jaxnarx.evaluation.steady_states import operating_point
+from jaxnarx.evaluation._steady_states import operating_point
 
 network = cache(common.named)
 data = cache(lambda: common.dataset((150, 150)))

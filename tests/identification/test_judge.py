@@ -19,7 +19,7 @@ from jaxnarx.methods import (
     Polynomial,
     SimulationError,
 )
-from jaxnarx.models.assemble import MARGIN
+from jaxnarx.models._assemble import MARGIN
 from jaxnarx.output_error import ClosedSearch, look
 
 METHOD = Identification(

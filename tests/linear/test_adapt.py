@@ -9,7 +9,7 @@ import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.linear.adapt import adapt
+from jaxnarx.linear._adapt import adapt
 from jaxnarx.methods import Global
 from jaxnarx.methods.least_squares import Recursive
 from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model

@@ -12,7 +12,7 @@ import pytest
 from common import A, B
 
 import jaxnarx as jnx
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     FLAG,
@@ -122,7 +122,7 @@ def test_inside_of_the_ranges_all_are_the_same():
 
 def test_one_step_is_a_step_of_the_run():
     net, data = ranged("coupled", LINEAR), common.dataset()
-    batch = stack(data)
+    batch = stack_records(data)
     drive = make_drive(net, batch)
     masks = make_masks(net, batch, net.window)
     y = np.asarray(run(net, drive, jax.device_put(first_anchor(masks))))[0]

@@ -13,7 +13,7 @@ from hidden_problems import FREE, WINDOW, free_run, network, truth
 import jaxnarx as jnx
 from jaxnarx import design, inverse
 from jaxnarx.data import Channel, Channels
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost, local_behaviour
 from jaxnarx.linear import adapt
@@ -107,7 +107,7 @@ def part(output: int, **more) -> Network:
 def told_starts(net: Network):
     """Scaled free runs from the true hidden values, and the samples that are scored."""
     given = truth()
-    batch = stack(fitting(net, given.data))
+    batch = stack_records(fitting(net, given.data))
     drive, masks = make_drive(net, batch), make_masks(net, batch, net.window)
     measured = np.array(drive.measured)
     for n, every in enumerate(given.computed):

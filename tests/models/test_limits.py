@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from common import A, B, W, Y
 
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.models import held_inputs, hold_to_range, reported, reported_range
 from jaxnarx.regressors import LowPass, Variables
@@ -100,7 +100,7 @@ def test_what_is_reported_stays_in_the_widened_range():
 
 
 def test_the_host_holds_the_inputs_of_records_as_the_network_does():
-    batch = stack(common.dataset())
+    batch = stack_records(common.dataset())
     held = held_inputs(ranged(), batch)
     np.testing.assert_array_equal(held.signals, clipped(np.asarray(batch.signals)))
     assert held.valid is batch.valid

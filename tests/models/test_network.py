@@ -13,7 +13,7 @@ import pytest
 from common import KINDS, PARTS
 
 from jaxnarx.arrays.recurrence import free_run
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.models import (
     Gaussians,
     Network,
@@ -319,7 +319,7 @@ def test_what_is_fed_back():
 
 @cache
 def drive(kind: str):
-    return make_drive(common.named(kind), stack(data()))
+    return make_drive(common.named(kind), stack_records(data()))
 
 
 def record_args(kind: str, n: int = 0):

@@ -16,15 +16,15 @@ from common import some
 from kinds import OWN, own_feedback
 
 import jaxnarx as jnx
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import ModelFileError
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network, advance, load, save
 from jaxnarx.refinement import refine, stability
+from jaxnarx.refinement._stability.points import jacobians, points_of
 from jaxnarx.refinement.information import sums, variances
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import normal_equations
-from jaxnarx.refinement.stability.points import jacobians, points_of
 from jaxnarx.refinement.task import make_task
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, states
 
@@ -219,7 +219,7 @@ def test_poles_and_contraction_are_those_of_the_whole_state():
     all of its past equal central differences of a step."""
     net = own_feedback("by inputs")
     found = stability(net, data()).value
-    batch = stack(data())
+    batch = stack_records(data())
     masks, drive = make_masks(net, batch), make_drive(net, batch)
     every = np.asarray(states(net, drive, jnp.asarray(first_anchor(masks))))
     assert every.shape[2] == 1 + 3

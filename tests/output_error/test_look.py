@@ -9,7 +9,7 @@ import pytest
 from jaxnarx.data import Dataset, check, suggest_lags
 from jaxnarx.errors import DataError
 from jaxnarx.output_error import look
-from jaxnarx.output_error.look import COUNTED
+from jaxnarx.output_error._look import COUNTED
 
 DEAD = 3
 """Samples before `a` shows; `b` does so after one."""

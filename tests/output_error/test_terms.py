@@ -6,7 +6,7 @@ import nested_problems as problems
 import numpy as np
 import pytest
 
-from jaxnarx.output_error.look import Look
+from jaxnarx.output_error._look import Look
 from jaxnarx.output_error.terms import Memory, linear_pool, product_pool, scheduling
 from jaxnarx.regressors import LowPass
 

@@ -14,7 +14,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import Global, Lolimot
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.partition import grow
-from jaxnarx.partition.lolimot import lolimot
+from jaxnarx.partition._lolimot import lolimot
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.simulation import predict
 

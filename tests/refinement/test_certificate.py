@@ -22,7 +22,7 @@ from jaxnarx.models import (
     hold_to_range,
 )
 from jaxnarx.refinement import certificate, certified, rate_of
-from jaxnarx.refinement.stability.certificate import _blocks
+from jaxnarx.refinement._stability._certificate import _blocks
 from jaxnarx.trust import knowing, released
 
 LOW, HIGH = np.array([-1.0, -1.0, -5.0, -2.0]), np.array([1.0, 1.0, 5.0, 2.0])

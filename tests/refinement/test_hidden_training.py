@@ -17,11 +17,11 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import PRIOR, scales
 from jaxnarx.refinement import refine
+from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement._stability import penalty_points
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import loss, normal_equations
-from jaxnarx.refinement.refine import make_task
-from jaxnarx.refinement.stability import penalty_points
 from jaxnarx.simulation import run, simulate
 
 BAND = (0.5, 2.0)

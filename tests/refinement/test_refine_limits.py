@@ -10,12 +10,12 @@ import oracles
 from common import A, B
 
 from jaxnarx.models import hold_to_range, reported
-from jaxnarx.refinement.bands import bands
+from jaxnarx.refinement._bands import bands
+from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement._stability import stability
+from jaxnarx.refinement._uncertainty import uncertainty
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import normal_equations
-from jaxnarx.refinement.refine import make_task
-from jaxnarx.refinement.stability import stability
-from jaxnarx.refinement.uncertainty import uncertainty
 from jaxnarx.simulation import run, simulate
 
 KIND = "coupled, by own output"

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from common import VARIABLES, A, Part
 
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.models import Network, general_step
-from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.stability import (
+from jaxnarx.refinement._stability import (
     find_metric,
     first_horizon,
     largest_local_pole,
@@ -25,10 +24,11 @@ from jaxnarx.refinement.stability import (
     slowest,
     stability,
 )
-from jaxnarx.refinement.stability.bound import ALL, RUN
-from jaxnarx.refinement.stability.hull import hull, power, product
-from jaxnarx.refinement.stability.norm import contracting_norm, norms
-from jaxnarx.refinement.stability.points import companion, jacobians, points_of
+from jaxnarx.refinement._stability.bound import ALL, RUN
+from jaxnarx.refinement._stability.hull import hull, power, product
+from jaxnarx.refinement._stability.norm import contracting_norm, norms
+from jaxnarx.refinement._stability.points import companion, jacobians, points_of
+from jaxnarx.refinement.layout import make_layout
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run
 
 LENGTHS = (150, 120, 140)
@@ -40,7 +40,7 @@ def data():
 
 
 def prepared(net: Network):
-    batch = stack(data())
+    batch = stack_records(data())
     return make_drive(net, batch), make_masks(net, batch)
 
 
@@ -324,7 +324,7 @@ def test_the_first_horizon_is_the_slowest_time_constant(
 
 def test_data_without_one_complete_window_are_refused():
     net = pair((0.5, 0.0))
-    batch = stack(common.from_rows([common.signals(2)]))
+    batch = stack_records(common.from_rows([common.signals(2)]))
     with pytest.raises(DataError, match="stability needs"):
         first_horizon(net, make_drive(net, batch), make_masks(net, batch))
 

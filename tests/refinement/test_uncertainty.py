@@ -18,16 +18,16 @@ from common import A, B, Y
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 from jaxnarx.refinement import freeze
-from jaxnarx.refinement.bands import bands, root
-from jaxnarx.refinement.labels import label
-from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.noise import estimate_noise
-from jaxnarx.refinement.refine import make_task
-from jaxnarx.refinement.uncertainty import (
+from jaxnarx.refinement._bands import bands, root
+from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement._uncertainty import (
     pseudo_inverse,
     rest_of_filter,
     uncertainty,
 )
+from jaxnarx.refinement.labels import label
+from jaxnarx.refinement.layout import make_layout
+from jaxnarx.refinement.noise import estimate_noise
 from jaxnarx.simulation import run, simulate
 
 SPARE: dict[str, Any] = {"spare_models": 1, "spare_slots": 1}

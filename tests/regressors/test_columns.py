@@ -10,7 +10,7 @@ import scipy.signal
 from common import TIME, A, B, W, Y
 
 from jaxnarx.data import Channel, Channels
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.data.scaling import gains
 from jaxnarx.errors import SpecError
 from jaxnarx.regressors import (
@@ -123,7 +123,7 @@ def columns():
 
 
 def test_one_record_in_a_trace_is_the_same_as_rows(data, columns):
-    batch = stack(data)
+    batch = stack_records(data)
     for n in range(3):
         at = np.flatnonzero(batch.valid[n].all(axis=1))[3:]
         one = np.asarray(columns(batch.signals[n], batch.valid[n]))[:, at]
@@ -132,7 +132,7 @@ def test_one_record_in_a_trace_is_the_same_as_rows(data, columns):
 
 
 def test_the_columns_are_linear_and_do_not_depend_on_what_is_missing(data, columns):
-    batch = stack(data)
+    batch = stack_records(data)
     signals, valid = batch.signals[1], batch.valid[1]
     base = columns(signals, valid)
     np.testing.assert_allclose(columns(3 * signals, valid), 3 * base, atol=1e-12)

@@ -12,7 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import ForwardOLS, Global, SimulationOLS
 from jaxnarx.partition import grow
-from jaxnarx.refinement.refine import make_task
+from jaxnarx.refinement._refine import make_task
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
 from jaxnarx.selection.simulation_ols import (

@@ -1048,7 +1048,7 @@ def test_ctrl_c_is_130_and_leaves_nothing(capsys, monkeypatch, remembered):
     def stop(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("jaxnarx.identification.by_method.refine", stop)
+    monkeypatch.setattr("jaxnarx.identification._by_method.refine", stop)
     fails(capsys, 130, ["identify", "engine.toml", *PART], "interrupted")
 
 
@@ -1058,7 +1058,7 @@ def test_too_little_memory_is_said_in_words(capsys, monkeypatch, remembered):
     def exhausted(*arguments, **options):
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.")
 
-    monkeypatch.setattr("jaxnarx.identification.by_method.select", exhausted)
+    monkeypatch.setattr("jaxnarx.identification._by_method.select", exhausted)
     fails(capsys, 3, ["identify", "engine.toml", *PART], "memory", "fewer lags")
 
 
@@ -1068,7 +1068,7 @@ def test_a_defect_is_not_taken_for_a_bad_fit(capsys, monkeypatch, remembered):
     def defect(*arguments, **options):
         raise IndexError("off by one")
 
-    monkeypatch.setattr("jaxnarx.identification.by_method.select", defect)
+    monkeypatch.setattr("jaxnarx.identification._by_method.select", defect)
     assert run(["identify", "engine.toml", *PART]) == 70
     text = capsys.readouterr().err
     assert "IndexError: off by one" in text and "defect of jaxnarx" in text

@@ -17,8 +17,8 @@ from jaxnarx.evaluation import (
     SizeErrors,
     Trace,
 )
+from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.comparison import ComparedRecord
-from jaxnarx.evaluation.error_map import ErrorMap
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import style
 from jaxnarx.shell.figures.comparison import by_size, compared

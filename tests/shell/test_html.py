@@ -9,7 +9,7 @@ import pytest
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation import Report, Residuals, Row, Trace
-from jaxnarx.refinement.stability import Bound, Place, Poles, Stability
+from jaxnarx.refinement._stability import Bound, Place, Poles, Stability
 from jaxnarx.shell.report.html import figure_text, render, term_html, write_report
 
 EVIL = "<script>alert(1)</script>"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hidden_problems import CHANNELS, GAIN, WINDOW, X1, X2, Truth, network, truth
 
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.models.observer import POINTS, PRIOR, scales, spread_out
 from jaxnarx.simulation import (
@@ -49,7 +49,7 @@ def changed(given: Truth, record: int, rows, value: float) -> Truth:
 
 def starts(net, given: Truth) -> np.ndarray:
     """Hidden values from which the runs of all records begin, (record, hidden)."""
-    batch = stack(given.data)
+    batch = stack_records(given.data)
     start = make_masks(net, batch, net.window).start
     drive = begun(net, make_drive(net, batch), jax.device_put(start))
     return np.asarray(drive.measured)[np.arange(len(start)), start - 1, 2:] * HIDDEN
@@ -100,7 +100,10 @@ def test_what_lies_behind_the_window_does_not_move_the_start():
 def test_records_and_padding_beside_it_do_not_move_a_start():
     net, given = network(), truth()
     longer = truth(lengths=(60, 45, 100))
-    assert stack(longer.data).signals.shape[1] > stack(given.data).signals.shape[1]
+    assert (
+        stack_records(longer.data).signals.shape[1]
+        > stack_records(given.data).signals.shape[1]
+    )
     # Programs of other sizes round otherwise, and 15 steps of a search multiply that.
     found = starts(net, longer)[:2]
     np.testing.assert_allclose(found, starts(net, given), atol=1e-9)
@@ -141,7 +144,7 @@ def test_missing_outputs_put_the_start_off_until_there_is_a_whole_window():
     given, gap = truth(), 7
     holed = changed(given, 0, gap, np.nan)
     net = network()
-    masks = make_masks(net, stack(holed.data), WINDOW)
+    masks = make_masks(net, stack_records(holed.data), WINDOW)
     # w looks one sample back: the first that counts in a window is gap + 2.
     np.testing.assert_array_equal(masks.start, [gap + 2, 1])
     np.testing.assert_array_equal(masks.first, [gap + 2 + WINDOW, BEFORE])
@@ -190,7 +193,7 @@ def test_no_record_with_a_window_is_an_error_with_the_number_that_is_needed():
 
 def test_hidden_values_are_those_of_the_window_that_ends_there():
     net, given = network(), truth()
-    drive = observed(net, make_drive(net, stack(given.data)))
+    drive = observed(net, make_drive(net, stack_records(given.data)))
     found = np.asarray(drive.measured)[..., 2:] * HIDDEN
     for n, every in enumerate(given.computed):
         np.testing.assert_array_equal(found[n, : WINDOW - 1], 0.0)

@@ -11,10 +11,10 @@ from hidden_problems import GAIN, WINDOW, X1, network, truth
 from state_plants import made
 
 from jaxnarx.data import Dataset
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.state_space import StateSpace, simulate_states
-from jaxnarx.models.assemble import MARGIN
+from jaxnarx.models._assemble import MARGIN
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, simulate
 from jaxnarx.states import raised, settled, state_network
 from jaxnarx.states.network import FREE, products
@@ -52,7 +52,7 @@ def test_its_run_is_that_of_the_model(degree):
     data, xs = runs()
     net = state_network(model(), data, (0, 1), degree=degree, window=20)
     assert (net.hidden, net.window, net.history) == (3, 20, 1)
-    batch = stack(data)
+    batch = stack_records(data)
     drive = make_drive(net, batch)
     measured = np.array(drive.measured)
     for n, x in enumerate(xs):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from state_plants import made, plant, records
 
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.methods import HiddenStates
 from jaxnarx.models import SigmoidTree, load, save, weights_at
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, simulate
@@ -26,7 +26,7 @@ def linear():
 
 def runs(network) -> np.ndarray:
     """Scaled free runs in which hidden states begin at zero."""
-    batch = stack(records())
+    batch = stack_records(records())
     anchor = jax.device_put(first_anchor(make_masks(network, batch)))
     return np.asarray(run(network, make_drive(network, batch), anchor))
 

@@ -27,7 +27,7 @@ from jaxnarx.models import (
 from jaxnarx.models.limits import overshoots
 from jaxnarx.simulation import simulate
 from jaxnarx.targets import Instance, lower, octave, runners
-from jaxnarx.targets.export import write_files
+from jaxnarx.targets._export import write_files
 from jaxnarx.targets.fmu import documentation
 from jaxnarx.targets.fmu.prove import fmu_runner
 from jaxnarx.targets.fmu.variables import quantities

@@ -15,7 +15,7 @@ from browser import Browser, needs_browser
 from test_targets import NETWORKS, narrowed
 
 from jaxnarx.models import OUTSIDE
-from jaxnarx.shell.report.page.running import described, model_script, own_script
+from jaxnarx.shell.report.page._running import described, model_script, own_script
 from jaxnarx.targets import lower, runners
 from jaxnarx.targets.proof import Case
 

@@ -14,7 +14,7 @@ from test_targets import written
 from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.targets import Instance, export, lower, octave, runners
-from jaxnarx.targets.export import write_files
+from jaxnarx.targets._export import write_files
 from jaxnarx.targets.interpret import STARTS
 from jaxnarx.targets.matlab import TAKEN
 from jaxnarx.targets.proof import cases_of

@@ -18,7 +18,7 @@ import pytest
 from common import B, some
 
 import jaxnarx as jnx
-from jaxnarx.data.batch import stack
+from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     NAN,
@@ -35,7 +35,7 @@ from jaxnarx.models import (
 from jaxnarx.regressors import Kautz, Laguerre, LowPass, Variables
 from jaxnarx.simulation import make_drive, simulate
 from jaxnarx.targets import ExportError, Instance, export, lower, proof, runners
-from jaxnarx.targets.export import TARGETS, golden_of
+from jaxnarx.targets._export import TARGETS, golden_of
 from jaxnarx.targets.maps import axes_of
 from jaxnarx.targets.proof import Case, cases_of
 from jaxnarx.targets.runners import c_runner
@@ -263,7 +263,7 @@ def test_slopes_are_those_of_the_network():
     needed = program.needed([n for row in program.jacobian for n in row])
     values = instance._values(needed, case.inputs[program.history], np.zeros(0))
     found = np.array([[values[n] for n in row] for row in program.jacobian])
-    drive = jax.tree.map(np.asarray, make_drive(net, stack(data)))
+    drive = jax.tree.map(np.asarray, make_drive(net, stack_records(data)))
     v = drive.v[0][:, program.history]
     x = tuple(x_o[0][:, program.history] for x_o in drive.x)
     depth = max(k for _, k in program.past)

@@ -1,6 +1,6 @@
 """Residual analysis with probabilities that hold: the verb `diagnose` and its parts."""
 
-from jaxnarx.evaluation.residual_tests.diagnose import diagnose as diagnose
+from jaxnarx.evaluation.residual_tests._diagnose import diagnose as diagnose
 from jaxnarx.evaluation.residual_tests.diagnostics import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests.diagnostics import (
     OutputDiagnostics as OutputDiagnostics,

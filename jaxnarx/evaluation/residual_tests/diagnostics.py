@@ -231,7 +231,7 @@ def _block(one: OutputDiagnostics, level: float) -> str:
 
 def _coefficients(one: OutputDiagnostics) -> list[str]:
     # Inside the function: see `err_of`.
-    from jaxnarx.selection.table import coefficient_lines
+    from jaxnarx.selection import coefficient_lines
 
     lines = []
     for m, number in enumerate(dict.fromkeys(c.model for c in one.coefficients)):

@@ -8,8 +8,7 @@ import scipy.fft
 import scipy.special
 from jaxtyping import Float, Int
 
-from jaxnarx.data import Channel, Dataset
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data import Channel, Dataset, unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
 from jaxnarx.evaluation.residual_tests.correlations import without_mean

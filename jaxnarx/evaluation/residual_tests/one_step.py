@@ -8,10 +8,8 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.arrays.factorisation import quadratic
-from jaxnarx.data import Channel
-from jaxnarx.data.batch import Batch
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.arrays import quadratic
+from jaxnarx.data import Batch, Channel, unit_of
 from jaxnarx.evaluation.residual_tests.fits import (
     ResidualBasis,
     global_fit,

@@ -6,8 +6,8 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
-from jaxnarx.arrays.factorisation import quadratic
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.arrays import quadratic
+from jaxnarx.data import unit_of
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
 BINS = 10

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays.sizes import bucket
+from jaxnarx.arrays import bucket
 
 EDGE = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""

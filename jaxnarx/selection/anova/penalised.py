@@ -21,7 +21,7 @@ from jaxtyping import Float
 from scipy.special import fdtri
 
 from jaxnarx.errors import DataError
-from jaxnarx.methods.anova import Anova
+from jaxnarx.methods import Anova
 from jaxnarx.selection.anova.cells import (
     Effect,
     FTest,

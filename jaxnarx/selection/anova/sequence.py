@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.methods.anova import Anova
+from jaxnarx.methods import Anova
 from jaxnarx.selection.anova.cells import (
     LEAST,
     CellLayout,

@@ -16,9 +16,8 @@ from jaxtyping import Float
 from scipy.special import fdtri
 
 from jaxnarx.errors import DataError
-from jaxnarx.methods.anova import Anova
-from jaxnarx.regressors import Pool
-from jaxnarx.regressors.rows import Rows
+from jaxnarx.methods import Anova
+from jaxnarx.regressors import Pool, Rows
 from jaxnarx.selection.anova.cells import Effect, FTest, cut
 from jaxnarx.selection.anova.model import Codes
 from jaxnarx.selection.anova.penalised import shrink

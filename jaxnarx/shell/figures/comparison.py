@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxnarx.evaluation import ModelComparison, SizeErrors
-from jaxnarx.evaluation.comparison import ComparedRecord
+from jaxnarx.evaluation import ComparedRecord, ModelComparison, SizeErrors
 from jaxnarx.shell.figures.report import envelope
 from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, styled
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.data import Dataset
-from jaxnarx.evaluation.local_models import LocalBehaviour, local_behaviour
+from jaxnarx.evaluation import LocalBehaviour, local_behaviour
 from jaxnarx.models import Network
 from jaxnarx.shell.figures.style import INK, canvas, plain, styled, tone
 

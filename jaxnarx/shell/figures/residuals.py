@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from jaxnarx.evaluation.residual_tests import (
+from jaxnarx.evaluation import (
     FreeRunResiduals,
     LagTest,
     OperatingPoint,

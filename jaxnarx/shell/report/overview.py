@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from jaxnarx.evaluation import Report, Row
+from jaxnarx.evaluation import GOOD, LIMITED, UNUSABLE, Report, Row
 from jaxnarx.evaluation.table import beside
-from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE
 
 KINDS = {GOOD: "good", LIMITED: "warn", UNUSABLE: "bad"}
 """The look of a verdict and of its reasons."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxnarx.arrays.contraction import positions
+from jaxnarx.arrays import positions
 from jaxnarx.regressors import Pool
 from jaxnarx.sweep.identify.settings import Shape
 

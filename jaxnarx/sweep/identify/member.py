@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.data import Dataset, Fleet, Padded
-from jaxnarx.data.batch import Batch, check_precision
+from jaxnarx.data import Batch, Dataset, Fleet, Padded, check_precision
 from jaxnarx.errors import DataError
 from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
 from jaxnarx.partition import Ground, make_ground

@@ -12,11 +12,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import levenberg
-from jaxnarx.arrays.minimise import QUIET, ROUNDING
+from jaxnarx.arrays._minimise import QUIET, ROUNDING
 from jaxnarx.methods import PredictionError, SimulationError
-from jaxnarx.refinement import Guard, Judged, Layout, Problem, Stage, squares, stages
+from jaxnarx.refinement import (
+    Guard,
+    Judged,
+    Layout,
+    Problem,
+    Stage,
+    shrunk,
+    squares,
+    stages,
+)
 from jaxnarx.refinement.starts import SHRINK as FACTORS
-from jaxnarx.refinement.starts import shrunk
 from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import counted

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.arrays.programs import program
+from jaxnarx.arrays import program
 from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.identification import identify, terms_of

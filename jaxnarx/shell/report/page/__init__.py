@@ -1,6 +1,6 @@
 """The part of a report's page that runs: the model, the records, and scripts."""
 
+from jaxnarx.shell.report.page._running import Running as Running
+from jaxnarx.shell.report.page._running import exported_cost as exported_cost
+from jaxnarx.shell.report.page._running import running as running
 from jaxnarx.shell.report.page.records import Budget as Budget
-from jaxnarx.shell.report.page.running import Running as Running
-from jaxnarx.shell.report.page.running import exported_cost as exported_cost
-from jaxnarx.shell.report.page.running import running as running

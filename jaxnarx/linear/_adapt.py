@@ -1,0 +1,156 @@
+"""The verb `adapt`: update the coefficients of a network while it runs.
+
+Every sample corrects the coefficients by recursive least squares with forgetting, see
+`arrays.recursive_least_squares`, and the partition stays. With `regressors="measured"`
+the regressors hold measured outputs: the estimate is that of one-step least squares.
+With `"simulated"` they hold the model's own outputs, as in a free run: what is then
+minimised is nearer to the simulation error, but convergence is certain only where the
+error's filter is positive real (L. Ljung, T. Soderstrom, Theory and Practice of
+Recursive Identification, 1983, chapter 4).
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.arrays import history_of
+from jaxnarx.data import Dataset, stack_records
+from jaxnarx.errors import DataError
+from jaxnarx.guard import guarded
+from jaxnarx.linear.adapt_program import (
+    Limits,
+    WindowedSamples,
+    WindowRecord,
+    adapt_windows,
+    make_plan,
+    place,
+)
+from jaxnarx.methods import Recursive
+from jaxnarx.models import Network, depth
+from jaxnarx.simulation import (
+    first_anchor,
+    fitting,
+    make_drive,
+    make_masks,
+    run,
+    run_steps,
+)
+from jaxnarx.solution import RESULTS, Solution
+
+
+@guarded
+def adapt(
+    network: Network, data: Dataset, method: Recursive | None = None
+) -> Solution[Network]:
+    """The network after it has followed all records of `data` in order.
+
+    Coefficients and their covariance pass from record to record; samples that are
+    missing, or whose lags are, count for nothing. A sample is *frozen* where the error
+    lies in the dead zone or where it brings too little news, *held* where its news
+    count but nothing is forgotten, the covariance being at its bound: a constant input
+    then neither moves the coefficients nor makes them jump when it moves again.
+
+    After every `window` samples the root mean square error of the predictions made on
+    the way is compared with that of the starting network: above `growth` times it the
+    window is undone, that is, the coefficients go back to those before, or, where the
+    window before was undone too, to those of the start, and the covariance begins anew.
+
+    `stats`, with a row for every window: `rmse` and `rmse_start` (windows, outputs) in
+    physical units, `history` (one array per output: windows, models, slots; scaled
+    coefficients as the network holds them), `undone`; per output the numbers of
+    `samples`, `frozen`, `held` and `restarts`.
+
+    Status `no_improvement` where a window was undone, `stalled` where all of one output
+    were, `unidentifiable` where not one sample was used. No usable sample: `DataError`.
+    """
+    network.require_measured("Adaptation")
+    method = Recursive() if method is None else method
+    plan = make_plan(network, method)
+    matched = fitting(network, data)
+    simulated = method.regressors == "simulated"
+    samples = _samples(network, matched, method.window, simulated)
+    dtype = samples.v.dtype
+    limits = Limits(*(jnp.asarray(getattr(method, f), dtype) for f in Limits._fields))
+    theta, record = adapt_windows(network, plan, samples, limits, simulated)
+    value = place(network, plan, theta)
+    stats = _stats(network, record)
+    return Solution(value, *_status(network, stats))
+
+
+def _samples(
+    network: Network, data: Dataset, window: int, simulated: bool
+) -> WindowedSamples:
+    """Every record behind the other, in windows; padding has weight zero."""
+    batch = stack_records(data)
+    masks = make_masks(network, batch)
+    usable = masks.scored & (True if simulated else masks.anchors[:, :, None])
+    if not usable.any():
+        raise DataError(
+            f"no sample can be used: the model needs {network.history} valid measured "
+            f"samples in a row before one, the longest record has "
+            f"{max(len(r) for r in data)} rows"
+        )
+    drive, anchor = make_drive(network, batch), first_anchor(masks)
+    if simulated:
+        start = run(network, drive, jnp.asarray(anchor))
+    else:
+        start = run_steps(network, drive, jnp.asarray(1))[0]
+    past = jax.vmap(partial(history_of, depth=depth(network)))(drive.measured)
+    dtype = drive.measured.dtype
+    every = (
+        drive.v.swapaxes(1, 2),
+        tuple(x.swapaxes(1, 2) for x in drive.x),
+        drive.measured,
+        past,
+        jnp.asarray(usable, dtype),
+        jnp.asarray(anchor),
+        start,
+    )
+    longest = max(len(r) for r in data)
+    cut = partial(_windows, longest=longest, window=window)
+    return WindowedSamples(*jax.tree.map(cut, every))
+
+
+def _windows(a: jax.Array, longest: int, window: int) -> jax.Array:
+    """(records, time, ...) as (windows, window, ...), zeros behind the last."""
+    a = a[:, :longest]
+    flat = a.reshape(a.shape[0] * a.shape[1], *a.shape[2:])
+    more = -len(flat) % window
+    flat = jnp.pad(flat, ((0, more), *((0, 0) for _ in flat.shape[1:])))
+    return flat.reshape(len(flat) // window, window, *flat.shape[1:])
+
+
+def _stats(network: Network, record: WindowRecord) -> dict:
+    gain = np.asarray(network.gain)[np.array(network.signals)]
+    return {
+        "rmse": np.sqrt(np.asarray(record.mse)) * gain,
+        "rmse_start": np.sqrt(np.asarray(record.mse_start)) * gain,
+        "undone": np.asarray(record.undone),
+        "history": [np.asarray(theta) for theta in record.theta],
+        "samples": np.asarray(record.samples).sum(axis=0),
+        "frozen": np.asarray(record.frozen).sum(axis=0),
+        "held": np.asarray(record.held).sum(axis=0),
+        "restarts": np.asarray(record.undone).sum(axis=0),
+    }
+
+
+def _status(network: Network, stats: dict) -> tuple[RESULTS, dict, str]:
+    windows, names = len(stats["undone"]), network.output_names
+
+    def said(output: int, text: str):
+        name = names[output]
+        return stats | {"channel": name}, f"{name}: {text}"
+
+    restarts = stats["restarts"]
+    for o in np.flatnonzero(restarts == windows).tolist():
+        text = "every window made the error grow and was undone; lower start"
+        return RESULTS.stalled, *said(o, text)
+    for o in np.flatnonzero(stats["frozen"] == stats["samples"]).tolist():
+        text = "no sample brought news; the coefficients are unchanged"
+        return RESULTS.unidentifiable, *said(o, text)
+    for o in np.flatnonzero(restarts).tolist():
+        text = f"{restarts[o]} of {windows} windows made the error grow, were undone"
+        return RESULTS.no_improvement, *said(o, text)
+    return RESULTS.ok, stats, ""
