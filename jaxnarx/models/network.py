@@ -14,8 +14,10 @@ state-space model is one of them, with z(t) the state after sample t,
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxnarx.arrays.programs import twin
@@ -59,13 +61,18 @@ class LocalModels(eqx.Module):
     used: Bool[Array, "models slots"]
     coefficient: Float[Array, "models slots"]
 
-    @eqx.filter_jit
     def dense(self) -> Float[Array, "models terms"]:
         """Coefficients over the table of distinct terms."""
-        models, _ = self.index.shape
-        value = jnp.where(self.used, self.coefficient, 0.0)
-        table = jnp.zeros((models, self.factor.shape[0]), value.dtype)
-        return table.at[jnp.arange(models)[:, None], self.index].add(value)
+        models, shape = len(self.index), (len(self.index), len(self.factor))
+        if isinstance(self.coefficient, Tracer) or isinstance(self.index, Tracer):
+            value = jnp.where(self.used, self.coefficient, 0.0)
+            table = jnp.zeros(shape, value.dtype)
+            return table.at[jnp.arange(models)[:, None], self.index].add(value)
+        # The same on the host, where no program has to be made for every shape.
+        value = np.where(self.used, self.coefficient, 0.0)
+        table = np.zeros(shape, value.dtype)
+        np.add.at(table, (np.arange(models)[:, None], np.asarray(self.index)), value)
+        return jax.device_put(table)
 
 
 class OutputModel(eqx.Module):

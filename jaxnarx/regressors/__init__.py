@@ -3,6 +3,7 @@
 from jaxnarx.regressors._filter_text import filter_text as filter_text
 from jaxnarx.regressors._time_constants import time_constants as time_constants
 from jaxnarx.regressors.centring import Centring as Centring
+from jaxnarx.regressors.columns import batch_columns as batch_columns
 from jaxnarx.regressors.columns import even_places as even_places
 from jaxnarx.regressors.columns import record_columns as record_columns
 from jaxnarx.regressors.columns import row_columns as row_columns

@@ -14,7 +14,7 @@ from jaxnarx.arrays import lagged, usable
 from jaxnarx.data import Batch
 from jaxnarx.errors import DataError
 from jaxnarx.regressors.filtering import FilterTable, filter_table, filtered
-from jaxnarx.regressors.filters import require_sampled
+from jaxnarx.regressors.filters import AbstractFilter, require_sampled
 from jaxnarx.regressors.variables import Variables
 
 
@@ -104,18 +104,59 @@ def row_columns(
     out = _aligned((ones + len(variables), len(at)), flat.dtype)
     out[:ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
-        column = signals[..., signal]
-        if filter_ is not None:
-            require_sampled((filter_,), sample_time)
-            given = column, batch.valid[..., signal], flat.dtype.type(sample_time)
-            table = filter_table((filter_,))[0]
-            column = _filtered_records(table, *jax.device_put(given))
-        column = np.array(column, order="C").reshape(-1)
-        if gain is not None:
-            column /= gain[signal]
+        given = signals[..., signal], batch.valid[..., signal], filter_
+        column = _source(
+            *given, sample_time, 1.0 if gain is None else float(gain[signal])
+        )
         for row, lag in users:
-            np.take(column, at - lag, mode="clip", out=out[ones + row])
+            np.take(column.reshape(-1), at - lag, mode="clip", out=out[ones + row])
     return out
+
+
+def batch_columns(
+    signals: Float[np.ndarray, "records time signals"],
+    valid: Bool[np.ndarray, "records time signals"],
+    variables: Variables,
+    sample_time: float,
+    *,
+    gain: Float[np.ndarray, " signals"] | None = None,
+    ones: int = 0,
+) -> Float[np.ndarray, "records vars time"]:
+    """`record_columns` of every record, below `ones` rows of ones, on the host.
+
+    Nothing is compiled for it but a program for each order of filters. Divided by the
+    `gain` of their signals where one is given, else in the unit of `signals`.
+    """
+    records, time, _ = signals.shape
+    out = _aligned((records, ones + len(variables), time), signals.dtype)
+    out[:, :ones] = 1
+    for (signal, filter_), users in _by_source(variables).items():
+        given = signals[..., signal], valid[..., signal], filter_
+        column = _source(
+            *given, sample_time, 1.0 if gain is None else float(gain[signal])
+        )
+        for row, lag in users:
+            late = min(lag, time)
+            out[:, ones + row, late:] = column[:, : time - late]
+            out[:, ones + row, :late] = column[:, :1]
+    return out
+
+
+def _source(
+    column: Float[np.ndarray, "records time"],
+    valid: Bool[np.ndarray, "records time"],
+    filter_: AbstractFilter | None,
+    sample_time: float,
+    gain: float,
+) -> Float[np.ndarray, "records time"]:
+    """A signal of all records, filtered where it is, over its gain."""
+    if filter_ is not None:
+        require_sampled((filter_,), sample_time)
+        given = column, valid, column.dtype.type(sample_time)
+        table = filter_table((filter_,))[0]
+        column = np.asarray(_filtered_records(table, *jax.device_put(given)))
+    with np.errstate(all="ignore"):  # what is far beyond a range becomes inf
+        return np.divide(column, column.dtype.type(gain), order="C")
 
 
 def _by_source(variables: Variables) -> dict:

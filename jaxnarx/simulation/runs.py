@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays import history_of, program
 from jaxnarx.data import Batch
 from jaxnarx.models import (
+    LINEAR,
     Network,
     advance,
     depth,
@@ -18,6 +19,7 @@ from jaxnarx.models import (
     run_states,
     widened,
 )
+from jaxnarx.regressors import batch_columns
 
 
 class RunInputs(eqx.Module):
@@ -35,10 +37,40 @@ class RunInputs(eqx.Module):
     known: Bool[Array, "records time outputs"]
 
 
-@program
 def make_drive(network: Network, batch: Batch) -> RunInputs:
-    """Lagged and scheduling variables of every record."""
-    return drive_of(network, batch.signals, jnp.asarray(batch.valid))
+    """Lagged and scheduling variables of every record, computed on the host.
+
+    `drive_of` is the same inside of a program; here other lags, terms or regions
+    compile nothing.
+    """
+    given, valid = np.asarray(batch.signals), np.asarray(batch.valid)
+    gain, step = np.asarray(network.gain), float(network.sample_time)
+    room = [(0, 0), (0, 0), (0, network.hidden)]
+    given, valid = np.pad(given, room), np.pad(valid, room)
+    seen = _held(network, given)
+    table = network.variables
+    v = batch_columns(seen, valid, table, step, gain=gain, ones=1)
+    if network.outside == LINEAR:
+        far = batch_columns(given - seen, valid, table, step, gain=gain)
+        v = np.concatenate([v, far], axis=1)
+    x = [batch_columns(seen, valid, m.scheduling, step) for m in network.models]
+    own = np.array(network.signals)
+    with np.errstate(over="ignore"):  # a measured value may be far beyond all others
+        measured = given[..., own] / gain[own]
+    drive = v, tuple(x), measured, valid[..., own]
+    return RunInputs(*jax.device_put(drive))
+
+
+def _held(
+    network: Network, signals: Float[np.ndarray, "records time signals"]
+) -> Float[np.ndarray, "records time signals"]:
+    """`Network.within`, on the host."""
+    if network.plain:
+        return signals
+    given = np.arange(signals.shape[-1]) < len(network.channels.inputs)
+    low = np.where(given, np.asarray(network.low), -np.inf).astype(signals.dtype)
+    high = np.where(given, np.asarray(network.high), np.inf).astype(signals.dtype)
+    return np.where(signals < low, low, np.where(signals > high, high, signals))
 
 
 def drive_of(
