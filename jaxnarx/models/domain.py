@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays import map_blocks
+from jaxnarx.arrays.programs import twin
 from jaxnarx.regressors import Variables
 
 LAYERS = ("range", "rate", "joint", "distance")
@@ -55,6 +56,14 @@ class Domain(eqx.Module):
     high: Float[Array, " used"]
     rate: Float[Array, " used"]
     border: Float[Array, " layers"]
+
+    @property
+    def nameless(self) -> "Domain":
+        """The same with numbers for lags and filters, for programs: all that layers ask
+        of a feature is whose it is."""
+        inputs = self.inputs
+        owners = [(inputs.index(s), n, None) for n, (s, _) in enumerate(self.features)]
+        return twin(self, features=Variables.of(owners))
 
     @property
     def inputs(self) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.arrays import program
+from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, Groups, shortened, stack_records
 from jaxnarx.data import groups as make_groups
@@ -237,10 +237,11 @@ def layers_of(
     domain: Domain, rows: InputRows
 ) -> tuple[Float[np.ndarray, "time layers"], Int[np.ndarray, "time layers"]]:
     """`Domain.layers` of these samples, on the host, in the domain's precision."""
-    kind = domain.middle.dtype
-    samples = rows.x.astype(kind), rows.step.astype(kind)
+    kind, count = domain.middle.dtype, rows.x.shape[1]
+    room = (0, 0), (0, bucket(count) - count)
+    samples = [np.pad(a.astype(kind), room, mode="edge") for a in (rows.x, rows.step)]
     values, blamed = _layers(domain, *jax.device_put(samples))
-    return np.asarray(values), np.asarray(blamed)
+    return np.asarray(values)[:count], np.asarray(blamed)[:count]
 
 
 def _whitening(
