@@ -105,9 +105,9 @@ def row_columns(
     out[:ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
         given = signals[..., signal], batch.valid[..., signal], filter_
-        column = _source(
-            *given, sample_time, 1.0 if gain is None else float(gain[signal])
-        )
+        column = np.array(_source(*given, sample_time), order="C")
+        if gain is not None:
+            column /= gain[signal]
         for row, lag in users:
             np.take(column.reshape(-1), at - lag, mode="clip", out=out[ones + row])
     return out
@@ -119,22 +119,18 @@ def batch_columns(
     variables: Variables,
     sample_time: float,
     *,
-    gain: Float[np.ndarray, " signals"] | None = None,
     ones: int = 0,
 ) -> Float[np.ndarray, "records vars time"]:
     """`record_columns` of every record, below `ones` rows of ones, on the host.
 
-    Nothing is compiled for it but a program for each order of filters. Divided by the
-    `gain` of their signals where one is given, else in the unit of `signals`.
+    Nothing is compiled for it but a program for each order of filters.
     """
     records, time, _ = signals.shape
     out = _aligned((records, ones + len(variables), time), signals.dtype)
     out[:, :ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
         given = signals[..., signal], valid[..., signal], filter_
-        column = _source(
-            *given, sample_time, 1.0 if gain is None else float(gain[signal])
-        )
+        column = _source(*given, sample_time)
         for row, lag in users:
             late = min(lag, time)
             out[:, ones + row, late:] = column[:, : time - late]
@@ -147,16 +143,14 @@ def _source(
     valid: Bool[np.ndarray, "records time"],
     filter_: AbstractFilter | None,
     sample_time: float,
-    gain: float,
 ) -> Float[np.ndarray, "records time"]:
-    """A signal of all records, filtered where it is, over its gain."""
-    if filter_ is not None:
-        require_sampled((filter_,), sample_time)
-        given = column, valid, column.dtype.type(sample_time)
-        table = filter_table((filter_,))[0]
-        column = np.asarray(_filtered_records(table, *jax.device_put(given)))
-    with np.errstate(all="ignore"):  # what is far beyond a range becomes inf
-        return np.divide(column, column.dtype.type(gain), order="C")
+    """A signal of all records, filtered where it is."""
+    if filter_ is None:
+        return column
+    require_sampled((filter_,), sample_time)
+    given = column, valid, column.dtype.type(sample_time)
+    table = filter_table((filter_,))[0]
+    return np.asarray(_filtered_records(table, *jax.device_put(given)))
 
 
 def _by_source(variables: Variables) -> dict:

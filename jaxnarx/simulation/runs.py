@@ -44,20 +44,18 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     compile nothing.
     """
     given, valid = np.asarray(batch.signals), np.asarray(batch.valid)
-    gain, step = np.asarray(network.gain), float(network.sample_time)
-    room = [(0, 0), (0, 0), (0, network.hidden)]
+    step, room = float(network.sample_time), [(0, 0), (0, 0), (0, network.hidden)]
     given, valid = np.pad(given, room), np.pad(valid, room)
-    seen = _held(network, given)
-    table = network.variables
-    v = batch_columns(seen, valid, table, step, gain=gain, ones=1)
+    seen, table = _held(network, given), network.variables
+    with np.errstate(all="ignore"):  # values may be far beyond all others, gains absurd
+        unit = 1 / np.asarray(network.gain)
+        scaled, beyond, measured = seen * unit, (given - seen) * unit, given * unit
+    v = batch_columns(scaled, valid, table, step, ones=1)
     if network.outside == LINEAR:
-        far = batch_columns(given - seen, valid, table, step, gain=gain)
-        v = np.concatenate([v, far], axis=1)
+        v = np.concatenate([v, batch_columns(beyond, valid, table, step)], axis=1)
     x = [batch_columns(seen, valid, m.scheduling, step) for m in network.models]
     own = np.array(network.signals)
-    with np.errstate(over="ignore"):  # a measured value may be far beyond all others
-        measured = given[..., own] / gain[own]
-    drive = v, tuple(x), measured, valid[..., own]
+    drive = v, tuple(x), measured[..., own], valid[..., own]
     return RunInputs(*jax.device_put(drive))
 
 
