@@ -130,7 +130,7 @@ def batch_columns(
     out[:, :ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
         given = signals[..., signal], valid[..., signal], filter_
-        column = _source(*given, sample_time)
+        column = np.ascontiguousarray(_source(*given, sample_time))
         for row, lag in users:
             late = min(lag, time)
             out[:, ones + row, late:] = column[:, : time - late]

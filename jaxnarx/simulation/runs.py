@@ -44,14 +44,18 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     compile nothing.
     """
     given, valid = np.asarray(batch.signals), np.asarray(batch.valid)
-    step, room = float(network.sample_time), [(0, 0), (0, 0), (0, network.hidden)]
-    given, valid = np.pad(given, room), np.pad(valid, room)
+    if network.hidden:
+        room = [(0, 0), (0, 0), (0, network.hidden)]
+        given, valid = np.pad(given, room), np.pad(valid, room)
     seen, table = _held(network, given), network.variables
+    step, linear = float(network.sample_time), network.outside == LINEAR
     with np.errstate(all="ignore"):  # values may be far beyond all others, gains absurd
         unit = 1 / np.asarray(network.gain)
-        scaled, beyond, measured = seen * unit, (given - seen) * unit, given * unit
+        scaled = seen * unit
+        measured = scaled if network.plain else given * unit
+        beyond = (given - seen) * unit if linear else None
     v = batch_columns(scaled, valid, table, step, ones=1)
-    if network.outside == LINEAR:
+    if beyond is not None:
         v = np.concatenate([v, batch_columns(beyond, valid, table, step)], axis=1)
     x = [batch_columns(seen, valid, m.scheduling, step) for m in network.models]
     own = np.array(network.signals)

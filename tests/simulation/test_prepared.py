@@ -72,6 +72,10 @@ def test_array_functions_give_what_the_verbs_report(name):
     np.testing.assert_array_equal(
         eqx.filter_jit(run_status)(net, runs), free.stats["record_status"]
     )
+    # What is computed on the host is what a program computes.
+    driven = runs.with_inputs(net, runs.inputs).drive
+    for host, traced in zip(*map(jax.tree.leaves, (runs.drive, driven)), strict=True):
+        np.testing.assert_allclose(host, traced, rtol=1e-14, atol=1e-14)
     again = jnx.simulate(net, data)
     np.testing.assert_array_equal(again.value[1], free.value[1])
     assert again.status_name == free.status_name
