@@ -298,7 +298,7 @@ def operating_point(
     wanted = np.median(rows[:, :inputs], axis=0)
     for name, value in (at or {}).items():
         wanted[_input(network, name, "at")] = float(value)
-    wide = np.asarray(network.high - network.low, float)[:inputs]
+    wide = (np.asarray(network.high) - np.asarray(network.low)).astype(float)[:inputs]
     wide = np.where(wide > 0, wide, 1.0)
     apart = (rows[:, :inputs] - wanted[None]) / wide[None]
     near = rows[np.argmin(np.sum(apart**2, axis=1))]

@@ -5,6 +5,8 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
@@ -91,9 +93,9 @@ def _where(report: Any) -> Iterator[str]:
     network = report.network
     if isinstance(network, Network):
         inputs = list(enumerate(network.channels.inputs))
+        low, high = np.asarray(network.low), np.asarray(network.high)
         ranges = [
-            f"{c.name} {float(network.low[s]):.4g} to {float(network.high[s]):.4g}"
-            + _unit(c.unit)
+            f"{c.name} {float(low[s]):.4g} to {float(high[s]):.4g}" + _unit(c.unit)
             for s, c in inputs[:CHANNELS]
         ]
         more = len(inputs) - len(ranges)

@@ -142,7 +142,7 @@ def _part(
         none = np.zeros((0, len(table)))
         return _Part(none, nothing, nothing, np.zeros((1, 0), np.int32), leaves)
     at, tree = _places(model.scheduling, table), model.validity
-    unit = np.asarray(tree.unit()) / np.asarray(model.span)[None]
+    unit = tree.unit(np) / np.asarray(model.span)[None]
     border = np.asarray(tree.border) - unit @ (offset[at] - np.asarray(model.offset))
     direction = np.zeros((len(unit), len(table)))
     direction[:, at] = unit * span[at][None]

@@ -30,10 +30,10 @@ def require_consistent(network: Network) -> None:
         shape = getattr(network, name).shape
         _require(shape == outputs, f"{name} has not one entry per output")
     _require(network.sample_time.shape == (), "the sample time is not one number")
-    _require(network.sample_time > 0, "the sample time is not positive")
+    _require(float(network.sample_time) > 0, "the sample time is not positive")
     hold = network.hold
     _require(hold is None or hold.shape == (), "the margin of limits is not one number")
-    _require(hold is None or hold >= 0, "the margin of limits is negative")
+    _require(hold is None or float(hold) >= 0, "the margin of limits is negative")
     _require(np.all(np.asarray(network.gain) > 0), "a gain is not positive")
     _require(network.modelled, "no output is modelled")
     _require(

@@ -19,6 +19,8 @@ unknown space? Estimating the area of applicability of spatial prediction models
 Methods in Ecology and Evolution 12 (2021) 1620-1633.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -70,12 +72,12 @@ class Domain(eqx.Module):
         """The inputs in use, by their place among the channels."""
         return tuple(dict.fromkeys(s for s, _ in self.features))
 
-    @property
-    def widths(self) -> tuple[Array, Array, Array]:
+    def widths(self, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """Middle and half width of the range of every input in use, and its largest
-        step, to be divided by; physical units."""
-        half, middle = 0.5 * (self.high - self.low), 0.5 * (self.high + self.low)
-        return middle, _wide(half, middle), _wide(self.rate, middle)
+        step, to be divided by; physical units. `xp` is numpy on the host."""
+        low, high, rate = (xp.asarray(a) for a in (self.low, self.high, self.rate))
+        half, middle = 0.5 * (high - low), 0.5 * (high + low)
+        return middle, _wide(half, middle, xp), _wide(rate, middle, xp)
 
     @property
     def operations(self) -> int:
@@ -104,7 +106,7 @@ class Domain(eqx.Module):
 
     def _layers(self, x, step):
         value = x[: len(self.inputs)]
-        middle, half, most = self.widths
+        middle, half, most = self.widths()
         alone = jnp.abs(value - middle[:, None]) / half[:, None]
         rate = jnp.abs(step) / most[:, None]
         unit = (x - self.middle[:, None]) / self.spread[:, None]
@@ -132,7 +134,7 @@ class Domain(eqx.Module):
         return total.at[place].add(parts)
 
 
-def _wide(width: Float[Array, " used"], middle: Float[Array, " used"]) -> Array:
+def _wide(width: Any, middle: Any, xp: Any) -> Any:
     """Widths to divide by: of what did not move, next to nothing."""
-    least = 1e-9 * jnp.maximum(jnp.abs(middle), 1e-300 / 1e-9)
-    return jnp.maximum(width, jnp.where(least > 0, least, 1.0))
+    least = 1e-9 * xp.maximum(xp.abs(middle), 1e-300 / 1e-9)
+    return xp.maximum(width, xp.where(least > 0, least, 1.0))

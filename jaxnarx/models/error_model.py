@@ -52,12 +52,12 @@ class ErrorModel(eqx.Module):
         self, output: int, z: Float[np.ndarray, "variables time"]
     ) -> Float[np.ndarray, " time"]:
         """s(t) of one output, in its unit; the last variable is the index."""
-        knots, height = np.asarray(self.knots[output]), np.asarray(self.height[output])
-        total = np.full(z.shape[1], float(self.constant[output]))
+        knots, height = np.asarray(self.knots)[output], np.asarray(self.height)[output]
+        total = np.full(z.shape[1], float(np.asarray(self.constant)[output]))
         for k, h, value in zip(knots, height, z, strict=True):
             total += np.interp(value, k, h)
         return np.exp(total) * np.maximum(z[-1], 1.0) ** GROWTH
 
     def reach(self, output: int, level: float) -> float:
         """q_p of one output; `level` is one of those stored, or between two."""
-        return float(np.interp(level, LEVELS, np.asarray(self.quantile[output])))
+        return float(np.interp(level, LEVELS, np.asarray(self.quantile)[output]))

@@ -14,6 +14,8 @@ where the window tells nothing of a state. The free run that begins there is jud
 behind its window. For k steps ahead every sample has a window of its own behind it.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,13 +93,15 @@ def with_hidden_start(
 
 
 def scales(
-    network: Network,
-) -> tuple[Float[Array, " outputs"], Float[Array, " outputs"]]:
-    """Middle and a quarter of the trained range of all that is computed, scaled."""
+    network: Network, xp: Any = jnp
+) -> tuple[Float[Any, " outputs"], Float[Any, " outputs"]]:
+    """Middle and a quarter of the trained range of all that is computed, scaled; `xp`
+    is numpy on the host."""
     own = np.array(network.signals)
-    gain = network.gain[own]
-    low, high = network.low[own] / gain, network.high[own] / gain
-    sigma = jnp.where(high > low, (high - low) / 4.0, 1.0)
+    ranges = network.gain, network.low, network.high
+    gain, low, high = (xp.asarray(a)[own] for a in ranges)
+    low, high = low / gain, high / gain
+    sigma = xp.where(high > low, (high - low) / 4.0, 1.0)
     return (low + high) / 2.0, sigma
 
 

@@ -90,7 +90,7 @@ def initial_conditions(
     start, time = task.masks.start, task.masks.anchors.shape[1]
     weight, count = np.asarray(task.weight), len(network.modelled)
     each = weight.max(axis=1)
-    square = np.asarray(scales(network)[1]) ** 2
+    square = scales(network, np)[1] ** 2
     unit = (each * square[None])[:, :count].max(axis=1, keepdims=True)
     each[:, count:] = PRIOR * unit / square[None, count:]
     each[:, :count] *= measured

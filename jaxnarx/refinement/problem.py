@@ -182,7 +182,7 @@ def make_problem(
 def _shrink(layout: Layout, weight: float) -> Float[np.ndarray, " params"]:
     """Of coefficients, in units of what they compute; zero for all others."""
     pull, inner = np.zeros(layout.low.shape), layout.coefficients()
-    size = np.asarray(scales(layout.base)[1])
+    size = scales(layout.base, np)[1]
     for (start, stop), own in zip(layout.spans(), size, strict=True):
         pull[inner[(inner >= start) & (inner < stop)]] = weight / own**2
     return pull.astype(layout.low.dtype)

@@ -13,7 +13,7 @@ def domain_index(
     and `step` the inputs' steps from the sample before, physical units."""
     used = len(domain.inputs)
     border = np.asarray(domain.border, float)
-    middle, half, rate = (np.asarray(a, float) for a in domain.widths)
+    middle, half, rate = (np.asarray(a, float) for a in domain.widths(np))
     alone = [
         b.size(b.op("sub", x[k], b.const(middle[k])), 1 / (half[k] * border[0]))
         for k in range(used)

@@ -147,7 +147,7 @@ class Gates(AbstractTable):
         """See `AbstractTable`."""
         tree, gates = _gates(at)
         steep = np.exp(np.asarray(tree.log_steepness, float))[gates]
-        return np.asarray(tree.unit(), float)[gates] * steep[:, None]
+        return tree.unit(np).astype(float)[gates] * steep[:, None]
 
     def write(
         self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]

@@ -1,7 +1,7 @@
 """Tree of sigmoid gates: the partition of hierarchical local model trees."""
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -42,13 +42,13 @@ class SigmoidTree(AbstractValidity):
     log_steepness: Float[Array, " gates"]
     path: Int[Array, "models gates"]
 
-    def unit(self) -> Float[Array, "gates dims"]:
-        """Directions of length one (zero for unused gates)."""
-        square = jnp.sum(self.direction**2, axis=1, keepdims=True)
+    def unit(self, xp: Any = jnp) -> Float[Any, "gates dims"]:
+        """Directions of length one (zero for unused gates); `xp` is numpy on the
+        host."""
+        direction = xp.asarray(self.direction)
+        square = xp.sum(direction**2, axis=1, keepdims=True)
         there = square > 0
-        return jnp.where(
-            there, self.direction / jnp.sqrt(jnp.where(there, square, 1.0)), 0.0
-        )
+        return xp.where(there, direction / xp.sqrt(xp.where(there, square, 1.0)), 0.0)
 
     def __call__(
         self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
@@ -111,7 +111,7 @@ class SigmoidTree(AbstractValidity):
         A combination is scaled so that the variable that matters most, by its range in
         the data, has factor one.
         """
-        unit = np.asarray(self.unit())
+        unit = self.unit(np)
         factor = unit / span
         level = np.asarray(self.border) + factor @ offset
         lead = factor[np.arange(len(unit)), np.abs(unit).argmax(axis=1)]
