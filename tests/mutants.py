@@ -10,10 +10,12 @@ the original does and cannot be found; the list is there to be looked at.
     python tests/mutants.py draw mutants.json [--number 150] [--seed 0]
     python tests/mutants.py run mutants.json reach.json [--files 12] [--workers 1]
                                                         [--known earlier.json]
+    python tests/mutants.py compare earlier.json mutants.json
 
 `reach` needs the package `coverage`, `run` only the tests. `run` writes its findings
 into the list and goes on where it was stopped. The test that killed a mutant in an
-earlier list is tried first, alone.
+earlier list is tried first, alone. `compare` keeps two lists among the results of the
+benchmarks, as `mutants.json`.
 """
 
 import argparse
@@ -283,6 +285,33 @@ def run(
     print(f"{killed} of {len(mutants)} killed")
 
 
+def compare(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> dict:
+    """How many of each list are killed, and every mutant with the tests that did it."""
+    earlier = {place(m): m for m in before}
+    rows = []
+    for mutant in after:
+        old = earlier.pop(place(mutant), {})
+        keys = ("path", "line", "text", "old", "new")
+        by = {"before": old.get("by"), "after": mutant.get("by")}
+        rows.append({k: mutant[k] for k in keys} | {"killed by": by})
+    return {
+        "before": {"mutants": len(before), "killed": sum(m["killed"] for m in before)},
+        "after": {"mutants": len(after), "killed": sum(m["killed"] for m in after)},
+        "gone with their code": [f"{m['path']}: {m['text']}" for m in earlier.values()],
+        "mutants": rows,
+    }
+
+
+def keep(figures: dict[str, Any]) -> None:
+    """Among the results of the benchmarks."""
+    sys.path.insert(0, str(ROOT / "experiments" / "benchmarks"))
+    import common as benchmarks  # pyright: ignore[reportMissingImports]
+
+    folder = benchmarks.results_folder(None, smoke=False)
+    benchmarks.record("mutants", figures, folder=folder)
+    print({k: figures[k] for k in ("before", "after", "gone with their code")})
+
+
 def place(mutant: dict[str, Any]) -> tuple:
     """What a mutant changes, wherever it stands in its file."""
     return tuple(mutant[key] for key in ("path", "text", "old", "new"))
@@ -302,7 +331,13 @@ def main() -> None:
             command.add_argument("--files", type=int, default=12)
             command.add_argument("--workers", type=int, default=1)
             command.add_argument("--known", type=Path, help="an earlier list")
+    command = commands.add_parser("compare")
+    command.add_argument("path", type=Path)
+    command.add_argument("after", type=Path)
     chosen = parser.parse_args()
+    if chosen.command == "compare":
+        lists = (json.loads(p.read_text()) for p in (chosen.path, chosen.after))
+        return keep(compare(*lists))
     if chosen.command == "run":
         reached = json.loads(chosen.reach.read_text())
         earlier = json.loads(chosen.known.read_text()) if chosen.known else []
