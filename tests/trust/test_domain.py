@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import common
 import equinox as eqx
 import jax
 import numpy as np
@@ -11,6 +12,7 @@ import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.models import LAYERS
+from jaxnarx.regressors import Variables
 from jaxnarx.trust.learn import feature_rows, followed, layers_of, used_inputs
 
 RECORDS, LENGTH = 6, 400
@@ -85,6 +87,22 @@ def test_of_fresh_records_about_five_in_a_hundred_samples_are_outside(known):
     fresh = [plant(drawn(seed)) for seed in range(7, 14)]
     share = np.mean([jnx.domain(known, data).value.outside for data in fresh])
     assert 0.025 < share < 0.1
+
+
+def test_one_program_serves_other_memories_and_lengths(known, data):
+    domain = known.domain
+    slower = [
+        (s, d, f and dataclasses.replace(f, time_constant=2 * f.time_constant))
+        for s, d, f in domain.features.entries
+    ]
+    other = dataclasses.replace(domain, features=Variables.of(slower))
+    rows = feature_rows(domain.features, data, None)
+    shorter = rows.at(np.arange(rows.x.shape[1]) < rows.x.shape[1] - 9)
+    values, blamed = layers_of(domain, rows)
+    assert common.compilations(lambda: layers_of(other, shorter)) == 0
+    again = layers_of(other, shorter)
+    np.testing.assert_array_equal(again[0], values[:-9])
+    np.testing.assert_array_equal(again[1], blamed[:-9])
 
 
 def test_layers_are_those_of_plain_loops(known):
