@@ -20,6 +20,7 @@ benchmarks, as `mutants.json`.
 
 import argparse
 import ast
+import importlib
 import json
 import os
 import random
@@ -305,8 +306,7 @@ def compare(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> dict:
 def keep(figures: dict[str, Any]) -> None:
     """Among the results of the benchmarks."""
     sys.path.insert(0, str(ROOT / "experiments" / "benchmarks"))
-    import common as benchmarks  # pyright: ignore[reportMissingImports]
-
+    benchmarks: Any = importlib.import_module("common")  # theirs, not that of the tests
     folder = benchmarks.results_folder(None, smoke=False)
     benchmarks.record("mutants", figures, folder=folder)
     print({k: figures[k] for k in ("before", "after", "gone with their code")})
