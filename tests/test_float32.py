@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
+from jaxnarx.solution import tell_precision
 from jaxnarx.sweep.number_type import number_type
 
 
@@ -25,7 +26,8 @@ def test_float32_stays_float32():
         fit = jnx.refine(net.value, data, steps)
         for solution in (terms, net, fit):
             assert solution.stats["precision"] == "float32"
-            assert "computed in float32" in solution.detail
+            assert solution.detail.count("computed in float32") == 1
+        assert tell_precision(lambda: fit)() is fit  # told once, whoever calls whom
         for leaf in jax.tree.leaves(fit.value):
             assert leaf.dtype.kind != "f" or leaf.dtype == np.float32, leaf.dtype
         run = jnx.simulate(fit.value, data).value[0]

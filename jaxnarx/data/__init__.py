@@ -117,10 +117,10 @@ __all__ = [
     "step_times",
     "suggest_lags",
 ]
-"""What users are offered; other rooms may take in all above."""
+"""Names for users; other rooms may import every name above."""
 
 _ON_ARRAYS = ("Batch", "check_precision", "stack_records")
-"""Taken in when asked for: they load jax."""
+"""Names that are loaded on first use, because they need jax."""
 
 
 def __getattr__(name: str) -> Any:

@@ -86,4 +86,4 @@ __all__ = [
     "response_surface",
     "steady_states",
 ]
-"""What users are offered; other rooms may take in all above."""
+"""Names for users; other rooms may import every name above."""

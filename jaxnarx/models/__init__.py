@@ -35,6 +35,7 @@ from jaxnarx.models.feedback import with_history as with_history
 from jaxnarx.models.feedback import with_own as with_own
 from jaxnarx.models.limits import fading as fading
 from jaxnarx.models.limits import held_inputs as held_inputs
+from jaxnarx.models.limits import hold_signals as hold_signals
 from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import overshoot as overshoot
 from jaxnarx.models.limits import overshoot_rule as overshoot_rule
@@ -179,4 +180,4 @@ __all__ = [
     "with_own",
     "within_margin",
 ]
-"""What users are offered; other rooms may take in all above."""
+"""Names for users; other rooms may import every name above."""

@@ -210,7 +210,17 @@ def held_inputs(network: Network, batch: Batch) -> Batch:
     """The records as the network sees them, on the host: see `Network.within`."""
     if network.plain:
         return batch
-    signals, inputs = np.array(batch.signals), len(network.channels.inputs)
+    signals = hold_signals(network, np.asarray(batch.signals))
+    return Batch(jax.device_put(signals), batch.valid)
+
+
+def hold_signals(
+    network: Network, signals: Float[np.ndarray, "*rows signals"]
+) -> Float[np.ndarray, "*rows signals"]:
+    """Hold inputs to their trained ranges on the host, see `Network.within`."""
+    if network.plain:
+        return signals
+    signals, inputs = np.array(signals), len(network.channels.inputs)
     low, high = (np.asarray(a)[:inputs] for a in (network.low, network.high))
     signals[..., :inputs] = np.clip(signals[..., :inputs], low, high)
-    return Batch(jax.device_put(signals), batch.valid)
+    return signals

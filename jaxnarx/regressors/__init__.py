@@ -68,4 +68,4 @@ __all__ = [
     "variable_name",
     "variable_names",
 ]
-"""What users are offered; other rooms may take in all above."""
+"""Names for users; other rooms may import every name above."""

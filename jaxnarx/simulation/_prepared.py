@@ -208,7 +208,7 @@ def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
     flat = (-1, *padded.signals.shape[2:])
     signals = jax.device_put(padded.signals.reshape(flat))
     batch = Batch(signals, padded.valid.reshape(flat))
-    host = _host(network, batch, make_masks(network, batch, network.window))
+    host = _host_arrays(network, batch, make_masks(network, batch, network.window))
     if not host["scored"].any():
         raise DataError(
             f"no record of the fleet can be run: the model needs {network.before} "
@@ -232,8 +232,8 @@ def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return driving(network), tuple(network.signals[: len(network.modelled)])
 
 
-def _host(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:
-    """What of prepared records is known without a program."""
+def _host_arrays(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:
+    """Arrays of prepared records that need no program."""
     scored = np.ascontiguousarray(masks.scored[..., : len(network.modelled)])
     own = {name: getattr(masks, name) for name in _MASKS}
     return {"valid": batch.valid, "scored": scored, **own}
@@ -259,7 +259,7 @@ def made_of(
         drive=make_drive(network, batch),
         columns=_columns(network),
         origin=origin,
-        **jax.device_put(_host(network, batch, masks)),
+        **jax.device_put(_host_arrays(network, batch, masks)),
     )
 
 

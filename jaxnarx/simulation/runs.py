@@ -15,6 +15,7 @@ from jaxnarx.models import (
     Network,
     advance,
     depth,
+    hold_signals,
     run_record,
     run_states,
     widened,
@@ -47,7 +48,7 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     if network.hidden:
         room = [(0, 0), (0, 0), (0, network.hidden)]
         given, valid = np.pad(given, room), np.pad(valid, room)
-    seen, table = _held(network, given), network.variables
+    seen, table = hold_signals(network, given), network.variables
     step, linear = float(network.sample_time), network.outside == LINEAR
     with np.errstate(all="ignore"):  # values may be far beyond all others, gains absurd
         unit = 1 / np.asarray(network.gain)
@@ -61,18 +62,6 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     own = np.array(network.signals)
     drive = v, tuple(x), measured[..., own], valid[..., own]
     return RunInputs(*jax.device_put(drive))
-
-
-def _held(
-    network: Network, signals: Float[np.ndarray, "records time signals"]
-) -> Float[np.ndarray, "records time signals"]:
-    """`Network.within`, on the host."""
-    if network.plain:
-        return signals
-    given = np.arange(signals.shape[-1]) < len(network.channels.inputs)
-    low = np.where(given, np.asarray(network.low), -np.inf).astype(signals.dtype)
-    high = np.where(given, np.asarray(network.high), np.inf).astype(signals.dtype)
-    return np.where(signals < low, low, np.where(signals > high, high, signals))
 
 
 def drive_of(

@@ -39,4 +39,4 @@ __all__ = [
     "worst",
     "write_files",
 ]
-"""What users are offered; other rooms may take in all above."""
+"""Names for users; other rooms may import every name above."""
