@@ -184,7 +184,8 @@ def told(rows: dict[str, Any], results: list[Any]) -> dict[str, Any]:
 
 
 def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
-    """Whole identifications per second, side by side; on the processor in turn too."""
+    """Whole identifications per second, records and rows included; on the processor in
+    turn too."""
     import jax
 
     found: dict[str, Any] = {}
@@ -196,8 +197,8 @@ def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
                 count = size if way == "vmap" else min(size, few)
                 work = make_work(samples, count, count, min(at_once, count))
                 with jax.default_device(device):
-                    row, _ = timed(lambda work=work: rows_of(work), 1)
-                    scores = [r["train_free_run"] for r in rows_of(work)[:few]]
+                    row, fits = timed(lambda work=work: rows_of(work), 1)
+                scores = [r["train_free_run"] for r in fits[:few]]
                 row["fits_per_second"] = float(f"{count / row['best_s']:.4g}")
                 row["scores"] = [float(f"{s:.6g}") for s in scores]
                 found[f"{size} {device.platform} {way}"] = row

@@ -7,6 +7,7 @@ from jaxnarx.models._assemble import local_models as local_models
 from jaxnarx.models._assemble import output_model as output_model
 from jaxnarx.models._assemble import ranged as ranged
 from jaxnarx.models._assemble import ranges as ranges
+from jaxnarx.models._assemble import training_bounds as training_bounds
 from jaxnarx.models._total import total as total
 from jaxnarx.models.consistent import require_consistent as require_consistent
 from jaxnarx.models.domain import FARTHEST as FARTHEST

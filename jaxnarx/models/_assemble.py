@@ -81,7 +81,7 @@ def assemble(
     """Complete a network: gains, training ranges and feedback bounds."""
     time = np.asarray(data.sample_time, gain.dtype)
     signal = len(data.channels.inputs) + np.array(pool.outputs)
-    leaves = jax.device_put((gain, *_bounds(data, gain, signal), time))
+    leaves = jax.device_put((gain, *training_bounds(data, gain, signal), time))
     return Network(data.channels, pool.outputs, pool.variables, tuple(models), *leaves)
 
 
@@ -89,7 +89,7 @@ def ranged(network: Network, data: Dataset) -> Network:
     """The network with the ranges and feedback bounds of these data of its channels."""
     outputs, measured = len(network.modelled), len(network.channels.measured.all)
     signal = np.array(network.signals)[:outputs]
-    found = _bounds(data, np.asarray(network.gain)[:measured], signal)
+    found = training_bounds(data, np.asarray(network.gain)[:measured], signal)
     old = network.lower, network.upper, network.low, network.high
     # What hidden channels have done no data tell.
     rest = [np.asarray(a)[len(b) :] for a, b in zip(old, found, strict=True)]
@@ -108,9 +108,11 @@ def bounded(network: Network, margin: float = MARGIN) -> Network:
     return dataclasses.replace(network, lower=lower, upper=upper)
 
 
-def _bounds(data: Dataset, gain: np.ndarray, signal: np.ndarray):
+def training_bounds(
+    data: Dataset, gain: Float[np.ndarray, " signals"], signal: Int[np.ndarray, " own"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Feedback bounds of the outputs at these signals, scaled; ranges of all signals,
-    in physical units."""
+    in physical units: lower, upper, low, high."""
     low, high = ranges(data)
     wider = MARGIN * (high - low)[signal]
     held = (low[signal] - wider) / gain[signal], (high[signal] + wider) / gain[signal]

@@ -2,7 +2,7 @@
 
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
-from jaxnarx.partition.ground import Ground, make_ground
+from jaxnarx.partition.ground import Ground, make_ground, scheduling_ranges
 from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.partition.placed import place, scattered
 from jaxnarx.partition.scaffold import scheduling_table
@@ -19,6 +19,7 @@ __all__ = [
     "make_ground",
     "place",
     "scattered",
+    "scheduling_ranges",
     "scheduling_table",
     "sigmoid_tree",
     "switch",

@@ -153,13 +153,16 @@ def make_ground(
         gain=gain,
     )
     x = row_columns(rows.batch, rows.at, table, data.sample_time)
-    low, span = _ranges(pool, x, table)
+    low, span = scheduling_ranges(pool, x, table)
     z = jax.device_put((x - low[:, None]) / span[:, None])
     return Ground(pool, factors, data, rows, table, low, span, z)
 
 
-def _ranges(pool: Pool, x: np.ndarray, table: Variables):
-    """Lower end and width of every scheduling variable's range."""
+def scheduling_ranges(
+    pool: Pool, x: Float[np.ndarray, "dims rows"], table: Variables
+) -> tuple[Float[np.ndarray, " dims"], Float[np.ndarray, " dims"]]:
+    """Lower end and width of every scheduling variable's range; `DataError` where one
+    does not move."""
     if not len(table):
         return np.zeros(0, x.dtype), np.zeros(0, x.dtype)
     low, high = x.min(axis=1), x.max(axis=1)

@@ -30,6 +30,7 @@ from jaxnarx.regressors.rows import Rows as Rows
 from jaxnarx.regressors.rows import enough as enough
 from jaxnarx.regressors.rows import flat_weights as flat_weights
 from jaxnarx.regressors.rows import regression_rows as regression_rows
+from jaxnarx.regressors.rows import row_places as row_places
 from jaxnarx.regressors.text import equation as equation
 from jaxnarx.regressors.text import parse_variable as parse_variable
 from jaxnarx.regressors.text import term_name as term_name

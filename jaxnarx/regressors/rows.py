@@ -65,9 +65,44 @@ def regression_rows(
     `DataError`. `weights` holds one non-negative weight per sample and record. With
     `exact` no row is padding, for those who compile nothing.
     """
+    batch, at, weight, gain = row_places(
+        data,
+        variables,
+        outputs,
+        history=history,
+        need=need,
+        weights=weights,
+        gain=gain,
+        exact=exact,
+    )
+    targets = _targets(data, outputs)
+    v = row_columns(batch, at, variables, data.sample_time, gain=gain, ones=1)
+    flat = np.asarray(batch.signals).reshape(-1, len(data.channels.all))
+    y = flat[at[:, None], targets[None]] / gain[targets][None]
+    # device_put takes the memory over where it can; jnp.asarray would copy it.
+    v, y, weight = jax.device_put((v, y.T, weight))
+    return Rows(v, y, weight, at, batch, gain)
+
+
+def row_places(
+    data: Dataset,
+    variables: Variables,
+    outputs: tuple[int, ...],
+    *,
+    history: int,
+    need: int = 1,
+    weights: list[Float[np.ndarray, " _"]] | None = None,
+    gain: Float[np.ndarray, " signals"] | None = None,
+    exact: bool = False,
+) -> tuple[
+    Batch,
+    Int[np.ndarray, " rows"],
+    Float[np.ndarray, "outputs rows"],
+    Float[np.ndarray, " signals"],
+]:
+    """Where the rows of `regression_rows` are: records, places, weights, and gains."""
     batch = stack_records(data)
-    inputs = len(data.channels.inputs)
-    targets = np.array([inputs + o for o in outputs])
+    targets = _targets(data, outputs)
     good = usable(batch.valid, variables.rows, history)
     if batch.scored is not None:
         good &= batch.scored
@@ -86,12 +121,12 @@ def regression_rows(
     weight[:, rows:] = 0.0
     if weights is not None:
         weight = weight * flat_weights(weights, data, good.shape[1])[at][None]
-    v = row_columns(batch, at, variables, data.sample_time, gain=gain, ones=1)
-    flat = np.asarray(batch.signals).reshape(-1, len(data.channels.all))
-    y = flat[at[:, None], targets[None]] / gain[targets][None]
-    # device_put takes the memory over where it can; jnp.asarray would copy it.
-    v, y, weight = jax.device_put((v, y.T, weight))
-    return Rows(v, y, weight, at, batch, gain)
+    return batch, at, weight, gain
+
+
+def _targets(data: Dataset, outputs: tuple[int, ...]) -> Int[np.ndarray, " outputs"]:
+    """Signals of some outputs."""
+    return len(data.channels.inputs) + np.array(outputs)
 
 
 def flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " samples"]:

@@ -4,15 +4,20 @@ import dataclasses
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.data import Batch, Dataset, Fleet, Padded, check_precision
+from jaxnarx.data import Batch, Fleet, Padded, check_precision
 from jaxnarx.errors import DataError
-from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
-from jaxnarx.partition import Ground, make_ground
-from jaxnarx.regressors import Pool
+from jaxnarx.models import (
+    Gaussians,
+    Network,
+    local_models,
+    output_model,
+    training_bounds,
+)
+from jaxnarx.partition import scheduling_ranges, scheduling_table
+from jaxnarx.regressors import Pool, row_columns, row_places
 from jaxnarx.selection import unusable_signals
 from jaxnarx.simulation import make_masks
 
@@ -55,26 +60,32 @@ class PreparedMember:
 
 
 def prepare(
-    fleet: Fleet, n: int, pool: Pool, scheduling: tuple[str, ...], most: int
+    fleet: Fleet, n: int, pool: Pool, blank: Network, most: int
 ) -> PreparedMember:
     """Bring one engine of the fleet into the program's form, for at most so many terms.
 
-    `too_short` where a part has too few rows, `unidentifiable` where the output, all
-    inputs or a scheduling variable are constant.
+    On the host alone. `too_short` where a part has too few rows, `unidentifiable` where
+    the output, all inputs or a scheduling variable are constant.
     """
     if fleet.status[n] != "ok":
         return PreparedMember(None, fleet.status[n], fleet.detail[n])
     check_precision(fleet.train.signals.dtype)
-    data = fleet.dataset(n)
+    data, scheduling = fleet.dataset(n), blank.models[0].scheduling
     try:
-        few = pool.factor[:most]
-        ground = make_ground(pool, [few], data, scheduling, None)
+        batch, at, weight, gain = row_places(
+            data,
+            pool.variables,
+            pool.outputs,
+            history=max(pool.variables.longest, scheduling.longest),
+            need=min(most, len(pool)) + 1,
+        )
+        x = row_columns(batch, at, scheduling, data.sample_time)
+        span = scheduling_ranges(pool, x, scheduling)
         passed_over = unusable_signals(data, pool)
     except DataError as error:
         status = "too_short" if error.channel is None else "unidentifiable"
         return PreparedMember(None, status, str(error))
-    network = _frame_of(ground, data, few)
-    parts = {name: make_part(p.pick([n]), network) for name, p in fleet.parts.items()}
+    parts = {name: make_part(p.pick([n]), blank) for name, p in fleet.parts.items()}
     for name, part in parts.items():
         if not part.scored.any():
             return PreparedMember(
@@ -82,10 +93,15 @@ def prepare(
             )
     names = pool.channels.names
     good = [names[s] not in passed_over for s, _ in pool.variables]
+    rows = np.zeros(parts["train"].anchors.shape, gain.dtype)
+    count = int(np.count_nonzero(weight[0]))
+    record, time = np.divmod(at[:count], batch.signals.shape[1])
+    rows[record, time] = weight[0, :count]
+    bounds = training_bounds(data, gain, np.array(blank.signals))
     member = Member(
-        jax.tree.map(np.asarray, network),
+        eqx.tree_at(_own_leaves, blank, (gain, *bounds, *span)),
         np.array([True, *good]),
-        _row_weights(ground, parts["train"]),
+        rows,
         parts["train"],
         parts.get("validation"),
         parts.get("test"),
@@ -93,27 +109,32 @@ def prepare(
     return PreparedMember(member)
 
 
-def _frame_of(
-    ground: Ground, data: Dataset, few: Int[np.ndarray, "_ degree"]
-) -> Network:
-    """A network with the ranges and gains of the data, whose model means nothing."""
-    dims = len(ground.scheduling)
-    nowhere = jnp.zeros((1, dims), ground.rows.y.dtype)
-    local = local_models(few[:1], jnp.zeros((1, 1), nowhere.dtype))
-    model = output_model(
-        local,
-        Gaussians(nowhere, nowhere),
-        ground.scheduling,
-        ground.offset,
-        ground.span,
-    )
-    return assemble(ground.pool, data, ground.rows.gain, [model])
+def _own_leaves(network: Network) -> tuple:
+    """What a member's network has of its own before there is a model."""
+    (model,), own = network.models, network
+    ranges = own.gain, own.lower, own.upper, own.low, own.high
+    return *ranges, model.offset, model.span
+
+
+def make_blank(fleet: Fleet, pool: Pool, scheduling: tuple[str, ...]) -> Network:
+    """A network of the fleet's channels whose ranges, gains and model mean nothing."""
+    table = scheduling_table(pool, scheduling)
+    dtype = fleet.train.signals.dtype
+    nothing, one = np.zeros(len(table), dtype), np.zeros((1, 1), dtype)
+    every = np.ones(len(fleet.channels.all), dtype)
+    validity = Gaussians(*jax.device_put((nothing[None], nothing[None])))
+    local = local_models(pool.factor[:1], one)
+    model = output_model(local, validity, table, nothing, nothing)
+    time = np.asarray(fleet.sample_time, dtype)
+    leaves = jax.device_put((every, *(every[:1],) * 2, *(every,) * 2, time))
+    network = Network(fleet.channels, pool.outputs, pool.variables, (model,), *leaves)
+    return jax.tree.map(np.asarray, network)
 
 
 def make_part(padded: Padded, network: Network) -> Part:
     """The only member of `padded`, with its masks."""
     signals, valid = padded.signals[0], padded.valid[0]
-    masks = make_masks(network, Batch(jax.device_put(signals), valid))
+    masks = make_masks(network, Batch(signals, valid))
     # A record that is all padding ends where it begins.
     there = valid.any(axis=(1, 2))
     return Part(
@@ -124,16 +145,6 @@ def make_part(padded: Padded, network: Network) -> Part:
         masks.anchors,
         np.asarray(masks.scored),
     )
-
-
-def _row_weights(ground: Ground, part: Part) -> Float[np.ndarray, "records time"]:
-    """Weights of the rows, at their places in the padded records."""
-    longest = ground.rows.batch.signals.shape[1]
-    weight = np.zeros(part.anchors.shape, ground.rows.gain.dtype)
-    rows = ground.rows.count
-    record, time = np.divmod(ground.rows.at[:rows], longest)
-    weight[record, time] = np.asarray(ground.rows.weight[0])[:rows]
-    return weight
 
 
 def stacked(trees: list):

@@ -15,11 +15,12 @@ from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
 from jaxnarx.methods import Identification
 from jaxnarx.methods.settings import changed, spread
+from jaxnarx.models import Network
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
 from jaxnarx.sweep.cases import Case, label_of
 from jaxnarx.sweep.identify.frame import Frame, make_frame
-from jaxnarx.sweep.identify.member import PreparedMember, prepare, stacked
+from jaxnarx.sweep.identify.member import PreparedMember, make_blank, prepare, stacked
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.settings import (
@@ -133,10 +134,17 @@ class IdentificationWork:
         """One engine's records as the program takes them; the last ones are kept."""
         most = max(getattr(m.select, "max_terms", 1) for m in self.methods)
 
-        def make(engine: int, scheduling: tuple[str, ...]) -> PreparedMember:
-            return prepare(self.fleet, engine, self.pool, scheduling, most)
+        @functools.cache
+        def blank(scheduling: tuple[str, ...]) -> Network:
+            return make_blank(self.fleet, self.pool, scheduling)
 
-        return functools.lru_cache(maxsize=KEPT)(make)
+        def make(engine: int, scheduling: tuple[str, ...]) -> PreparedMember:
+            # Where there is an accelerator, nothing of this has to go there and back.
+            with jax.default_device(jax.local_devices(backend="cpu")[0]):
+                own = blank(scheduling)
+                return prepare(self.fleet, engine, self.pool, own, most)
+
+        return functools.lru_cache(maxsize=max(KEPT, self.lanes))(make)
 
     def prepared_for(self, engine: int, case: int) -> PreparedMember:
         """One engine's records for a case."""
