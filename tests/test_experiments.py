@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from smoke import FOLDER, assert_target, experiment, run
 
@@ -52,6 +53,21 @@ def test_command_line(tmp_path):
     row = demo["free_run"]["refined"]["pooled"]
     assert row["status"] == "ok" and row["fit"] > 50
     assert_target(demo["targets"]["warm_s"])
+
+
+@pytest.mark.slow
+def test_accelerator(tmp_path):
+    found = run("accelerator.py", results=tmp_path / "results")["accelerator"]
+    # Without an accelerator the processor alone.
+    assert found["devices"][0] == "cpu"
+    rows = [row for name, row in found.items() if name not in ("devices", "sweep")]
+    assert len(rows) == 4
+    for row in rows:
+        assert all(way["best_s"] > 0 for way in row["cpu"].values())
+        assert row.get("difference", 0.0) < 1e-12
+    ways = [row["scores"] for row in found["sweep"].values()]
+    assert len(ways) >= 2 and all(len(scores) == 2 for scores in ways)
+    np.testing.assert_allclose(ways[1:], [ways[0]] * (len(ways) - 1), rtol=1e-9)
 
 
 @pytest.mark.slow

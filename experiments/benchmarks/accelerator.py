@@ -191,7 +191,10 @@ def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for size in chunks:
         for device in devices():
-            ways = {"vmap": size} | ({"map": 1} if device.platform == "cpu" else {})
+            ways = {"vmap": size}
+            if device.platform == "cpu":
+                # Side by side a processor is slower: once is enough.
+                ways = {"map": 1} | (ways if size == chunks[0] else {})
             for way, at_once in ways.items():
                 # In turn a few say what all would.
                 count = size if way == "vmap" else min(size, few)
