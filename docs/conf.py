@@ -13,6 +13,7 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS / "making"), str(DOCS.parent / "tests")]
 
+from jupyter_cache.cache.main import JupyterCacheBase  # noqa: E402
 from quick import compile_quickly  # noqa: E402 # pyright: ignore[reportMissingImports]
 
 # Pages give commands too: those of this Python, on the files that the page has made.
@@ -55,6 +56,9 @@ nb_execution_show_tb = True
 # Tutorials leave their files in a folder of their own, not beside these pages.
 nb_execution_in_temp = True
 nb_merge_streams = True
+# After every page the cache deletes what is too much, which is a page that another
+# process is about to write where it came between two of its queries. Ours has room.
+JupyterCacheBase.truncate_caches = lambda self: None
 
 html_theme = "furo"
 html_title = "jaxnarx"

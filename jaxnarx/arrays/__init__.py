@@ -1,6 +1,5 @@
 """Arrays in, arrays out: what knows no names and no files."""
 
-from jaxnarx.arrays._least_squares import cholesky_solve as cholesky_solve
 from jaxnarx.arrays._least_squares import least_squares as least_squares
 from jaxnarx.arrays._least_squares import leverage as leverage
 from jaxnarx.arrays._minimise import Course as Course
@@ -16,6 +15,8 @@ from jaxnarx.arrays.factorisation import accumulate as accumulate
 from jaxnarx.arrays.factorisation import quadratic as quadratic
 from jaxnarx.arrays.factorisation import triangle as triangle
 from jaxnarx.arrays.levenberg import AbstractProblem as AbstractProblem
+from jaxnarx.arrays.normal_equations import gram as gram
+from jaxnarx.arrays.normal_equations import ridge_solve as ridge_solve
 from jaxnarx.arrays.programs import program as program
 from jaxnarx.arrays.recurrence import free_run as free_run
 from jaxnarx.arrays.recurrence import history_of as history_of

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.accurate_product import accurate_product, slices
 from jaxnarx.arrays.column_scaling import column_norm, column_scale, power_of_two
+from jaxnarx.arrays.normal_equations import ridge_solve
 
 
 class Fit(eqx.Module):
@@ -145,7 +146,7 @@ def _normal(a, target, rest, cut) -> Fit:
     root = rest[:, None] * vectors[:, ::-1] * _inverse(s, keep)[None]
     full = rank == len(s)
     safe = jnp.where(full, gram, jnp.diag(jnp.diagonal(gram)))
-    theta = cholesky_solve(safe, moment, least=0.0)
+    theta = ridge_solve(safe, moment, least=0.0)
     theta = jnp.where(full, theta, root @ (root.T @ moment))
     return Fit(theta, rank, condition, root)
 
@@ -210,26 +211,3 @@ def leverage(
     is the rank, with a ridge the effective number of parameters.
     """
     return weight * jnp.sum((root.T @ columns) ** 2, axis=0)
-
-
-def cholesky_solve(
-    gram: Float[Array, "terms terms"],
-    moment: Float[Array, " terms"],
-    ridge: Float[Array, ""] | float = 0.0,
-    *,
-    least: float = 1e-12,
-) -> Float[Array, " terms"]:
-    """Solve symmetric positive normal equations, scaled to a unit diagonal.
-
-    For many small problems on the same long columns, where a factorisation of each
-    would cost the whole run: the unit diagonal and a ridge of `least` at least keep it
-    finite; zero rows (padding) give zero.
-    """
-    diagonal = jnp.diagonal(gram)
-    scale = jnp.where(
-        diagonal > 0, jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0
-    )
-    scaled = gram / (scale[:, None] * scale[None])
-    more = jnp.where(diagonal > 0, jnp.maximum(ridge, least), 1.0)
-    factor = jax.scipy.linalg.cho_factor(scaled + jnp.diag(more), lower=True)
-    return jax.scipy.linalg.cho_solve(factor, moment / scale) / scale

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays._least_squares import cholesky_solve
+from jaxnarx.arrays._least_squares import ridge_solve
 from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3
@@ -219,5 +219,5 @@ def _direction(s: State, damping: Float[Array, ""]) -> Float[Array, " params"]:
     Entries without any information (padding, frozen directions) get a zero step.
     """
     gram = jnp.diag(s.pull) + s.linear.gram
-    delta = -cholesky_solve(gram, _slope(s), damping, least=0.0)
+    delta = -ridge_solve(gram, _slope(s), damping, least=0.0)
     return jnp.where(jnp.diagonal(gram) > 0, delta, 0.0)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import AbstractProblem
+from jaxnarx.arrays import AbstractProblem, gram
 from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import twin
 from jaxnarx.inverse.loop import Loop, run_record
@@ -77,8 +77,8 @@ def _normal_equations(
             return r, r
 
         jacobian, r = jax.jacfwd(residuals, has_aux=True)(u)
-        gradient, gram = carry
-        return (gradient + r @ jacobian, gram + jacobian.T @ jacobian), None
+        gradient, products = carry
+        return (gradient + r @ jacobian, products + gram(jacobian)), None
 
     params = u.shape[0]
     start = jnp.zeros(params, u.dtype), jnp.zeros((params, params), u.dtype)

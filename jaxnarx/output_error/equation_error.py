@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays import ridge_solve
 from jaxnarx.output_error.signals import RunSignals
 from jaxnarx.regressors import evaluate
 
@@ -23,7 +24,5 @@ def equation_error(
         rows = np.concatenate([-np.stack(lags)[:, at], terms])
         gram += rows @ rows.T
         right += rows @ one.y[at]
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    system = gram / np.outer(scale, scale) + 1e-9 * np.eye(size)
-    found = np.linalg.solve(system, right / scale) / scale
+    found = ridge_solve(gram, right, 1e-9)
     return np.concatenate([[1.0], found[:order]]), found[order:]

@@ -14,6 +14,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.arrays import ridge_solve
 from jaxnarx.output_error.denominator import is_stable
 from jaxnarx.output_error.dictionary import Dictionary, Gate, Region, weight
 from jaxnarx.output_error.signals import Stretch
@@ -123,10 +124,8 @@ def _step(
         every = np.concatenate([columns, by])
         gram += every @ every.T
         right += every @ (target - theta @ columns)
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
     pull = np.where(np.arange(size) < size - 2 * len(places), 1e-9, PULL)
-    system = gram / np.outer(scale, scale) + np.diag(pull)
-    return (np.linalg.solve(system, right / scale) / scale)[-count:]
+    return ridge_solve(gram, right, pull)[-count:]
 
 
 def derivatives(

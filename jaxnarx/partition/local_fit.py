@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import cholesky_solve
+from jaxnarx.arrays import ridge_solve
 
 TAU = 1e-8
 """Candidates whose orthogonal part falls below this share of their own squared norm are
@@ -44,10 +44,10 @@ def local_fit(
     weighted = p * weight[None]
     gram, moment = weighted @ p.T, weighted @ y
     if picks is None:
-        return prior + cholesky_solve(gram, moment - gram @ prior, ridge)
+        return prior + ridge_solve(gram, moment - gram @ prior, ridge)
     used = pick(gram, moment, picks, first)
     own = used.astype(p.dtype)
-    return cholesky_solve(gram * own[:, None] * own[None], moment * own)
+    return ridge_solve(gram * own[:, None] * own[None], moment * own)
 
 
 def fit_models(
@@ -128,7 +128,7 @@ def effective(
         both = used_m[:, None] & used_m[None]
         gram = jnp.where(both, (p * w[None]) @ p.T, 0.0)
         twice = jnp.where(both, (p * (w * phi_m)[None]) @ p.T, 0.0)
-        solve = jax.vmap(cholesky_solve, in_axes=(None, 1, None), out_axes=1)
+        solve = jax.vmap(ridge_solve, in_axes=(None, 1, None), out_axes=1)
         return jnp.trace(solve(gram, twice, ridge))
 
     return jnp.sum(jax.lax.map(one, (phi, used), batch_size=at_once(p, len(phi))))

@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import cholesky_solve
+from jaxnarx.arrays import ridge_solve
 from jaxnarx.partition.local_fit import local_fit
 
 STEEPNESS = 16.0
@@ -213,7 +213,7 @@ def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Poi
         gram = (rows.p * (phi_k * rows.weight)[None]) @ rows.p.T
         gram = jnp.where(used[:, None] & used[None], gram, 0.0)
         moment = jnp.where(used[:, None], moment, 0.0)
-        solve = jax.vmap(cholesky_solve, in_axes=(None, 1, None), out_axes=1)
+        solve = jax.vmap(ridge_solve, in_axes=(None, 1, None), out_axes=1)
         dtheta = solve(gram, moment, rows.ridge)
         return phi_k * f, sign * moved * f[None] + phi_k[None] * (dtheta.T @ rows.p)
 
@@ -257,5 +257,5 @@ def _damped(at: Point, damping: Float[Array, ""]) -> Float[Array, " params"]:
     # The length of the direction has no effect, so its row is zero.
     floor = 1e-9 * jnp.max(diagonal) + jnp.finfo(diagonal.dtype).tiny
     matrix = at.normal + jnp.diag(damping * diagonal + floor)
-    gate = at.gate - cholesky_solve(matrix, at.gradient)
+    gate = at.gate - ridge_solve(matrix, at.gradient)
     return jnp.concatenate([unit(gate[:-1]), gate[-1:]])

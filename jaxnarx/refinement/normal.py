@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import program
+from jaxnarx.arrays import gram, program
 from jaxnarx.models import folded
 from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
@@ -97,22 +97,22 @@ def normal_equations(
         return tangents.at[..., at:].add(by_start)
 
     def consume(carry, s, block):
-        gradient, gram = carry
+        gradient, products = carry
         root, error, bend = block
         # Unscored stretches may be unstable: what overflows there must not count.
         jacobian = jnp.where(root[..., None] > 0, s * (root * bend)[..., None], 0.0)
         jacobian = jacobian.reshape(-1, params) * slope[None]
         r = jnp.where(root > 0, error * root, 0.0).reshape(-1)
-        return (gradient + r @ jacobian, gram + jacobian.T @ jacobian), None
+        return (gradient + r @ jacobian, products + gram(jacobian)), None
 
     zero = jnp.zeros(params, y.dtype), jnp.zeros((params, params), y.dtype)
     finished = network, layout, every, drive_of, anchor
     block = jnp.sqrt(share), error, bend
-    (gradient, gram), _ = stream(*finished, direct, params, consume, zero, block)
+    (gradient, products), _ = stream(*finished, direct, params, consume, zero, block)
     if layout.initial is not None:
         extra = layout.initial.weight.reshape(-1)
         at = layout.parameters + jnp.arange(extra.shape[0])
         gradient = gradient.at[at].add(extra * u[layout.parameters :])
-        gram = gram.at[at, at].add(extra)
+        products = products.at[at, at].add(extra)
     value = rule(y, drive.measured, weight) + _initial_loss(layout, u)
-    return value, gradient, gram
+    return value, gradient, products

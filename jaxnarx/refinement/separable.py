@@ -14,14 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import AbstractProblem, program
+from jaxnarx.arrays import AbstractProblem, program, ridge_solve
 from jaxnarx.arrays.levenberg import Linear
 from jaxnarx.arrays.programs import twin
 from jaxnarx.refinement.problem import Problem
-
-TINY = 1e-13
-"""Share of their diagonal added to the normal equations of the coefficients: enough
-where regressors are collinear, invisible elsewhere."""
 
 Arrays = Array | np.ndarray
 
@@ -34,21 +30,8 @@ def solve_coefficients(
     Exact where the residuals are linear in them. Entries without any effect stay.
     """
     gram = linear.gram[inner[:, None], inner[None]]
-    move = _solve(gram, linear.gradient[inner][:, None])[:, 0]
+    move = ridge_solve(gram, linear.gradient[inner])
     return jnp.asarray(linear.u).at[inner].add(-move)
-
-
-def _solve(
-    gram: Float[Array, "inner inner"], right: Float[Array, "inner columns"]
-) -> Float[Array, "inner columns"]:
-    """gram^-1 right, scaled; zero where the diagonal is."""
-    diagonal = jnp.diagonal(gram)
-    alive = diagonal > 0
-    scale = jnp.sqrt(jnp.where(alive, diagonal, 1.0))
-    unit = gram / (scale[:, None] * scale[None])
-    unit = unit + jnp.diag(jnp.where(alive, TINY, 1.0))
-    value = jnp.linalg.solve(unit, right / scale[:, None]) / scale[:, None]
-    return jnp.where(alive[:, None], value, 0.0)
 
 
 class Separable(AbstractProblem):
@@ -106,7 +89,7 @@ class Separable(AbstractProblem):
         b = whole.gram[inner[:, None], outer[None]]
         c = whole.gram[outer[:, None], outer[None]]
         both = jnp.concatenate([b, whole.gradient[inner][:, None]], axis=1)
-        inverse = _solve(a, both)
+        inverse = ridge_solve(a, both)
         gram = c - b.T @ inverse[:, :-1]
         gradient = whole.gradient[outer] - b.T @ inverse[:, -1]
         gram = (gram + gram.T) / 2.0

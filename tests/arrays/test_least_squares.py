@@ -3,13 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from jaxnarx.arrays._least_squares import cholesky_solve, least_squares
+from jaxnarx.arrays import least_squares
 
 TIME, TERMS = 40, 5
 solve = jax.jit(least_squares)
-solve_normal = jax.jit(cholesky_solve)
 
 
 def problem(time: int = TIME, terms: int = TERMS, seed: int = 0):
@@ -155,46 +153,3 @@ def test_float32_stays_float32():
 
 
 # normal equations -----------------------------------------------------------------
-
-
-def gram(seed=0, terms=4):
-    p, y, _ = problem(terms=terms, seed=seed)
-    return p @ p.T, p @ y
-
-
-def test_cholesky_solve_equals_solve():
-    a, b = gram()
-    found = solve_normal(jnp.asarray(a), jnp.asarray(b))
-    # The relative ridge is 1e-12.
-    np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=1e-10)
-
-
-def test_cholesky_solve_follows_the_scale_of_the_columns():
-    a, b = gram(seed=1)
-    scale = 10.0 ** np.array([-100, 0, 7, 100])
-    found = solve_normal(
-        jnp.asarray(a * scale[:, None] * scale), jnp.asarray(b * scale)
-    )
-    np.testing.assert_allclose(found * scale, np.linalg.solve(a, b), rtol=1e-10)
-
-
-def test_padding_rows_give_zero_and_leave_the_others_alone():
-    a, b = gram(seed=2)
-    padded_a, padded_b = np.zeros((6, 6)), np.zeros(6)
-    padded_a[:4, :4], padded_b[:4] = a, b
-    found = solve_normal(jnp.asarray(padded_a), jnp.asarray(padded_b))
-    np.testing.assert_array_equal(found[4:], 0.0)
-    np.testing.assert_allclose(
-        found[:4], solve_normal(jnp.asarray(a), jnp.asarray(b)), rtol=1e-13
-    )
-
-
-@pytest.mark.parametrize("padded", [False, True])
-def test_singular_equations_stay_finite_and_are_solved(padded):
-    p, y, _ = problem(terms=4, seed=3)
-    p[3] = 0.0 if padded else p[1]
-    theta = np.asarray(solve_normal(jnp.asarray(p @ p.T), jnp.asarray(p @ y)))
-    assert np.all(np.isfinite(theta))
-    best = reference(p, y, np.ones(TIME))
-    # A ridge of 1e-12 on a singular direction: its rounding is magnified to 1e-4.
-    np.testing.assert_allclose(theta @ p, best @ p, atol=1e-3)
