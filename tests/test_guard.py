@@ -20,8 +20,7 @@ ROOMS = {
     "partition": "switch",
     "regressors": "kautz_bank laguerre_bank low_pass_bank orthonormal_bank "
     "time_constants",
-    "selection": "choose coefficient_table select_each select_weighted "
-    "selection_frequency",
+    "selection": "choose coefficient_table",
 } | dict.fromkeys(("design", "inverse", "linear", "sweep"), "")
 """Verbs that a room offers; none are named where all its functions are."""
 
@@ -148,9 +147,7 @@ def test_calls_that_used_to_end_in_foreign_errors():
         lambda: verbs.report(selection, data): "of type Selection",
         lambda: verbs.report(network, {"test": "x"}): "data is of type dict",
         lambda: verbs.predict(network, data, "10"): "k is of type str .'10'.",
-        lambda: verbs.selection.select_each(
-            thing["Pool"], [data, 3], verbs.ForwardOLS()
-        ): "Dataset",
+        lambda: verbs.stack([network, 3]): "networks",
         lambda: verbs.read(5): "path is of type int",
         lambda: verbs.save(data, "x"): "network is of type Dataset",
         lambda: network.regions("speed"): "no modelled output 'speed'.* y",

@@ -6,7 +6,6 @@ import weakref
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import ridge_solve
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.low_order import (
     LowOrderFit,
@@ -308,9 +307,11 @@ def joint_response(
         x = x - x.mean(axis=1, keepdims=True)
         gram += x @ x.T
         cross += x @ part.y[:, reach:].T
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     alive = np.diag(gram) > 1e-9 * rows
-    both = alive[:, None] & alive[None]
-    theta = ridge_solve(gram * both, cross * alive[:, None], _RIDGE)
+    scale = np.where(alive, 1 / scale, 0.0)
+    gram = gram * scale[:, None] * scale[None] + _RIDGE * np.eye(len(gram))
+    theta = scale[:, None] * np.linalg.solve(gram, scale[:, None] * cross)
     theta = theta.reshape(inputs, bins, -1)
     return [np.einsum("ibo,ibt->iot", theta, _binned(p.u, edges)) for p in parts]
 

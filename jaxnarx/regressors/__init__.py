@@ -28,7 +28,6 @@ from jaxnarx.regressors.pool import evaluate as evaluate
 from jaxnarx.regressors.pool import polynomial_pool as polynomial_pool
 from jaxnarx.regressors.rows import Rows as Rows
 from jaxnarx.regressors.rows import enough as enough
-from jaxnarx.regressors.rows import flat_weights as flat_weights
 from jaxnarx.regressors.rows import regression_rows as regression_rows
 from jaxnarx.regressors.rows import row_places as row_places
 from jaxnarx.regressors.text import equation as equation

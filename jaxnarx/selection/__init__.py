@@ -1,8 +1,6 @@
 """Choice of terms from a pool."""
 
 from jaxnarx.selection._search import Program, make_lanes, search
-from jaxnarx.selection.frequency import SelectionFrequency, selection_frequency
-from jaxnarx.selection.many import select_each, select_weighted
 from jaxnarx.selection.path import path_of
 from jaxnarx.selection.select_terms import choose_terms as choose_terms
 from jaxnarx.selection.select_terms import select
@@ -16,7 +14,6 @@ from jaxnarx.selection.unusable import usable_terms as usable_terms
 __all__ = [
     "Program",
     "Selection",
-    "SelectionFrequency",
     "choose",
     "coefficient_table",
     "criteria_of",
@@ -25,8 +22,5 @@ __all__ = [
     "path_of",
     "search",
     "select",
-    "select_each",
-    "select_weighted",
-    "selection_frequency",
     "unusable_signals",
 ]
