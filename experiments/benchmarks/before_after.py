@@ -14,6 +14,7 @@ stay below 1.05.
 import argparse
 import json
 import os
+import statistics
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -61,8 +62,9 @@ WORKERS = {f.__name__: f for f in (select_terms, simulate, grow, sweep)}
 
 
 def measure(before: Path, rounds: int, smoke: bool) -> dict[str, Any]:
-    """Best seconds of every figure with either package, and their ratio."""
-    versions, best = {"before": before, "after": ROOT}, {}
+    """Best seconds of every figure with either package, and the median over the rounds
+    of their ratio: on a shared machine the best of each says less."""
+    versions, times = {"before": before, "after": ROOT}, {}
     # Small ones in one process: its start takes longer than they do.
     parts = [tuple(WORKERS)] if smoke else [(name,) for name in WORKERS]
     for n in range(rounds):
@@ -71,12 +73,16 @@ def measure(before: Path, rounds: int, smoke: bool) -> dict[str, Any]:
                 found = call(names, versions[version], smoke)
                 print(f"round {n + 1}, {version}: {found}", flush=True)
                 for figure, seconds in found.items():
-                    row = best.setdefault(figure, {})
-                    row[version] = min(seconds, row.get(version, seconds))
-    return {
-        figure: row | {"ratio": target(round(row["after"] / row["before"], 3), LIMIT)}
-        for figure, row in best.items()
-    }
+                    row = times.setdefault(figure, {"before": [], "after": []})
+                    row[version].append(seconds)
+    return {figure: compared(**row) for figure, row in times.items()}
+
+
+def compared(before: list[float], after: list[float]) -> dict[str, Any]:
+    """Of a figure's seconds, round by round."""
+    ratios = [b / a for a, b in zip(before, after, strict=True)]
+    ratio = target(round(statistics.median(ratios), 3), LIMIT)
+    return {"before": min(before), "after": min(after), "ratio": ratio}
 
 
 def call(names: Sequence[str], checkout: Path, smoke: bool) -> dict[str, float]:
