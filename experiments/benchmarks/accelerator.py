@@ -48,7 +48,7 @@ def timed(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], Any]
     """First and best wall time [s] of a call, and what it gave."""
     import jax
 
-    times = []
+    times, found = [], None
     for _ in range(repeats + 1):
         begin = time.perf_counter()
         found = jax.block_until_ready(call())
@@ -200,10 +200,12 @@ def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
                 count = size if way == "vmap" else min(size, few)
                 work = make_work(samples, count, count, min(at_once, count))
                 with jax.default_device(device):
-                    row, fits = timed(lambda work=work: rows_of(work), 1)
+                    timing, fits = timed(lambda work=work: rows_of(work), 1)
                 scores = [r["train_free_run"] for r in fits[:few]]
-                row["fits_per_second"] = float(f"{count / row['best_s']:.4g}")
-                row["scores"] = [float(f"{s:.6g}") for s in scores]
+                row = timing | {
+                    "fits_per_second": float(f"{count / timing['best_s']:.4g}"),
+                    "scores": [float(f"{s:.6g}") for s in scores],
+                }
                 found[f"{size} {device.platform} {way}"] = row
                 print(size, device.platform, way, row, flush=True)
     return found
