@@ -18,12 +18,12 @@ class Batch(eqx.Module):
     not count though samples are measured (`Record.scored`); None: they count.
     """
 
-    signals: Float[Array | np.ndarray, "records time signals"]
+    signals: Float[Array, "records time signals"]
     valid: Bool[np.ndarray, "records time signals"]
     scored: Bool[np.ndarray, "records time"] | None = None
 
     @property
-    def flat(self) -> Float[Array | np.ndarray, "samples signals"]:
+    def flat(self) -> Float[Array, "samples signals"]:
         """All records behind one another, padding included."""
         return self.signals.reshape(-1, self.signals.shape[-1])
 

@@ -134,7 +134,7 @@ def make_blank(fleet: Fleet, pool: Pool, scheduling: tuple[str, ...]) -> Network
 def make_part(padded: Padded, network: Network) -> Part:
     """The only member of `padded`, with its masks."""
     signals, valid = padded.signals[0], padded.valid[0]
-    masks = make_masks(network, Batch(signals, valid))
+    masks = make_masks(network, Batch(jax.device_put(signals), valid))
     # A record that is all padding ends where it begins.
     there = valid.any(axis=(1, 2))
     return Part(
