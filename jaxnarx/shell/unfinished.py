@@ -5,8 +5,8 @@ that ends: what is not locked was left by one that was killed, and is cleared.
 """
 
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,24 +23,35 @@ def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
 
     The files `names` are reserved: SpecError where another process is making one.
     """
-    with alone(folder):
-        for other in held(folder):
-            if both := sorted(set(names) & {path.name for path in other.glob("*")}):
-                raise SpecError(
-                    f"another run is writing {both[0]} to {folder}; wait until it is "
-                    "done, or choose another --out",
-                    field="out",
-                )
-        place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
-        handle = lock_folder(place)
-        for name in names:
-            (place / name).touch()
+    # Named before it is made: an interrupt in between leaves nothing either.
+    place, handle = folder / f"{PREFIX}{secrets.token_hex(4)}", None
     try:
+        with alone(folder):
+            for other in held(folder):
+                if both := sorted(set(names) & {path.name for path in other.glob("*")}):
+                    raise SpecError(
+                        f"another run is writing {both[0]} to {folder}; wait until it "
+                        "is done, or choose another --out",
+                        field="out",
+                    )
+            place.mkdir(mode=0o700)
+            handle = lock_folder(place)
+            for name in names:
+                (place / name).touch()
         yield place
     finally:
-        shutil.rmtree(place, ignore_errors=True)
+        _remove(place)
         if handle is not None:
             os.close(handle)
+
+
+def _remove(place: Path) -> None:
+    """All of it, though an interrupt comes meanwhile."""
+    try:
+        shutil.rmtree(place, ignore_errors=True)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
 
 
 def held(folder: Path) -> list[Path]:

@@ -1142,7 +1142,8 @@ def test_ctrl_c_during_refinement():
     process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert told.startswith("jaxnarx: interrupted")
+    # Where reading has taken long it is told before.
+    assert told.splitlines()[-1].startswith("jaxnarx: interrupted")
     assert not Path("a").exists()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.shell import unfinished
 from jaxnarx.shell.output import run_folder, write_text, written_together
 
 BUSY = """
@@ -105,3 +106,27 @@ def test_a_full_disk_is_said_with_the_folder_and_what_to_do(tmp_path, monkeypatc
     assert str(error.value).startswith(f"{tmp_path / 'x'}: cannot be written (No space")
     assert "Free some space and give the same command again" in str(error.value)
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("when", ["made", "locked", "removed"])
+def test_an_interrupt_at_any_moment_leaves_nothing(tmp_path, monkeypatch, when):
+    real = {"made": Path.mkdir, "locked": unfinished.lock_folder}
+    real["removed"] = unfinished.shutil.rmtree
+    where = {
+        "made": (Path, "mkdir"),
+        "locked": (unfinished, "lock_folder"),
+        "removed": (unfinished.shutil, "rmtree"),
+    }
+
+    def interrupted(place, *args, **kwargs):
+        if unfinished.PREFIX not in Path(place).name:
+            return real[when](place, *args, **kwargs)
+        monkeypatch.undo()
+        if when != "removed":
+            real[when](place, *args, **kwargs)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(*where[when], interrupted)
+    with pytest.raises(KeyboardInterrupt), unfinished.unfinished(tmp_path, ["report"]):
+        pass
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(unfinished.PREFIX)]
