@@ -1,10 +1,10 @@
-"""What an accelerator gains: the same calls on every kind of device of this machine.
+"""Measure what an accelerator gains: the same calls on every device of this machine.
 
 Fleets of networks (6 local models with 8 terms each, records of 1,000 samples) run
 freely and give gradients side by side; normal equations of one network on many records;
 the products of a forward search; whole identifications of a sweep. On the processor a
 fleet goes one after the other too (`map`), whatever is faster there. Differences
-between devices are told beside the times. Without an accelerator the processor alone is
+between devices stand beside the times. Without an accelerator the processor alone is
 measured.
 
     python experiments/benchmarks/accelerator.py [--smoke] [--results DIR]
@@ -13,7 +13,7 @@ measured.
 import dataclasses
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from common import benchmark_parser, record, results_folder
@@ -44,7 +44,7 @@ FULL = Sizes(
 SMOKE = Sizes((2,), 60, ((2, 8, 2, 60),), (6, 2, 500), (150, 2, (2,)), 1)
 
 
-def timed(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], Any]:
+def time_call(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], Any]:
     """First and best wall time [s] of a call, and what it gave."""
     import jax
 
@@ -133,8 +133,8 @@ def product_calls(variables: int, vectors: int, samples: int) -> Any:
     return given, {"one call": jax.jit(partial(contract, degree=3))}
 
 
-def measured_on(device: Any, given: Any, ways: Any, repeats: int) -> Any:
-    """The fastest way on a device, and what it gave there."""
+def measure_on(device: Any, given: Any, ways: Any, repeats: int) -> Any:
+    """Times of every way on a device, and what the last one gave there."""
     import equinox as eqx
     import jax
 
@@ -144,7 +144,7 @@ def measured_on(device: Any, given: Any, ways: Any, repeats: int) -> Any:
     for way, call in ways.items():
         if way == "map" and device.platform != "cpu":
             continue  # an accelerator has nothing to gain from one after the other
-        rows[way], found = timed(lambda call=call: call(*there), repeats)
+        rows[way], found = time_call(lambda call=call: call(*there), repeats)
     return rows, found
 
 
@@ -161,18 +161,18 @@ def difference(one: Any, two: Any) -> float:
     return float(f"{worst:.2g}")
 
 
-def compare(given: Any, ways: Any, repeats: int) -> dict[str, Any]:
+def measure_call(given: Any, ways: Any, repeats: int) -> dict[str, Any]:
     """One kind of call on all kinds of devices."""
     rows: dict[str, Any] = {}
     results = []
     for device in devices():
-        timing, found = measured_on(device, given, ways, repeats)
+        timing, found = measure_on(device, given, ways, repeats)
         rows[device.platform] = timing
         results.append(found)
-    return rows | told(rows, results)
+    return rows | compare_devices(rows, results)
 
 
-def told(rows: dict[str, Any], results: list[Any]) -> dict[str, Any]:
+def compare_devices(rows: dict[str, Any], results: list[Any]) -> dict[str, Any]:
     """How much faster the accelerator is, and how far its numbers are away."""
     if len(results) < 2:
         return {}
@@ -183,12 +183,13 @@ def told(rows: dict[str, Any], results: list[Any]) -> dict[str, Any]:
     }
 
 
-def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
+def sweeps(
+    samples: int, few: int, chunks: tuple[int, ...]
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Whole identifications per second, records and rows included; on the processor in
     turn too."""
     import jax
 
-    found: dict[str, Any] = {}
     for size in chunks:
         for device in devices():
             ways = {"vmap": size}
@@ -200,15 +201,16 @@ def sweeps(samples: int, few: int, chunks: tuple[int, ...]) -> dict[str, Any]:
                 count = size if way == "vmap" else min(size, few)
                 work = make_work(samples, count, count, min(at_once, count))
                 with jax.default_device(device):
-                    timing, fits = timed(lambda work=work: rows_of(work), 1)
+                    timing, fits = time_call(lambda work=work: rows_of(work), 1)
                 scores = [r["train_free_run"] for r in fits[:few]]
-                row = timing | {
-                    "fits_per_second": float(f"{count / timing['best_s']:.4g}"),
-                    "scores": [float(f"{s:.6g}") for s in scores],
-                }
-                found[f"{size} {device.platform} {way}"] = row
-                print(size, device.platform, way, row, flush=True)
-    return found
+                yield (
+                    f"{size} {device.platform} {way}",
+                    timing
+                    | {
+                        "fits_per_second": float(f"{count / timing['best_s']:.4g}"),
+                        "scores": [float(f"{s:.6g}") for s in scores],
+                    },
+                )
 
 
 def rows_of(work: Any) -> list[dict[str, Any]]:
@@ -224,8 +226,8 @@ def devices() -> list[Any]:
     return [jax.devices("cpu")[0], *([] if first.platform == "cpu" else [first])]
 
 
-def measure(sizes: Sizes) -> dict[str, Any]:
-    """All figures."""
+def measure(sizes: Sizes) -> Iterator[dict[str, Any]]:
+    """All figures so far, after every one."""
     calls: dict[str, Any] = {}
     for size in sizes.fleets:
         for name, call in fleet_calls(size, sizes.samples).items():
@@ -240,9 +242,13 @@ def measure(sizes: Sizes) -> dict[str, Any]:
     calls[name] = product_calls(*sizes.pool)
     figures: dict[str, Any] = {"devices": [d.device_kind for d in devices()]}
     for name, (given, ways) in calls.items():
-        figures[name] = compare(given, ways, sizes.repeats)
+        figures[name] = measure_call(given, ways, sizes.repeats)
         print(name, figures[name], flush=True)
-    return figures | {"sweep": sweeps(*sizes.sweep)}
+        yield figures
+    for name, row in sweeps(*sizes.sweep):
+        figures["sweep"] = figures.get("sweep", {}) | {name: row}
+        print(name, row, flush=True)
+        yield figures
 
 
 def main() -> int:
@@ -252,9 +258,10 @@ def main() -> int:
     jax.config.update("jax_enable_x64", True)
     parser = benchmark_parser("What an accelerator gains.", "small, in seconds")
     options = parser.parse_args()
-    figures = measure(SMOKE if options.smoke else FULL)
     folder = results_folder(options.results, smoke=options.smoke)
-    record("accelerator", figures, folder=folder, note=options.note)
+    # After every figure: such machines are often there for minutes only.
+    for figures in measure(SMOKE if options.smoke else FULL):
+        record("accelerator", figures, folder=folder, note=options.note)
     return 0
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays._least_squares import ridge_solve
+from jaxnarx.arrays.normal_equations import ridge_solve
 from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3

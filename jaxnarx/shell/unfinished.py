@@ -24,7 +24,7 @@ def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
     The files `names` are reserved: SpecError where another process is making one.
     """
     # Named before it is made: an interrupt in between leaves nothing either.
-    place, handle = folder / f"{PREFIX}{secrets.token_hex(4)}", None
+    place, handle = folder / f"{PREFIX}{secrets.token_hex(8)}", None
     try:
         with alone(folder):
             for other in held(folder):

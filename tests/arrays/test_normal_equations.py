@@ -61,13 +61,15 @@ def test_padding_gives_zero_and_leaves_the_others_alone(solve):
     np.testing.assert_allclose(found[:4], solve(a, b), rtol=1e-13)
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("padded", [False, True])
-def test_singular_equations_stay_finite_and_are_solved(padded):
+def test_singular_equations_stay_finite_and_are_solved(padded, dtype):
     random = np.random.default_rng(3)
-    p, y = random.normal(size=(4, 60)), random.normal(size=60)
+    p, y = random.normal(size=(4, 60)).astype(dtype), random.normal(size=60)
+    y = y.astype(dtype)
     p[3] = 0.0 if padded else p[1]
     theta = np.asarray(in_program(p @ p.T, p @ y))
     assert np.all(np.isfinite(theta))
     best = np.linalg.lstsq(p.T, y, rcond=None)[0]
-    # A ridge of 1e-12 on a singular direction: its rounding is magnified to 1e-4.
+    # Rounding along the singular direction is magnified by its small ridge.
     np.testing.assert_allclose(theta @ p, best @ p, atol=1e-3)

@@ -111,9 +111,9 @@ def prepare(
 
 def _own_leaves(network: Network) -> tuple:
     """What a member's network has of its own before there is a model."""
-    (model,), own = network.models, network
-    ranges = own.gain, own.lower, own.upper, own.low, own.high
-    return *ranges, model.offset, model.span
+    bounds = network.lower, network.upper, network.low, network.high
+    (model,) = network.models
+    return network.gain, *bounds, model.offset, model.span
 
 
 def make_blank(fleet: Fleet, pool: Pool, scheduling: tuple[str, ...]) -> Network:
