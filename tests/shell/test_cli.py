@@ -1030,13 +1030,11 @@ def test_a_disk_that_fills_up_leaves_nothing(capsys, one, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_found_before_the_work(capsys, monkeypatch):
-    import tempfile
-
-    def refuse(**options):
-        raise PermissionError(13, "Permission denied", "out/.unfinished-1")
+    def refuse(path: Path, *arguments, **options):
+        raise PermissionError(13, "Permission denied", str(path))
 
     os.mkdir("out")
-    monkeypatch.setattr(tempfile, "mkdtemp", refuse)
+    monkeypatch.setattr(Path, "mkdir", refuse)
     monkeypatch.setattr("jaxnarx.shell.identify.identify", None)
     arguments = ["identify", "engine.toml", *PART, "--out", "out"]
     fails(capsys, 3, arguments, "out: cannot be written (Permission denied)", "--out")
