@@ -12,7 +12,7 @@ from jaxnarx.methods import (
     Polynomial,
     SimulationError,
 )
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 
 METHOD = Identification(
     pool=Polynomial(input_lags=(0, 1), output_lags=(1, 2), degree=2),
@@ -21,7 +21,7 @@ METHOD = Identification(
     # Without a tolerance every search makes all its steps.
     refine=SimulationError(horizons=(), window_steps=5, max_steps=3, tolerance=0),
 )
-SMALL = changed(
+SMALL = replace_at(
     METHOD, {"select.max_terms": 3, "grow.max_models": 2, "refine.max_steps": 2}
 )
 CASES = [

@@ -20,7 +20,7 @@ from tyro.conf import Positional
 import jaxnarx
 from jaxnarx import methods
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.commands.flags import with_options
 from jaxnarx.shell.commands.parse import parse
@@ -185,7 +185,7 @@ def wrong_calls(folder: Path) -> dict[str, Callable[[], object]]:
     high: dict[str, Any] = pool | {"degree": 9}
     return {
         "setting": lambda: jaxnarx.ForwardOLS(max_terms=0),
-        "kind of setting": lambda: changed(
+        "kind of setting": lambda: replace_at(
             jaxnarx.Identification(), {"refine.loss": "cubes"}
         ),
         "rows": lambda: from_arrays(u[:20], y, **named),

@@ -19,7 +19,7 @@ from jaxnarx.data.readers import KINDS, Kind
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.extensions import Registry, load_packages
 from jaxnarx.methods import PARTITIONS, SELECTORS, Identification
-from jaxnarx.methods.settings import changed, made
+from jaxnarx.methods.settings import from_dict, replace_at
 from jaxnarx.models import Gaussians
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "extensions"
@@ -93,8 +93,8 @@ def test_registered_methods_go_by_their_names(registered):
     assert chosen.value.names == same.value.names
     method = jnx.Given("mine", scheduling="u[t-1]")
     assert len(jnx.grow(pool(), plant(), method).value.regions(0)) == 2
-    assert made(Identification, {"select": "mine"}).select is correlated
-    tree = changed(
+    assert from_dict(Identification, {"select": "mine"}).select is correlated
+    tree = replace_at(
         Identification(),
         {"select": "mine", "grow": "lolimot"} | {"grow.scheduling": ["u[t-1]"]},
     )
@@ -107,7 +107,7 @@ def test_an_unknown_name_is_told_with_the_known_ones(registered):
     with pytest.raises(SpecError, match="no partition 'mein'"):
         jnx.grow(pool(), plant(), jnx.Given("mein", scheduling="u[t-1]"))
     with pytest.raises(SpecError, match="select must be one of"):
-        made(Identification, {"select": "mein"})
+        from_dict(Identification, {"select": "mein"})
     with pytest.raises(SpecError, match="no target 'fortran'"):
         network = jnx.grow(pool(), plant(), jnx.Global()).value
         jnx.export(network, plant(), to=["fortran"])

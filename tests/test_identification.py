@@ -12,7 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import identify
 from jaxnarx.methods import Identification, Polynomial
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
@@ -66,7 +66,7 @@ def test_without_refinement_the_grown_network_is_the_result(data):
     ("train", "still"), [("coefficients", "centre"), ("partition", "coefficient")]
 )
 def test_one_kind_alone_is_trained(data, train, still):
-    method = changed(SMALL, {"refine.train": train})
+    method = replace_at(SMALL, {"refine.train": train})
     fit = identify(data[0], method)
     start, end = (n.models[0] for n in (fit.stats["grown"].value, fit.value))
     assert isinstance(start.validity, Gaussians) and isinstance(end.validity, Gaussians)
@@ -88,7 +88,7 @@ def test_outputs_that_nothing_asks_for_are_left_out():
         outputs=["y", "w", "v"],
         sample_time=1.0,
     )
-    method = changed(
+    method = replace_at(
         Identification(),
         {
             "pool": Polynomial(outputs="y", input_lags=(0,), output_lags=(), degree=1),
@@ -109,6 +109,6 @@ def test_time_constants_are_filters(data):
 
 
 def test_a_wrong_name_is_told_before_any_work(data):
-    method = changed(SMALL, {"pool.outputs": ["z"]})
+    method = replace_at(SMALL, {"pool.outputs": ["z"]})
     with pytest.raises(SpecError, match="unknown output 'z'"):
         identify(data[0], method)

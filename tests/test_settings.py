@@ -24,13 +24,13 @@ from jaxnarx.methods import (
     StepwiseF,
 )
 from jaxnarx.methods.settings import (
-    KINDS,
-    changed,
+    METHOD_KINDS,
+    by_path,
     fields_of,
+    from_dict,
     hint_at,
-    made,
-    paths,
-    spread,
+    replace_at,
+    to_dict,
     value_at,
 )
 from jaxnarx.texts import field_texts
@@ -48,14 +48,14 @@ TABLE = {
 
 
 def test_a_table_is_a_tree():
-    tree = made(Identification, TABLE | {"refine": {"method": "simulation"}})
+    tree = from_dict(Identification, TABLE | {"refine": {"method": "simulation"}})
     assert tree.pool == Polynomial(outputs=("y",), input_lags={"a": [0, 1]}, degree=3)
     assert tree.select == StepwiseF() and tree.refine == SimulationError()
     few = ForwardOLS(max_terms=4)
     assert tree.grow == SigmoidTree(["a[t]"], oblique=False, local=few)
-    assert made(Identification, {}) == Identification()
-    assert made(Identification, {"refine": "none"}).refine is None
-    usual = made(Identification, {"select": {"rho": 0.1}, "refine": {"ridge": 1}})
+    assert from_dict(Identification, {}) == Identification()
+    assert from_dict(Identification, {"refine": "none"}).refine is None
+    usual = from_dict(Identification, {"select": {"rho": 0.1}, "refine": {"ridge": 1}})
     assert usual.select == ForwardOLS(max_terms=25, rho=0.1)
     assert usual.refine == SimulationError(ridge=1)
 
@@ -63,33 +63,35 @@ def test_a_table_is_a_tree():
 def test_a_tree_spread_out_is_made_again():
     trees = [
         Identification(),
-        made(Identification, TABLE | {"refine": "prediction"}),
+        from_dict(Identification, TABLE | {"refine": "prediction"}),
         Identification(select=SimulationOLS(), grow=Grid(["a[t]"], models=(3,))),
         Identification(grow=Placed(["a[t]"]), refine=None),
         Identification(grow=Given(len, scheduling=["a[t]"])),
     ]
     for tree in trees:
-        assert made(Identification, spread(tree)) == tree
-        assert changed(tree, {}) == tree
+        assert from_dict(Identification, to_dict(tree)) == tree
+        assert replace_at(tree, {}) == tree
 
 
 def test_every_kind_is_told_apart_by_its_name():
-    for name, kind, told in KINDS:
+    for name, kind, told in METHOD_KINDS:
         scheduled = {"scheduling": ("a[t]",), "models": (2,)}
         own = {k: v for k, v in scheduled.items() if k in fields_of(kind)}
-        assert spread(kind(**own, **told))["method"] == name
+        assert to_dict(kind(**own, **told))["method"] == name
 
 
 def test_a_path_changes_one_setting():
-    tree = changed(Identification(), {"grow": "lolimot", "grow.scheduling": ["a[t]"]})
+    tree = replace_at(
+        Identification(), {"grow": "lolimot", "grow.scheduling": ["a[t]"]}
+    )
     assert tree.grow == Lolimot(["a[t]"])
-    more = changed(tree, {"grow.max_models": 3, "refine.train": "joint"})
+    more = replace_at(tree, {"grow.max_models": 3, "refine.train": "joint"})
     assert more.grow == Lolimot(["a[t]"], max_models=3)
     assert more.refine == SimulationError(train="joint")
-    assert changed(more.refine, {"max_steps": 7}).max_steps == 7
-    few = changed(tree, {"grow.local.max_terms": 5})
+    assert replace_at(more.refine, {"max_steps": 7}).max_steps == 7
+    few = replace_at(tree, {"grow.local.max_terms": 5})
     assert few.grow.local == ForwardOLS(max_terms=5)
-    back = changed(Identification(refine=None), {"refine.max_steps": 9})
+    back = replace_at(Identification(refine=None), {"refine.max_steps": 9})
     assert back.refine == SimulationError(max_steps=9)
 
 
@@ -99,13 +101,13 @@ def test_another_kind_takes_over_what_was_told():
         grow=Lolimot(["a[t]"], max_models=3, k_sigma=0.5),
         refine=SimulationError(max_steps=7, window_steps=2),
     )
-    other = changed(
+    other = replace_at(
         tree, {"select": "stepwise", "grow": "tree", "refine": "prediction"}
     )
     assert other.select == StepwiseF(max_terms=9)
     assert other.grow == SigmoidTree(["a[t]"], max_models=3)
     assert other.refine == PredictionError(max_steps=7)
-    assert changed(tree, {"grow": "global"}).grow == Global()
+    assert replace_at(tree, {"grow": "global"}).grow == Global()
 
 
 def test_values_are_found_by_path():
@@ -114,7 +116,7 @@ def test_values_are_found_by_path():
         value_at(tree, "grow.max_models") == 8 and value_at(tree, "grow") == "lolimot"
     )
     assert value_at(tree, "grow.smoothness") is None
-    flat = paths(spread(tree))
+    flat = by_path(to_dict(tree))
     assert flat["grow.scheduling"] == ("a[t]",) and flat["select.max_terms"] == 25
     owner, _ = hint_at(Identification, "grow.local.significance")
     assert owner is StepwiseF
@@ -144,7 +146,7 @@ def test_values_are_found_by_path():
 )
 def test_what_is_wrong_is_named_by_its_path(table, words):
     with pytest.raises(SpecError, match=words):
-        made(Identification, table)
+        from_dict(Identification, table)
 
 
 @pytest.mark.parametrize("path", ["ridge", "refine.rigde", "grow.local.x", "grow.x.y"])
@@ -168,7 +170,7 @@ def test_each_setting_is_declared_once_and_explained():
             assert texts.get(field.name), f"{name}.{field.name} says nothing"
 
 
-@pytest.mark.parametrize("kind", dict.fromkeys(kind for _, kind, _ in KINDS))
+@pytest.mark.parametrize("kind", dict.fromkeys(kind for _, kind, _ in METHOD_KINDS))
 def test_help_shows_plain_types(kind):
     """Messages have the words of a rule; `help` and a signature have the type alone."""
     text = pydoc.plain(pydoc.render_doc(kind))

@@ -42,7 +42,7 @@ from draw import draw_partitions, draw_terms, draw_transfer
 from structures import RefitWork, restricted
 
 import jaxnarx as jnx
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.shell.figures.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -92,7 +92,7 @@ def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row
     """Everything that is computed for a bed, and what is known of its engines."""
     records = records_of(bed, size, folder)
     fleet = fleet_of(records, size.seed)
-    method = changed(jnx.Identification(), settings | BEDS[bed].settings)
+    method = replace_at(jnx.Identification(), settings | BEDS[bed].settings)
     work = jnx.sweep.IdentificationWork(
         fleet, method, list(CASES.values()), lanes=LANES
     )
@@ -104,7 +104,7 @@ def rows_of(bed: str, size: Size, settings: Row, folder: Path) -> tuple[list[Row
     few = restricted(work, nominal)
     few_rows = swept(few, folder / f"{bed}_terms")
     rows += [row | {"structure": "nominal terms"} for row in few_rows]
-    refinement = changed(method.refine, {"tolerance": 1e-4, "patience": 15})
+    refinement = replace_at(method.refine, {"tolerance": 1e-4, "patience": 15})
     pairs = pairs_of(chosen, min(REFITTED, size.engines), size.repetitions)
     refit = RefitWork(work, chosen, pairs, refinement)
     rows += swept(refit, folder / f"{bed}_refitted")

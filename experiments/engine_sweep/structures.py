@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.refinement import freeze
 
 Row = dict[str, Any]
@@ -105,6 +105,6 @@ def restricted(
 ) -> jnx.sweep.IdentificationWork:
     """Every engine with the terms of a row, and regions of its own."""
     terms = terms_of(work.pool, row["term_index"])
-    few = changed(work.method, {"select.max_terms": len(row["term_index"])})
+    few = replace_at(work.method, {"select.max_terms": len(row["term_index"])})
     method = dataclasses.replace(few, pool=terms)
     return jnx.sweep.IdentificationWork(work.fleet, method, lanes=work.lanes)

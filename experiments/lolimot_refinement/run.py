@@ -25,7 +25,7 @@ from typing import Any
 
 import jax
 
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.sweep import SweepTable, grid_cases, paired_comparison
 
 HERE = Path(__file__).resolve().parent
@@ -111,7 +111,7 @@ def part(
     told = {f"refine.{field}": value for field, value in how.items()}
     if schedule == "one step":
         told["refine"] = "prediction"
-    method = changed(problem.method, told)
+    method = replace_at(problem.method, told)
     cases = grid_cases({"grow.max_models": sizes, "refine.train": moved})
     size = " ".join(map(str, sizes))
     names = {"problem": name, "schedule": schedule, "sizes": size}

@@ -27,7 +27,7 @@ from typing import Any
 
 import jax
 
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.sweep.cases import Case, grid_cases
 
 HERE = Path(__file__).resolve().parent
@@ -119,7 +119,7 @@ def part(name: str, partition: str, small: bool, folder: Path) -> list[Row]:
     fleet = problem.fleet(*((2, 300) if small else (SEEDS[name],)))
     tried = cases(partition, small)
     how = SMALL if small else REFINEMENT
-    method = changed(problem.method, KINDS[partition] | how)
+    method = replace_at(problem.method, KINDS[partition] | how)
     names = {"problem": name, "partition": partition}
     rows = identified(fleet, method, tried, folder, **names)
     for row in rows:

@@ -19,7 +19,7 @@ from jaxnarx.arrays.column_scaling import column_norm, column_scale, power_of_tw
 from jaxnarx.arrays.normal_equations import ridge_solve
 
 
-class Fit(eqx.Module):
+class LeastSquaresFit(eqx.Module):
     """Result of a linear least-squares problem.
 
     `rank` and `condition` belong to the scaled columns (and the ridge's rows): the
@@ -47,7 +47,7 @@ class Factors(eqx.Module):
     condition: Float[Array, ""]
 
 
-def solve(
+def solve_least_squares(
     columns: Float[Array, "terms time"],
     y: Float[Array, " time"],
     weight: Float[Array, " time"],
@@ -57,7 +57,7 @@ def solve(
     ridge: Float[Array, ""] | float = 0.0,
     cutoff: Float[Array, ""] | float | None = None,
     refinements: int = 2,
-) -> Fit:
+) -> LeastSquaresFit:
     """Coefficients of least squares by `algorithm`, with rank and condition.
 
     `"qr"`: Householder QR and back-substitution (thesis 4.14 to 4.18). `"svd"`:
@@ -93,12 +93,12 @@ def solve(
         factorise = _qr if algorithm == "qr" else _svd
         f = factorise(a, target, rest, small if cutoff is None else cutoff)
         theta = _refined(a, target, f, refinements)
-        fit = Fit(theta, f.rank, f.condition, f.inverse)
+        fit = LeastSquaresFit(theta, f.rank, f.condition, f.inverse)
     else:
         raise ValueError(
             f'algorithm must be "qr", "svd" or "normal", got {algorithm!r}'
         )
-    return Fit(
+    return LeastSquaresFit(
         fit.coefficient / exact, fit.rank, fit.condition, fit.root / exact[:, None]
     )
 
@@ -137,7 +137,7 @@ def _svd(a, target, rest, cut) -> Factors:
     return Factors(u, inverse, inverse @ (u.T @ target), rank, condition)
 
 
-def _normal(a, target, rest, cut) -> Fit:
+def _normal(a, target, rest, cut) -> LeastSquaresFit:
     """Cholesky where the eigenvalues allow it, else the minimum norm from them."""
     gram, moment = a.T @ a, a.T @ target
     values, vectors = jnp.linalg.eigh(gram * rest[:, None] * rest[None])
@@ -148,7 +148,7 @@ def _normal(a, target, rest, cut) -> Fit:
     safe = jnp.where(full, gram, jnp.diag(jnp.diagonal(gram)))
     theta = ridge_solve(safe, moment, least=0.0)
     theta = jnp.where(full, theta, root @ (root.T @ moment))
-    return Fit(theta, rank, condition, root)
+    return LeastSquaresFit(theta, rank, condition, root)
 
 
 def _judged(
@@ -192,11 +192,11 @@ def least_squares(
     y: Float[Array, " time"],
     weight: Float[Array, " time"],
 ) -> tuple[Float[Array, " terms"], Int[Array, ""], Float[Array, ""]]:
-    """Coefficients, rank and condition of `solve` by QR, without refinement.
+    """Coefficients, rank and condition by QR, without the steps of refinement.
 
-    Without it no orthonormal basis is formed, which takes half of the time and memory.
+    Without them no orthonormal basis is formed, which saves half of the time.
     """
-    fit = solve(columns, y, weight, refinements=0)
+    fit = solve_least_squares(columns, y, weight, refinements=0)
     return fit.coefficient, fit.rank, fit.condition
 
 
@@ -207,7 +207,7 @@ def leverage(
 ) -> Float[Array, " time"]:
     """Diagonal of the hat matrix: how much each fitted value follows its own sample.
 
-    `root` is that of a `Fit` with these columns and weights. Between 0 and 1; the sum
-    is the rank, with a ridge the effective number of parameters.
+    `root` is that of a `LeastSquaresFit` with these columns and weights. Between 0 and
+    1; the sum is the rank, with a ridge the effective number of parameters.
     """
     return weight * jnp.sum((root.T @ columns) ** 2, axis=0)

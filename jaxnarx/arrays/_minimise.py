@@ -14,7 +14,7 @@ from jaxnarx.arrays.levenberg import (
     NOT_RUN,
     OK,
     AbstractProblem,
-    State,
+    LevenbergState,
     begin,
     has_arrived,
     step,
@@ -22,9 +22,9 @@ from jaxnarx.arrays.levenberg import (
 from jaxnarx.arrays.programs import bound, plain, program
 from jaxnarx.solution import NAMES, RESULTS, code
 
-ROUNDING = 1e-24
+ROUNDING_LOSS = 1e-24
 """Loss (a mean square of scaled errors) that is nothing but rounding of float64."""
-QUIET = 2
+QUIET_STEPS = 2
 """Steps in a row that gain little, after which a search ends."""
 
 Progress = Callable[[dict[str, Any]], None]
@@ -57,7 +57,9 @@ class Method(Protocol):
     def has_arrived(self, s: Standing) -> bool: ...
 
 
-def advanced(problem: AbstractProblem, judge: Callable, state: State, look: Any):
+def advanced(
+    problem: AbstractProblem, judge: Callable, state: LevenbergState, look: Any
+):
     """A step, and what the judge says of the point it has led to.
 
     Of the start, too, where one is to `look`; of a point that was not left nothing.
@@ -93,10 +95,10 @@ class Levenberg:
         return self._standing(begin(u), look)
 
     def step(self, s: Standing) -> Standing:
-        """One accepted step, or none; see `arrays.levenberg.State` for statuses."""
+        """One accepted step, or none; see `LevenbergState` for statuses."""
         return self._standing(s.state, False)
 
-    def _standing(self, state: State, look: bool) -> Standing:
+    def _standing(self, state: LevenbergState, look: bool) -> Standing:
         state, figures, judged = self._advanced(state, look)
         loss, minimised, damping, gain, status = np.asarray(figures).tolist()
         judged, name = jax.tree.map(np.asarray, judged), NAMES[int(status)]
@@ -114,8 +116,8 @@ def minimise(
     *,
     steps: int,
     tolerance: float | int,
-    quiet: int = QUIET,
-    rounding: float = ROUNDING,
+    quiet: int = QUIET_STEPS,
+    rounding: float = ROUNDING_LOSS,
     accepted: Callable[[Standing], bool] = lambda _: False,
 ) -> tuple[Standing, int, RESULTS]:
     """At most so many accepted steps; where they lead, their number, and the status.

@@ -76,7 +76,7 @@ class AbstractProblem(eqx.Module):
         """Weights of the squared distance from where a search starts."""
 
 
-class State(eqx.Module):
+class LevenbergState(eqx.Module):
     """Where a search stands. `tried` counts trial runs; `linear.loss` is without the
     pull, `minimised` with it: that is what falls from step to step.
 
@@ -112,23 +112,23 @@ class Trial(eqx.Module):
     lower: Bool[Array, ""]
 
 
-def begin(u: Vector) -> State:
+def begin(u: Vector) -> LevenbergState:
     """A search from `u` that has not looked at it yet."""
     xp = np if isinstance(u, np.ndarray) else jnp
     zero, far = xp.zeros_like(u), xp.asarray(np.inf, u.dtype)
     linear = Linear(u, far, zero, xp.zeros((u.size, u.size), u.dtype))
     damping = xp.asarray(DAMPING_START, u.dtype)
     counts = xp.asarray(0), xp.asarray(NOT_RUN)
-    return State(linear, damping, far, u, zero, counts[0], far, counts[1])
+    return LevenbergState(linear, damping, far, u, zero, counts[0], far, counts[1])
 
 
-def anew(s: State, u: Vector) -> State:
+def anew(s: LevenbergState, u: Vector) -> LevenbergState:
     """The same inside a program, with the arrays of another search."""
     status = jnp.full_like(s.status, NOT_RUN)
     return eqx.tree_at(lambda s: (s.linear.u, s.status), s, (u, status))
 
 
-def step(problem: AbstractProblem, s: State) -> State:
+def step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
     """One accepted step, raising the damping until the penalised loss falls.
 
     Where none is found everything but damping, status and count of trials stays.
@@ -136,12 +136,12 @@ def step(problem: AbstractProblem, s: State) -> State:
     fresh = s.status == NOT_RUN
     found = _descended(problem, s, fresh)
 
-    def taken() -> State:
+    def taken() -> LevenbergState:
         linear = problem.linear(found.u)
         eased = jnp.maximum(found.damping / SHRINK, DAMPING_LEAST)
         value = jnp.where(fresh, linear.loss, found.value)
         gain = 1.0 - value / s.minimised
-        return State(
+        return LevenbergState(
             linear,
             damping=jnp.where(fresh, DAMPING_START, eased).astype(eased.dtype),
             minimised=value,
@@ -152,7 +152,7 @@ def step(problem: AbstractProblem, s: State) -> State:
             status=jnp.where(fresh, _outlook(linear), OK).astype(s.status.dtype),
         )
 
-    def stayed() -> State:
+    def stayed() -> LevenbergState:
         outlook = _outlook(s.linear)
         status = jnp.where(outlook == OK, STALLED, outlook).astype(s.status.dtype)
         return eqx.tree_at(
@@ -171,7 +171,9 @@ def _outlook(linear: Linear) -> Int[Array, ""]:
     return jnp.where(jnp.all(jnp.isfinite(linear.gram)), status, DIVERGED)
 
 
-def _descended(problem: AbstractProblem, s: State, fresh: Bool[Array, ""]) -> Trial:
+def _descended(
+    problem: AbstractProblem, s: LevenbergState, fresh: Bool[Array, ""]
+) -> Trial:
     """Raise the damping until a trial is lower; a fresh start is taken as it is."""
     wall, here = problem.wall, s.linear.u
     able = _outlook(s.linear) == OK
@@ -201,19 +203,19 @@ def _descended(problem: AbstractProblem, s: State, fresh: Bool[Array, ""]) -> Tr
 
 
 @jax.jit
-def has_arrived(s: State) -> Bool[Array, ""]:
+def has_arrived(s: LevenbergState) -> Bool[Array, ""]:
     """Whether the linearised problem promises no decrease worth naming."""
     delta = _direction(s, jnp.asarray(DAMPING_START, s.u.dtype))
     small = max(ARRIVED, 10 * float(jnp.finfo(s.u.dtype).eps))
     return -(_slope(s) @ delta) < small * s.linear.loss
 
 
-def _slope(s: State) -> Float[Array, " params"]:
+def _slope(s: LevenbergState) -> Float[Array, " params"]:
     """Half the gradient of what is minimised."""
     return jnp.asarray(s.linear.gradient) + s.pull * (s.linear.u - s.origin)
 
 
-def _direction(s: State, damping: Float[Array, ""]) -> Float[Array, " params"]:
+def _direction(s: LevenbergState, damping: Float[Array, ""]) -> Float[Array, " params"]:
     """Damped step; not finite where the equations cannot be solved.
 
     Entries without any information (padding, frozen directions) get a zero step.

@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays._least_squares import Fit
+from jaxnarx.arrays._least_squares import LeastSquaresFit
 from jaxnarx.arrays.column_scaling import column_norm, column_scale, power_of_two
 
 PRIOR = 0.7
@@ -83,7 +83,7 @@ def begin(
     return Recursion(jnp.concatenate([root, coefficient[None]]))
 
 
-def update(
+def update_recursion(
     state: Recursion,
     x: Float[Array, " terms"],
     y: Float[Array, ""],
@@ -131,7 +131,7 @@ def recursive_least_squares(
 
     def step(state, sample):
         x, y_now, weight_now = sample
-        state, error, _ = update(state, x, y_now, weight_now, factor)
+        state, error, _ = update_recursion(state, x, y_now, weight_now, factor)
         return state, (error, state.coefficient if history else None)
 
     # Two steps per turn: a third faster on a CPU; more gain nothing.
@@ -147,8 +147,8 @@ def solve_recursively(
     scaling: str = "norm",
     ridge: Float[Array, ""] | float = 0.0,
     forgetting: Float[Array, ""] | float = 1.0,
-) -> Fit:
-    """A least-squares problem from its first sample to its last, see `Fit`.
+) -> LeastSquaresFit:
+    """A least-squares problem from its first sample to its last.
 
     The ridge of `least_squares.solve` is the start P_0^-1, and forgotten like a sample
     before the first. Without one a small start is removed from the result, see `PRIOR`;
@@ -177,7 +177,7 @@ def solve_recursively(
     return _without_start(end, left, free, scale, given)
 
 
-def _without_start(end: Recursion, left, free, scale, given) -> Fit:
+def _without_start(end: Recursion, left, free, scale, given) -> LeastSquaresFit:
     """The estimate without what it still holds of its start, information `left`.
 
     With E = diag(sqrt(left)), the singular values of E S squared are the shares of
@@ -197,4 +197,4 @@ def _without_start(end: Recursion, left, free, scale, given) -> Fit:
     root = back[:, None] * width
     spread = jnp.linalg.svd(root * given[:, None], compute_uv=False)
     condition = jnp.where(full, spread[0] / jnp.where(full, spread[-1], 1.0), jnp.inf)
-    return Fit(back * theta, rank, condition, root)
+    return LeastSquaresFit(back * theta, rank, condition, root)

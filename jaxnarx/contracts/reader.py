@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.data import Asked, contents, read_table
-from jaxnarx.data.readers.columns import numbers
+from jaxnarx.data import Asked, contents, numbers, read_table
 from jaxnarx.errors import DataFileError
 
 Write = Callable[[Path], Mapping[str, np.ndarray]]

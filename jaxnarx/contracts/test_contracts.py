@@ -16,7 +16,7 @@ from jaxnarx.contracts import (
     target,
     validity,
 )
-from jaxnarx.data.readers import KINDS
+from jaxnarx.data import KINDS
 from jaxnarx.engines import BEDS
 from jaxnarx.extensions import Registry
 from jaxnarx.identification import CANDIDATES

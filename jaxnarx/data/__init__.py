@@ -58,10 +58,14 @@ from jaxnarx.data.preparation import Shift as Shift
 from jaxnarx.data.preparation import ToCrankAngle as ToCrankAngle
 from jaxnarx.data.preparation import ToTime as ToTime
 from jaxnarx.data.preparation import prepare as prepare
+from jaxnarx.data.readers import KINDS as KINDS
+from jaxnarx.data.readers import WATCHER as WATCHER
 from jaxnarx.data.readers import Asked as Asked
 from jaxnarx.data.readers import contents as contents
 from jaxnarx.data.readers import read_table as read_table
+from jaxnarx.data.readers.columns import numbers as numbers
 from jaxnarx.data.record import Record as Record
+from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
 from jaxnarx.data.scaling import unit_of as unit_of
 

@@ -4,6 +4,7 @@ from jaxnarx import metrics as metrics
 from jaxnarx.evaluation._cost import Cost as Cost
 from jaxnarx.evaluation._cost import cost as cost
 from jaxnarx.evaluation._cost import pareto as pareto
+from jaxnarx.evaluation._error_map import THIN_CELL as THIN_CELL
 from jaxnarx.evaluation._error_map import ErrorMap as ErrorMap
 from jaxnarx.evaluation._error_map import error_map as error_map
 from jaxnarx.evaluation._reactivation import reactivation as reactivation
@@ -21,6 +22,7 @@ from jaxnarx.evaluation._steady_states import steady_states as steady_states
 from jaxnarx.evaluation.comparison import ComparedRecord as ComparedRecord
 from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
+from jaxnarx.evaluation.domain_errors import INDEX_EDGES as INDEX_EDGES
 from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
 from jaxnarx.evaluation.gain_signs import check_gains as check_gains
 from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
@@ -35,10 +37,17 @@ from jaxnarx.evaluation.residual_tests import OperatingPoint as OperatingPoint
 from jaxnarx.evaluation.residual_tests import OutputDiagnostics as OutputDiagnostics
 from jaxnarx.evaluation.residual_tests import diagnose as diagnose
 from jaxnarx.evaluation.residual_tests import diagnose_free_run as diagnose_free_run
+from jaxnarx.evaluation.residual_tests.correlations import (
+    LAG_TEST_TITLES as LAG_TEST_TITLES,
+)
+from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.shown import ShownRecord as ShownRecord
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
+from jaxnarx.evaluation.table import data_of as data_of
+from jaxnarx.evaluation.table import number as number
+from jaxnarx.evaluation.table import rows_beside as rows_beside
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
 from jaxnarx.evaluation.verdict import GOOD as GOOD

@@ -21,7 +21,7 @@ from jaxnarx.simulation import Prepared, batched, prepared, simulate
 
 CELLS = 12
 """Cells along each variable."""
-THIN = 20
+THIN_CELL = 20
 """Samples of a cell below which its error says little."""
 
 
@@ -52,7 +52,7 @@ class ErrorMap:
     @property
     def thin(self) -> Bool[np.ndarray, "x y"]:
         """Cells with fewer than 20 samples, or none."""
-        return self.samples < THIN
+        return self.samples < THIN_CELL
 
     @property
     def worst(self) -> tuple[int, int] | None:

@@ -16,9 +16,9 @@ from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared
 from jaxnarx.trust import DomainIndex, Excursion, domain
 
-EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
+INDEX_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Borders of the bins of the index."""
-BORDER = EDGES.index(1.0)
+BORDER = INDEX_EDGES.index(1.0)
 FEWEST = 20
 """Samples of the smallest bin that has an error."""
 WORST = 10
@@ -108,8 +108,10 @@ def _binned(
     error: Float[np.ndarray, " samples"],
     index: Float[np.ndarray, " samples"],
 ) -> ErrorByIndex:
-    at = np.clip(np.searchsorted(EDGES, index, side="left") - 1, 0, len(EDGES) - 2)
-    count = np.bincount(at, minlength=len(EDGES) - 1)
+    at = np.clip(
+        np.searchsorted(INDEX_EDGES, index, side="left") - 1, 0, len(INDEX_EDGES) - 2
+    )
+    count = np.bincount(at, minlength=len(INDEX_EDGES) - 1)
     scale = float(np.max(np.abs(error), initial=0.0)) or 1.0
     square = np.bincount(at, (error / scale) ** 2, minlength=len(count))
     enough = count >= FEWEST

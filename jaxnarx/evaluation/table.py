@@ -71,7 +71,7 @@ def _size(row: Row) -> float:
     return -1.0 if row.rmse is None else row.rmse
 
 
-def beside(report: Any) -> list[tuple[str, list[Row | None]]]:
+def rows_beside(report: Any) -> list[tuple[str, list[Row | None]]]:
     """This model and those beside it: (name, pooled free-run row of every output)."""
     own = [report.pooled(c.name) for c in report.outputs]
     found = {"this model": own, **report.beside}
@@ -86,7 +86,7 @@ def beside_lines(report: Any) -> list[str]:
     if not report.beside:
         return []
     lines = [("", *(c.name for c in report.outputs))]
-    lines += [(name, *map(_nrmse, rows)) for name, rows in beside(report)]
+    lines += [(name, *map(_nrmse, rows)) for name, rows in rows_beside(report)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     out = [
         "  ".join(

@@ -7,6 +7,8 @@ from jaxnarx.identification.candidates import CANDIDATES, Candidate
 from jaxnarx.identification.candidates import Candidates as Candidates
 from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
+from jaxnarx.identification.search_folder import CANDIDATES_FOLDER as CANDIDATES_FOLDER
+from jaxnarx.identification.search_folder import SEARCH_FILE as SEARCH_FILE
 from jaxnarx.identification.search_folder import SearchFolder, read_search
 from jaxnarx.identification.verb import VALIDATION, identify, with_group
 

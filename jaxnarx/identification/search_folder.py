@@ -22,8 +22,8 @@ from jaxnarx.guard import is_fit
 from jaxnarx.identification.leaderboard import LARGEST, Contender, Leaderboard
 from jaxnarx.models import Network, load, save
 
-NAME = "search.json"
-CANDIDATES = "candidates"
+SEARCH_FILE = "search.json"
+CANDIDATES_FOLDER = "candidates"
 FORMAT = 1
 
 
@@ -39,7 +39,7 @@ class SearchFolder:
 
     def model_path(self, number: int) -> Path:
         """Where the model of a candidate is, or would be."""
-        return self.path / CANDIDATES / f"{number}.safetensors"
+        return self.path / CANDIDATES_FOLDER / f"{number}.safetensors"
 
     def row(self, number: int) -> Contender:
         """The candidate of that number; SpecError where there is none."""
@@ -61,10 +61,10 @@ class SearchFolder:
         network = load(path)
         if row.output not in network.output_names:
             raise DataFileError(
-                f"{self.path / NAME}: candidate {number} is of {row.output}, but its "
-                f"model computes {', '.join(network.output_names)}. Begin anew with "
-                "--force.",
-                path=self.path / NAME,
+                f"{self.path / SEARCH_FILE}: candidate {number} is of {row.output}, "
+                f"but its model computes {', '.join(network.output_names)}. Begin "
+                "anew with --force.",
+                path=self.path / SEARCH_FILE,
             )
         return network
 
@@ -100,7 +100,7 @@ class SearchFolder:
         write_whole(self._mark(output), b"")
 
     def _mark(self, output: int) -> Path:
-        return self.path / CANDIDATES / f"{output}.finished"
+        return self.path / CANDIDATES_FOLDER / f"{output}.finished"
 
     def write(self) -> None:
         """Write `search.json`, whole or not at all."""
@@ -112,7 +112,7 @@ class SearchFolder:
             "rule": board.rule,
             "rows": [row.to_dict() for row in board],
         }
-        path = self.path / NAME
+        path = self.path / SEARCH_FILE
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             write_whole(path, json.dumps(told, allow_nan=False, indent=1).encode())
@@ -129,8 +129,8 @@ def open_search(
     on the disk already come with the result. SpecError where the folder holds a search
     with another key, or another process searches there.
     """
-    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES))
-    if not (path / NAME).is_file():
+    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES_FOLDER))
+    if not (path / SEARCH_FILE).is_file():
         new.write()
         return new
     old = read_search(path)
@@ -143,7 +143,7 @@ def open_search(
         )
     rows = tuple(r for r in old.leaderboard if not lost(old, r))
     if len(rows) < len(old.leaderboard):
-        for mark in (path / CANDIDATES).glob("*.finished"):
+        for mark in (path / CANDIDATES_FOLDER).glob("*.finished"):
             mark.unlink()
     return dataclasses.replace(
         new, leaderboard=dataclasses.replace(leaderboard, rows=rows)
@@ -188,9 +188,13 @@ def lost(folder: SearchFolder, row: Contender) -> bool:
 
 def read_search(path: Path) -> SearchFolder:
     """The search of a folder, finished or not; DataFileError where there is none."""
-    file = path / NAME
+    file = path / SEARCH_FILE
     if not file.is_file():
-        where = "there is no such folder" if not path.is_dir() else f"it has no {NAME}"
+        where = (
+            "there is no such folder"
+            if not path.is_dir()
+            else f"it has no {SEARCH_FILE}"
+        )
         raise DataFileError(
             f"{path} is no folder of a search ({where}). `jaxnarx identify` without a "
             "method's settings makes one.",

@@ -2,9 +2,15 @@
 
 import numpy as np
 
-from jaxnarx.arrays import Course, Levenberg, Progress, Standing, minimise
-from jaxnarx.arrays._minimise import value_at
-from jaxnarx.arrays.programs import plain
+from jaxnarx.arrays import (
+    Course,
+    Levenberg,
+    Progress,
+    Standing,
+    minimise,
+    plain,
+    value_at,
+)
 from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect

@@ -21,8 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import free_run, program
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import free_run, program, twin
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire

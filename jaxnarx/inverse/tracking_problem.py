@@ -13,9 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import AbstractProblem, gram
-from jaxnarx.arrays.levenberg import Linear
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import AbstractProblem, Linear, gram, twin
 from jaxnarx.inverse.loop import Loop, run_record
 from jaxnarx.inverse.task import CascadeTask, TaskSignals
 from jaxnarx.refinement import Layout

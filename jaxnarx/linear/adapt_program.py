@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import program
-from jaxnarx.arrays.recursive_least_squares import Recursion, update
+from jaxnarx.arrays import Recursion, program, update_recursion
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Recursive
 from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
@@ -174,7 +173,9 @@ def _fresh(theta, joint: bool, start) -> Float[Array, "groups terms_and_one term
 
 
 def _updated(packed, columns, target, weight, fade, least):
-    state, _, used = update(Recursion(packed), columns, target, weight, fade, least)
+    state, _, used = update_recursion(
+        Recursion(packed), columns, target, weight, fade, least
+    )
     return state.packed, used
 
 

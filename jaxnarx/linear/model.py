@@ -13,8 +13,7 @@ from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels
 from jaxnarx.linear.structure import Polynomials, Structure
 from jaxnarx.linear.transfer_function import TransferFunction
-from jaxnarx.models import Network, global_model
-from jaxnarx.models._assemble import MARGIN
+from jaxnarx.models import OUTPUT_MARGIN, Network, global_model
 from jaxnarx.regressors import Variables
 from jaxnarx.shown import page
 
@@ -184,7 +183,7 @@ class LinearModel(eqx.Module):
         own = len(self.channels.inputs) + self.output
         scale = np.array([1.0, *(gain[s] for s, _ in rows)]) / gain[own]
         factor = np.arange(len(rows) + 1, dtype=np.int32)[:, None]
-        wider = MARGIN * (high - low)[own : own + 1]
+        wider = OUTPUT_MARGIN * (high - low)[own : own + 1]
         return Network(
             self.channels,
             (self.output,),

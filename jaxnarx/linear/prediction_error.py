@@ -14,9 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import AbstractProblem, Levenberg, minimise
-from jaxnarx.arrays._minimise import ROUNDING
-from jaxnarx.arrays.levenberg import Linear
+from jaxnarx.arrays import ROUNDING_LOSS, AbstractProblem, Levenberg, Linear, minimise
 from jaxnarx.linear.recursion import (
     Signals,
     best_states,
@@ -131,7 +129,7 @@ def least_innovations(
         steps=max_steps,
         tolerance=tolerance,
         quiet=1,
-        rounding=ROUNDING * samples,
+        rounding=ROUNDING_LOSS * samples,
     )
     count = structure.size
     return PredictionErrorEnd(

@@ -17,8 +17,12 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
-from jaxnarx.arrays import leverage, solve_recursively
-from jaxnarx.arrays._least_squares import Fit, solve
+from jaxnarx.arrays import (
+    LeastSquaresFit,
+    leverage,
+    solve_least_squares,
+    solve_recursively,
+)
 from jaxnarx.guard import guarded
 from jaxnarx.linear.regression_input import require_numbers, require_weights
 from jaxnarx.methods import LeastSquares
@@ -118,11 +122,15 @@ def regression_table(value: Regression) -> str:
 
 
 @partial(jax.jit, static_argnames=("algorithm", "scaling"))
-def _fitted(x, y, weight, ridge, cutoff, forgetting, *, algorithm, scaling) -> Fit:
+def _fitted(
+    x, y, weight, ridge, cutoff, forgetting, *, algorithm, scaling
+) -> LeastSquaresFit:
     options = {"scaling": scaling, "ridge": ridge}
     if algorithm == "recursive":
         return solve_recursively(x, y, weight, forgetting=forgetting, **options)
-    return solve(x, y, weight, algorithm=algorithm, cutoff=cutoff, **options)
+    return solve_least_squares(
+        x, y, weight, algorithm=algorithm, cutoff=cutoff, **options
+    )
 
 
 @jax.jit
@@ -131,7 +139,7 @@ def _figures(
     y: Float[Array, " time"],
     weight: Float[Array, " time"],
     fade: Float[Array, " time"],
-    fit: Fit,
+    fit: LeastSquaresFit,
 ):
     """Residuals, leverages, and the factor of sigma^2 in the covariance."""
     residual = y - jnp.sum(x * fit.coefficient[:, None], axis=0)
@@ -185,7 +193,9 @@ def _fade(weight: Float[np.ndarray, " time"], forgetting: float) -> np.ndarray:
     return (float(forgetting) ** later).astype(weight.dtype)
 
 
-def _regression(names, y, weight, fade, fit: Fit, parts, method) -> Regression:
+def _regression(
+    names, y, weight, fade, fit: LeastSquaresFit, parts, method
+) -> Regression:
     residual, hat, spread = (np.asarray(part) for part in parts)
     root, used = np.asarray(fit.root), weight > 0
     plain = method.ridge == 0.0 and bool(np.all(fade == 1.0))

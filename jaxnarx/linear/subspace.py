@@ -55,7 +55,7 @@ FORMS = ("balanced", "modal")
 
 
 @guarded
-def subspace(
+def identify_subspace(
     u: Sequence[Any],
     y: Sequence[Any],
     order: int,
@@ -358,8 +358,8 @@ def _windows(pieces: Sequence[Segment], rows: int) -> Iterator[np.ndarray]:
         inputs = piece.u.shape[1]
         z = np.concatenate([piece.u, piece.y], axis=1)
         every = np.lib.stride_tricks.sliding_window_view(z, 2 * rows, axis=0)
-        for start in range(0, len(every), factorisation.BLOCK):
-            w = every[start : start + factorisation.BLOCK].transpose(0, 2, 1)
+        for start in range(0, len(every), factorisation.BLOCK_ROWS):
+            w = every[start : start + factorisation.BLOCK_ROWS].transpose(0, 2, 1)
             u, y = w[..., :inputs], w[..., inputs:]
             parts = (u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:])
             flat = [p.reshape(len(w), -1) for p in parts]

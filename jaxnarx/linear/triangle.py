@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import factorisation
-from jaxnarx.arrays.factorisation import directions
+from jaxnarx.arrays import directions, factorisation
 from jaxnarx.data import Dataset
 from jaxnarx.regressors import Variables, regression_rows
 

@@ -21,10 +21,10 @@ from jaxnarx.methods.refinement import PredictionError, SimulationError
 from jaxnarx.methods.selection import Backward, ForwardOLS, StepwiseF
 from jaxnarx.methods.simulation_ols import SimulationOLS
 
-KIND = "method"
+KIND_KEY = "method"
 """Key of a table that names the kind."""
 
-KINDS: tuple[tuple[str, type, dict[str, Any]], ...] = (
+METHOD_KINDS: tuple[tuple[str, type, dict[str, Any]], ...] = (
     ("polynomial", Polynomial, {}),
     ("forward", ForwardOLS, {}),
     ("stepwise", StepwiseF, {}),
@@ -43,7 +43,7 @@ KINDS: tuple[tuple[str, type, dict[str, Any]], ...] = (
 """Names of kinds, and what else a name says."""
 
 
-def made(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
+def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
     """A tree of settings from its table; `SpecError` names the path of what is wrong.
 
     Where it names no kind, settings that it leaves out are the usual ones of the place.
@@ -71,36 +71,38 @@ def made(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
         raise _placed(error, where) from error
 
 
-def spread(tree: Any) -> dict[str, Any]:
+def to_dict(tree: Any) -> dict[str, Any]:
     """The table of a tree, all of it; values that are no settings stay as they are."""
-    name = [n for n, k, told in KINDS if k is type(tree) and _says(tree, told)][-1:]
-    table: dict[str, Any] = {KIND: name[0]} if name else {}
+    name = [n for n, k, told in METHOD_KINDS if k is type(tree) and _says(tree, told)][
+        -1:
+    ]
+    table: dict[str, Any] = {KIND_KEY: name[0]} if name else {}
     for field in fields_of(type(tree)):
         value = getattr(tree, field)
-        table[field] = spread(value) if _is_tree(value) else value
+        table[field] = to_dict(value) if _is_tree(value) else value
     return table
 
 
-def changed(tree: Any, changes: Mapping[str, Any]) -> Any:
+def replace_at(tree: Any, changes: Mapping[str, Any]) -> Any:
     """The tree with other values under some paths.
 
     A path to a choice of kinds takes the name of one, `{"grow": "tree"}`: settings that
     differ from their defaults and that it has as well go over to it.
     """
-    table = spread(tree)
+    table = to_dict(tree)
     for path, value in sorted(changes.items(), key=lambda item: item[0].count(".")):
         _put(type(tree), table, path.split("."), value, path)
-    table.pop(KIND, None)
-    return made(type(tree), table)
+    table.pop(KIND_KEY, None)
+    return from_dict(type(tree), table)
 
 
-def paths(table: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+def by_path(table: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     """A table of tables as paths and values."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         path = _join(where, name)
         inside = isinstance(value, Mapping) and len(value) > 0
-        found |= paths(value, path) if inside else {path: value}
+        found |= by_path(value, path) if inside else {path: value}
     return found
 
 
@@ -110,7 +112,7 @@ def value_at(tree: Any, path: str) -> Any:
     """
     for name in path.split("."):
         tree = getattr(tree, name, None)
-    return spread(tree).get(KIND) if _is_tree(tree) else tree
+    return to_dict(tree).get(KIND_KEY) if _is_tree(tree) else tree
 
 
 def hint_at(kind: type, path: str) -> tuple[type, Any]:
@@ -135,16 +137,16 @@ def hint_at(kind: type, path: str) -> tuple[type, Any]:
 def names_of(hint: Any) -> list[str]:
     """Names of the kinds that a field may hold."""
     kinds = kinds_of(hint)
-    names = [name for name, kind, _ in KINDS if kind in kinds]
+    names = [name for name, kind, _ in METHOD_KINDS if kind in kinds]
     return names + ["none"] * (bool(names) and type(None) in kinds)
 
 
-def plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """A value as JSON and TOML have it: lists in place of tuples."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain_value(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
+        return [plain_value(item) for item in value]
     if isinstance(value, bool | str | None):
         return value
     if isinstance(value, Integral):
@@ -154,10 +156,10 @@ def plain(value: Any) -> Any:
 
 def _completed(value: Any, usual: Any) -> Any:
     """A table that names no kind is of the usual one, if that has all its settings."""
-    if not isinstance(value, Mapping) or KIND in value or not _is_tree(usual):
+    if not isinstance(value, Mapping) or KIND_KEY in value or not _is_tree(usual):
         return value
     known = fields_of(type(usual))
-    return spread(usual) | dict(value) if all(k in known for k in value) else value
+    return to_dict(usual) | dict(value) if all(k in known for k in value) else value
 
 
 def _placed(error: SpecError, where: str) -> SpecError:
@@ -174,7 +176,7 @@ def _join(where: str, name: str) -> str:
 
 
 def _is_tree(value: Any) -> bool:
-    return any(type(value) is kind for _, kind, _ in KINDS)
+    return any(type(value) is kind for _, kind, _ in METHOD_KINDS)
 
 
 def _says(tree: Any, told: Mapping[str, Any]) -> bool:
@@ -203,12 +205,12 @@ def _put(kind: type, table: dict[str, Any], way: list[str], value: Any, path: st
         first = names_of(hint)[:1]
         if not first:
             raise SpecError(f"{name} holds no settings: {path!r}", field=path)
-        old = {KIND: old or first[0]}
+        old = {KIND_KEY: old or first[0]}
     if not isinstance(old, Mapping):
         raise SpecError(
             f"{path} cannot be set: {name} is {type(old).__name__}", field=path
         )
-    inner, _ = _kind(hint, old.get(KIND), name)
+    inner, _ = _kind(hint, old.get(KIND_KEY), name)
     table[name] = dict(old)
     _put(inner, table[name], rest, value, path)
 
@@ -218,14 +220,14 @@ def _renamed(hint: Any, old: Any, name: str) -> Any:
     if name == "none" or not isinstance(old, Mapping):
         return name
     kind, told = _kind(hint, name, name)
-    former, _ = _kind(hint, old.get(KIND), name)
+    former, _ = _kind(hint, old.get(KIND_KEY), name)
     usual = {f.name: f.default for f in dataclasses.fields(former)}
     kept = {
         field: value
         for field, value in old.items()
         if field in fields_of(kind) and field not in told and value != usual[field]
     }
-    return {KIND: name} | kept
+    return {KIND_KEY: name} | kept
 
 
 def _kind(
@@ -236,7 +238,7 @@ def _kind(
     `keys` are the settings that it must have, for the message.
     """
     kinds = kinds_of(hint)
-    known = [(n, k, told) for n, k, told in KINDS if k in kinds]
+    known = [(n, k, told) for n, k, told in METHOD_KINDS if k in kinds]
     if name is None and len({k for _, k, _ in known}) == 1:
         return known[0][1:]
     for n, kind, told in known:
@@ -278,11 +280,11 @@ def _value(hint: Any, value: Any, path: str) -> Any:
         if isinstance(value, str) and _is_added(hint, value):
             return SELECTORS[value]
         if isinstance(value, str):
-            value = {KIND: value}
+            value = {KIND_KEY: value}
         if isinstance(value, Mapping):
             own = dict(value)
-            kind, told = _kind(hint, own.pop(KIND, None), path, tuple(own))
-            return made(kind, told | own, path)
+            kind, told = _kind(hint, own.pop(KIND_KEY, None), path, tuple(own))
+            return from_dict(kind, told | own, path)
     elif isinstance(value, str) and value == "none" and type(None) in kinds_of(hint):
         return None
     if not fits(hint, value):

@@ -1,5 +1,6 @@
 """Validity functions, local models and the network that blends them."""
 
+from jaxnarx.models._assemble import OUTPUT_MARGIN as OUTPUT_MARGIN
 from jaxnarx.models._assemble import assemble as assemble
 from jaxnarx.models._assemble import bounded as bounded
 from jaxnarx.models._assemble import global_model as global_model
@@ -91,6 +92,8 @@ from jaxnarx.models.validity import SigmoidTree as SigmoidTree
 from jaxnarx.models.validity import models_of as models_of
 from jaxnarx.models.validity import register_validity as register_validity
 from jaxnarx.models.validity import weights_of as weights_of
+from jaxnarx.models.validity.gaussians import LEAST_LOG_WIDTH as LEAST_LOG_WIDTH
+from jaxnarx.models.validity.sigmoid_tree import LARGEST_ARGUMENT as LARGEST_ARGUMENT
 
 __all__ = [
     "AbstractValidity",

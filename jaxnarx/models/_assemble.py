@@ -11,7 +11,7 @@ from jaxnarx.models.network import LocalModels, Network, OutputModel
 from jaxnarx.models.validity import AbstractValidity, Gaussians
 from jaxnarx.regressors import Pool, Variables
 
-MARGIN = 0.25
+OUTPUT_MARGIN = 0.25
 """Simulated outputs may leave the training range by this share of it on either side."""
 
 
@@ -98,7 +98,7 @@ def ranged(network: Network, data: Dataset) -> Network:
     return dataclasses.replace(network, lower=lower, upper=upper, low=low, high=high)
 
 
-def bounded(network: Network, margin: float = MARGIN) -> Network:
+def bounded(network: Network, margin: float = OUTPUT_MARGIN) -> Network:
     """The network with feedback bounds so many widths of the trained ranges beyond."""
     own = np.array(network.signals)
     ranges = network.low, network.high, network.gain
@@ -114,6 +114,6 @@ def training_bounds(
     """Feedback bounds of the outputs at these signals, scaled; ranges of all signals,
     in physical units: lower, upper, low, high."""
     low, high = ranges(data)
-    wider = MARGIN * (high - low)[signal]
+    wider = OUTPUT_MARGIN * (high - low)[signal]
     held = (low[signal] - wider) / gain[signal], (high[signal] + wider) / gain[signal]
     return *held, low, high

@@ -26,8 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays import map_blocks
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import map_blocks, twin
 from jaxnarx.regressors import Variables
 
 LAYERS = ("range", "rate", "joint", "distance")

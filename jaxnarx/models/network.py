@@ -20,7 +20,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import twin
 from jaxnarx.checks import whole
 from jaxnarx.data import Channel, Channels, numbered
 from jaxnarx.errors import SpecError

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.models import Network
-from jaxnarx.models._assemble import MARGIN
+from jaxnarx.models import OUTPUT_MARGIN, Network
 from jaxnarx.output_error.growth import GrownStage
 from jaxnarx.output_error.network import network_of
 from jaxnarx.output_error.signals import RunSignals
@@ -86,7 +85,7 @@ class ClosedForm:
     @property
     def _bounds(self) -> tuple[float, float]:
         y = np.concatenate(self.stage.dictionary.measured)
-        margin = MARGIN * (y.max() - y.min())
+        margin = OUTPUT_MARGIN * (y.max() - y.min())
         return float(y.min() - margin), float(y.max() + margin)
 
     def part(self, network: Network) -> Summand:

@@ -30,7 +30,7 @@ from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
-from jaxnarx.selection.own import require_room
+from jaxnarx.selection import require_room
 
 _lolimot = jax.jit(
     lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")

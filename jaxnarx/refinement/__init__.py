@@ -22,6 +22,7 @@ from jaxnarx.refinement.normal import normal_equations as normal_equations
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.refinement.sensitivity import linearised as linearised
 from jaxnarx.refinement.sensitivity import seen_history as seen_history
+from jaxnarx.refinement.starts import FEEDBACK_FACTORS as FEEDBACK_FACTORS
 from jaxnarx.refinement.starts import shrunk as shrunk
 
 __all__ = [

@@ -17,8 +17,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from jaxnarx.arrays import Levenberg, Standing
-from jaxnarx.arrays.levenberg import State
+from jaxnarx.arrays import Levenberg, LevenbergState, Standing
 from jaxnarx.refinement.problem import Problem
 
 TRIALS = 40
@@ -44,13 +43,13 @@ class ScaledLoss(eqx.Module):
         return jnp.sum(self.pull * (u - self.origin) ** 2)
 
 
-def scaled(problem: Problem, s: State) -> ScaledLoss:
+def scaled(problem: Problem, s: LevenbergState) -> ScaledLoss:
     """Coordinates of a stage that starts there."""
     return ScaledLoss(problem, jnp.asarray(s.u), *_units(s))
 
 
 @jax.jit
-def _units(s: State):
+def _units(s: LevenbergState):
     """Units and pull of the entries, and the height; what has no effect does not
     move."""
     diagonal = jnp.diagonal(s.linear.gram)

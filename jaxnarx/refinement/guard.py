@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import program
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import program, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays import program
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import program, twin
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel

@@ -5,9 +5,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxnarx.arrays import Course, Levenberg, Progress, Standing, minimise
-from jaxnarx.arrays._minimise import value_at
-from jaxnarx.arrays.programs import plain
+from jaxnarx.arrays import (
+    Course,
+    Levenberg,
+    Progress,
+    Standing,
+    minimise,
+    plain,
+    value_at,
+)
 from jaxnarx.methods import PredictionError
 from jaxnarx.models import Network
 from jaxnarx.refinement.layout import Layout

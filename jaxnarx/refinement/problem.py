@@ -6,9 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import AbstractProblem
-from jaxnarx.arrays.levenberg import Linear
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import AbstractProblem, Linear, twin
 from jaxnarx.models import scales
 from jaxnarx.refinement._stability import (
     Metric,

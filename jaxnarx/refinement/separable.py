@@ -14,9 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import AbstractProblem, program, ridge_solve
-from jaxnarx.arrays.levenberg import Linear
-from jaxnarx.arrays.programs import twin
+from jaxnarx.arrays import AbstractProblem, Linear, program, ridge_solve, twin
 from jaxnarx.refinement.problem import Problem
 
 Arrays = Array | np.ndarray

@@ -20,7 +20,7 @@ REACH = 0.7
 """Standard deviation of a random move of the partition, in solver coordinates."""
 JITTER = 0.3
 """... and of coefficients where there is no partition, as a share of their value."""
-SHRINK = (0.98, 0.95, 0.9, 0.8, 0.6, 0.3, 0.0)
+FEEDBACK_FACTORS = (0.98, 0.95, 0.9, 0.8, 0.6, 0.3, 0.0)
 """Factors on the fed-back terms that are tried one after another."""
 EXTRA = 3
 """Random starts in the last remedy."""
@@ -99,7 +99,7 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
             "one-step least squares",
             one_step_least_squares(layout, task, search.start),
         )
-    for factor in SHRINK:
+    for factor in FEEDBACK_FACTORS:
         u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
         if not search.judge(u).diverged:
             yield f"feedback shrunk to {factor:g}", u

@@ -5,8 +5,14 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxnarx.data import ChannelGuess, Survey, measurement_files, read_split, survey
-from jaxnarx.data._survey import Run
+from jaxnarx.data import (
+    ChannelGuess,
+    Run,
+    Survey,
+    measurement_files,
+    read_split,
+    survey,
+)
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe

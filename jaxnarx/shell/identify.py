@@ -19,8 +19,8 @@ from jaxnarx.methods import (
     Identification,
     SimulationError,
     SimulationOLS,
+    replace_at,
 )
-from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
 from jaxnarx.selection import Selection
 from jaxnarx.shell.description import tell_findings
@@ -67,7 +67,7 @@ def checked(method: Identification, channels: Channels) -> Identification:
             raise SpecError(
                 f"--log: {name!r} is not modelled. {suggest(name, outputs)}"
             )
-    return changed(method, {"pool.outputs": outputs})
+    return replace_at(method, {"pool.outputs": outputs})
 
 
 def prepared_by(preparation: Preparation | None, task: OneMethod) -> OneMethod:

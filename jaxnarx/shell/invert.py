@@ -24,8 +24,8 @@ from jaxnarx.inverse import (
 from jaxnarx.methods import (
     ActuatorLimits,
     TrackingError,
+    replace_at,
 )
-from jaxnarx.methods.settings import changed
 from jaxnarx.models import Network, save
 from jaxnarx.shell.assigned import assigned
 from jaxnarx.shell.commands import Invert
@@ -130,7 +130,7 @@ def _direct(command: Invert, data: dict[str, Dataset]) -> Network:
     references = {name: lags for name in train.channels.input_names}
     for name in command.state:
         references[name] = tuple(k for k in lags if k) or (1,)
-    method = changed(command.method, {"pool.input_lags": references})
+    method = replace_at(command.method, {"pool.input_lags": references})
     say("The inverse by itself")
     with Teller(method) as tell:
         fit = identify(train, method, validation=data["validate"], progress=tell)

@@ -19,7 +19,7 @@ PAUSE = 0.5
 def reading_told() -> Iterator[None]:
     """Beside the output, the file that is being read, from two seconds on, and the
     seconds that reading has taken once it is over."""
-    from jaxnarx.data.readers import WATCHER
+    from jaxnarx.data import WATCHER
 
     log = _ReadingLog()
     ended = threading.Event()

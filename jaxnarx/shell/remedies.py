@@ -5,8 +5,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxnarx.evaluation import Verdict
-from jaxnarx.methods import Global, Lolimot, SigmoidTree, SimulationOLS
-from jaxnarx.methods.settings import KIND, changed
+from jaxnarx.methods import (
+    KIND_KEY,
+    Global,
+    Lolimot,
+    SigmoidTree,
+    SimulationOLS,
+    replace_at,
+)
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.search import Automatic
@@ -90,7 +96,9 @@ def next_words(
     regions: dict[str, Any] = {}
     if isinstance(method.grow, Global):
         divided = tuple(f"{n}[t]" for n in inputs[:2])
-        regions = {"grow": {KIND: "lolimot", "scheduling": divided, "max_models": 6}}
+        regions = {
+            "grow": {KIND_KEY: "lolimot", "scheduling": divided, "max_models": 6}
+        }
     elif isinstance(method.grow, Lolimot | SigmoidTree):
         regions = {"grow.max_models": 2 * method.grow.max_models}
     fewer = {"select.max_terms": max(terms // 2, 2)} if terms > 2 else {}
@@ -104,5 +112,5 @@ def next_words(
     change = next((c for c in orders[verdict.remedy] if c), None)
     if change is None:
         return words_of(again), "  (with more training records)"
-    changes = dataclasses.replace(again, method=changed(method, change))
+    changes = dataclasses.replace(again, method=replace_at(method, change))
     return words_of(changes), ""

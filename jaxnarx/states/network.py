@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear import StateSpace
-from jaxnarx.models import Network, global_model, hidden_names, ranges
-from jaxnarx.models._assemble import MARGIN
+from jaxnarx.models import OUTPUT_MARGIN, Network, global_model, hidden_names, ranges
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import fitting, make_masks, simulate
 
@@ -58,7 +57,7 @@ def state_network(
     low, high = ranges(data)
     gain = np.append(gains(data), np.ones(states))
     low, high = (np.append(a, np.full(states, b)) for a, b in ((low, -2), (high, 2)))
-    wider = MARGIN * (high - low)[own]
+    wider = OUTPUT_MARGIN * (high - low)[own]
     wider[len(outputs) :] = FREE - 2
     table = products(len(rows), degree)
     theta = _coefficients(model, gain, own, table)
@@ -130,7 +129,7 @@ def settled(network: Network, data: Dataset) -> Network:
         return network
     count, first = len(network.modelled), len(network.channels.measured.all)
     low, high = found.min(axis=0), found.max(axis=0)
-    wider, gain = MARGIN * (high - low), np.asarray(network.gain)[first:]
+    wider, gain = OUTPUT_MARGIN * (high - low), np.asarray(network.gain)[first:]
     values = {}
     for name, value, at in (
         ("low", low, first),

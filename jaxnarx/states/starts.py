@@ -12,11 +12,16 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.linear import StateSpace, chain_model, subspace_models
-from jaxnarx.linear.subspace import simulation_error, subspace
+from jaxnarx.linear import (
+    StateSpace,
+    chain_model,
+    identify_subspace,
+    simulation_error,
+    subspace_models,
+)
 
 BLOCK_ROWS = (None, 10, 15)
-"""The default of `subspace`, and two that short records bear."""
+"""The default of `identify_subspace`, and two that short records bear."""
 SLACK = 1.05
 """Error of a linear model, over that of the best, that is nearly as good."""
 
@@ -33,13 +38,13 @@ def linear_starts(
     tried: list[tuple[str, Callable[[], StateSpace]]] = [
         (
             _named(rows),
-            lambda rows=rows: subspace(order=states, block_rows=rows, **every),
+            lambda rows=rows: identify_subspace(order=states, block_rows=rows, **every),
         )
         for rows in BLOCK_ROWS
     ]
     if len(data) > 1:
         tried.append(
-            ("longest record", lambda: subspace(order=states, **longest)),
+            ("longest record", lambda: identify_subspace(order=states, **longest)),
         )
     if len(outputs) == 1:
         tried.append(("chain of lags", lambda: chain_model(order=states, **every)))

@@ -13,8 +13,7 @@ import numpy as np
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.methods import Identification
-from jaxnarx.methods.settings import hint_at, plain, value_at
+from jaxnarx.methods import Identification, hint_at, plain_value, value_at
 
 SCALES = ("log", "uniform", "integer")
 Case = Mapping[str, Any]
@@ -30,7 +29,7 @@ def grid_cases(values: Mapping[str, Any]) -> list[Case]:
         hint_at(Identification, path)
         if isinstance(row, str) or not isinstance(row, Sequence | np.ndarray):
             raise SpecError(f"{path} must be a list of values, got {row!r}", field=path)
-    rows = [[plain(v) for v in row] for row in values.values()]
+    rows = [[plain_value(v) for v in row] for row in values.values()]
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*rows)]
 
 
@@ -49,13 +48,13 @@ def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]
 
 def label_of(method: Identification, path: str) -> str | int | float | bool | None:
     """A setting as a plain scalar, for a table."""
-    value = plain(value_at(method, path))
+    value = plain_value(value_at(method, path))
     if value is None and path in ("select", "grow", "refine"):
         return "none"
     if isinstance(value, list):
         return " ".join(map(str, value))
     if isinstance(value, dict):
-        return ", ".join(f"{name} {plain(v)}" for name, v in value.items())
+        return ", ".join(f"{name} {plain_value(v)}" for name, v in value.items())
     if isinstance(value, str | int | float | None):
         return value
     return getattr(value, "__qualname__", type(value).__qualname__)
@@ -66,7 +65,7 @@ def _drawn(path: str, values: Any, count: int, rng: np.random.Generator) -> list
     if isinstance(values, str) or not len(values):
         raise SpecError(f"{path} has no range: {values!r}", field=path)
     if not isinstance(values[0], str) or values[0] not in SCALES:
-        return [plain(values[n]) for n in rng.integers(len(values), size=count)]
+        return [plain_value(values[n]) for n in rng.integers(len(values), size=count)]
     scale, *ends = values
     if len(ends) != 2 or not ends[0] <= ends[1] or (scale == "log" and ends[0] <= 0):
         raise SpecError(

@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.models import (
+    LEAST_LOG_WIDTH,
     Boxes,
     Compact,
     Gaussians,
@@ -34,7 +35,6 @@ from jaxnarx.models import (
     OutputModel,
     SigmoidTree,
 )
-from jaxnarx.models.validity.gaussians import NARROWEST
 from jaxnarx.regressors import term_name, variable_names
 from jaxnarx.targets.names import identifiers
 
@@ -283,7 +283,7 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
         "narrowness": Field(
             "log_width",
             _rows("inverse widths of Gaussians"),
-            lambda w: np.exp(-np.maximum(w, NARROWEST)),
+            lambda w: np.exp(-np.maximum(w, LEAST_LOG_WIDTH)),
             lambda x: -np.log(x),
         ),
     },

@@ -6,13 +6,13 @@ import numpy as np
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
+    LARGEST_ARGUMENT,
     Boxes,
     Compact,
     Gaussians,
     LogSigmoids,
     SigmoidTree,
 )
-from jaxnarx.models.validity.sigmoid_tree import FARTHEST
 from jaxnarx.targets.form import Builder, Value
 from jaxnarx.targets.parameters import VALIDITIES, OutputAt, divided
 
@@ -120,7 +120,7 @@ def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     gates = np.flatnonzero(np.any(path != 0, axis=0))
     direction, border = tables("gate"), tables("gate_border")
     one = b.const(1.0)
-    least, most = b.const(-FARTHEST), b.const(FARTHEST)
+    least, most = b.const(-LARGEST_ARGUMENT), b.const(LARGEST_ARGUMENT)
     sides = {}
     for n, g in enumerate(gates.tolist()):
         a = b.clip(b.op("sub", b.dot(direction[n], z), border[n]), least, most)

@@ -7,13 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnarx.arrays._least_squares import leverage, solve
+from jaxnarx.arrays._least_squares import leverage, solve_least_squares
 from jaxnarx.arrays.accurate_product import accurate_product, slices
 from jaxnarx.arrays.column_scaling import column_scale, power_of_two
 
 TIME, TERMS = 30, 4
 WAYS = ("qr", "svd", "normal")
-solvers = {w: jax.jit(partial(solve, algorithm=w)) for w in WAYS}
+solvers = {w: jax.jit(partial(solve_least_squares, algorithm=w)) for w in WAYS}
 
 
 def problem(seed: int = 0):
@@ -91,7 +91,7 @@ def test_a_cut_off_of_ones_own_drops_weak_directions():
     columns, y, weight = problem(seed=3)
     columns[1] = columns[0] * (1.0 + 1e-3 * columns[1])
     # Columns 0 and 1 differ by 1e-3: singular values of the pair near 1.4 and 7e-4.
-    quick = jax.jit(partial(solve, refinements=0))
+    quick = jax.jit(partial(solve_least_squares, refinements=0))
     for cutoff, rank in ((1e-5, TERMS), (1e-2, TERMS - 1)):
         assert quick(columns, y, weight, cutoff=cutoff).rank == rank
 
@@ -137,7 +137,9 @@ def test_refinement_removes_what_a_large_residual_costs():
     y[7:14] += difference
     args = columns, y, np.ones(21)
     for way in ("qr", "svd"):
-        one = jax.jit(partial(solve, algorithm=way), static_argnames="refinements")
+        one = jax.jit(
+            partial(solve_least_squares, algorithm=way), static_argnames="refinements"
+        )
         fine = np.asarray(one(*args).coefficient)
         rough = np.asarray(one(*args, refinements=0).coefficient)
         assert np.max(np.abs(rough - 1.0)) > 1e-6

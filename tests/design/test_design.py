@@ -17,7 +17,7 @@ from jaxnarx.design._criteria import objective
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import AprbsPlan, aprbs_plan, check_plan, render
 from jaxnarx.methods import OptimalDesign
-from jaxnarx.methods.settings import made
+from jaxnarx.methods.settings import from_dict
 
 LENGTH = 240
 
@@ -324,5 +324,5 @@ def test_a_network_stands_for_its_sensitivity(plan):
 )
 def test_settings_out_of_range_are_refused(options, field):
     with pytest.raises(SpecError) as error:
-        made(OptimalDesign, options)
+        from_dict(OptimalDesign, options)
     assert error.value.field == field

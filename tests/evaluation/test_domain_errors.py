@@ -8,7 +8,7 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.domain_errors import BORDER, EDGES, ErrorByIndex, _binned
+from jaxnarx.evaluation.domain_errors import BORDER, INDEX_EDGES, ErrorByIndex, _binned
 
 NOX = Channel("NOx", "ppm")
 
@@ -20,7 +20,9 @@ def test_errors_are_told_by_the_index_of_their_sample():
     found = _binned(NOX, error, index)
     assert found.samples.sum() == 5000
     assert found.inside == pytest.approx(0.5) and found.outside == pytest.approx(3.0)
-    for k, (low, high) in enumerate(zip(EDGES[:-1], EDGES[1:], strict=True)):
+    for k, (low, high) in enumerate(
+        zip(INDEX_EDGES[:-1], INDEX_EDGES[1:], strict=True)
+    ):
         own = (index > low) & (index <= high)
         assert found.samples[k] == own.sum()
         if own.any():
@@ -30,7 +32,7 @@ def test_errors_are_told_by_the_index_of_their_sample():
 def test_of_few_samples_nothing_is_told():
     found = _binned(NOX, np.ones(30), np.r_[np.full(25, 0.4), np.full(5, 2.5)])
     assert found.inside == pytest.approx(1.0) and found.outside is None
-    assert np.isnan(found.rms[EDGES.index(2.0)])
+    assert np.isnan(found.rms[INDEX_EDGES.index(2.0)])
     nothing = ErrorByIndex("y", "", np.zeros(3), np.zeros(3, int))
     assert nothing.inside is None
 

@@ -8,7 +8,7 @@ from common import Part, network
 from test_verdict import FINE, made, row
 
 from jaxnarx.data import Channel
-from jaxnarx.evaluation.domain_errors import EDGES, DomainErrors, ErrorByIndex
+from jaxnarx.evaluation.domain_errors import INDEX_EDGES, DomainErrors, ErrorByIndex
 from jaxnarx.evaluation.effects import effects
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import hold_to_range
@@ -59,7 +59,7 @@ def test_errors_beyond_the_square_root_of_all_numbers_are_compared():
     other = {"huge": [(OUTPUT, [samples(4e200)])], "more": [(OUTPUT, [samples(1e-3)])]}
     (found,) = effects("test", list(FINE), [[samples(2e200)]], other, None)
     assert [b.factor for b in found.beside] == pytest.approx([0.5, 2e203])
-    bins = len(EDGES) - 1
+    bins = len(INDEX_EDGES) - 1
     far = ErrorByIndex("T", "K", np.full(bins, 3e200), np.full(bins, 100))
     assert far.inside == pytest.approx(3e200) == far.outside
     sentence = made(
@@ -69,9 +69,9 @@ def test_errors_beyond_the_square_root_of_all_numbers_are_compared():
 
 
 def test_beyond_the_domain_the_error_is_told_as_a_multiple():
-    bins = len(EDGES) - 1
+    bins = len(INDEX_EDGES) - 1
     rms, count = np.full(bins, 2.0), np.full(bins, 100)
-    rms[EDGES.index(1.0) :] = 5.0
+    rms[INDEX_EDGES.index(1.0) :] = 5.0
     known = DomainErrors({"test": 0.2}, (), (ErrorByIndex("T", "K", rms, count),))
     (one,) = effects("test", list(FINE), [[samples(1.0)]], {}, known)
     assert one.outside == pytest.approx(2.5)

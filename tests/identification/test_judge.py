@@ -19,7 +19,7 @@ from jaxnarx.methods import (
     Polynomial,
     SimulationError,
 )
-from jaxnarx.models._assemble import MARGIN
+from jaxnarx.models._assemble import OUTPUT_MARGIN
 from jaxnarx.output_error import ClosedSearch, look
 
 METHOD = Identification(
@@ -124,7 +124,7 @@ def test_long_records_train_by_stretches_and_are_held_to_all_that_is_known(data)
     np.testing.assert_array_equal(network.low[0], min(r.u.min() for r in data))
     np.testing.assert_array_equal(network.high[1], max(r.y.max() for r in data))
     y = np.concatenate([r.y[:, 0] for r in data]) / float(network.gain[1])
-    wider = MARGIN * np.ptp(y)
+    wider = OUTPUT_MARGIN * np.ptp(y)
     np.testing.assert_allclose(network.lower[0], y.min() - wider, rtol=1e-12)
     np.testing.assert_allclose(network.upper[0], y.max() + wider, rtol=1e-12)
 

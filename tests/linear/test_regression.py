@@ -10,7 +10,7 @@ from scipy import stats
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.regression import least_squares
 from jaxnarx.methods.least_squares import LeastSquares
-from jaxnarx.methods.settings import made
+from jaxnarx.methods.settings import from_dict
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "nist.json"
 SETS = json.loads(REFERENCE.read_text(encoding="utf-8"))["sets"]
@@ -190,7 +190,7 @@ def test_the_table_holds_names_and_figures():
 )
 def test_impossible_settings(settings, field):
     with pytest.raises(SpecError) as caught:
-        made(LeastSquares, settings)
+        from_dict(LeastSquares, settings)
     assert caught.value.field == field
 
 

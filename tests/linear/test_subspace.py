@@ -17,7 +17,7 @@ from jaxnarx.linear.subspace import (
     CHAIN,
     chain_model,
     hankel_triangle,
-    subspace,
+    identify_subspace,
     subspace_models,
 )
 
@@ -66,7 +66,7 @@ def noisy(seed: int, samples: int, noise: float) -> tuple[np.ndarray, np.ndarray
 
 def test_a_plant_is_recovered_from_two_records():
     us, ys = records()
-    model = subspace(us, ys, 3)
+    model = identify_subspace(us, ys, 3)
     # 1e-6: rounding, times the condition of the windows, and the ridge of 1e-10.
     expected = np.sort_complex(np.linalg.eigvals(plant().a))
     np.testing.assert_allclose(np.sort_complex(model.poles), expected, atol=1e-6)
@@ -79,7 +79,7 @@ def test_a_plant_is_recovered_from_two_records():
 @pytest.mark.parametrize("form", ["balanced", "modal"])
 def test_states_have_mean_zero_and_unit_deviation_in_either_form(form):
     us, ys = records()
-    model = subspace(us, ys, 3, form=form)
+    model = identify_subspace(us, ys, 3, form=form)
     runs = zip(us, model.start, strict=True)
     states = np.concatenate([simulate_states(model, u, x) for u, x in runs])
     np.testing.assert_allclose(states.mean(axis=0), 0.0, atol=1e-9)
@@ -94,7 +94,7 @@ def test_one_factorisation_gives_what_each_order_gives_alone():
     u, y = noisy(0, 300, 0.1)
     found = subspace_models([u], [y], (1, 2, 4), block_rows=8)
     assert list(found) == [1, 2, 4]
-    alone = subspace([u], [y], 2, block_rows=8)
+    alone = identify_subspace([u], [y], 2, block_rows=8)
     np.testing.assert_array_equal(found[2].a, alone.a)
     np.testing.assert_array_equal(found[2].start, alone.start)
 
@@ -125,7 +125,7 @@ def test_records_are_cut_at_missing_samples():
     valid[0][[2, 60, 61]] = False
     for u, y, good in zip(us, ys, valid, strict=True):
         u[~good], y[~good] = np.nan, 1e6
-    model = subspace(us, ys, 3, valid=valid)
+    model = identify_subspace(us, ys, 3, valid=valid)
     np.testing.assert_allclose(markov(model), markov(plant()), atol=1e-6)
     # Two samples of two outputs tell the three states at the first record's start.
     last = simulate_state_space(model, us[1], model.start[1])
@@ -136,7 +136,7 @@ def test_records_are_cut_at_missing_samples():
 
 def test_with_noise_the_free_run_is_near_the_plant():
     u, y = noisy(1, 1500, 0.05)
-    model = subspace([u], [y], 2)
+    model = identify_subspace([u], [y], 2)
     noise = 0.05 * y.std()
     error = (simulate_state_space(model, u, model.start[0]) - y).std()
     # Three standard deviations of the scatter of a standard deviation, 1/sqrt(2 N).
@@ -151,7 +151,7 @@ def test_starting_states_of_short_noisy_records_are_bounded():
     pairs = [noisy(seed, 40, 0.3) for seed in range(10)] + [noisy(20, 6, 0.3)]
     us, ys = map(list, zip(*pairs, strict=True))
     # Twice the order of the plant: two states are noise, which nothing else bounds.
-    model = subspace(us, ys, 4)
+    model = identify_subspace(us, ys, 4)
     assert model.start.shape == (11, 4)
     assert np.abs(model.start).max() < 10
 
@@ -176,16 +176,16 @@ def test_poles_come_inside_the_unit_circle():
 def test_an_unstable_plant_gives_a_stable_model():
     u = np.random.default_rng(6).normal(size=(80, 1))
     y = np.asarray(scipy.signal.lfilter([0, 1], [1, -1.04], u, axis=0))
-    model = subspace([u], [y], 1)
+    model = identify_subspace([u], [y], 1)
     np.testing.assert_allclose(model.poles, [1 / 1.04], atol=1e-6)
 
 
 def test_an_integrator_is_kept_when_asked_for():
     u = 0.2 + np.random.default_rng(7).normal(size=(400, 1))
     y = 7 + np.asarray(scipy.signal.lfilter([0, 0.1], [1, -1], u - 0.05, axis=0))
-    held = subspace([u], [y], 1)
+    held = identify_subspace([u], [y], 1)
     np.testing.assert_allclose(held.poles, [0.999], rtol=1e-12)
-    free = subspace([u], [y], 1, integrating=True)
+    free = identify_subspace([u], [y], 1, integrating=True)
     assert free.poles[0] == 1.0
     assert free_run_error(free, [u], [y]) < 1e-6 < free_run_error(held, [u], [y])
 
@@ -193,17 +193,17 @@ def test_an_integrator_is_kept_when_asked_for():
 def test_a_dead_time_has_no_modal_form_and_needs_none():
     u = np.random.default_rng(8).normal(size=(300, 1))
     y = np.asarray(scipy.signal.lfilter([0, 0, 0, 0, 1], [1, -0.8], u, axis=0))
-    model = subspace([u], [y], 4, feedthrough=False)
+    model = identify_subspace([u], [y], 4, feedthrough=False)
     assert free_run_error(model, [u], [y]) < 1e-6
     assert not model.d.any()
     with pytest.raises(DataError, match="coincide.*form='balanced'"):
-        subspace([u], [y], 4, form="modal")
+        identify_subspace([u], [y], 4, form="modal")
 
 
 def test_an_input_that_does_not_change_has_no_effect():
     u, y = noisy(9, 200, 0.0)
     wide = np.column_stack([u, np.full(len(u), 3e3)])
-    model = subspace([wide], [y], 2)
+    model = identify_subspace([wide], [y], 2)
     assert not model.b[:, 1].any() and not model.d[:, 1].any()
     assert free_run_error(model, [wide], [y]) < 1e-6
 
@@ -212,19 +212,21 @@ def test_what_cannot_be_used_is_told():
     u, y = noisy(10, 60, 0.0)
     # 5 block rows of two channels: 21 windows of 10 samples are 30 samples in a row.
     with pytest.raises(DataError, match="20 windows .* 21 are .* 30 samples"):
-        subspace([u[:29]], [y[:29]], 2, block_rows=5)
+        identify_subspace([u[:29]], [y[:29]], 2, block_rows=5)
     with pytest.raises(DataError, match="0 windows"):
-        subspace([u[:7]] * 20, [y[:7]] * 20, 2)
+        identify_subspace([u[:7]] * 20, [y[:7]] * 20, 2)
     with pytest.raises(SpecError, match="orders up to 4, got 5"):
-        subspace([u], [y], 5, block_rows=5)
+        identify_subspace([u], [y], 5, block_rows=5)
     with pytest.raises(DataError, match="record 1 .* first row 3"):
-        subspace([u, u], [y, np.where(np.arange(60) == 3, np.nan, y[:, 0])[:, None]], 2)
+        identify_subspace(
+            [u, u], [y, np.where(np.arange(60) == 3, np.nan, y[:, 0])[:, None]], 2
+        )
     with pytest.raises(DataError, match="do not change"):
-        subspace([u], [np.ones_like(y)], 2)
+        identify_subspace([u], [np.ones_like(y)], 2)
     with pytest.raises(SpecError, match="same channels"):
-        subspace([u, np.hstack([u, u])], [y, y], 2)
+        identify_subspace([u, np.hstack([u, u])], [y, y], 2)
     with pytest.raises(SpecError, match="form"):
-        subspace([u], [y], 2, form="observer")
+        identify_subspace([u], [y], 2, form="observer")
 
 
 # chains of lags -------------------------------------------------------------------

@@ -30,8 +30,8 @@ from jaxnarx.arrays.levenberg import (
     DAMPING_LIMIT,
     DAMPING_START,
     AbstractProblem,
+    LevenbergState,
     Linear,
-    State,
     begin,
     step,
 )
@@ -84,7 +84,7 @@ class Cliff(AbstractProblem):
         return jnp.zeros_like(start.gradient)
 
 
-def first_step(problem: Cliff) -> State:
+def first_step(problem: Cliff) -> LevenbergState:
     one = eqx.filter_jit(step)
     start = one(problem, begin(np.zeros(1)))
     assert start.status == NAMES.index("ok") and start.linear.loss == 9.0

@@ -14,7 +14,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.state_space import StateSpace, simulate_states
-from jaxnarx.models._assemble import MARGIN
+from jaxnarx.models._assemble import OUTPUT_MARGIN
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, simulate
 from jaxnarx.states import raised, settled, state_network
 from jaxnarx.states.network import FREE, products
@@ -100,7 +100,7 @@ def test_a_network_can_be_of_some_outputs_and_ranges_are_those_of_the_data():
     y = np.concatenate([r.y[:, 1] for r in data])
     gain = float(net.gain[3])
     np.testing.assert_allclose([net.low[3], net.high[3]], [y.min(), y.max()])
-    low, high = y.min() - MARGIN * np.ptp(y), y.max() + MARGIN * np.ptp(y)
+    low, high = y.min() - OUTPUT_MARGIN * np.ptp(y), y.max() + OUTPUT_MARGIN * np.ptp(y)
     np.testing.assert_allclose(net.lower[0] * gain, low, rtol=1e-12)
     np.testing.assert_allclose(net.upper[0] * gain, high, rtol=1e-12)
     np.testing.assert_array_equal(net.upper[1:], FREE)
@@ -124,7 +124,7 @@ def test_settled_holds_hidden_channels_to_where_the_data_drive_them():
     low, high = (f(np.concatenate(states), axis=0) for f in (np.min, np.max))
     np.testing.assert_allclose(found.low[X1:], low, rtol=1e-12)
     np.testing.assert_allclose(found.high[X1:], high, rtol=1e-12)
-    wider, gain = MARGIN * (high - low), GAIN[X1:]
+    wider, gain = OUTPUT_MARGIN * (high - low), GAIN[X1:]
     # Bounds are of scaled values.
     np.testing.assert_allclose(found.lower[2:] * gain, low - wider, rtol=1e-12)
     np.testing.assert_allclose(found.upper[2:] * gain, high + wider, rtol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import Identification
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.sweep.cases import grid_cases, label_of, random_cases
 
 
@@ -43,7 +43,7 @@ def test_random_cases_follow_their_ranges_and_their_seed():
 
 
 def test_labels_are_plain_scalars():
-    method = changed(
+    method = replace_at(
         Identification(), {"pool.input_lags": {"a": (1, 2)}, "refine": "none"}
     )
     paths = ("pool.input_lags", "pool.output_lags", "select", "refine", "grow.k_sigma")

@@ -15,7 +15,7 @@ from jaxnarx.methods import (
     SigmoidTree,
     SimulationError,
 )
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.partition.placed import clusters
 from jaxnarx.partition.stages import best_stage, choose_stage
 from jaxnarx.simulation import has_diverged
@@ -116,7 +116,7 @@ def test_cases_that_differ_in_numbers_share_a_program():
         {"select": "stepwise"},
         {"refine.loss": "huber"},
     ]
-    found = shapes([changed(METHOD, case) for case in cases])
+    found = shapes([replace_at(METHOD, case) for case in cases])
     assert found[0] == found[1] == found[2] != found[3]
     assert found[4:] == [None] * 3
     shape, tree = found[0], found[3]

@@ -13,7 +13,7 @@ from identify_problems import CASES, METHOD, engine, fleet_of, parts, replaced
 from jaxnarx.data import Dataset, Fleet
 from jaxnarx.evaluation import report
 from jaxnarx.identification import identify
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import identify_each, network_of, program
@@ -43,7 +43,7 @@ def rows(engines) -> list[dict]:
 def plain(data: Dataset, case: dict):
     """The same by the verbs, and both reports."""
     train, validation, test = parts(data)
-    fit = identify(train, changed(METHOD, case), validation=validation)
+    fit = identify(train, replace_at(METHOD, case), validation=validation)
     records = {"train": train, "validate": validation, "test": test}
     grown = fit.stats["grown"].value
     terms, refined = fit.stats["selection"].value, fit.stats["refined"]
@@ -185,7 +185,7 @@ def test_one_compilation_serves_all_cases_and_members(engines, rows, monkeypatch
     assert not any("t-2" in name for name in none["term_names"])
     assert none["steps_taken"] == 0
     assert none["test_free_run"] == none["test_free_run_start"]
-    more = changed(
+    more = replace_at(
         METHOD, {"select.max_terms": 4, "grow.max_models": 1, "refine.max_steps": 1}
     )
     identify_each(fleet, more, [{}], ["one"], chunk=1)

@@ -7,7 +7,7 @@ from identify_problems import SMALL, engine, fleet_of
 
 from jaxnarx.identification import identify
 from jaxnarx.methods import Global, Placed, PredictionError
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import IdentificationWork, identify_each, network_of
@@ -35,7 +35,7 @@ def free_run_error(network: Network, data) -> float:
 
 @pytest.mark.parametrize("name", some(VARIANTS, *QUICK))
 def test_every_variant_refines_and_comes_back_as_a_network(name):
-    method = changed(SMALL, VARIANTS[name])
+    method = replace_at(SMALL, VARIANTS[name])
     data = engine(1)
     fleet = fleet_of({"one": data})
     drawn, one = isinstance(method.grow, Placed), isinstance(method.grow, Global)
@@ -68,7 +68,7 @@ def test_every_variant_refines_and_comes_back_as_a_network(name):
 
 @pytest.mark.slow
 def test_a_tree_is_that_of_the_verb():
-    method = changed(SMALL, {"grow": "tree", "refine": "none"})
+    method = replace_at(SMALL, {"grow": "tree", "refine": "none"})
     data = engine(1)
     fleet = fleet_of({"one": data})
     (row,) = identify_each(fleet, method)

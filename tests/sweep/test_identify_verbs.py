@@ -13,7 +13,7 @@ from identify_problems import SMALL, engine, fleet_of
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import identify, make_pool
 from jaxnarx.methods import Given, Grid
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
 from jaxnarx.simulation import simulate
@@ -56,7 +56,7 @@ def free_run_error(network, data) -> float:
 
 @pytest.mark.parametrize("name", some(WAYS, "own"))
 def test_a_member_is_the_verbs_in_a_row(name):
-    method = changed(SMALL, WAYS[name])
+    method = replace_at(SMALL, WAYS[name])
     data, fleet = engine(1), fleet_of({"one": engine(1)})
     cases = [{"refine": "none"}, {}]
     rows = identify_each(fleet, method, cases, chunk=2)
@@ -104,7 +104,7 @@ def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
 
 
 def test_a_case_changes_the_settings_that_it_names():
-    method = changed(SMALL, {"grow": OWN})
+    method = replace_at(SMALL, {"grow": OWN})
     fleet = fleet_of({"one": engine(1)})
     cases = [{"refine": "none"}, {"refine": "none", "select.max_terms": 2}]
     rows = identify_each(fleet, method, cases)

@@ -5,12 +5,12 @@ import pytest
 from common import some
 from identify_problems import METHOD, engine, fleet_of, parts
 
-from jaxnarx.methods.settings import changed
+from jaxnarx.methods.settings import replace_at
 from jaxnarx.refinement import refine
 from jaxnarx.sweep.identify import IdentificationWork, identify_each, network_of
 
 # The longer window is no window: no record has as many samples.
-STAGED = changed(METHOD, {"refine.horizons": (15, 500), "refine.window_steps": 2})
+STAGED = replace_at(METHOD, {"refine.horizons": (15, 500), "refine.window_steps": 2})
 TRAINED = ("staged", "joint", "coefficients", "none")
 CASES = [*({"refine.train": train} for train in TRAINED[:3]), {"refine": "none"}]
 
@@ -26,7 +26,7 @@ def test_a_sweep_trains_as_the_verb_does(found, train):
     data = engine(1)
     work = IdentificationWork(fleet_of({"one": data}), STAGED, CASES)
     grown = network_of(work, found["none"])
-    method = changed(STAGED.refine, {"train": train})
+    method = replace_at(STAGED.refine, {"train": train})
     learning, judging, _ = parts(data)
     solution = refine(grown, learning, method, validation=judging)
     row, history = found[train], solution.stats["history"]

@@ -30,7 +30,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import (
 )
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-NAMES = {
+LAG_TEST_TITLES = {
     "autocorrelation": "residual",
     "input": "input",
     "squared input": "u²",

@@ -16,7 +16,7 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import ScalarTest
 from jaxnarx.evaluation.table import strict
 from jaxnarx.shown import page
 
-FITTED = {
+HOW_ESTIMATED = {
     "global": "fitted to these samples by least squares: the bounds allow for it",
     "local": "local models fitted to these samples each by itself: the bounds allow "
     "for it",
@@ -211,7 +211,7 @@ def _block(one: OutputDiagnostics, level: float) -> str:
     head = [
         f"{label}: {one.samples} one-step residuals, mean {one.mean:.4g}, standard "
         f"deviation {one.deviation:.4g}, {one.parameters:.1f} parameters",
-        textwrap.fill(FITTED[one.estimated], 88),
+        textwrap.fill(HOW_ESTIMATED[one.estimated], 88),
     ]
     width = max(len(row[0]) for row in one.rows)
     tests = [f"{'test':{width}s} {'p':>10s} {'effect':>8s}"]

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays.factorisation import directions
+from jaxnarx.arrays import directions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

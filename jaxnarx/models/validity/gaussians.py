@@ -16,7 +16,7 @@ from jaxnarx.models.validity.abstract import (
     require_shape,
 )
 
-NARROWEST = -30.0
+LEAST_LOG_WIDTH = -30.0
 """Least log width in use: narrower ones would overflow, and leave no weight at all."""
 
 
@@ -39,7 +39,7 @@ class Gaussians(AbstractValidity):
         self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
     ) -> Float[Array, "models *rows"]:
         tail = z.ndim - 1
-        log_width = jnp.maximum(self.log_width, NARROWEST)
+        log_width = jnp.maximum(self.log_width, LEAST_LOG_WIDTH)
         scale = column(jnp.exp(-log_width), tail)
         away = (z[None] - column(self.centre, tail)) * scale
         logit = -0.5 * jnp.sum(away**2, axis=1)

@@ -16,7 +16,7 @@ from jaxnarx.models.validity.abstract import (
     require_shape,
 )
 
-FARTHEST = 700.0
+LARGEST_ARGUMENT = 700.0
 """Largest argument of a gate: beyond it a sigmoid is 0 or 1 to the last digit, and its
 logarithm stays finite."""
 
@@ -56,7 +56,7 @@ class SigmoidTree(AbstractValidity):
         tail = z.ndim - 1
         away = jnp.tensordot(self.unit(), z, axes=1) - column(self.border, tail)
         a = away * column(jnp.exp(self.log_steepness), tail)
-        a = jnp.clip(a, -FARTHEST, FARTHEST)
+        a = jnp.clip(a, -LARGEST_ARGUMENT, LARGEST_ARGUMENT)
         on, off = ((self.path == side).astype(z.dtype) for side in (1, -1))
         log_phi = jnp.tensordot(on, jax.nn.log_sigmoid(a), axes=1)
         log_phi = log_phi + jnp.tensordot(off, jax.nn.log_sigmoid(-a), axes=1)

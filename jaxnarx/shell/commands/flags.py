@@ -9,19 +9,20 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from tyro.conf import arg
 
 from jaxnarx.errors import DataFileError, SpecError
-from jaxnarx.methods import Global, Identification
-from jaxnarx.methods.settings import (
-    KIND,
-    KINDS,
-    changed,
+from jaxnarx.methods import (
+    KIND_KEY,
+    METHOD_KINDS,
+    Global,
+    Identification,
+    by_path,
     fields_of,
+    from_dict,
     hint_at,
     kinds_of,
-    made,
     names_of,
-    paths,
-    plain,
-    spread,
+    plain_value,
+    replace_at,
+    to_dict,
     value_at,
 )
 from jaxnarx.shell.commands import Identify, Invert
@@ -193,7 +194,7 @@ def _changed(
         )
     for path in changes:
         _require_place(command, method, changes, path)
-    return changed(method, changes)
+    return replace_at(method, changes)
 
 
 def _require_place(
@@ -201,9 +202,9 @@ def _require_place(
 ) -> None:
     """SpecError where an option belongs to another kind than the one that is chosen."""
     section, _, name = path.partition(".")
-    kind = changes.get(section) or spread(getattr(method, section)).get(KIND)
+    kind = changes.get(section) or to_dict(getattr(method, section)).get(KIND_KEY)
     known = kinds_of(fields_of(Identification)[section])
-    chosen = [k for n, k, _ in KINDS if n == kind and k in known]
+    chosen = [k for n, k, _ in METHOD_KINDS if n == kind and k in known]
     if name and chosen and name.partition(".")[0] not in fields_of(chosen[0]):
         raise SpecError(
             f"--{_typed(command, path)} does not go with --{_typed(command, section)} "
@@ -247,12 +248,12 @@ def words_of(command: Identify) -> list[str]:
 def _words_of_method(method: Identification) -> list[str]:
     """The options of a method that differ from defaults."""
     words, usual = [], Identification()
-    kinds = {s: spread(getattr(method, s)).get(KIND) for s in ("select", "grow")}
+    kinds = {s: to_dict(getattr(method, s)).get(KIND_KEY) for s in ("select", "grow")}
     if kinds["grow"] != "global":
         kinds["grow.scheduling"] = value_at(method, "grow.scheduling")
     if method.refine is None:
         words += ["--steps", "0"]
-    base = changed(usual, kinds)
+    base = replace_at(usual, kinds)
     if kinds["select"] != "forward":
         words += ["--select", str(kinds["select"])]
     if kinds["grow"] not in ("global", DIVIDED[Identify]):
@@ -261,8 +262,8 @@ def _words_of_method(method: Identification) -> list[str]:
         words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
     named = {path: name for name, path in FLAGS.items()}
     others = []
-    for path, value in paths(spread(method)).items():
-        if path.split(".")[-1] == KIND or path == "grow.scheduling":
+    for path, value in by_path(to_dict(method)).items():
+        if path.split(".")[-1] == KIND_KEY or path == "grow.scheduling":
             continue
         if value == value_at(base, path) or path == "refine":
             continue
@@ -308,7 +309,7 @@ def _of_file(path: Path) -> Identification:
     from jaxnarx.data import load_toml
 
     try:
-        return made(Identification, load_toml(path))
+        return from_dict(Identification, load_toml(path))
     except SpecError as error:
         raise DataFileError(f"{path}: {error}", path=path) from error
 
@@ -335,9 +336,9 @@ def _usual(command: type, name: str, path: str, base: Identification) -> str:
         return f"(default: global, with --schedule {DIVIDED[command]})"
     if name in ("log", "local_terms"):
         return ""
-    usual = plain(value_at(base, path))
+    usual = plain_value(value_at(base, path))
     if usual is None:
-        usual = plain(getattr(owner, path.rpartition(".")[2], None))
+        usual = plain_value(getattr(owner, path.rpartition(".")[2], None))
     if usual is None or usual == []:
         return ""
     shown = " ".join(map(str, usual)) if isinstance(usual, list) else usual

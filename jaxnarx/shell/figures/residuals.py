@@ -8,12 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import (
+    LAG_TEST_TITLES,
     FreeRunResiduals,
     LagTest,
     OperatingPoint,
     OutputDiagnostics,
 )
-from jaxnarx.evaluation.residual_tests.correlations import NAMES
 from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, styled
 
 INPUTS = 4
@@ -121,7 +121,7 @@ def _panel(axes: Axes, test: LagTest) -> None:
         axes.vlines(at, 0, value, color=colour, lw=1.0)
         axes.plot(at, value, color=colour, ls="", marker="o", ms=2.6, mew=0)
     axes.axhline(0, color=INK, lw=0.6)
-    title = NAMES[test.name] + (f", {test.signal}" if test.signal else "")
+    title = LAG_TEST_TITLES[test.name] + (f", {test.signal}" if test.signal else "")
     axes.set_title(f"{plain(title, 34)}: p = {test.p:.1g}", fontsize=8)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
     edges = (test.value, test.joint_low, test.joint_high)

@@ -22,10 +22,14 @@ import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from jaxnarx.evaluation import Report, Row, region_sentence
-from jaxnarx.evaluation.domain_errors import EDGES
-from jaxnarx.evaluation.residual_tests.diagnostics import FITTED
-from jaxnarx.evaluation.table import data_of
+from jaxnarx.evaluation import (
+    HOW_ESTIMATED,
+    INDEX_EDGES,
+    Report,
+    Row,
+    data_of,
+    region_sentence,
+)
 from jaxnarx.files import encodable, write_whole
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import error_over_operations
@@ -80,7 +84,7 @@ def render(report: Report) -> str:
         pictures=_pictures(report),
         provenance=_flat(report.provenance),
         max_records=MAX_RECORDS,
-        fitted=FITTED,
+        fitted=HOW_ESTIMATED,
     )
     return _with_contents(page)
 
@@ -240,7 +244,7 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
             if len(own) > 1
         ],
         "domain": [
-            (e.output, figures.report.error_by_index(e, EDGES))
+            (e.output, figures.report.error_by_index(e, INDEX_EDGES))
             for e in (report.domain.errors if report.domain else ())
         ],
         "maps": [(m.output, figures.report.error_map(m)) for m in report.maps],

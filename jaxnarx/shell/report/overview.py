@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from jaxnarx.evaluation import GOOD, LIMITED, UNUSABLE, Report, Row
-from jaxnarx.evaluation.table import beside
+from jaxnarx.evaluation import GOOD, LIMITED, UNUSABLE, Report, Row, rows_beside
 
 KINDS = {GOOD: "good", LIMITED: "warn", UNUSABLE: "bad"}
 """The look of a verdict and of its reasons."""
@@ -23,7 +22,7 @@ def overview(report: Report) -> dict[str, Any]:
         "kinds": KINDS,
         "cards": cards,
         "trust": trust,
-        "beside": beside(report),
+        "beside": rows_beside(report),
         "ranges": _ranges(report),
     }
 

@@ -9,8 +9,7 @@ from typing import Any
 
 from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
 from jaxnarx.errors import DataFileError, reading
-from jaxnarx.evaluation import Report, report
-from jaxnarx.evaluation.table import number
+from jaxnarx.evaluation import Report, number, report
 from jaxnarx.identification import (
     VALIDATION,
     Leaderboard,

@@ -10,8 +10,14 @@ from typing import Any
 
 from jaxnarx.data import Channels, Dataset
 from jaxnarx.errors import JaxnarxError, SpecError, suggest
-from jaxnarx.identification import Leaderboard, identify, read_search, sentences
-from jaxnarx.identification.search_folder import CANDIDATES, NAME
+from jaxnarx.identification import (
+    CANDIDATES_FOLDER,
+    SEARCH_FILE,
+    Leaderboard,
+    identify,
+    read_search,
+    sentences,
+)
 from jaxnarx.models import Network, narrowed
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
@@ -105,7 +111,7 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
     """The folder, which is gone on with where it holds a search; with `force` it is
     begun anew. Without any candidate nothing of ours stays in it.
     """
-    goes_on = (Path(out) / NAME).is_file()
+    goes_on = (Path(out) / SEARCH_FILE).is_file()
     marks = (*RUN, CSV)
     with run_folder(out, "", force=force or goes_on, marks=marks) as folder:
         if force:
@@ -122,10 +128,10 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
 
 
 def _clear(folder: Path) -> None:
-    for name in (NAME, ORIGIN):
+    for name in (SEARCH_FILE, ORIGIN):
         with suppress(FileNotFoundError):
             (folder / name).unlink()
-    shutil.rmtree(folder / CANDIDATES, ignore_errors=True)
+    shutil.rmtree(folder / CANDIDATES_FOLDER, ignore_errors=True)
 
 
 def _tried(folder: Path) -> int:

@@ -36,8 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
-from jaxnarx.methods import Identification
-from jaxnarx.methods.settings import changed, made, paths
+from jaxnarx.methods import Identification, by_path, from_dict, replace_at
 
 SECTIONS = ("data", "identification", "cases", "random")
 Case = Mapping[str, Any]
@@ -107,10 +106,10 @@ def load_sweep(path: Path) -> SweepDescription:
                         field=key,
                     )
             data = _data(_section(table, "data"))
-            method = made(Identification, _section(table, "identification"))
+            method = from_dict(Identification, _section(table, "identification"))
             cases = tuple(_cases(table))
             for case in cases:
-                changed(method, case)  # what does not fit is said now
+                replace_at(method, case)  # what does not fit is said now
             return SweepDescription(data, method, cases, path.parent)
         except SpecError as error:
             raise DataFileError(f"{path}: {error}", path=path) from error
@@ -131,14 +130,14 @@ def _data(data: dict[str, Any]) -> Relatives | Measured:
                     f"[data] files are relative to the description, got {name!r}",
                     field="engines",
                 )
-        return made(Measured, data, "data")
+        return from_dict(Measured, data, "data")
     if "bed" not in data:
         raise SpecError(
             "[data] needs bed, a virtual engine, or engines, descriptions of measured "
             "ones",
             field="data",
         )
-    return made(Relatives, data, "data")
+    return from_dict(Relatives, data, "data")
 
 
 def _cases(table: Mapping[str, Any]) -> list[Case]:
@@ -147,7 +146,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
     if "cases" in table and "random" in table:
         raise SpecError("give [cases] or [random], not both", field="cases")
     if "random" not in table:
-        return grid_cases(paths(_section(table, "cases", {})))
+        return grid_cases(by_path(_section(table, "cases", {})))
     settings = dict(_section(table, "random"))
     count, seed = settings.pop("count", 10), settings.pop("seed", 1)
     for name, value in (("count", count), ("seed", seed)):
@@ -155,7 +154,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
             raise SpecError(
                 f"[random] {name} must be a whole number, got {value!r}", field=name
             )
-    return random_cases(seed, count, paths(settings))
+    return random_cases(seed, count, by_path(settings))
 
 
 def _section(

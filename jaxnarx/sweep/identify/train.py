@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import levenberg
-from jaxnarx.arrays._minimise import QUIET, ROUNDING
+from jaxnarx.arrays import QUIET_STEPS, ROUNDING_LOSS, levenberg
 from jaxnarx.methods import PredictionError, SimulationError
+from jaxnarx.refinement import FEEDBACK_FACTORS as FACTORS
 from jaxnarx.refinement import (
     Guard,
     Judged,
@@ -24,7 +24,6 @@ from jaxnarx.refinement import (
     squares,
     stages,
 )
-from jaxnarx.refinement.starts import SHRINK as FACTORS
 from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import counted
@@ -78,7 +77,7 @@ class TrainingState(eqx.Module):
     little; a stage that has `ended` makes no more steps.
     """
 
-    state: levenberg.State
+    state: levenberg.LevenbergState
     best: Float[Array, " params"]
     judged: Judged
     limit: Float[Array | np.ndarray, ""]
@@ -242,7 +241,7 @@ def advanced(
         small = jnp.where(moved & quiet, s.small + 1, 0)
         since = jnp.where(fresh | leads, 0, s.since + 1)
         enough = turn.last & (since >= jnp.asarray(settings.patience))
-        done = (small >= QUIET) | (state.linear.loss <= ROUNDING) | enough
+        done = (small >= QUIET_STEPS) | (state.linear.loss <= ROUNDING_LOSS) | enough
         accepted = s.accepted + moved.astype(s.accepted.dtype)
         counts = lead, since, small, moved & done
         return TrainingState(state, best, best_judged, s.limit, accepted, *counts)

@@ -13,8 +13,7 @@ from jaxnarx.data import Fleet
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
-from jaxnarx.methods import Identification
-from jaxnarx.methods.settings import changed, spread
+from jaxnarx.methods import Identification, replace_at, to_dict
 from jaxnarx.models import Network
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
@@ -102,7 +101,7 @@ class IdentificationWork:
     @functools.cached_property
     def methods(self) -> list[Identification]:
         """The settings of every case."""
-        return [changed(self.method, case) for case in self.cases]
+        return [replace_at(self.method, case) for case in self.cases]
 
     @functools.cached_property
     def pool(self) -> Pool:
@@ -157,7 +156,7 @@ class IdentificationWork:
         table.update(repr((pool.variables, pool.outputs)).encode())
         return {
             "kind": "identification",
-            "method": _plain(spread(self.method)),
+            "method": _plain(to_dict(self.method)),
             "cases": [_plain(case) for case in self.cases],
             "pool": {"terms": len(pool), "sha256": table.hexdigest()},
             "fleet": {"engines": len(self.fleet), "sha256": self.fleet.digest()},

@@ -13,8 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import Report
-from jaxnarx.evaluation._error_map import THIN
+from jaxnarx.evaluation import THIN_CELL, Report
 from jaxnarx.models import Network
 from jaxnarx.shell.report.page import records
 from jaxnarx.shell.report.page.records import numbers
@@ -187,7 +186,7 @@ def _map(value: Any) -> dict[str, Any]:
         "spread": numbers(value.spread),
         "samples": value.samples.tolist(),
         "places": value.places.tolist(),
-        "thin": THIN,
+        "thin": THIN_CELL,
     }
 
 
