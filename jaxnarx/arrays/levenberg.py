@@ -4,8 +4,7 @@ Marquardt scaling, a pull towards the start, the Jacobian kept when a step is re
 walls, and a status in place of an exception: these are why no library solver is used.
 Each trial costs one run, each accepted step one pass of the normal equations.
 
-`arrays.minimise` drives it from the host, one program per accepted step; a sweep has it
-in its own loop.
+A method of `arrays.course`: driven from the host, or in the loop of a sweep.
 """
 
 import abc
@@ -17,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.arrays.course import NOT_RUN, OK, AbstractMethod, AbstractState
 from jaxnarx.arrays.normal_equations import ridge_solve
+from jaxnarx.arrays.programs import plain, twin
 from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3
@@ -30,9 +31,8 @@ bounded map a step by curvature would throw them from one limit to the other."""
 ARRIVED = 1e-10
 """Share of the loss below which a promised decrease counts as none."""
 
-OK, STALLED, DIVERGED, UNIDENTIFIABLE, NOT_RUN = (
-    NAMES.index(name)
-    for name in ("ok", "stalled", "diverged", "unidentifiable", "not_run")
+STALLED, DIVERGED, UNIDENTIFIABLE = map(
+    NAMES.index, ("stalled", "diverged", "unidentifiable")
 )
 
 Vector = Float[Array | np.ndarray, " params"]
@@ -76,30 +76,47 @@ class AbstractProblem(eqx.Module):
         """Weights of the squared distance from where a search starts."""
 
 
-class LevenbergState(eqx.Module):
+class LevenbergState(AbstractState):
     """Where a search stands. `tried` counts trial runs; `linear.loss` is without the
     pull, `minimised` with it: that is what falls from step to step.
 
-    `status` is the code of that of the last step: `ok` where it was accepted, `stalled`
-    when the damping has reached its limit first, `unidentifiable` when no parameter has
-    any effect, `diverged` when sensitivities overflow; `not_run` before the first,
-    which takes stock of the start and does not move. `gain` is the relative decrease by
-    the last accepted step.
+    `status` is `stalled` when the damping has reached its limit, `unidentifiable` when
+    no parameter has any effect, `diverged` when sensitivities overflow.
     """
 
     linear: Linear
-    damping: Number
-    minimised: Number
     origin: Vector
     pull: Vector
     tried: Int[Array | np.ndarray, ""]
-    gain: Number
-    status: Int[Array | np.ndarray, ""]
 
     @property
     def u(self) -> Any:
         """The point."""
         return self.linear.u
+
+    @property
+    def loss(self) -> Any:
+        """The loss there, without the pull."""
+        return self.linear.loss
+
+
+class Levenberg(AbstractMethod):
+    """Levenberg-Marquardt on one problem."""
+
+    problem: AbstractProblem
+
+    @property
+    def nameless(self) -> "Levenberg":
+        """That of the problem without names, for programs."""
+        return twin(self, problem=plain(self.problem))
+
+    def step(self, s: LevenbergState) -> LevenbergState:
+        """One accepted step, or none."""
+        return step(self.problem, s)
+
+    def has_arrived(self, s: LevenbergState) -> Bool[Array, ""]:
+        """Whether the linearised problem promises no decrease worth naming."""
+        return has_arrived(s)
 
 
 class Trial(eqx.Module):
@@ -112,17 +129,17 @@ class Trial(eqx.Module):
     lower: Bool[Array, ""]
 
 
-def begin(u: Vector) -> LevenbergState:
+def begin_levenberg(u: Vector) -> LevenbergState:
     """A search from `u` that has not looked at it yet."""
     xp = np if isinstance(u, np.ndarray) else jnp
     zero, far = xp.zeros_like(u), xp.asarray(np.inf, u.dtype)
     linear = Linear(u, far, zero, xp.zeros((u.size, u.size), u.dtype))
     damping = xp.asarray(DAMPING_START, u.dtype)
-    counts = xp.asarray(0), xp.asarray(NOT_RUN)
-    return LevenbergState(linear, damping, far, u, zero, counts[0], far, counts[1])
+    figures = far, far, damping, xp.asarray(NOT_RUN)
+    return LevenbergState(*figures, linear, u, zero, xp.asarray(0))
 
 
-def anew(s: LevenbergState, u: Vector) -> LevenbergState:
+def begin_anew(s: LevenbergState, u: Vector) -> LevenbergState:
     """The same inside a program, with the arrays of another search."""
     status = jnp.full_like(s.status, NOT_RUN)
     return eqx.tree_at(lambda s: (s.linear.u, s.status), s, (u, status))
@@ -142,7 +159,7 @@ def step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
         value = jnp.where(fresh, linear.loss, found.value)
         gain = 1.0 - value / s.minimised
         return LevenbergState(
-            linear,
+            linear=linear,
             damping=jnp.where(fresh, DAMPING_START, eased).astype(eased.dtype),
             minimised=value,
             origin=jnp.where(fresh, linear.u, s.origin),
@@ -202,7 +219,6 @@ def _descended(
     )
 
 
-@jax.jit
 def has_arrived(s: LevenbergState) -> Bool[Array, ""]:
     """Whether the linearised problem promises no decrease worth naming."""
     delta = _direction(s, jnp.asarray(DAMPING_START, s.u.dtype))

@@ -1,14 +1,21 @@
 """The verb `compensate`: train an inverse on the tracking error of its cascade."""
 
+import dataclasses
+from functools import partial
+
 import numpy as np
 
 from jaxnarx.arrays import (
-    Course,
+    NEVER,
+    Driver,
+    History,
+    Judged,
     Levenberg,
     Progress,
-    Standing,
-    minimise,
+    begin_course,
+    begin_levenberg,
     plain,
+    rules,
     value_at,
 )
 from jaxnarx.data import Dataset
@@ -80,8 +87,10 @@ class _Search:
         self.spread = spreads(loop, task)
         self.guard = plain(self._problem(guard, None))
         start = np.asarray(layout.gather(layout.base))
-        score = float(value_at(self.guard.loss, start))
-        self.course = Course(start, score, progress)
+        loss = np.asarray(value_at(self.guard.loss, start))
+        first = Judged(np.asarray(False), loss)
+        self.history = History(first, progress)
+        self.course = begin_course(begin_levenberg(start), first)
         self.start_tracking = float(value_at(self.guard.tracking, start))
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
@@ -91,12 +100,12 @@ class _Search:
 
     def solve(self) -> Solution[Network]:
         """Stages of growing windows, then whole records."""
-        u, scored = self.course.best, self.task.scored
+        u, scored = np.asarray(self.course.best.u), self.task.scored
         longest = int(scored.any(axis=2).sum(axis=1).max())
         for horizon in self.method.horizons:
             if horizon < longest:
                 u, _ = self._stage(u, horizon, self.method.window_steps)
-        best = self.course.best
+        best = np.asarray(self.course.best.u)
         if self.method.horizons:
             # Windows may end where the whole record does not hold.
             loss = plain(self._problem(self.task, None)).loss
@@ -107,32 +116,28 @@ class _Search:
     def _stage(
         self, u: np.ndarray, horizon: int | None, steps: int
     ) -> tuple[np.ndarray, RESULTS]:
-        method = Levenberg(self._problem(self.task, horizon), self.guard.loss)
-        self.course.since = 0
-
-        def accepted(s: Standing) -> bool:
-            self.course.note(s, horizon=horizon)
-            return horizon is None and self.course.since >= self.method.patience
-
-        end, _, status = minimise(
-            method,
-            method.start(u),
-            steps=steps,
-            tolerance=self.method.tolerance,
-            accepted=accepted,
-        )
-        return end.u, status
+        method = self.method
+        whole = horizon is None
+        ends = rules(method.tolerance, patience=method.patience if whole else NEVER)
+        levenberg = Levenberg(self._problem(self.task, horizon))
+        driver = Driver(levenberg, self.guard.loss, ends)
+        begun = dataclasses.replace(self.course, state=begin_levenberg(u))
+        begun, _ = driver.start(begun, look=False)
+        note = partial(self.history.note, horizon=horizon)
+        self.course, status = driver.minimise(begun, steps, note)
+        return np.asarray(self.course.state.u), status
 
     def _solution(self, status: RESULTS) -> Solution[Network]:
-        course = self.course
-        network = self.layout.place(course.best)
-        if not course.score < course.start_score:
+        best, history = self.course.best, self.history
+        u, loss = np.asarray(best.u), float(best.judged.loss)
+        network = self.layout.place(u)
+        if not loss < history.start:
             # Limits of the bounded coordinates may have moved the start by rounding.
             network = self.layout.base
-        stats = course.stats(status, self.layout.parameters)
+        stats = history.stats(status, best.judged, self.layout.parameters)
         stats |= {
-            "tracking": float(value_at(self.guard.tracking, course.best)),
+            "tracking": float(value_at(self.guard.tracking, u)),
             "tracking_start": self.start_tracking,
         }
-        detail = f"tracking loss {course.start_score:.4g} -> {course.score:.4g}"
+        detail = f"tracking loss {history.start:.4g} -> {loss:.4g}"
         return Solution(network, status, stats, detail)

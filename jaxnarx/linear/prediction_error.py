@@ -14,7 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import ROUNDING_LOSS, AbstractProblem, Levenberg, Linear, minimise
+from jaxnarx.arrays import (
+    ROUNDING_LOSS,
+    AbstractProblem,
+    Driver,
+    Levenberg,
+    Linear,
+    begin_course,
+    begin_levenberg,
+    rules,
+)
 from jaxnarx.linear.recursion import (
     Signals,
     best_states,
@@ -119,27 +128,26 @@ def least_innovations(
     tolerance: float | int,
 ) -> PredictionErrorEnd:
     """Search from the start with the smallest loss by its own best states."""
-    search = Levenberg(PredictionErrorProblem(structure, data))
-    places = [search.start(start_of(structure, np.asarray(s), data)) for s in starts]
-    losses = [p.loss if np.isfinite(p.loss) else np.inf for p in places]
     samples = int(np.asarray(data.known).sum())
-    end, steps, status = minimise(
-        search,
-        places[int(np.argmin(losses))],
-        steps=max_steps,
-        tolerance=tolerance,
-        quiet=1,
-        rounding=ROUNDING_LOSS * samples,
-    )
+    ends = rules(tolerance, quiet=1, rounding=ROUNDING_LOSS * samples)
+    driver = Driver(Levenberg(PredictionErrorProblem(structure, data)), None, ends)
+    places, losses = [], []
+    for start in starts:
+        u = start_of(structure, np.asarray(start), data)
+        place, begun = driver.start(begin_course(begin_levenberg(u)))
+        places.append(place)
+        losses.append(begun.loss if np.isfinite(begun.loss) else np.inf)
+    end, status = driver.minimise(places[int(np.argmin(losses))], max_steps)
+    u, linear = np.asarray(end.state.u), end.state.linear
     count = structure.size
     return PredictionErrorEnd(
-        end.u[:count],
-        end.u[count:].reshape(data.y.shape[0], -1),
-        eliminated(np.asarray(end.state.linear.gram), count),
-        end.loss,
-        steps,
+        u[:count],
+        u[count:].reshape(data.y.shape[0], -1),
+        eliminated(np.asarray(linear.gram), count),
+        float(linear.loss),
+        int(end.steps),
         samples,
-        samples - end.u.size,
+        samples - u.size,
         status,
     )
 

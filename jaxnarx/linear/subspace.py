@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import factorisation
+from jaxnarx.arrays import BLOCK_ROWS, accumulate
 from jaxnarx.checks import choice, require, whole
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
@@ -347,7 +347,7 @@ def hankel_triangle(
     columns of as many numbers.
     """
     signals = pieces[0].u.shape[1] + pieces[0].y.shape[1]
-    return factorisation.accumulate(_windows(pieces, rows), 2 * rows * signals + 1)
+    return accumulate(_windows(pieces, rows), 2 * rows * signals + 1)
 
 
 def _windows(pieces: Sequence[Segment], rows: int) -> Iterator[np.ndarray]:
@@ -358,8 +358,8 @@ def _windows(pieces: Sequence[Segment], rows: int) -> Iterator[np.ndarray]:
         inputs = piece.u.shape[1]
         z = np.concatenate([piece.u, piece.y], axis=1)
         every = np.lib.stride_tricks.sliding_window_view(z, 2 * rows, axis=0)
-        for start in range(0, len(every), factorisation.BLOCK_ROWS):
-            w = every[start : start + factorisation.BLOCK_ROWS].transpose(0, 2, 1)
+        for start in range(0, len(every), BLOCK_ROWS):
+            w = every[start : start + BLOCK_ROWS].transpose(0, 2, 1)
             u, y = w[..., :inputs], w[..., inputs:]
             parts = (u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:])
             flat = [p.reshape(len(w), -1) for p in parts]

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import directions, factorisation
+from jaxnarx.arrays import directions
+from jaxnarx.arrays import triangle as triangle_of
 from jaxnarx.data import Dataset
 from jaxnarx.regressors import Variables, regression_rows
 
@@ -119,5 +120,5 @@ def factorise(
     rounding = 10 * np.finfo(float).eps * size * np.sqrt(samples)
     norm = np.where(norm > rounding, norm, 0.0)
     centred *= np.where(norm > 0, 1.0 / np.where(norm > 0, norm, 1.0), 0.0)[:, None]
-    r = factorisation.triangle(centred)
+    r = triangle_of(centred)
     return Triangle(r, mean, norm, samples, constant)

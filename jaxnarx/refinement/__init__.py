@@ -1,5 +1,6 @@
 """Training of networks on simulation error; their stability and their uncertainty."""
 
+from jaxnarx.arrays import Judged
 from jaxnarx.refinement._bands import Bands, bands
 from jaxnarx.refinement._refine import make_task as make_task
 from jaxnarx.refinement._refine import refine
@@ -16,7 +17,7 @@ from jaxnarx.refinement._stability import (
 from jaxnarx.refinement._stages import Stage, stages
 from jaxnarx.refinement._uncertainty import Uncertainty, uncertainty
 from jaxnarx.refinement.criterion import squares
-from jaxnarx.refinement.guard import Guard, Judged
+from jaxnarx.refinement.guard import Guard
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.normal import normal_equations as normal_equations
 from jaxnarx.refinement.problem import Problem

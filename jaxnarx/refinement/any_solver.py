@@ -13,15 +13,24 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxnarx.arrays import Levenberg, LevenbergState, Standing
+from jaxnarx.arrays import (
+    AbstractMethod,
+    AbstractState,
+    LevenbergState,
+    chosen,
+    plain,
+    program,
+    twin,
+)
 from jaxnarx.refinement.problem import Problem
+from jaxnarx.solution import NAMES
 
 TRIALS = 40
 """Steps of a solver without a new point, at most."""
+OK, STALLED, DIVERGED = map(NAMES.index, ("ok", "stalled", "diverged"))
 
 
 class ScaledLoss(eqx.Module):
@@ -32,6 +41,11 @@ class ScaledLoss(eqx.Module):
     unit: Float[Array, " params"]
     pull: Float[Array, " params"]
     height: Float[Array, ""]
+
+    @property
+    def nameless(self) -> "ScaledLoss":
+        """That of the problem without names, for programs."""
+        return twin(self, problem=plain(self.problem))
 
     def place(self, w: Float[Array, " params"]) -> Float[Array, " params"]:
         """Solver coordinates of the layout, inside its walls."""
@@ -78,69 +92,119 @@ def errors(w: Float[Array, " params"], s: ScaledLoss):
     return (s.problem.roots(u) / height, pulled, still), None
 
 
-@eqx.filter_jit
-def trial(solver: Any, function: Any, w, s: ScaledLoss, inner):
-    """One step of the solver: where it stands, its state, that in `u`, and whether it
-    has moved, and whether it is done."""
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        new, inner, _ = solver.step(function, w, s, {}, inner, frozenset())
-        done, _ = solver.terminate(function, new, s, {}, inner, frozenset())
-    return new, inner, s.place(new), jnp.any(new != w), done
+class SolverState(AbstractState):
+    """Where a solver stands: in scaled coordinates `w`, with the arrays of its own
+    state, and whether it says that it is done."""
+
+    at: Float[Array, " params"]
+    value: Float[Array, ""]
+    w: Float[Array, " params"]
+    inner: Any
+    done: Bool[Array, ""]
+
+    @property
+    def u(self) -> Float[Array, " params"]:
+        """The point."""
+        return self.at
+
+    @property
+    def loss(self) -> Float[Array, ""]:
+        """The loss there, without the pull."""
+        return self.value
 
 
-@eqx.filter_jit
-def _reached(s: ScaledLoss, judge, u):
-    value = s.problem.loss(u)
-    return value, value + s.ridge(u), judge(u)
+def begin_solver(s: Any, w: Float[Array, " params"], inner: Any) -> SolverState:
+    """From where Levenberg-Marquardt has taken stock."""
+    minimised, gain, status = map(jnp.asarray, (s.minimised, s.gain, s.status))
+    figures = minimised, gain, jnp.zeros_like(gain), status
+    here = jnp.asarray(s.u), jnp.asarray(s.loss)
+    return SolverState(*figures, *here, w, inner, jnp.asarray(False))
 
 
-def reached(s: ScaledLoss, judge, u: Array, before: Standing, state) -> Standing:
-    """Where a step has led that is taken, whatever it has gained."""
-    value, total, judged = jax.device_get(_reached(s, judge, u))
-    status = "ok" if np.isfinite(value) else "diverged"
-    if status == "diverged":
-        return dataclasses.replace(before, status=status)
-    value, total = value.item(), total.item()
-    gain = 1.0 - total / before.minimised if before.minimised > 0 else 0.0
-    return Standing(np.asarray(u), value, total, state, gain=gain, judged=judged)
+def reached(scaled: ScaledLoss, s: SolverState, w, inner, done) -> SolverState:
+    """Where a step has led, whatever it has gained; the state before it where the loss
+    is not finite."""
+    u = scaled.place(w)
+    value = scaled.problem.loss(u)
+    total = value + scaled.ridge(u)
+    gain = jnp.where(s.minimised > 0, 1.0 - total / s.minimised, 0.0)
+    figures = total, gain, jnp.zeros_like(s.damping), s.status
+    new = SolverState(*figures, u, value, w, inner, done)
+    new = chosen(jnp.isfinite(value), new, s)
+    status = jnp.where(jnp.isfinite(value), OK, DIVERGED).astype(s.status.dtype)
+    return eqx.tree_at(lambda s: s.status, new, status)
 
 
-class AnySolver:
-    """Steps of one stage, from where Levenberg-Marquardt has taken stock."""
+class AnySolver(AbstractMethod):
+    """Steps of any solver of optimistix."""
 
-    def __init__(self, stage: Levenberg, s: Standing, solver: Any):
-        self.judge, self.solver = stage.judge, solver
-        least = isinstance(solver, optx.AbstractLeastSquaresSolver)
-        self.function = errors if least else objective
-        self.scaled = scaled(stage.problem, s.state)
-        w = jnp.zeros_like(self.scaled.origin)
-        self.start = dataclasses.replace(
-            s, state=(w, self._begin(w), False), damping=0.0
+    solver: Any
+    scaled: ScaledLoss
+
+    @property
+    def nameless(self) -> "AnySolver":
+        """That of the problem without names, for programs."""
+        return twin(self, scaled=self.scaled.nameless)
+
+    @property
+    def _function(self) -> Any:
+        least = isinstance(self.solver, optx.AbstractLeastSquaresSolver)
+        return errors if least else objective
+
+    def begin(self, w: Float[Array, " params"]) -> Any:
+        """The solver's own state before its first step."""
+        shape, _ = jax.eval_shape(self._function, w, self.scaled)
+        with jax.numpy_dtype_promotion("standard"):
+            return self.solver.init(
+                self._function, w, self.scaled, {}, shape, None, frozenset()
+            )
+
+    def step(self, s: SolverState) -> SolverState:
+        """The next point; `stalled` when the solver finds no other."""
+        rest = eqx.filter_eval_shape(self.begin, s.w)
+        # What is no array in the solver's state never changes.
+        rest = eqx.filter(
+            rest, lambda a: isinstance(a, jax.ShapeDtypeStruct), inverse=True
         )
 
-    def _begin(self, w: Array) -> Any:
-        """The solver's state before its first step."""
+        def trial(carry):
+            w, inner, tried, _, _ = carry
+            given = self._function, w, self.scaled, {}
+            inner = eqx.combine(inner, rest)
+            with (
+                jax.numpy_dtype_promotion("standard"),
+                jax.numpy_rank_promotion("allow"),
+            ):
+                new, inner, _ = self.solver.step(*given, inner, frozenset())
+                given = self._function, new, self.scaled, {}
+                done, _ = self.solver.terminate(*given, inner, frozenset())
+            inner = eqx.filter(inner, eqx.is_array)
+            return new, inner, tried + 1, jnp.any(new != w), jnp.asarray(done)
 
-        @eqx.filter_jit
-        def begin(solver, w, s):
-            shape, _ = jax.eval_shape(self.function, w, s)
-            with jax.numpy_dtype_promotion("standard"):
-                return solver.init(self.function, w, s, {}, shape, None, frozenset())
+        no = jnp.asarray(False)
+        w, inner, _, moved, done = jax.lax.while_loop(
+            lambda c: ~c[3] & ~c[4] & (c[2] < TRIALS), trial, (s.w, s.inner, 0, no, no)
+        )
+        stalled = jnp.asarray(STALLED, s.status.dtype)
+        return jax.lax.cond(
+            moved,
+            lambda: reached(self.scaled, s, w, inner, done),
+            lambda: dataclasses.replace(s, w=w, inner=inner, done=done, status=stalled),
+        )
 
-        return begin(self.solver, w, self.scaled)
-
-    def step(self, s: Standing) -> Standing:
-        """One accepted step; `stalled` when the solver finds no other point."""
-        w, inner, _ = s.state
-        for _ in range(TRIALS):
-            new = trial(self.solver, self.function, w, self.scaled, inner)
-            w, inner, u, moved, done = new
-            if bool(moved):
-                return reached(self.scaled, self.judge, u, s, (w, inner, bool(done)))
-            if bool(done):
-                return dataclasses.replace(s, status="stalled", state=(w, inner, True))
-        return dataclasses.replace(s, status="stalled")
-
-    def has_arrived(self, s: Standing) -> bool:
+    def has_arrived(self, s: SolverState) -> Bool[Array, ""]:
         """Whether the solver says that it is done."""
-        return bool(s.state[2])
+        return s.done
+
+
+def any_solver(problem: Problem, s: LevenbergState, solver: Any):
+    """The method of a solver, and where it begins."""
+    method = AnySolver(solver, scaled(problem, s))
+    w = jnp.zeros_like(method.scaled.origin)
+    inner = _begun(method, w)
+    return method, begin_solver(s, w, inner)
+
+
+@program
+def _begun(method: AnySolver, w: Float[Array, " params"]) -> Any:
+    return eqx.filter(method.begin(w), eqx.is_array)

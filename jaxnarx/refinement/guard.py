@@ -5,29 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import program, twin
+from jaxnarx.arrays import Judged, program, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import RunInputs, begun, has_diverged, limited, run
-
-
-class Judged(eqx.Module):
-    """Whether a free run diverges, and its loss; one without a loss diverges."""
-
-    diverged: Bool[Array | np.ndarray, ""]
-    loss: Float[Array | np.ndarray, ""]
-
-    def better(self, other: "Judged") -> Bool[Array, ""]:
-        """Whether this is the better one: a network that runs beats one that does
-        not."""
-        same = self.diverged == other.diverged
-        return jnp.where(same, self.loss < other.loss, other.diverged)
-
-    @property
-    def told(self) -> tuple[bool, float]:
-        """On the host; the smaller is the better one."""
-        return bool(self.diverged), float(self.loss)
 
 
 class Guard(eqx.Module):

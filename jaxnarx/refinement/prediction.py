@@ -1,17 +1,21 @@
 """Refinement on the one-step error: the search moves the partition alone."""
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from jaxnarx.arrays import (
     Course,
+    Driver,
+    History,
+    Judged,
     Levenberg,
     Progress,
-    Standing,
-    minimise,
+    StepFigures,
+    begin_course,
+    begin_levenberg,
     plain,
+    rules,
     value_at,
 )
 from jaxnarx.methods import PredictionError
@@ -38,42 +42,41 @@ def refine_prediction(
     task, guard = task.one_step(), guard.one_step()
     start = np.asarray(layout.gather(layout.base))
     judge = plain(make_problem(layout, guard, 1)).loss
-    course = Course(start, float(value_at(judge, start)), progress)
+    first = Judged(np.asarray(False), np.asarray(value_at(judge, start)))
+    history = History(first, progress)
+    course = begin_course(begin_levenberg(start), first)
     problem = make_problem(layout, task, 1, ridge=method.ridge, prior=prior)
-    status = _search(course, layout, problem, judge, method)
-    detail = f"one-step loss {course.start_score:.4g} -> {course.score:.4g}"
-    network = layout.place(course.best)
-    return Solution(network, status, course.stats(status, layout.parameters), detail)
+    course, status = _search(course, history, layout, problem, judge, method)
+    best = course.best
+    detail = f"one-step loss {history.start:.4g} -> {float(best.judged.loss):.4g}"
+    network = layout.place(np.asarray(best.u))
+    stats = history.stats(status, best.judged, layout.parameters)
+    return Solution(network, status, stats, detail)
 
 
 def _search(
     course: Course,
+    history: History,
     layout: Layout,
     problem: Problem,
     judge: Callable,
     method: PredictionError,
-) -> RESULTS:
+) -> tuple[Course, RESULTS]:
     """Solve for the coefficients, then move the partition."""
-    part, informed = separable(problem, layout.coefficients(), course.best)
+    start = np.asarray(course.best.u)
+    part, informed = separable(problem, layout.coefficients(), start)
     if not informed:
-        return RESULTS.unidentifiable
+        return course, RESULTS.unidentifiable
 
-    def accepted(s: Standing) -> bool:
-        done = len(course.history) + 1
+    def note(now: StepFigures) -> None:
+        done = len(history.rows) + 1
         where = {"of": method.max_steps + 1, "done": done, "stage": "one step"}
-        course.note(s, **where, horizon=1, stage_step=done)
-        return course.since >= method.patience
+        history.note(now, **where, horizon=1, stage_step=done)
 
-    search = Levenberg(part, judge)
-    begin = search.start(course.best, look=True)
-    accepted(dataclasses.replace(begin, damping=0.0))
+    ends = rules(method.tolerance, patience=method.patience)
+    driver = Driver(Levenberg(part), judge, ends)
+    course, begun = driver.start(course)
+    note(begun._replace(damping=0.0))
     if not part.outer.size:
-        return RESULTS.ok
-    _, _, status = minimise(
-        search,
-        begin,
-        steps=method.max_steps,
-        tolerance=method.tolerance,
-        accepted=accepted,
-    )
-    return status
+        return course, RESULTS.ok
+    return driver.minimise(course, method.max_steps, note)

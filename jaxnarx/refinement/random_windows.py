@@ -15,15 +15,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import Levenberg, Standing
+from jaxnarx.arrays import AbstractMethod, LevenbergState, twin
 from jaxnarx.models import depth
-from jaxnarx.refinement.any_solver import ScaledLoss, reached, scaled
+from jaxnarx.refinement.any_solver import (
+    ScaledLoss,
+    SolverState,
+    begin_solver,
+    reached,
+    scaled,
+)
+from jaxnarx.refinement.problem import Problem
 from jaxnarx.simulation import RunInputs, run
+from jaxnarx.solution import NAMES
 
 UPDATES = 25
 """Updates in one step of the stage, between two looks at the whole loss."""
+UNIDENTIFIABLE = NAMES.index("unidentifiable")
 CLIP = 1.0
 """Largest norm of a gradient, in scaled parameters."""
 
@@ -63,76 +72,73 @@ def batch_loss(
     return value / s.height
 
 
-@eqx.filter_jit
-def updates(
-    optimiser, w, moments, s: ScaledLoss, windows, share, key, *, length, batch
-):
-    """Several updates on fresh batches."""
+class Moments(eqx.Module):
+    """The optimiser's own state, and the key of the next batches."""
 
-    def one(carry, key):
-        w, moments = carry
-        at = jax.random.choice(key, windows, (batch,), axis=0)
-        gradient = jax.grad(batch_loss)(w, s, at, share, length)
-        with jax.numpy_dtype_promotion("standard"):
-            step, moments = optimiser.update(gradient, moments, w)
-        return (w + step, moments), None
-
-    (w, moments), _ = jax.lax.scan(one, (w, moments), jax.random.split(key, UPDATES))
-    return w, moments, s.place(w)
+    optimiser: Any
+    key: Any
 
 
-class RandomWindows:
-    """Steps of one stage of `length` samples a window, from where Levenberg-Marquardt
-    has taken stock."""
+class RandomWindows(AbstractMethod):
+    """Several updates of an optimiser on batches of the `windows`, (record, sample)
+    pairs at which so many samples (`length`) begin, times `share`."""
 
-    def __init__(
-        self,
-        stage: Levenberg,
-        s: Standing,
-        length: int,
-        optimiser: optax.GradientTransformation,
-        *,
-        batch: int,
-        seed: int,
-    ):
-        self.judge, self.length, self.batch = stage.judge, length, batch
-        self.scaled = scaled(stage.problem, s.state)
-        problem: Any = stage.problem
-        before, anchor = depth(problem.layout.base), np.asarray(problem.anchor)
-        record, start = np.nonzero(anchor)
-        # Windows must lie inside the padded records and hold something that counts.
-        inside = (start >= before) & (start + length <= anchor.shape[1])
-        counted = np.any(np.asarray(problem.weight) > 0, axis=2)[record, start]
-        at = np.stack([record, start], axis=1)[inside & counted]
-        self.windows = jnp.asarray(at)
-        dtype = problem.weight.dtype
-        self.share = jnp.asarray(len(at) / batch, dtype)
-        w = jnp.zeros_like(self.scaled.origin)
-        clip = optax.clip_by_global_norm(CLIP)
-        self.optimiser = optax.chain(clip, optimiser)
-        state = w, self.optimiser.init(w), jax.random.key(seed)
-        self.start = dataclasses.replace(s, state=state, damping=0.0)
+    optimiser: optax.GradientTransformation
+    scaled: ScaledLoss
+    windows: Int[Array, "windows 2"]
+    share: Float[Array, ""]
+    length: int
+    batch: int
 
-    def step(self, s: Standing) -> Standing:
+    @property
+    def nameless(self) -> "RandomWindows":
+        """That of the problem without names, for programs."""
+        return twin(self, scaled=self.scaled.nameless)
+
+    def step(self, s: SolverState) -> SolverState:
         """Some updates; the loss of all windows may rise."""
         if not len(self.windows):
-            return dataclasses.replace(s, status="unidentifiable")
-        w, moments, key = s.state
-        key, now = jax.random.split(key)
-        w, moments, u = updates(
-            self.optimiser,
-            w,
-            moments,
-            self.scaled,
-            self.windows,
-            self.share,
-            now,
-            length=self.length,
-            batch=self.batch,
-        )
-        return reached(self.scaled, self.judge, u, s, (w, moments, key))
+            status = jnp.full_like(s.status, UNIDENTIFIABLE)
+            return dataclasses.replace(s, status=status)
+        key, now = jax.random.split(s.inner.key)
 
-    def has_arrived(self, s: Standing) -> bool:
+        def update(carry, key):
+            w, moments = carry
+            at = jax.random.choice(key, self.windows, (self.batch,), axis=0)
+            gradient = jax.grad(batch_loss)(w, self.scaled, at, self.share, self.length)
+            with jax.numpy_dtype_promotion("standard"):
+                step, moments = self.optimiser.update(gradient, moments, w)
+            return (w + step, moments), None
+
+        start, keys = (s.w, s.inner.optimiser), jax.random.split(now, UPDATES)
+        (w, moments), _ = jax.lax.scan(update, start, keys)
+        return reached(self.scaled, s, w, Moments(moments, key), s.done)
+
+    def has_arrived(self, s: SolverState) -> Bool[Array, ""]:
         """Never: the noise of the batches has no end."""
-        del s
-        return False
+        return jnp.zeros_like(s.done)
+
+
+def random_windows(
+    problem: Problem,
+    s: LevenbergState,
+    length: int,
+    optimiser: optax.GradientTransformation,
+    *,
+    batch: int,
+    seed: int,
+) -> tuple[RandomWindows, SolverState]:
+    """The method on windows of `length` samples, and where it begins: where
+    Levenberg-Marquardt has taken stock."""
+    before, anchor = depth(problem.layout.base), np.asarray(problem.anchor)
+    record, start = np.nonzero(anchor)
+    # Windows must lie inside the padded records and hold something that counts.
+    inside = (start >= before) & (start + length <= anchor.shape[1])
+    counted = np.any(np.asarray(problem.weight) > 0, axis=2)[record, start]
+    at = np.stack([record, start], axis=1)[inside & counted]
+    share = jnp.asarray(len(at) / batch, problem.weight.dtype)
+    optimiser = optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
+    own = scaled(problem, s)
+    method = RandomWindows(optimiser, own, jnp.asarray(at), share, length, batch)
+    w = jnp.zeros_like(own.origin)
+    return method, begin_solver(s, w, Moments(optimiser.init(w), jax.random.key(seed)))

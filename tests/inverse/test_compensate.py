@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inverse_problems import plant, recorded
 
-from jaxnarx.arrays._minimise import value_at
+from jaxnarx.arrays import value_at
 from jaxnarx.arrays.programs import plain
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse import cascade, compensate

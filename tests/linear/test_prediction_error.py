@@ -20,7 +20,7 @@ from linear_problems import (
     records,
 )
 
-from jaxnarx.arrays._minimise import value_at
+from jaxnarx.arrays import value_at
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem

@@ -32,7 +32,7 @@ from jaxnarx.arrays.levenberg import (
     AbstractProblem,
     LevenbergState,
     Linear,
-    begin,
+    begin_levenberg,
     step,
 )
 from jaxnarx.data import Dataset
@@ -86,7 +86,7 @@ class Cliff(AbstractProblem):
 
 def first_step(problem: Cliff) -> LevenbergState:
     one = eqx.filter_jit(step)
-    start = one(problem, begin(np.zeros(1)))
+    start = one(problem, begin_levenberg(np.zeros(1)))
     assert start.status == NAMES.index("ok") and start.linear.loss == 9.0
     return one(problem, start)
 

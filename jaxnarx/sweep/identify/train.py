@@ -5,18 +5,30 @@ best by that judgement is the result: it is never worse there than the start. Pr
 steps, judge and stops are those of `jaxnarx.refinement`, and so are the results.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import QUIET_STEPS, ROUNDING_LOSS, levenberg
-from jaxnarx.methods import PredictionError, SimulationError
-from jaxnarx.refinement import FEEDBACK_FACTORS as FACTORS
-from jaxnarx.refinement import (
-    Guard,
+from jaxnarx.arrays import (
+    NEVER,
+    Course,
     Judged,
+    Levenberg,
+    advance,
+    begin_anew,
+    begin_course,
+    begin_levenberg,
+    chosen,
+    rules,
+)
+from jaxnarx.methods import PredictionError, SimulationError
+from jaxnarx.refinement import (
+    FEEDBACK_FACTORS,
+    Guard,
     Layout,
     Problem,
     Stage,
@@ -67,25 +79,6 @@ class TrainingData(eqx.Module):
         moving = jnp.where(turn.apart, self.early, moving)
         at = self.layout, self.drive, anchor, self.weight, own
         return Problem(*at, moving, ridge)
-
-
-class TrainingState(eqx.Module):
-    """Where the search stands, and the best so far by judgement.
-
-    No loss above the start's, `limit`, is best. `lead` is the best judgement whatever
-    its loss, `since` counts the steps after it, `small` those in a row that gained
-    little; a stage that has `ended` makes no more steps.
-    """
-
-    state: levenberg.LevenbergState
-    best: Float[Array, " params"]
-    judged: Judged
-    limit: Float[Array | np.ndarray, ""]
-    accepted: Int[Array, ""]
-    lead: Judged
-    since: Int[Array, ""]
-    small: Int[Array, ""]
-    ended: Bool[Array, ""]
 
 
 class Turn(eqx.Module):
@@ -153,39 +146,39 @@ def train(
     with shrunk feedback.
     """
     start = ground.judge(u)
-    state, none = levenberg.begin(u), jnp.asarray(0)
-    going = jnp.asarray(False)
-    begin = TrainingState(state, u, start, start.loss, none, start, none, none, going)
+    begin = begin_course(begin_levenberg(u), start)
+    begin = jax.tree.map(jnp.asarray, begin)
     made = active(ground, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
     order, count = jnp.argsort(~made, stable=True), jnp.sum(made)
 
     def step(n, carry):
-        s, loss, judged = carry
+        c, loss, judged = carry
         at = order[n]
         turn = jax.tree.map(lambda a: a[at], turns)
-        s = jax.lax.cond(
-            s.ended & (turn.step > 0),
-            lambda: s,
-            lambda: advanced(ground, s, turn, settings),
+        c = jax.lax.cond(
+            c.ended & (turn.step > 0),
+            lambda: c,
+            lambda: advanced(ground, c, turn, settings),
         )
-        return s, loss.at[at].set(s.state.linear.loss), judged.at[at].set(s.judged.loss)
+        reached = c.best.judged.loss
+        return c, loss.at[at].set(c.state.loss), judged.at[at].set(reached)
 
     def attempt(carry):
-        tried, _, _, s, loss, judged = carry
+        tried, _, _, c, loss, judged = carry
         factor, u, runs = jax.lax.cond(
             tried == 0,
-            lambda: (jnp.ones_like(start.loss), state.u, jnp.asarray(True)),
-            lambda: _shrunk(ground, state.u),
+            lambda: (jnp.ones_like(start.loss), begin.state.u, jnp.asarray(True)),
+            lambda: _shrunk(ground, begin.state.u),
         )
-        s = eqx.tree_at(lambda s: s.state.linear.u, s, u)
+        c = eqx.tree_at(lambda c: c.state.linear.u, c, u)
         most = jnp.where(runs, count, 0)
-        s, loss, judged = jax.lax.fori_loop(0, most, step, (s, loss, judged))
-        return tried + 1, factor, runs, s, loss, judged
+        c, loss, judged = jax.lax.fori_loop(0, most, step, (c, loss, judged))
+        return tried + 1, factor, runs, c, loss, judged
 
     history = jnp.full(made.shape, jnp.inf, u.dtype), jnp.full(made.shape, start.loss)
     _, factor, runs, end, *history = jax.lax.while_loop(
-        lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].judged.diverged & (count > 0)),
+        lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].best.judged.diverged & (count > 0)),
         attempt,
         (0, jnp.ones_like(start.loss), jnp.asarray(True), begin, *history),
     )
@@ -196,14 +189,15 @@ def train(
         for first, column in zip((jnp.inf, start.loss), history, strict=True)
     )
     factor = jnp.where(runs, factor, 1.0)
-    return Trained(end.best, start, end.judged, end.accepted, loss, judged, factor)
+    best = end.best
+    return Trained(best.u, start, best.judged, end.steps, loss, judged, factor)
 
 
 def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
     """The first factor on the feedback whose free run does not diverge, that start, and
     whether there is one.
     """
-    factors = jnp.asarray(FACTORS, u.dtype)
+    factors = jnp.asarray(FEEDBACK_FACTORS, u.dtype)
 
     def smaller(carry):
         n, _, _ = carry
@@ -211,45 +205,24 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
         return n + 1, v, ~ground.judge(v).diverged
 
     n, v, runs = jax.lax.while_loop(
-        lambda c: ~c[2] & (c[0] < len(FACTORS)), smaller, (0, u, jnp.asarray(False))
+        lambda c: ~c[2] & (c[0] < len(FEEDBACK_FACTORS)),
+        smaller,
+        (0, u, jnp.asarray(False)),
     )
     return factors[n - 1], v, runs
 
 
-def advanced(
-    ground: TrainingData, s: TrainingState, turn: Turn, settings: Settings
-) -> TrainingState:
-    """One turn: the first of a stage takes stock, the others make a step.
-
-    A stage ends as on the host, see `jaxnarx.arrays.minimise`.
-    """
+def advanced(ground: TrainingData, c: Course, turn: Turn, settings: Settings) -> Course:
+    """One turn: the first of a stage takes stock, the others make a step."""
     fresh = turn.step == 0
     # The last stage begins at the best so far, unless nothing runs.
-    ahead = turn.last & ~s.judged.diverged
-    again = levenberg.anew(s.state, jnp.where(ahead, s.best, s.state.u))
-    state = _chosen(fresh, again, s.state)
-    state = levenberg.step(ground.problem(turn, jnp.asarray(settings.ridge)), state)
-    moved = ~fresh & (state.status == levenberg.OK)
-
-    def reached() -> TrainingState:
-        judged = ground.judge(state.u)
-        better = judged.better(s.judged) & (judged.loss <= s.limit)
-        leads = judged.better(s.lead)
-        best, best_judged = _chosen(better, (state.u, judged), (s.best, s.judged))
-        lead = _chosen(leads, judged, s.lead)
-        quiet = state.gain < jnp.asarray(settings.tolerance)
-        small = jnp.where(moved & quiet, s.small + 1, 0)
-        since = jnp.where(fresh | leads, 0, s.since + 1)
-        enough = turn.last & (since >= jnp.asarray(settings.patience))
-        done = (small >= QUIET_STEPS) | (state.linear.loss <= ROUNDING_LOSS) | enough
-        accepted = s.accepted + moved.astype(s.accepted.dtype)
-        counts = lead, since, small, moved & done
-        return TrainingState(state, best, best_judged, s.limit, accepted, *counts)
-
-    stayed = eqx.tree_at(lambda s: (s.state, s.ended), s, (state, jnp.asarray(True)))
-    return jax.lax.cond(fresh | moved, reached, lambda: stayed)
-
-
-def _chosen(first: Bool[Array, ""], a, b):
-    """The first of two trees, or the second."""
-    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)
+    ahead = turn.last & ~c.best.judged.diverged
+    again = begin_anew(c.state, jnp.where(ahead, c.best.u, c.state.u))
+    c = dataclasses.replace(c, state=chosen(fresh, again, c.state))
+    ends = eqx.tree_at(
+        lambda r: (r.tolerance, r.patience),
+        rules(0.0),
+        (settings.tolerance, jnp.where(turn.last, settings.patience, NEVER)),
+    )
+    problem = ground.problem(turn, jnp.asarray(settings.ridge))
+    return advance(Levenberg(problem), ground.judge, ends, c)
