@@ -69,9 +69,11 @@ def compute_in_processes(
 
 @contextlib.contextmanager
 def _cluster(workers: int) -> Iterator[Client]:
-    """A cluster of new processes; nothing of dask is changed for others."""
+    """A cluster of new processes; dask is set as it was when they have ended."""
     with contextlib.ExitStack() as stack:
-        with _deaf(), dask.config.set(_SETTINGS):
+        # Not only while they start: how long a lost one is waited for is asked then.
+        stack.enter_context(dask.config.set(_SETTINGS))
+        with _deaf():
             cluster = _started(workers)
             stack.callback(_end, cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))

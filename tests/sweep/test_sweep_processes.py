@@ -140,7 +140,9 @@ def test_a_member_that_kills_every_process_is_a_row_and_the_others_are_computed(
     tmp_path, same_rows
 ):
     toy = Toy(4, bad=(0,), trouble="kill")
-    solution = run_sweep(toy, tmp_path / "x", chunk=2, workers=2)
+    # However short dask is told to wait: the next process may be slow to start.
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"}):
+        solution = run_sweep(toy, tmp_path / "x", chunk=2, workers=2)
     table = solution.value
     bad = table.column("status") == "crashed"
     assert np.flatnonzero(bad).tolist() == [0]
