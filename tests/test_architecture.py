@@ -240,7 +240,7 @@ def drives(path: Path) -> bool:
 
 def test_searches_have_one_place_where_steps_are_made_and_judged():
     known = modules()
-    assert {m for m in known if drives(known[m])} == {"jaxnarx.arrays.course"}
+    assert {m for m in known if drives(known[m])} == {"jaxnarx.arrays.iteration"}
 
 
 def loaded(statement: str) -> set[str]:

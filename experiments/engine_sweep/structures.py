@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.methods.settings import replace_at
+from jaxnarx.methods import replace_at
 from jaxnarx.refinement import freeze
 
 Row = dict[str, Any]

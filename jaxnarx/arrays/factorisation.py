@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Float
 
-BLOCK_ROWS = 16384
+ROWS_AT_ONCE = 16384
 """Rows factorised at once."""
 
 
@@ -23,7 +23,7 @@ def triangle(
     which has at most as many rows as there are columns: 10,000 samples become 31.
     """
     width, rows = columns.shape
-    blocks = (columns[:, k : k + BLOCK_ROWS].T for k in range(0, rows, BLOCK_ROWS))
+    blocks = (columns[:, k : k + ROWS_AT_ONCE].T for k in range(0, rows, ROWS_AT_ONCE))
     return accumulate(blocks, width)
 
 
@@ -38,7 +38,7 @@ def accumulate(
     for part in parts:
         held.append(part)
         rows += len(part)
-        if rows >= BLOCK_ROWS:
+        if rows >= ROWS_AT_ONCE:
             r, held, rows = _upper([r, *held]), [], 0
     return _upper([r, *held]) if held else r
 

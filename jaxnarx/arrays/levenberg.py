@@ -1,10 +1,10 @@
-"""Levenberg-Marquardt on streamed normal equations, as a function of arrays.
+"""Levenberg-Marquardt on streamed normal equations.
 
 Marquardt scaling, a pull towards the start, the Jacobian kept when a step is rejected,
 walls, and a status in place of an exception: these are why no library solver is used.
 Each trial costs one run, each accepted step one pass of the normal equations.
 
-A method of `arrays.course`: driven from the host, or in the loop of a sweep.
+A method of `arrays.iteration`: driven from the host, or in the loop of a sweep.
 """
 
 import abc
@@ -16,10 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.course import NOT_RUN, OK, AbstractMethod, AbstractState
+from jaxnarx.arrays.iteration import (
+    DIVERGED,
+    NOT_RUN,
+    OK,
+    STALLED,
+    UNIDENTIFIABLE,
+    AbstractMethod,
+    AbstractState,
+)
 from jaxnarx.arrays.normal_equations import ridge_solve
 from jaxnarx.arrays.programs import plain, twin
-from jaxnarx.solution import NAMES
 
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
@@ -31,9 +38,6 @@ bounded map a step by curvature would throw them from one limit to the other."""
 ARRIVED = 1e-10
 """Share of the loss below which a promised decrease counts as none."""
 
-STALLED, DIVERGED, UNIDENTIFIABLE = map(
-    NAMES.index, ("stalled", "diverged", "unidentifiable")
-)
 
 Vector = Float[Array | np.ndarray, " params"]
 Number = Float[Array | np.ndarray, ""]
@@ -84,6 +88,10 @@ class LevenbergState(AbstractState):
     no parameter has any effect, `diverged` when sensitivities overflow.
     """
 
+    minimised: Number
+    gain: Number
+    damping: Number
+    status: Int[Array | np.ndarray, ""]
     linear: Linear
     origin: Vector
     pull: Vector
@@ -111,12 +119,15 @@ class Levenberg(AbstractMethod):
         return twin(self, problem=plain(self.problem))
 
     def step(self, s: LevenbergState) -> LevenbergState:
-        """One accepted step, or none."""
-        return step(self.problem, s)
+        """One accepted step, raising the damping until the penalised loss falls.
+
+        Where none is found everything but damping, status and count of trials stays.
+        """
+        return _step(self.problem, s)
 
     def has_arrived(self, s: LevenbergState) -> Bool[Array, ""]:
         """Whether the linearised problem promises no decrease worth naming."""
-        return has_arrived(s)
+        return _has_arrived(s)
 
 
 class Trial(eqx.Module):
@@ -145,11 +156,7 @@ def begin_anew(s: LevenbergState, u: Vector) -> LevenbergState:
     return eqx.tree_at(lambda s: (s.linear.u, s.status), s, (u, status))
 
 
-def step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
-    """One accepted step, raising the damping until the penalised loss falls.
-
-    Where none is found everything but damping, status and count of trials stays.
-    """
+def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
     fresh = s.status == NOT_RUN
     found = _descended(problem, s, fresh)
 
@@ -219,8 +226,8 @@ def _descended(
     )
 
 
-def has_arrived(s: LevenbergState) -> Bool[Array, ""]:
-    """Whether the linearised problem promises no decrease worth naming."""
+@jax.jit
+def _has_arrived(s: LevenbergState) -> Bool[Array, ""]:
     delta = _direction(s, jnp.asarray(DAMPING_START, s.u.dtype))
     small = max(ARRIVED, 10 * float(jnp.finfo(s.u.dtype).eps))
     return -(_slope(s) @ delta) < small * s.linear.loss

@@ -150,7 +150,7 @@ def solve_recursively(
 ) -> LeastSquaresFit:
     """A least-squares problem from its first sample to its last.
 
-    The ridge of `least_squares.solve` is the start P_0^-1, and forgotten like a sample
+    The ridge of `solve_least_squares` is the start P_0^-1, and forgotten like a sample
     before the first. Without one a small start is removed from the result, see `PRIOR`;
     directions of which most of what is known at the end comes from that start do not
     count in the rank, and their coefficients are zero. Forgetting long in a direction

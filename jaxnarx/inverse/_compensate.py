@@ -8,15 +8,14 @@ import numpy as np
 from jaxnarx.arrays import (
     NEVER,
     Driver,
-    History,
-    Judged,
     Levenberg,
     Progress,
-    begin_course,
+    SearchLog,
+    StoppingRules,
     begin_levenberg,
+    begin_search,
+    evaluate_at,
     plain,
-    rules,
-    value_at,
 )
 from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
@@ -87,11 +86,10 @@ class _Search:
         self.spread = spreads(loop, task)
         self.guard = plain(self._problem(guard, None))
         start = np.asarray(layout.gather(layout.base))
-        loss = np.asarray(value_at(self.guard.loss, start))
-        first = Judged(np.asarray(False), loss)
-        self.history = History(first, progress)
-        self.course = begin_course(begin_levenberg(start), first)
-        self.start_tracking = float(value_at(self.guard.tracking, start))
+        loss = np.asarray(evaluate_at(self.guard.loss, start))
+        self.log = SearchLog(loss, progress)
+        self.search = begin_search(begin_levenberg(start), loss)
+        self.start_tracking = float(evaluate_at(self.guard.tracking, start))
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
         method = self.method
@@ -100,16 +98,16 @@ class _Search:
 
     def solve(self) -> Solution[Network]:
         """Stages of growing windows, then whole records."""
-        u, scored = np.asarray(self.course.best.u), self.task.scored
+        u, scored = np.asarray(self.search.best.u), self.task.scored
         longest = int(scored.any(axis=2).sum(axis=1).max())
         for horizon in self.method.horizons:
             if horizon < longest:
                 u, _ = self._stage(u, horizon, self.method.window_steps)
-        best = np.asarray(self.course.best.u)
+        best = np.asarray(self.search.best.u)
         if self.method.horizons:
             # Windows may end where the whole record does not hold.
             loss = plain(self._problem(self.task, None)).loss
-            if value_at(loss, best) < value_at(loss, u):
+            if evaluate_at(loss, best) < evaluate_at(loss, u):
                 u = best
         return self._solution(self._stage(u, None, self.method.max_steps)[1])
 
@@ -118,26 +116,27 @@ class _Search:
     ) -> tuple[np.ndarray, RESULTS]:
         method = self.method
         whole = horizon is None
-        ends = rules(method.tolerance, patience=method.patience if whole else NEVER)
+        patience = method.patience if whole else NEVER
+        rules = StoppingRules(method.tolerance, patience)
         levenberg = Levenberg(self._problem(self.task, horizon))
-        driver = Driver(levenberg, self.guard.loss, ends)
-        begun = dataclasses.replace(self.course, state=begin_levenberg(u))
+        driver = Driver(levenberg, self.guard.loss, rules)
+        begun = dataclasses.replace(self.search, state=begin_levenberg(u))
         begun, _ = driver.start(begun, look=False)
-        note = partial(self.history.note, horizon=horizon)
-        self.course, status = driver.minimise(begun, steps, note)
-        return np.asarray(self.course.state.u), status
+        report = partial(self.log.add, horizon=horizon)
+        self.search, status = driver.minimise(begun, steps, report)
+        return np.asarray(self.search.state.u), status
 
     def _solution(self, status: RESULTS) -> Solution[Network]:
-        best, history = self.course.best, self.history
-        u, loss = np.asarray(best.u), float(best.judged.loss)
+        best, log = self.search.best, self.log
+        u, loss = np.asarray(best.u), float(best.score.loss)
         network = self.layout.place(u)
-        if not loss < history.start:
+        if not loss < log.start_loss:
             # Limits of the bounded coordinates may have moved the start by rounding.
             network = self.layout.base
-        stats = history.stats(status, best.judged, self.layout.parameters)
+        stats = log.stats(status, best.score, self.layout.parameters)
         stats |= {
-            "tracking": float(value_at(self.guard.tracking, u)),
+            "tracking": float(evaluate_at(self.guard.tracking, u)),
             "tracking_start": self.start_tracking,
         }
-        detail = f"tracking loss {history.start:.4g} -> {loss:.4g}"
+        detail = f"tracking loss {log.start_loss:.4g} -> {loss:.4g}"
         return Solution(network, status, stats, detail)

@@ -16,7 +16,6 @@ from jaxnarx.linear.regression import Regression, least_squares
 from jaxnarx.linear.state_space import StateSpace as StateSpace
 from jaxnarx.linear.subspace import chain_model as chain_model
 from jaxnarx.linear.subspace import identify_subspace as identify_subspace
-from jaxnarx.linear.subspace import simulation_error as simulation_error
 from jaxnarx.linear.subspace import subspace_models as subspace_models
 from jaxnarx.linear.transfer_function import Bode, TransferFunction
 from jaxnarx.methods import (

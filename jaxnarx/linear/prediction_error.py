@@ -20,9 +20,9 @@ from jaxnarx.arrays import (
     Driver,
     Levenberg,
     Linear,
-    begin_course,
+    StoppingRules,
     begin_levenberg,
-    rules,
+    begin_search,
 )
 from jaxnarx.linear.recursion import (
     Signals,
@@ -129,12 +129,12 @@ def least_innovations(
 ) -> PredictionErrorEnd:
     """Search from the start with the smallest loss by its own best states."""
     samples = int(np.asarray(data.known).sum())
-    ends = rules(tolerance, quiet=1, rounding=ROUNDING_LOSS * samples)
-    driver = Driver(Levenberg(PredictionErrorProblem(structure, data)), None, ends)
+    rules = StoppingRules(tolerance, quiet=1, rounding=ROUNDING_LOSS * samples)
+    driver = Driver(Levenberg(PredictionErrorProblem(structure, data)), None, rules)
     places, losses = [], []
     for start in starts:
         u = start_of(structure, np.asarray(start), data)
-        place, begun = driver.start(begin_course(begin_levenberg(u)))
+        place, begun = driver.start(begin_search(begin_levenberg(u)))
         places.append(place)
         losses.append(begun.loss if np.isfinite(begun.loss) else np.inf)
     end, status = driver.minimise(places[int(np.argmin(losses))], max_steps)

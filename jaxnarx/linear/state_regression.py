@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import BLOCK_ROWS, accumulate
+from jaxnarx.arrays import ROWS_AT_ONCE, accumulate
 from jaxnarx.linear.state_space import recursion
 
 RIDGE = 1e-10
@@ -102,7 +102,7 @@ def _rows(a, c, piece: Segment, *, driven: int, direct: int) -> Iterator[np.ndar
     through = signals[:, signals.shape[1] - direct :]
     q = np.zeros((outputs, 1 + driven, n))
     q[:, 0] = c
-    block = max(BLOCK_ROWS // outputs, 1)
+    block = max(ROWS_AT_ONCE // outputs, 1)
     for k in range(0, time, block):
         part = slice(k, k + block)
         force = np.einsum("tm,on->tomn", drive[part], c)

@@ -6,6 +6,7 @@ C m + d: the outputs leave the coordinates of the state open.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,19 @@ class StateSpace:
         """Eigenvalues of `a`, slowest first."""
         found = np.linalg.eigvals(self.a).astype(complex)
         return found[np.argsort(-np.abs(found), kind="stable")]
+
+    def free_run_error(
+        self, u: Sequence[Any], y: Sequence[Any], valid: Sequence[Any] | None = None
+    ) -> float:
+        """Mean square of what the valid outputs of all free runs are off, from the
+        model's own starting states; an array (time, inputs), one (time, outputs) and
+        booleans (time,) for every record."""
+        squares = []
+        for k, (one, other) in enumerate(zip(u, y, strict=True)):
+            good = slice(None) if valid is None else valid[k]
+            run = simulate_state_space(self, one, self.start[k])
+            squares.append(((run - other)[good] ** 2).ravel())
+        return float(np.concatenate(squares).mean())
 
 
 @guarded

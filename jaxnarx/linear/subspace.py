@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.arrays import BLOCK_ROWS, accumulate
+from jaxnarx.arrays import ROWS_AT_ONCE, accumulate
 from jaxnarx.checks import choice, require, whole
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
@@ -39,7 +39,6 @@ from jaxnarx.linear.state_space import (
     StateSpace,
     recursion,
     scaled,
-    simulate_state_space,
     stabilised,
 )
 
@@ -182,22 +181,6 @@ def _error(
         run = x @ c.T + piece.u @ rest.d.T + rest.output_offset[None]
         total += float(np.sum((run - piece.y) ** 2))
     return total
-
-
-def simulation_error(
-    model: StateSpace,
-    u: Sequence[Any],
-    y: Sequence[Any],
-    valid: Sequence[Any] | None = None,
-) -> float:
-    """Mean square of what the valid outputs of all free runs are off, from the model's
-    own starting states."""
-    squares = []
-    for k, (one, other) in enumerate(zip(u, y, strict=True)):
-        good = slice(None) if valid is None else valid[k]
-        run = simulate_state_space(model, one, model.start[k])
-        squares.append(((run - other)[good] ** 2).ravel())
-    return float(np.concatenate(squares).mean())
 
 
 # The data --------------------------------------------------------------------------
@@ -358,8 +341,8 @@ def _windows(pieces: Sequence[Segment], rows: int) -> Iterator[np.ndarray]:
         inputs = piece.u.shape[1]
         z = np.concatenate([piece.u, piece.y], axis=1)
         every = np.lib.stride_tricks.sliding_window_view(z, 2 * rows, axis=0)
-        for start in range(0, len(every), BLOCK_ROWS):
-            w = every[start : start + BLOCK_ROWS].transpose(0, 2, 1)
+        for start in range(0, len(every), ROWS_AT_ONCE):
+            w = every[start : start + ROWS_AT_ONCE].transpose(0, 2, 1)
             u, y = w[..., :inputs], w[..., inputs:]
             parts = (u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:])
             flat = [p.reshape(len(w), -1) for p in parts]

@@ -1,6 +1,6 @@
 """Training of networks on simulation error; their stability and their uncertainty."""
 
-from jaxnarx.arrays import Judged
+from jaxnarx.arrays import ValidationScore
 from jaxnarx.refinement._bands import Bands, bands
 from jaxnarx.refinement._refine import make_task as make_task
 from jaxnarx.refinement._refine import refine
@@ -17,7 +17,6 @@ from jaxnarx.refinement._stability import (
 from jaxnarx.refinement._stages import Stage, stages
 from jaxnarx.refinement._uncertainty import Uncertainty, uncertainty
 from jaxnarx.refinement.criterion import squares
-from jaxnarx.refinement.guard import Guard
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.normal import normal_equations as normal_equations
 from jaxnarx.refinement.problem import Problem
@@ -25,12 +24,13 @@ from jaxnarx.refinement.sensitivity import linearised as linearised
 from jaxnarx.refinement.sensitivity import seen_history as seen_history
 from jaxnarx.refinement.starts import FEEDBACK_FACTORS as FEEDBACK_FACTORS
 from jaxnarx.refinement.starts import shrunk as shrunk
+from jaxnarx.refinement.validation import Validator
 
 __all__ = [
     "Bands",
     "Certificate",
-    "Guard",
-    "Judged",
+    "Validator",
+    "ValidationScore",
     "Layout",
     "Problem",
     "Stability",

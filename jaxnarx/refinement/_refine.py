@@ -202,8 +202,8 @@ def refine_task(
     def judge(rest: Task, judged: Task) -> np.ndarray:
         one = search(rest, judged)
         _solve(one)
-        own = [row for row in one.history.rows if row.get("start", "") == one.winner]
-        return curve(one.first.judged.told, own, one.total)
+        own = [row for row in one.log.history if row.get("start", "") == one.winner]
+        return curve(one.first.score.on_host, own, one.total)
 
     folds = divided(task, left_out, layout.base.history, guard)
     limit, scores = best_position(folds, judge)

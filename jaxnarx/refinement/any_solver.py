@@ -13,24 +13,26 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import (
+    DIVERGED,
+    OK,
+    STALLED,
     AbstractMethod,
     AbstractState,
     LevenbergState,
-    chosen,
     plain,
     program,
+    select_tree,
     twin,
 )
 from jaxnarx.refinement.problem import Problem
-from jaxnarx.solution import NAMES
 
 TRIALS = 40
 """Steps of a solver without a new point, at most."""
-OK, STALLED, DIVERGED = map(NAMES.index, ("ok", "stalled", "diverged"))
 
 
 class ScaledLoss(eqx.Module):
@@ -96,6 +98,10 @@ class SolverState(AbstractState):
     """Where a solver stands: in scaled coordinates `w`, with the arrays of its own
     state, and whether it says that it is done."""
 
+    minimised: Float[Array | np.ndarray, ""]
+    gain: Float[Array | np.ndarray, ""]
+    damping: Float[Array | np.ndarray, ""]
+    status: Int[Array | np.ndarray, ""]
     at: Float[Array, " params"]
     value: Float[Array, ""]
     w: Float[Array, " params"]
@@ -130,7 +136,7 @@ def reached(scaled: ScaledLoss, s: SolverState, w, inner, done) -> SolverState:
     gain = jnp.where(s.minimised > 0, 1.0 - total / s.minimised, 0.0)
     figures = total, gain, jnp.zeros_like(s.damping), s.status
     new = SolverState(*figures, u, value, w, inner, done)
-    new = chosen(jnp.isfinite(value), new, s)
+    new = select_tree(jnp.isfinite(value), new, s)
     status = jnp.where(jnp.isfinite(value), OK, DIVERGED).astype(s.status.dtype)
     return eqx.tree_at(lambda s: s.status, new, status)
 
@@ -189,7 +195,9 @@ class AnySolver(AbstractMethod):
         return jax.lax.cond(
             moved,
             lambda: reached(self.scaled, s, w, inner, done),
-            lambda: dataclasses.replace(s, w=w, inner=inner, done=done, status=stalled),
+            lambda: dataclasses.replace(
+                s, w=w, inner=inner, done=s.done | done, status=stalled
+            ),
         )
 
     def has_arrived(self, s: SolverState) -> Bool[Array, ""]:

@@ -5,18 +5,17 @@ from collections.abc import Callable
 import numpy as np
 
 from jaxnarx.arrays import (
-    Course,
     Driver,
-    History,
-    Judged,
     Levenberg,
     Progress,
+    SearchLog,
+    SearchState,
     StepFigures,
-    begin_course,
+    StoppingRules,
     begin_levenberg,
+    begin_search,
+    evaluate_at,
     plain,
-    rules,
-    value_at,
 )
 from jaxnarx.methods import PredictionError
 from jaxnarx.models import Network
@@ -41,42 +40,42 @@ def refine_prediction(
     """
     task, guard = task.one_step(), guard.one_step()
     start = np.asarray(layout.gather(layout.base))
-    judge = plain(make_problem(layout, guard, 1)).loss
-    first = Judged(np.asarray(False), np.asarray(value_at(judge, start)))
-    history = History(first, progress)
-    course = begin_course(begin_levenberg(start), first)
+    validate = plain(make_problem(layout, guard, 1)).loss
+    loss = np.asarray(evaluate_at(validate, start))
+    log = SearchLog(loss, progress)
     problem = make_problem(layout, task, 1, ridge=method.ridge, prior=prior)
-    course, status = _search(course, history, layout, problem, judge, method)
-    best = course.best
-    detail = f"one-step loss {history.start:.4g} -> {float(best.judged.loss):.4g}"
+    search = begin_search(begin_levenberg(start), loss)
+    search, status = _minimised(search, log, layout, problem, validate, method)
+    best = search.best
+    detail = f"one-step loss {log.start_loss:.4g} -> {float(best.score.loss):.4g}"
     network = layout.place(np.asarray(best.u))
-    stats = history.stats(status, best.judged, layout.parameters)
+    stats = log.stats(status, best.score, layout.parameters)
     return Solution(network, status, stats, detail)
 
 
-def _search(
-    course: Course,
-    history: History,
+def _minimised(
+    search: SearchState,
+    log: SearchLog,
     layout: Layout,
     problem: Problem,
-    judge: Callable,
+    validate: Callable,
     method: PredictionError,
-) -> tuple[Course, RESULTS]:
+) -> tuple[SearchState, RESULTS]:
     """Solve for the coefficients, then move the partition."""
-    start = np.asarray(course.best.u)
+    start = np.asarray(search.best.u)
     part, informed = separable(problem, layout.coefficients(), start)
     if not informed:
-        return course, RESULTS.unidentifiable
+        return search, RESULTS.unidentifiable
 
-    def note(now: StepFigures) -> None:
-        done = len(history.rows) + 1
+    def report(now: StepFigures) -> None:
+        done = len(log.history) + 1
         where = {"of": method.max_steps + 1, "done": done, "stage": "one step"}
-        history.note(now, **where, horizon=1, stage_step=done)
+        log.add(now, **where, horizon=1, stage_step=done)
 
-    ends = rules(method.tolerance, patience=method.patience)
-    driver = Driver(Levenberg(part), judge, ends)
-    course, begun = driver.start(course)
-    note(begun._replace(damping=0.0))
+    rules = StoppingRules(method.tolerance, method.patience)
+    driver = Driver(Levenberg(part), validate, rules)
+    search, begun = driver.start(search)
+    report(begun._replace(damping=0.0))
     if not part.outer.size:
-        return course, RESULTS.ok
-    return driver.minimise(course, method.max_steps, note)
+        return search, RESULTS.ok
+    return driver.minimise(search, method.max_steps, report)

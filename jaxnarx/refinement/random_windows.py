@@ -17,7 +17,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import AbstractMethod, LevenbergState, twin
+from jaxnarx.arrays import UNIDENTIFIABLE, AbstractMethod, LevenbergState, twin
 from jaxnarx.models import depth
 from jaxnarx.refinement.any_solver import (
     ScaledLoss,
@@ -28,11 +28,9 @@ from jaxnarx.refinement.any_solver import (
 )
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.simulation import RunInputs, run
-from jaxnarx.solution import NAMES
 
 UPDATES = 25
 """Updates in one step of the stage, between two looks at the whole loss."""
-UNIDENTIFIABLE = NAMES.index("unidentifiable")
 CLIP = 1.0
 """Largest norm of a gradient, in scaled parameters."""
 
@@ -72,6 +70,11 @@ def batch_loss(
     return value / s.height
 
 
+def clipped(optimiser: optax.GradientTransformation) -> optax.GradientTransformation:
+    """With gradients of bounded size. Made where it is used: two are never equal."""
+    return optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
+
+
 class Moments(eqx.Module):
     """The optimiser's own state, and the key of the next batches."""
 
@@ -87,8 +90,8 @@ class RandomWindows(AbstractMethod):
     scaled: ScaledLoss
     windows: Int[Array, "windows 2"]
     share: Float[Array, ""]
-    length: int
-    batch: int
+    length: int = eqx.field(static=True)
+    batch: int = eqx.field(static=True)
 
     @property
     def nameless(self) -> "RandomWindows":
@@ -107,7 +110,7 @@ class RandomWindows(AbstractMethod):
             at = jax.random.choice(key, self.windows, (self.batch,), axis=0)
             gradient = jax.grad(batch_loss)(w, self.scaled, at, self.share, self.length)
             with jax.numpy_dtype_promotion("standard"):
-                step, moments = self.optimiser.update(gradient, moments, w)
+                step, moments = clipped(self.optimiser).update(gradient, moments, w)
             return (w + step, moments), None
 
         start, keys = (s.w, s.inner.optimiser), jax.random.split(now, UPDATES)
@@ -137,8 +140,9 @@ def random_windows(
     counted = np.any(np.asarray(problem.weight) > 0, axis=2)[record, start]
     at = np.stack([record, start], axis=1)[inside & counted]
     share = jnp.asarray(len(at) / batch, problem.weight.dtype)
-    optimiser = optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
     own = scaled(problem, s)
     method = RandomWindows(optimiser, own, jnp.asarray(at), share, length, batch)
     w = jnp.zeros_like(own.origin)
-    return method, begin_solver(s, w, Moments(optimiser.init(w), jax.random.key(seed)))
+    return method, begin_solver(
+        s, w, Moments(clipped(optimiser).init(w), jax.random.key(seed))
+    )

@@ -10,25 +10,26 @@ import numpy as np
 from jaxnarx.arrays import (
     NEVER,
     Driver,
-    History,
-    JudgedPoint,
+    Incumbents,
     Levenberg,
     Progress,
-    Standing,
+    ScoredPoint,
+    SearchLog,
     StepFigures,
-    begin_course,
+    StoppingRules,
     begin_levenberg,
-    offer,
-    rules,
+    begin_search,
+    evaluate_at,
+    update_incumbents,
 )
 from jaxnarx.errors import SpecError
 from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement._stages import Stage
-from jaxnarx.refinement.guard import Judged, judged, make_guard
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem, restraint
 from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.validation import make_validator
 from jaxnarx.solution import RESULTS, Solution
 
 
@@ -55,10 +56,11 @@ def takes_windows(solver: Any) -> bool:
 
 
 class Search:
-    """One refinement, judged by whether a free run diverges and by its loss.
+    """One refinement, validated by whether a free run diverges and by its loss.
 
     `limit` ends it at that position of the schedule, as cross-validation asks. `names`
-    are those of the attempts, by number; the first is the start itself.
+    are those of the attempts, by number; number 0 is the start itself, and the first
+    attempt from there has no name either.
     """
 
     def __init__(
@@ -78,14 +80,14 @@ class Search:
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
         self.limit = limit
-        self.guard = make_guard(layout, guard, trained=guard is task)
+        self.validate = make_validator(layout, guard, trained=guard is task)
         self.still = layout.partition()
         self.start = np.asarray(layout.gather(layout.base))
         # Entries near their limits are placed a little off them: the network itself.
-        first = judged(self.guard, self.start)
-        self.history = History(first, progress)
-        self.course = begin_course(begin_levenberg(self.start), first)
-        self.first = self.course.best
+        first = evaluate_at(self.validate, self.start)
+        self.log = SearchLog(first, progress)
+        self.state = begin_search(begin_levenberg(self.start), first)
+        self.first = self.state.best
         self.passed, self.names = 0, [""]
         self.last = next(iter(schedules.values()))[-1]
         self.total = max(sum(s.steps for s in one) for one in schedules.values())
@@ -93,57 +95,55 @@ class Search:
     @property
     def start_diverged(self) -> bool:
         """Whether the start does."""
-        return bool(self.first.judged.diverged)
+        return bool(self.first.score.diverged)
 
     @property
     def diverged(self) -> bool:
         """Whether the best so far does."""
-        return bool(self.course.best.judged.diverged)
+        return bool(self.state.best.score.diverged)
 
     @property
     def score(self) -> float:
         """The best loss so far."""
-        return float(self.course.best.judged.loss)
+        return float(self.state.best.score.loss)
 
     @property
     def winner(self) -> str:
         """The name of the attempt that has found it; the start has none."""
-        return self.names[int(self.course.best.attempt)]
+        return self.names[int(self.state.best.attempt)]
 
     def run(self, way: str, starts: Sequence[tuple[str, np.ndarray]]) -> RESULTS:
         """One schedule: all stages but the last from every start, the last from the
         best network so far by the guard, or, where none runs, from the first's end.
         """
         *before, last = self.schedules[way]
-        standing = eqx.tree_at(lambda s: s.lead, self.course.standing, self.first)
+        found = eqx.tree_at(lambda i: i.lead, self.state.incumbents, self.first)
         status, end = RESULTS.ok, None
         for name, u in starts:
             self.passed, attempt = 0, len(self.names)
             self.names.append(name)
             if u is not self.start:
-                here = JudgedPoint(u, self.judge(u), np.asarray(attempt))
-                standing = offer(standing, here)
-            self._follow(standing, attempt)
+                score = evaluate_at(self.validate, u)
+                here = ScoredPoint(u, score, np.asarray(attempt))
+                found = update_incumbents(found, here)
+            self._follow(found, attempt)
             for stage in before:
                 u, status = self.stage(u, stage)
                 self.passed += stage.steps
-            standing = self.course.standing
+            found = self.state.incumbents
             end = (u, attempt) if end is None else end
         assert end is not None
-        lead, (u, attempt) = standing.lead, end
-        if not lead.judged.diverged:
+        lead, (u, attempt) = found.lead, end
+        if not lead.score.diverged:
+            # From the start itself goes the first attempt: 0 is left to it alone.
             u, attempt = np.asarray(lead.u), max(int(lead.attempt), 1)
-        self._follow(standing, attempt)
+        self._follow(found, attempt)
         self.passed = self.total - last.steps
         return status if before and not last.steps else self.stage(u, last)[1]
 
-    def _follow(self, standing: Standing, attempt: int) -> None:
-        new = {"standing": standing, "attempt": np.asarray(attempt)}
-        self.course = dataclasses.replace(self.course, **new)
-
-    def judge(self, u: np.ndarray) -> Judged:
-        """What the guard says of a point."""
-        return judged(self.guard, u)
+    def _follow(self, found: Incumbents, attempt: int) -> None:
+        new = {"incumbents": found, "attempt": np.asarray(attempt)}
+        self.state = dataclasses.replace(self.state, **new)
 
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
         """The loss of a stage, with the restraint that suits the network at `u`."""
@@ -159,27 +159,27 @@ class Search:
             shrink=self.method.shrink,
         )
 
-    def driver(self, u: np.ndarray, stage: Stage) -> Driver:
-        """That of a stage; the course has taken stock of its start."""
+    def begin_stage(self, u: np.ndarray, stage: Stage) -> Driver:
+        """Evaluate the start of a stage; returns its driver."""
         # Batches are noisy: their loss may rest for a while.
         noisy = takes_windows(self.solver)
-        ends = rules(
+        rules = StoppingRules(
             -np.inf if noisy else self.method.tolerance,
-            patience=self.method.patience if stage is self.last else NEVER,
+            self.method.patience if stage is self.last else NEVER,
         )
         problem = self.problem(u, stage)
-        driver = Driver(Levenberg(problem), self.guard, ends)
-        begun = dataclasses.replace(self.course, state=begin_levenberg(u))
-        self.course, start = driver.start(begun, look=False)
-        if self.solver is None or start.status != "ok":
+        driver = Driver(Levenberg(problem), self.validate, rules)
+        begun = dataclasses.replace(self.state, state=begin_levenberg(u))
+        self.state, start = driver.start(begun, look=False)
+        if self.solver is None or start.status_name != "ok":
             return driver
         method, state = self.own_solver(problem, stage)
-        self.course = dataclasses.replace(self.course, state=state)
-        return Driver(method, self.guard, ends)
+        self.state = dataclasses.replace(self.state, state=state)
+        return Driver(method, self.validate, rules)
 
     def own_solver(self, problem: Problem, stage: Stage) -> tuple[Any, Any]:
         """The method of the user's solver, and where it begins."""
-        start = self.course.state
+        start = self.state.state
         if not takes_windows(self.solver):
             from jaxnarx.refinement.any_solver import any_solver
 
@@ -197,32 +197,32 @@ class Search:
             steps = min(steps, self.limit - self.passed)
         if steps <= 0:
             return u, RESULTS.budget_spent
-        driver, first = self.driver(u, stage), len(self.history.rows)
-        name = self.names[int(self.course.attempt)]
+        driver, first = self.begin_stage(u, stage), len(self.log.history)
+        name = self.names[int(self.state.attempt)]
 
         def note(now: StepFigures) -> None:
-            n = len(self.history.rows) - first + 1
+            n = len(self.log.history) - first + 1
             where: dict[str, Any] = {"of": self.total, "done": self.passed + n}
             where["stage"] = "full record" if horizon is None else f"{horizon} samples"
-            self.history.note(now, name=name, **where, horizon=horizon, stage_step=n)
+            self.log.add(now, name=name, **where, horizon=horizon, stage_step=n)
 
-        self.course, status = driver.minimise(self.course, steps, note)
-        return np.asarray(self.course.state.u), status
+        self.state, status = driver.minimise(self.state, steps, note)
+        return np.asarray(self.state.state.u), status
 
     def solution(self, status: RESULTS) -> Solution[Network]:
         """The best network, and how it was found."""
         # Entries near their limits return a little off them: the start stays as it is.
-        best = self.course.best
+        best = self.state.best
         u, same = np.asarray(best.u), int(best.attempt) == 0
         network = self.layout.base if same else self.layout.place(u)
-        detail = f"free-run loss {self.history.start:.4g} -> {self.score:.4g}"
+        detail = f"free-run loss {self.log.start_loss:.4g} -> {self.score:.4g}"
         if self.diverged:
             status = RESULTS.start_diverged if self.start_diverged else status
             detail += "; no better network was found that runs within its bounds"
         elif self.start_diverged:
             way = self.winner or "growing horizons"
             detail += f"; the start diverged, {way} led to one that does not"
-        stats = self.history.stats(status, best.judged, self.layout.parameters)
+        stats = self.log.stats(status, best.score, self.layout.parameters)
         stats |= {
             "start_diverged": self.start_diverged,
             "remedy": self.winner if self.start_diverged else "",

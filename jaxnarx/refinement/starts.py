@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.arrays import program
+from jaxnarx.arrays import evaluate_at, program
 from jaxnarx.models import Network, fed_back
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem
@@ -101,7 +101,7 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
         )
     for factor in FEEDBACK_FACTORS:
         u = np.asarray(shrunk(layout, jnp.asarray(search.start), factor))
-        if not search.judge(u).diverged:
+        if not evaluate_at(search.validate, u).diverged:
             yield f"feedback shrunk to {factor:g}", u
             break
     rng = np.random.default_rng(search.method.seed)

@@ -16,7 +16,6 @@ from jaxnarx.linear import (
     StateSpace,
     chain_model,
     identify_subspace,
-    simulation_error,
     subspace_models,
 )
 
@@ -66,7 +65,7 @@ def linear_order(data: Dataset, output: str, most: int) -> int | None:
         models = subspace_models(orders=range(1, most + 1), **every)
     except JaxnarxError:
         return None
-    errors = {n: simulation_error(model, **every) for n, model in models.items()}
+    errors = {n: model.free_run_error(**every) for n, model in models.items()}
     least = min(errors.values())
     return min(n for n, error in errors.items() if error <= SLACK**2 * least)
 

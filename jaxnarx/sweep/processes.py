@@ -27,8 +27,8 @@ SILENT = logging.CRITICAL + 1
 
 _ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 _POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+_WAIT = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _SETTINGS = {
-    "distributed.deploy.lost-worker-timeout": "1 day",  # a new one may be slow to start
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.no-workers-timeout": "5 minutes",
     "distributed.scheduler.worker-ttl": None,  # a compilation may keep Python waiting
@@ -69,11 +69,12 @@ def compute_in_processes(
 
 @contextlib.contextmanager
 def _cluster(workers: int) -> Iterator[Client]:
-    """A cluster of new processes; dask is set as it was when they have ended."""
+    """A cluster of new processes; while they live, dask waits for a lost one's
+    successor however long it takes to start."""
     with contextlib.ExitStack() as stack:
-        # Not only while they start: how long a lost one is waited for is asked then.
-        stack.enter_context(dask.config.set(_SETTINGS))
-        with _deaf():
+        # This dask reads when a process is lost, the others when the cluster begins.
+        stack.enter_context(dask.config.set(_WAIT))
+        with _deaf(), dask.config.set(_SETTINGS):
             cluster = _started(workers)
             stack.callback(_end, cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))

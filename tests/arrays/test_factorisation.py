@@ -13,7 +13,7 @@ def columns():
 
 
 def test_the_triangle_solves_as_the_rows_do_whatever_the_blocks(columns, monkeypatch):
-    monkeypatch.setattr(factorisation, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(factorisation, "ROWS_AT_ONCE", 7)
     r = triangle(columns.T)
     assert r.shape == (4, 4)
     np.testing.assert_allclose(r.T @ r, columns.T @ columns, rtol=1e-12, atol=1e-12)

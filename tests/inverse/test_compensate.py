@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inverse_problems import plant, recorded
 
-from jaxnarx.arrays import value_at
+from jaxnarx.arrays import evaluate_at
 from jaxnarx.arrays.programs import plain
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse import cascade, compensate
@@ -42,7 +42,7 @@ def problem(case):
 def test_the_gradient_equals_central_differences(problem):
     found, layout = problem
     u = np.asarray(layout.gather(layout.base))
-    linear, loss = value_at(found.linear, u), partial(value_at, found.loss)
+    linear, loss = evaluate_at(found.linear, u), partial(evaluate_at, found.loss)
     step = 1e-6
     for n in range(len(u)):
         move = step * np.eye(len(u))[n]
@@ -57,7 +57,7 @@ def test_the_gradient_equals_central_differences(problem):
 def test_the_normal_equations_are_those_of_the_residuals(problem):
     found, layout = problem
     u = np.asarray(layout.gather(layout.base))
-    linear = value_at(found.linear, u)
+    linear = evaluate_at(found.linear, u)
     gram, gradient, loss = 0.0, 0.0, 0.0
 
     def residuals(p, record):

@@ -20,7 +20,7 @@ from linear_problems import (
     records,
 )
 
-from jaxnarx.arrays import value_at
+from jaxnarx.arrays import evaluate_at
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem
@@ -141,10 +141,10 @@ def test_stability_by_steps_down_is_that_of_the_roots(order):
 def test_the_derivative_is_that_of_central_differences():
     """By parameters and initial states, across samples that are not known."""
     problem, u = scaled_problem("BJ")
-    found = jax.device_get(value_at(problem.linear, u))
+    found = jax.device_get(evaluate_at(problem.linear, u))
 
     def loss(u) -> float:
-        return float(value_at(problem.loss, u))
+        return float(evaluate_at(problem.loss, u))
 
     assert found.loss == pytest.approx(loss(u), rel=1e-12)
     step = 1e-6
@@ -171,7 +171,7 @@ def test_gauss_newton_matrix_is_that_of_the_innovations():
         step[n] = 1e-6
         columns.append((e(u + step) - e(u - step)) / 2e-6)
     j = np.stack(columns, axis=1)
-    gram = value_at(problem.linear, u).gram
+    gram = evaluate_at(problem.linear, u).gram
     np.testing.assert_allclose(
         gram, j.T @ j, rtol=1e-6, atol=1e-6 * np.abs(j).max() ** 2
     )
@@ -248,7 +248,7 @@ def test_reflection_keeps_the_magnitude():
 def test_unstable_polynomials_are_no_step():
     problem, u = scaled_problem("BJ")
     u[2] = 1.2
-    assert value_at(problem.loss, u) == np.inf
+    assert evaluate_at(problem.loss, u) == np.inf
 
 
 @pytest.mark.parametrize("method", [ARX(1, 2, 1), OutputError(1, 1)])

@@ -100,8 +100,8 @@ def test_one_factorisation_gives_what_each_order_gives_alone():
 
 
 def test_the_triangle_in_blocks_is_that_of_the_whole_matrix(monkeypatch):
-    monkeypatch.setattr(factorisation, "BLOCK_ROWS", 17)
-    monkeypatch.setattr("jaxnarx.linear.subspace.BLOCK_ROWS", 17)
+    monkeypatch.setattr(factorisation, "ROWS_AT_ONCE", 17)
+    monkeypatch.setattr("jaxnarx.linear.subspace.ROWS_AT_ONCE", 17)
     us, ys = records()
     rows, dense = 3, []
     for u, y in zip(us, ys, strict=True):

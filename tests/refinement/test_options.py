@@ -27,14 +27,25 @@ from test_refine import (
     used,
 )
 
+from jaxnarx.arrays import (
+    Driver,
+    Levenberg,
+    StoppingRules,
+    advance,
+    begin_levenberg,
+    begin_search,
+)
 from jaxnarx.data import groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import freeze, refine
+from jaxnarx.refinement.any_solver import any_solver
 from jaxnarx.refinement.folds import curve, divided
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.refinement.problem import make_problem
+from jaxnarx.refinement.random_windows import random_windows
 from jaxnarx.refinement.starts import (
     one_step_least_squares,
     random_start,
@@ -178,6 +189,37 @@ def test_every_solver_comes_near_the_system(solver):
     assert solution.is_okay, solution.detail
     after = free_run_error(solution.value, measured, measured)
     assert after < before / (20 if solver == "windows" else 1e4)
+
+
+@pytest.mark.parametrize("name", ["dogleg", "windows"])
+def test_a_solver_makes_the_same_steps_inside_a_program(name):
+    truth, rules = common.named("one model", **SPARE), StoppingRules(0.0)
+    measured, start = made_by(truth), perturbed(truth, 0.1)
+    task, layout = make_task(start, measured)[0], make_layout(start, None, BAND)
+    problem = make_problem(layout, task, 8)
+    driver = Driver(Levenberg(problem), None, rules)
+    u = np.asarray(layout.gather(start))
+    begun, _ = driver.start(begin_search(begin_levenberg(u)))
+    if name == "windows":
+        options = {"batch": 4, "seed": 0}
+        found = random_windows(problem, begun.state, 8, SOLVERS[name], **options)
+    else:
+        found = any_solver(problem, begun.state, SOLVERS[name])
+    method, state = found
+    begun = dataclasses.replace(begun, state=state)
+
+    @eqx.filter_jit
+    def inside(method, search):
+        def step(_, search):
+            return advance(method, None, rules, search)
+
+        return jax.lax.fori_loop(0, 3, step, jax.tree.map(jnp.asarray, search))
+
+    end, _ = Driver(method, None, rules).minimise(begun, 3)
+    same = inside(method, begun)
+    assert int(end.steps) == int(same.steps) == 3
+    np.testing.assert_allclose(end.state.u, same.state.u, 1e-9)
+    assert float(end.state.loss) < float(begun.state.loss)
 
 
 def test_what_is_no_solver_is_refused():

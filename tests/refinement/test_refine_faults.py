@@ -30,10 +30,10 @@ from jaxnarx.arrays.levenberg import (
     DAMPING_LIMIT,
     DAMPING_START,
     AbstractProblem,
+    Levenberg,
     LevenbergState,
     Linear,
     begin_levenberg,
-    step,
 )
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
@@ -85,10 +85,10 @@ class Cliff(AbstractProblem):
 
 
 def first_step(problem: Cliff) -> LevenbergState:
-    one = eqx.filter_jit(step)
-    start = one(problem, begin_levenberg(np.zeros(1)))
+    one = eqx.filter_jit(Levenberg(problem).step)
+    start = one(begin_levenberg(np.zeros(1)))
     assert start.status == NAMES.index("ok") and start.linear.loss == 9.0
-    return one(problem, start)
+    return one(start)
 
 
 @pytest.mark.parametrize("beyond", [np.inf, np.nan, 1e6])

@@ -1,8 +1,9 @@
 """The refinement inside the program: the stages of Levenberg-Marquardt.
 
-What a step has reached is judged by the free run of the validation records, and the
-best by that judgement is the result: it is never worse there than the start. Problem,
-steps, judge and stops are those of `jaxnarx.refinement`, and so are the results.
+What a step has reached is scored by the free run of the validation records, and the
+best by that score is the result: it is never worse there than the start. Problem and
+validation are those of `jaxnarx.refinement`, steps and stopping rules those of
+`jaxnarx.arrays`, and so the results are the verb's.
 """
 
 import dataclasses
@@ -15,23 +16,23 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import (
     NEVER,
-    Course,
-    Judged,
     Levenberg,
+    SearchState,
+    StoppingRules,
+    ValidationScore,
     advance,
     begin_anew,
-    begin_course,
     begin_levenberg,
-    chosen,
-    rules,
+    begin_search,
+    select_tree,
 )
 from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import (
     FEEDBACK_FACTORS,
-    Guard,
     Layout,
     Problem,
     Stage,
+    Validator,
     shrunk,
     squares,
     stages,
@@ -65,12 +66,14 @@ class TrainingData(eqx.Module):
     staged: Bool[Array, ""]
 
     @property
-    def judge(self) -> Guard:
+    def validate(self) -> Validator:
         """The free run of the records that judge."""
         own, part = squares(1, self.weight.dtype), self.guard_part
         anchor, weight = jnp.asarray(first_anchor(part)), self.guard_weight
         start = jnp.asarray(part.start)
-        return Guard(self.layout, self.guard, anchor, start, counted(part), weight, own)
+        return Validator(
+            self.layout, self.guard, anchor, start, counted(part), weight, own
+        )
 
     def problem(self, turn: "Turn", ridge: Float[Array, ""]) -> Problem:
         """The loss of the stage that a turn belongs to."""
@@ -101,8 +104,8 @@ class Trained(eqx.Module):
     """
 
     u: Float[Array, " params"]
-    start: Judged
-    best: Judged
+    start: ValidationScore
+    best: ValidationScore
     accepted: Int[Array, ""]
     loss: Float[Array, " turns"]
     judged: Float[Array, " turns"]
@@ -145,8 +148,8 @@ def train(
     """Run the whole schedule from `u`, and where nothing that runs is found, once more
     with shrunk feedback.
     """
-    start = ground.judge(u)
-    begin = begin_course(begin_levenberg(u), start)
+    start = ground.validate(u)
+    begin = begin_search(begin_levenberg(u), start)
     begin = jax.tree.map(jnp.asarray, begin)
     made = active(ground, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
@@ -161,7 +164,7 @@ def train(
             lambda: c,
             lambda: advanced(ground, c, turn, settings),
         )
-        reached = c.best.judged.loss
+        reached = c.best.score.loss
         return c, loss.at[at].set(c.state.loss), judged.at[at].set(reached)
 
     def attempt(carry):
@@ -178,7 +181,7 @@ def train(
 
     history = jnp.full(made.shape, jnp.inf, u.dtype), jnp.full(made.shape, start.loss)
     _, factor, runs, end, *history = jax.lax.while_loop(
-        lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].best.judged.diverged & (count > 0)),
+        lambda c: (c[0] == 0) | ((c[0] == 1) & c[3].best.score.diverged & (count > 0)),
         attempt,
         (0, jnp.ones_like(start.loss), jnp.asarray(True), begin, *history),
     )
@@ -190,7 +193,7 @@ def train(
     )
     factor = jnp.where(runs, factor, 1.0)
     best = end.best
-    return Trained(best.u, start, best.judged, end.steps, loss, judged, factor)
+    return Trained(best.u, start, best.score, end.steps, loss, judged, factor)
 
 
 def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
@@ -202,7 +205,7 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
     def smaller(carry):
         n, _, _ = carry
         v = shrunk(ground.layout, u, factors[n])
-        return n + 1, v, ~ground.judge(v).diverged
+        return n + 1, v, ~ground.validate(v).diverged
 
     n, v, runs = jax.lax.while_loop(
         lambda c: ~c[2] & (c[0] < len(FEEDBACK_FACTORS)),
@@ -212,17 +215,16 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
     return factors[n - 1], v, runs
 
 
-def advanced(ground: TrainingData, c: Course, turn: Turn, settings: Settings) -> Course:
+def advanced(
+    ground: TrainingData, c: SearchState, turn: Turn, settings: Settings
+) -> SearchState:
     """One turn: the first of a stage takes stock, the others make a step."""
     fresh = turn.step == 0
     # The last stage begins at the best so far, unless nothing runs.
-    ahead = turn.last & ~c.best.judged.diverged
+    ahead = turn.last & ~c.best.score.diverged
     again = begin_anew(c.state, jnp.where(ahead, c.best.u, c.state.u))
-    c = dataclasses.replace(c, state=chosen(fresh, again, c.state))
-    ends = eqx.tree_at(
-        lambda r: (r.tolerance, r.patience),
-        rules(0.0),
-        (settings.tolerance, jnp.where(turn.last, settings.patience, NEVER)),
-    )
+    c = dataclasses.replace(c, state=select_tree(fresh, again, c.state))
+    patience = jnp.where(turn.last, settings.patience, NEVER)
+    rules = StoppingRules(settings.tolerance, patience)
     problem = ground.problem(turn, jnp.asarray(settings.ridge))
-    return advance(Levenberg(problem), ground.judge, ends, c)
+    return advance(Levenberg(problem), ground.validate, rules, c)

@@ -1,24 +1,24 @@
-"""The judge of a refinement: whether a free run diverges, and its loss."""
+"""Validation of a refinement: whether a free run diverges, and its loss."""
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import Judged, program, twin
+from jaxnarx.arrays import ValidationScore, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.task import Task
 from jaxnarx.simulation import RunInputs, begun, has_diverged, limited, run
 
 
-class Guard(eqx.Module):
-    """Judges networks by the free run of records, from their measured starts.
+class Validator(eqx.Module):
+    """Scores networks by the free run of records, from their measured starts.
 
     A record has diverged by its samples that are `counted`. Hidden channels begin with
     the values that the training has for its own records (`trained`): after a few steps
-    no window tells them well, and what would be judged is that; a state at its bound is
-    no reason to turn back there, the finished network is judged by its own run. On
+    no window tells them well, and what would be scored is that; a state at its bound is
+    no reason to turn back there, the finished network is scored by its own run. On
     other records they are estimated anew for every network, before the sample `start`
     of each.
     """
@@ -33,11 +33,11 @@ class Guard(eqx.Module):
     trained: bool = eqx.field(static=True, default=False)
 
     @property
-    def nameless(self) -> "Guard":
+    def nameless(self) -> "Validator":
         """That of the network without names, for programs."""
         return twin(self, layout=self.layout.nameless)
 
-    def __call__(self, u: Float[Array, " params"]) -> Judged:
+    def __call__(self, u: Float[Array, " params"]) -> ValidationScore:
         """Of the network with the parameters `u`."""
         network, drive = self.layout.place(u), self.drive
         if self.trained:
@@ -52,10 +52,10 @@ class Guard(eqx.Module):
         lost = jnp.any(has_diverged(held, counted))
         lost &= not self.trained
         finite = jnp.isfinite(value)
-        return Judged(lost | ~finite, jnp.where(finite, value, jnp.inf))
+        return ValidationScore(lost | ~finite, jnp.where(finite, value, jnp.inf))
 
 
-def make_guard(layout: Layout, task: Task, *, trained: bool = False) -> Guard:
+def make_validator(layout: Layout, task: Task, *, trained: bool = False) -> Validator:
     """Of the records of a task; those without a scored sample cannot diverge.
 
     `trained` where it is the task of the training itself.
@@ -63,7 +63,7 @@ def make_guard(layout: Layout, task: Task, *, trained: bool = False) -> Guard:
     masks, time = task.masks, np.arange(task.masks.anchors.shape[1])[None]
     counted = (time >= masks.start[:, None]) & (time < masks.end[:, None])
     counted &= np.any(masks.scored, axis=(1, 2))[:, None]
-    return Guard(
+    return Validator(
         layout,
         task.drive,
         task.anchors(None),
@@ -73,9 +73,3 @@ def make_guard(layout: Layout, task: Task, *, trained: bool = False) -> Guard:
         task.criterion,
         trained and layout.base.hidden > 0,
     )
-
-
-@program
-def judged(guard: Guard, u: Float[Array, " params"]) -> Judged:
-    """What the guard says of a point."""
-    return guard(u)
