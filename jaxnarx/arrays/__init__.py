@@ -31,7 +31,6 @@ from jaxnarx.arrays.iteration import StepFigures as StepFigures
 from jaxnarx.arrays.iteration import StoppingRules as StoppingRules
 from jaxnarx.arrays.iteration import ValidationScore as ValidationScore
 from jaxnarx.arrays.iteration import advance as advance
-from jaxnarx.arrays.iteration import as_score as as_score
 from jaxnarx.arrays.iteration import begin_search as begin_search
 from jaxnarx.arrays.iteration import evaluate_at as evaluate_at
 from jaxnarx.arrays.iteration import select_tree as select_tree

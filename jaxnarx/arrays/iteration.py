@@ -247,8 +247,8 @@ def evaluate_at(function: Callable, u: Any) -> Any:
 
 
 class StepFigures(NamedTuple):
-    """What a step has come to, in numbers of the host; `validation` and `diverged` are
-    the score, `status` is a code."""
+    """Figures of one step, as numbers of the host; `validation` and `diverged` are the
+    score, `status` is a code."""
 
     loss: float
     minimised: float
@@ -366,7 +366,7 @@ class SearchLog:
     def stats(
         self, status: RESULTS, best: ValidationScore, parameters: int
     ) -> dict[str, Any]:
-        """What every search tells in the end."""
+        """Figures that every search returns."""
         return {
             "history": self.history,
             "loss": float(best.loss),

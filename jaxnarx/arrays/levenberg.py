@@ -115,7 +115,7 @@ class Levenberg(AbstractMethod):
 
     @property
     def nameless(self) -> "Levenberg":
-        """That of the problem without names, for programs."""
+        """The same method without names of channels, for programs."""
         return twin(self, problem=plain(self.problem))
 
     def step(self, s: LevenbergState) -> LevenbergState:
@@ -160,7 +160,7 @@ def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
     fresh = s.status == NOT_RUN
     found = _descended(problem, s, fresh)
 
-    def taken() -> LevenbergState:
+    def accept() -> LevenbergState:
         linear = problem.linear(found.u)
         eased = jnp.maximum(found.damping / SHRINK, DAMPING_LEAST)
         value = jnp.where(fresh, linear.loss, found.value)
@@ -176,7 +176,7 @@ def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
             status=jnp.where(fresh, _outlook(linear), OK).astype(s.status.dtype),
         )
 
-    def stayed() -> LevenbergState:
+    def stay() -> LevenbergState:
         outlook = _outlook(s.linear)
         status = jnp.where(outlook == OK, STALLED, outlook).astype(s.status.dtype)
         return eqx.tree_at(
@@ -185,7 +185,7 @@ def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
             (found.damping, found.tried, status),
         )
 
-    return jax.lax.cond(found.lower, taken, stayed)
+    return jax.lax.cond(found.lower, accept, stay)
 
 
 def _outlook(linear: Linear) -> Int[Array, ""]:

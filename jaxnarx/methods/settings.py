@@ -73,10 +73,8 @@ def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
 
 def to_dict(tree: Any) -> dict[str, Any]:
     """The table of a tree, all of it; values that are no settings stay as they are."""
-    name = [n for n, k, told in METHOD_KINDS if k is type(tree) and _says(tree, told)][
-        -1:
-    ]
-    table: dict[str, Any] = {KIND_KEY: name[0]} if name else {}
+    known = [n for n, k, told in METHOD_KINDS if k is type(tree) and _says(tree, told)]
+    table: dict[str, Any] = {KIND_KEY: known[-1]} if known else {}
     for field in fields_of(type(tree)):
         value = getattr(tree, field)
         table[field] = to_dict(value) if _is_tree(value) else value

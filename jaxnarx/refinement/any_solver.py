@@ -46,7 +46,7 @@ class ScaledLoss(eqx.Module):
 
     @property
     def nameless(self) -> "ScaledLoss":
-        """That of the problem without names, for programs."""
+        """The same loss without names of channels, for programs."""
         return twin(self, problem=plain(self.problem))
 
     def place(self, w: Float[Array, " params"]) -> Float[Array, " params"]:
@@ -120,7 +120,7 @@ class SolverState(AbstractState):
 
 
 def begin_solver(s: Any, w: Float[Array, " params"], inner: Any) -> SolverState:
-    """From where Levenberg-Marquardt has taken stock."""
+    """The state before the first step, at the point that `s` has evaluated."""
     minimised, gain, status = map(jnp.asarray, (s.minimised, s.gain, s.status))
     figures = minimised, gain, jnp.zeros_like(gain), status
     here = jnp.asarray(s.u), jnp.asarray(s.loss)
@@ -149,7 +149,7 @@ class AnySolver(AbstractMethod):
 
     @property
     def nameless(self) -> "AnySolver":
-        """That of the problem without names, for programs."""
+        """The same method without names of channels, for programs."""
         return twin(self, scaled=self.scaled.nameless)
 
     @property
@@ -209,10 +209,10 @@ def any_solver(problem: Problem, s: LevenbergState, solver: Any):
     """The method of a solver, and where it begins."""
     method = AnySolver(solver, scaled(problem, s))
     w = jnp.zeros_like(method.scaled.origin)
-    inner = _begun(method, w)
+    inner = _begin(method, w)
     return method, begin_solver(s, w, inner)
 
 
 @program
-def _begun(method: AnySolver, w: Float[Array, " params"]) -> Any:
+def _begin(method: AnySolver, w: Float[Array, " params"]) -> Any:
     return eqx.filter(method.begin(w), eqx.is_array)

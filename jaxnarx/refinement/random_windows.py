@@ -95,7 +95,7 @@ class RandomWindows(AbstractMethod):
 
     @property
     def nameless(self) -> "RandomWindows":
-        """That of the problem without names, for programs."""
+        """The same method without names of channels, for programs."""
         return twin(self, scaled=self.scaled.nameless)
 
     def step(self, s: SolverState) -> SolverState:
@@ -131,8 +131,8 @@ def random_windows(
     batch: int,
     seed: int,
 ) -> tuple[RandomWindows, SolverState]:
-    """The method on windows of `length` samples, and where it begins: where
-    Levenberg-Marquardt has taken stock."""
+    """The method on windows of `length` samples, and its state at the point that `s`
+    has evaluated."""
     before, anchor = depth(problem.layout.base), np.asarray(problem.anchor)
     record, start = np.nonzero(anchor)
     # Windows must lie inside the padded records and hold something that counts.

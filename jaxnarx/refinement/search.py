@@ -200,13 +200,13 @@ class Search:
         driver, first = self.begin_stage(u, stage), len(self.log.history)
         name = self.names[int(self.state.attempt)]
 
-        def note(now: StepFigures) -> None:
+        def report(now: StepFigures) -> None:
             n = len(self.log.history) - first + 1
             where: dict[str, Any] = {"of": self.total, "done": self.passed + n}
             where["stage"] = "full record" if horizon is None else f"{horizon} samples"
             self.log.add(now, name=name, **where, horizon=horizon, stage_step=n)
 
-        self.state, status = driver.minimise(self.state, steps, note)
+        self.state, status = driver.minimise(self.state, steps, report)
         return np.asarray(self.state.state.u), status
 
     def solution(self, status: RESULTS) -> Solution[Network]:

@@ -218,7 +218,7 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
 def advanced(
     ground: TrainingData, c: SearchState, turn: Turn, settings: Settings
 ) -> SearchState:
-    """One turn: the first of a stage takes stock, the others make a step."""
+    """One turn: the first of a stage evaluates its start, the others make a step."""
     fresh = turn.step == 0
     # The last stage begins at the best so far, unless nothing runs.
     ahead = turn.last & ~c.best.score.diverged
