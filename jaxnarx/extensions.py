@@ -1,8 +1,8 @@
 """What other packages may add, by name: a registry for every kind.
 
 Each kind has its registry in the room it belongs to: `jaxnarx.models.VALIDITIES`,
-`jaxnarx.methods.SELECTORS` and `PARTITIONS`, `jaxnarx.identification.CANDIDATES`,
-`jaxnarx.engines.BEDS`, `jaxnarx.data.readers.KINDS` and `jaxnarx.targets.TARGETS`. A
+`jaxnarx.settings.SELECTORS` and `PARTITIONS`, `jaxnarx.identification.CANDIDATES`,
+`jaxnarx.engines.BEDS`, `jaxnarx.data.readers.KINDS` and `jaxnarx.exporters.TARGETS`. A
 package names the module that fills them as an entry point:
 
     [project.entry-points."jaxnarx.extensions"]

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods.anova import Anova
 from jaxnarx.regressors import Pool, polynomial_pool
 from jaxnarx.regressors.rows import Rows, regression_rows
 from jaxnarx.selection.anova.table import AnovaTable, anova
+from jaxnarx.settings.anova import Anova
 
 ROWS = 1200
 

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 
 from jaxnarx.data import Dataset, Fleet
-from jaxnarx.methods import (
+from jaxnarx.settings import (
     ForwardOLS,
     Identification,
     Lolimot,
     Polynomial,
     SimulationError,
 )
-from jaxnarx.methods.settings import replace_at
+from jaxnarx.settings.tree import replace_at
 
 METHOD = Identification(
     pool=Polynomial(input_lags=(0, 1), output_lags=(1, 2), degree=2),

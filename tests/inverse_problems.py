@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import Global
 from jaxnarx.models import Network
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
+from jaxnarx.settings import Global
 
 DEAD_TIME = 2
 """Samples from u to y of `plant`."""

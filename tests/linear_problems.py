@@ -4,7 +4,7 @@ import numpy as np
 import scipy.signal
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods.linear import ARMAX, ARX, BoxJenkins, GeneralLinear, OutputError
+from jaxnarx.settings.linear import ARMAX, ARX, BoxJenkins, GeneralLinear, OutputError
 
 B, DELAY = [100.0, 50.0], 2
 F = [1.0, -1.5, 0.7]

@@ -38,7 +38,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
     *("arrays", "selection", "simulation", "refinement", "partition", "models"),
-    *("output_error", "data"),
+    "data",
 )
 SWAPS: dict[type, str] = {
     ast.Lt: "<=",

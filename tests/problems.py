@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.partition import grow
 from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.settings import Global, Grid, Lolimot, SigmoidTree
 from jaxnarx.solution import Solution
 
 ROWS = 240

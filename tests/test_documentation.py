@@ -18,9 +18,9 @@ from test_architecture import RANK
 from tyro.conf import Positional
 
 import jaxnarx
-from jaxnarx import methods
+from jaxnarx import settings
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.methods.settings import replace_at
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.commands.flags import with_options
 from jaxnarx.shell.commands.parse import parse
@@ -108,7 +108,7 @@ def offered(room: str) -> set[str]:
 def test_every_setting_stands_in_the_reference_with_its_sentence():
     text = " ".join("\n".join(reference()["pages"].values()).split())
     text = re.sub(r"\{py:obj\}`([^`<]*?) <[^>]*>`", r"`\1`", text)
-    kinds: list[Any] = [getattr(methods, name) for name in methods.__all__]
+    kinds: list[Any] = [getattr(settings, name) for name in settings.__all__]
     count = 0
     for kind in kinds:
         if not hasattr(kind, "__dataclass_fields__"):

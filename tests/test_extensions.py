@@ -18,9 +18,9 @@ from jaxnarx.contracts.life import plant, pool
 from jaxnarx.data.readers import KINDS, Kind
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.extensions import Registry, load_packages
-from jaxnarx.methods import PARTITIONS, SELECTORS, Identification
-from jaxnarx.methods.settings import from_dict, replace_at
 from jaxnarx.models import Gaussians
+from jaxnarx.settings import PARTITIONS, SELECTORS, Identification
+from jaxnarx.settings.tree import from_dict, replace_at
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "extensions"
 
@@ -117,18 +117,18 @@ def test_an_unknown_name_is_told_with_the_known_ones(registered):
 
 PACKAGE = """
 import pathlib
-from jaxnarx.methods import SELECTORS
+from jaxnarx.settings import SELECTORS
 pathlib.Path(__file__).with_suffix(".loaded").touch()
 SELECTORS.register("theirs", lambda columns, output, weight: [0])
 """
 LOOK = """
 import pathlib, sys
 mark = pathlib.Path(sys.argv[1])
-import jaxnarx, jaxnarx.methods, jaxnarx.data
+import jaxnarx, jaxnarx.settings, jaxnarx.data
 from jaxnarx.data.readers import KINDS
 assert ".csv" in KINDS and not mark.exists(), "loaded at import"
-assert jaxnarx.methods.SELECTORS.get("nobody's") is None and mark.exists()
-assert "theirs" in jaxnarx.methods.SELECTORS.added
+assert jaxnarx.settings.SELECTORS.get("nobody's") is None and mark.exists()
+assert "theirs" in jaxnarx.settings.SELECTORS.added
 assert "jax" not in sys.modules
 """
 

@@ -14,10 +14,10 @@ from common import Y
 from jaxnarx.data import Dataset, Fold, Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse import inverse_data
-from jaxnarx.methods import ForwardOLS
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.regressors.rows import regression_rows
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS
 from jaxnarx.simulation import predict, simulate
 from jaxnarx.sweep import Fleet
 

@@ -11,13 +11,13 @@ from identify_problems import SMALL, engine, parts
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import identify
-from jaxnarx.methods import Identification, Polynomial
-from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import LowPass, polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import Identification, Polynomial
+from jaxnarx.settings.tree import replace_at
 
 
 @pytest.fixture(scope="module")

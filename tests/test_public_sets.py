@@ -40,8 +40,8 @@ def data() -> jnx.Dataset:
 @pytest.fixture(scope="module")
 def network(data) -> jnx.Network:
     """With one hidden state."""
-    method = jnx.methods.HiddenStates(states=1, degree=1, shrink=(0.1,), window=30)
-    return jnx.states.fit_states(data, method).value
+    method = jnx.settings.HiddenStates(states=1, degree=1, shrink=(0.1,), window=30)
+    return jnx.linear.fit_states(data, method).value
 
 
 @pytest.mark.slow

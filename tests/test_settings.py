@@ -6,9 +6,9 @@ import pydoc
 
 import pytest
 
-from jaxnarx import methods
+from jaxnarx import settings
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import (
+from jaxnarx.settings import (
     ForwardOLS,
     Given,
     Global,
@@ -23,7 +23,7 @@ from jaxnarx.methods import (
     SimulationOLS,
     StepwiseF,
 )
-from jaxnarx.methods.settings import (
+from jaxnarx.settings.tree import (
     METHOD_KINDS,
     by_path,
     fields_of,
@@ -157,8 +157,8 @@ def test_a_path_that_leads_nowhere_is_refused(path):
 
 def test_each_setting_is_declared_once_and_explained():
     """A field that a base class has is not written again by its kinds."""
-    for name in methods.__all__:
-        kind = getattr(methods, name)
+    for name in settings.__all__:
+        kind = getattr(settings, name)
         if "__dataclass_fields__" not in vars(kind):
             continue
         texts = field_texts(kind)

@@ -20,11 +20,11 @@ from jax.flatten_util import ravel_pytree
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import ForwardOLS, Global
 from jaxnarx.models import Network, run_record
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS, Global
 from jaxnarx.simulation import (
     has_diverged,
     make_drive,

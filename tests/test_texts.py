@@ -15,21 +15,21 @@ import pytest
 from common import some
 
 import jaxnarx as jnx
-from jaxnarx import methods
+from jaxnarx import settings
 from jaxnarx.texts import field_texts
 
 PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     f"{room}.{name}": getattr(getattr(jnx, room), name)
     for room in (
         *("data", "design", "evaluation", "inverse", "linear", "models"),
-        *("refinement", "regressors", "selection", "simulation", "states"),
-        *("targets", "trust"),
+        *("refinement", "regressors", "selection", "simulation"),
+        *("confidence", "exporters"),
     )
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__
 }
 KINDS = {
-    v for n in methods.__all__ if dataclasses.is_dataclass(v := getattr(methods, n))
+    v for n in settings.__all__ if dataclasses.is_dataclass(v := getattr(settings, n))
 }
 SETTINGS = {n: v for n, v in PUBLIC.items() if isinstance(v, type) and v in KINDS}
 FUNCTIONS = {n: v for n, v in PUBLIC.items() if inspect.isfunction(v)}
@@ -60,9 +60,9 @@ MAIN = (
 
 def test_every_setting_is_explained_in_help():
     unsaid = []
-    for name, settings in SETTINGS.items():
-        texts, help_ = field_texts(settings), settings.__doc__ or ""
-        for field in dataclasses.fields(settings):
+    for name, kind in SETTINGS.items():
+        texts, help_ = field_texts(kind), kind.__doc__ or ""
+        for field in dataclasses.fields(kind):
             text = texts.get(field.name, "")
             first = f"    {field.name}: {' '.join(text.split()[:2])}"
             if not text.endswith((".", ")")) or first not in help_:

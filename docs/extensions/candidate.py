@@ -6,8 +6,8 @@ A `Pool` is a table of integers: a row for every term, indices into [1, x_1 ... 
 import numpy as np
 
 from jaxnarx.identification import CANDIDATES
-from jaxnarx.methods import ForwardOLS, Identification, SimulationError
 from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.settings import ForwardOLS, Identification, SimulationError
 
 
 def powers(data, output, lags, degree):

@@ -9,7 +9,7 @@ import json
 
 import numpy as np
 
-from jaxnarx.targets import DOUBLE, TARGETS, Instance, Target, worst
+from jaxnarx.exporters import DOUBLE, TARGETS, Instance, Target, worst
 
 
 def write(program, golden) -> dict[str, str | bytes]:

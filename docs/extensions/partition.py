@@ -5,8 +5,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.methods import PARTITIONS
 from jaxnarx.models import Gaussians
+from jaxnarx.settings import PARTITIONS
 
 
 @dataclasses.dataclass(frozen=True)

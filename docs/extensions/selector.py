@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxnarx.methods import SELECTORS
+from jaxnarx.settings import SELECTORS
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import tyro
 
-from jaxnarx.methods.description import DESCRIPTION
+from jaxnarx.settings.description import DESCRIPTION
 from jaxnarx.shell.commands import COMMANDS, help_of
 from jaxnarx.shell.commands.flags import with_options
 

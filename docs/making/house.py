@@ -8,14 +8,14 @@ from names import PACKAGE
 FLOORS = {
     "4 the shell": ["shell", "contracts"],
     "3 verbs": [
-        *("sweep", "identification", "states"),
-        *("linear", "inverse", "design", "evaluation", "output_error", "targets"),
-        *("partition", "selection", "trust", "refinement", "simulation"),
+        *("sweep", "identification"),
+        *("linear", "inverse", "design", "evaluation", "exporters"),
+        *("partition", "selection", "confidence", "refinement", "simulation"),
     ],
     "2 data and models": ["models", "regressors", "excitation", "data", "engines"],
     "1 arrays": ["arrays", "metrics"],
     "ground": [
-        *("solution", "methods", "shown", "texts", "extensions"),
+        *("solution", "settings", "shown", "texts", "extensions"),
         *("checks", "child_process", "files", "guard", "errors"),
     ],
 }

@@ -59,7 +59,7 @@ def public() -> tuple[Name, ...]:
     }
     places = [(f"jaxnarx.{n}", home[n], getattr(jaxnarx, n)) for n in jaxnarx.__all__]
     # The settings of special ends are offered where they belong, and all together.
-    for room in sorted(ROOMS, key=lambda room: room == "methods"):
+    for room in sorted(ROOMS, key=lambda room: room == "settings"):
         module = importlib.import_module(f"jaxnarx.{room}")
         places += [
             (f"jaxnarx.{room}.{n}", room, getattr(module, n)) for n in offered(room)
@@ -83,8 +83,8 @@ def described(value: Any) -> bool:
 def modules_of(names: Iterable[Name]) -> list[str]:
     """The pages in the order in which an identification needs them."""
     order = (
-        "identification data regressors methods selection partition simulation "
-        "refinement trust evaluation metrics models targets shell states linear "
+        "identification data regressors settings selection partition simulation "
+        "refinement confidence evaluation metrics models exporters shell linear "
         "inverse design excitation engines sweep solution errors"
     ).split()
     pages = {name.page for name in names}

@@ -16,7 +16,7 @@ TITLES = {
     "shell": "plot: figures",
     "solution": "solution: statuses",
     "errors": "errors",
-    "targets": "targets: export",
+    "exporters": "exporters: export",
 }
 
 

@@ -154,10 +154,10 @@ def measured(samples: int, rounds: int) -> dict[str, Any]:
     import numpy as np
 
     jax.config.update("jax_enable_x64", True)
+    from jaxnarx.exporters import export, lower
+    from jaxnarx.exporters.fmu.prove import fmu_runner
+    from jaxnarx.exporters.runners import c_runner
     from jaxnarx.simulation import simulate
-    from jaxnarx.targets import export, lower
-    from jaxnarx.targets.fmu.prove import fmu_runner
-    from jaxnarx.targets.runners import c_runner
 
     net, data, by_hand = network_and_data(samples)
     begin = time.perf_counter()

@@ -60,7 +60,7 @@ def run_digits() -> dict[str, Any]:
 
     jax.config.update("jax_enable_x64", True)
     from jaxnarx.linear.regression import least_squares
-    from jaxnarx.methods.least_squares import LeastSquares
+    from jaxnarx.settings.least_squares import LeastSquares
 
     rows: dict[str, Any] = {}
     for name, case in problems().items():
@@ -164,7 +164,7 @@ def run_adapt(samples: int, repeats: int) -> dict[str, Any]:
     jax.config.update("jax_enable_x64", True)
     from jaxnarx import Dataset, Global, grow, polynomial_pool
     from jaxnarx.linear._adapt import adapt
-    from jaxnarx.methods.least_squares import Recursive
+    from jaxnarx.settings.least_squares import Recursive
 
     rng = np.random.default_rng(1)
     u, y = rng.normal(size=samples), np.zeros(samples)

@@ -78,8 +78,8 @@ def write(path: Path, samples: int, count: int) -> dict[str, Any]:
     method = jnx.Lolimot(scheduling=["speed[t]", "load[t]"], max_models=3)
     start = jnx.grow(terms, short, method).value
     network = jnx.refine(start, short, jnx.SimulationError()).value
-    network = jnx.trust.learn_domain(network, short)
-    network = jnx.trust.learn_errors(network, short)
+    network = jnx.confidence.fit_domain(network, short)
+    network = jnx.confidence.fit_error_model(network, short)
     found = jnx.report(
         network,
         {"train": train, "test": test},

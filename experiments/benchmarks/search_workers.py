@@ -195,12 +195,12 @@ def equations(length: int, columns: int, threads: int) -> dict[str, Any]:
     ready()
     import numpy as np
 
-    from jaxnarx.output_error.dictionary import Dictionary
+    from jaxnarx.partition.closed_form.design_matrix import BlockDesign
 
     signals = _signals(length, columns, every=1)
     thinned = _signals(length, columns, every=12)
-    empty = Dictionary.of(signals, np.array(FEEDBACK))
-    sparse = Dictionary.of(thinned, np.array(FEEDBACK))
+    empty = BlockDesign.of(signals, np.array(FEEDBACK))
+    sparse = BlockDesign.of(thinned, np.array(FEEDBACK))
     block = empty.block(())
     others = [np.random.default_rng(0).normal(size=c.shape) for c in block.columns]
     pairs = list(zip(block.columns, others, strict=True))
@@ -259,7 +259,7 @@ def _signals(length: int, columns: int, every: int) -> Any:
     import numpy as np
 
     import jaxnarx as jnx
-    from jaxnarx.output_error.signals import signals_of
+    from jaxnarx.partition.closed_form.signals import signals_of
     from jaxnarx.regressors import Variables, polynomial_pool
 
     random = np.random.default_rng(0)

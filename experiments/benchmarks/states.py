@@ -70,7 +70,7 @@ def plant(samples: int) -> Any:
 
 def trained(data: Any) -> Any:
     """A network with three hidden states, after a few steps."""
-    from jaxnarx.states import HiddenStates, fit_states
+    from jaxnarx.linear import HiddenStates, fit_states
 
     method = HiddenStates(
         states=STATES,
@@ -203,7 +203,7 @@ def tanks(smoke: bool) -> dict[str, Any]:
     import numpy as np
     from own import load  # pyright: ignore[reportMissingImports]
 
-    from jaxnarx.states import HiddenStates, fit_states
+    from jaxnarx.linear import HiddenStates, fit_states
 
     imported = time.perf_counter() - begin
     folder = Path(os.environ.get("JAXNARX_DATA", "../shared/data")).resolve()

@@ -42,7 +42,7 @@ from draw import draw_partitions, draw_terms, draw_transfer
 from structures import RefitWork, restricted
 
 import jaxnarx as jnx
-from jaxnarx.methods import replace_at
+from jaxnarx.settings import replace_at
 from jaxnarx.shell.figures.style import save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))

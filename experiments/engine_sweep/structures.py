@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.methods import replace_at
 from jaxnarx.refinement import freeze
+from jaxnarx.settings import replace_at
 
 Row = dict[str, Any]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.methods import Identification
+from jaxnarx.settings import Identification
 from jaxnarx.sweep import (
     Comparison,
     Fleet,

@@ -42,7 +42,7 @@ def main() -> None:
         preset, most = "linear", 3
     fit = jnx.identify(train, preset=preset, outputs=[OUTPUT], candidates=most)
     row = fit.stats["leaderboard"].chosen(OUTPUT)
-    from jaxnarx.targets import TARGETS
+    from jaxnarx.exporters import TARGETS
 
     figures: dict[str, Any] = {
         "chosen": f"{row.family}: {row.name}",
@@ -88,7 +88,7 @@ def code_bytes(found: Any) -> dict[str, int]:
     """Text and read-only data of the compiled step, in both precisions."""
     import subprocess
 
-    from jaxnarx.targets.compilers import compilers
+    from jaxnarx.exporters.compilers import compilers
 
     sizes = {}
     with tempfile.TemporaryDirectory() as place:

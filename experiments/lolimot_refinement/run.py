@@ -25,7 +25,7 @@ from typing import Any
 
 import jax
 
-from jaxnarx.methods import replace_at
+from jaxnarx.settings import replace_at
 from jaxnarx.sweep import SweepTable, grid_cases, paired_comparison
 
 HERE = Path(__file__).resolve().parent

@@ -27,7 +27,7 @@ from typing import Any
 
 import jax
 
-from jaxnarx.methods import replace_at
+from jaxnarx.settings import replace_at
 from jaxnarx.sweep.cases import Case, grid_cases
 
 HERE = Path(__file__).resolve().parent

@@ -45,7 +45,7 @@ def tried(name: str, seed: int, small: bool) -> list[dict[str, Any]]:
     from jaxnarx.data import groups
     from jaxnarx.errors import JaxnarxError
     from jaxnarx.identification.judge import judge, score, trained
-    from jaxnarx.methods import HiddenStates
+    from jaxnarx.settings import HiddenStates
 
     train, test, spread = records(name, seed, 300 if small else LENGTH)
     blocks, rows = groups(train, gap=GAP), []

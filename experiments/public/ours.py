@@ -20,10 +20,10 @@ def window(open_set: OpenSet) -> int:
 def groups_of(open_set: OpenSet) -> Any:
     """What is left out together, as `jaxnarx.identify` makes it without being told."""
     from jaxnarx.data import groups
-    from jaxnarx.output_error import look
+    from jaxnarx.partition import profile_data
 
     train = open_set.train
-    memory = max(look(train, output).memory for output in open_set.outputs)
+    memory = max(profile_data(train, output).memory for output in open_set.outputs)
     return groups(train, gap=memory)
 
 

@@ -39,7 +39,7 @@ REGIONS, FALLING = 3, (0.1, 0.01, 0.001)
 
 def methods(name: str, train: Any, output: str, window: int) -> Iterator[Any]:
     """Methods of one output that its records bear; starts from so many samples."""
-    from jaxnarx.methods import HiddenStates
+    from jaxnarx.settings import HiddenStates
 
     inputs = len(train.channels.inputs)
     for states, degree in STRUCTURES[name]:

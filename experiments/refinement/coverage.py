@@ -37,11 +37,11 @@ import numpy as np
 import scipy.signal
 
 import jaxnarx as jnx
+from jaxnarx.confidence._bands import bands
+from jaxnarx.confidence._uncertainty import uncertainty
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.excitation import aprbs
 from jaxnarx.models import Gaussians, LocalModels, Network, OutputModel
-from jaxnarx.refinement._bands import bands
-from jaxnarx.refinement._uncertainty import uncertainty
 from jaxnarx.regressors import Variables
 from jaxnarx.shell.figures import style
 

@@ -8,10 +8,10 @@ from chapter4_models import START, merit, narx_pool
 
 import jaxnarx as jnx
 from jaxnarx.linear.regression import Regression, least_squares
-from jaxnarx.methods.least_squares import LeastSquares
 from jaxnarx.models import assemble, global_model
 from jaxnarx.regressors import Pool, evaluate
 from jaxnarx.regressors.rows import regression_rows
+from jaxnarx.settings.least_squares import LeastSquares
 
 ALGORITHMS = ("normal", "qr", "svd", "recursive")
 SCALINGS = ("norm", "mean", "none")

@@ -29,7 +29,7 @@ import numpy as np
 from jaxnarx.design import ResponseSensitivity, adjust, criteria
 from jaxnarx.engines import Pfi
 from jaxnarx.excitation import AprbsPlan, aprbs_plan, render
-from jaxnarx.methods import OptimalDesign
+from jaxnarx.settings import OptimalDesign
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import record  # noqa: E402 # pyright: ignore[reportMissingImports]

@@ -6,8 +6,8 @@ from pathlib import Path
 from jaxnarx.contracts.life import lives, plant
 from jaxnarx.data import groups
 from jaxnarx.identification import Candidate, Candidates, by_method
-from jaxnarx.methods import Identification, Preset
-from jaxnarx.output_error import look
+from jaxnarx.partition import profile_data
+from jaxnarx.settings import Identification, Preset
 
 QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True)
 
@@ -32,7 +32,8 @@ def is_tried_in_a_search(candidate: Candidate) -> None:
     """It becomes a row of a leaderboard, with an error on records left out."""
     data = plant()
     search = Candidates(
-        *(data, look(data, "y"), groups(data), QUICK), added={"added": candidate}
+        *(data, profile_data(data, "y"), groups(data), QUICK),
+        added={"added": candidate},
     )
     rows = [row for row, _ in search if row.family == "added"]
     assert rows, "it was not tried"

@@ -9,12 +9,12 @@ import numpy as np
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import SimulationError
+from jaxnarx.exporters import export
 from jaxnarx.models import Network, load, save
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import simulate
-from jaxnarx.targets import export
 
 
 @functools.cache

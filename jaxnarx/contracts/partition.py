@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxnarx.contracts import validity as of_validity
 from jaxnarx.contracts.life import lives, plant, pool
-from jaxnarx.methods import Given, Partitioner
 from jaxnarx.models import VALIDITIES, AbstractValidity
 from jaxnarx.partition import grow
+from jaxnarx.settings import Given, Partitioner
 
 
 def _problem(dims: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.contracts.life import lives, plant, pool
-from jaxnarx.methods import Global, Selector
 from jaxnarx.partition import grow
 from jaxnarx.selection import select
+from jaxnarx.settings import Global, Selector
 
 TERMS, ROWS = 7, 300
 

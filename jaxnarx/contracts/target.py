@@ -1,7 +1,7 @@
 """The contract of an exporter.
 
-`TARGETS.register(name, Target(about, write, prove))`, see `jaxnarx.targets.target`;
-what `write` is given is in `jaxnarx.targets.form`.
+`TARGETS.register(name, Target(about, write, prove))`, see `jaxnarx.exporters.target`;
+what `write` is given is in `jaxnarx.exporters.form`.
 """
 
 import dataclasses
@@ -11,10 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.contracts.life import plant, pool
-from jaxnarx.methods import Given, Global
+from jaxnarx.exporters import (
+    ExportError,
+    Target,
+    cases_of,
+    golden_of,
+    lower,
+    write_files,
+)
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.partition import grow
-from jaxnarx.targets import ExportError, Target, cases_of, golden_of, lower, write_files
+from jaxnarx.settings import Given, Global
 
 
 def _networks() -> list[Network]:

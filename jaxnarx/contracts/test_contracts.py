@@ -18,11 +18,11 @@ from jaxnarx.contracts import (
 )
 from jaxnarx.data import KINDS
 from jaxnarx.engines import BEDS
+from jaxnarx.exporters import TARGETS
 from jaxnarx.extensions import Registry
 from jaxnarx.identification import CANDIDATES
-from jaxnarx.methods import PARTITIONS, SELECTORS
 from jaxnarx.models import VALIDITIES
-from jaxnarx.targets import TARGETS
+from jaxnarx.settings import PARTITIONS, SELECTORS
 
 
 @functools.cache

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.contracts.life import lives, plant, pool
-from jaxnarx.methods import Given
 from jaxnarx.models import VALIDITIES, AbstractValidity, models_of
 from jaxnarx.partition import grow
+from jaxnarx.settings import Given
 
 _weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 

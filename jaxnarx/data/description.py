@@ -1,6 +1,6 @@
 """The TOML description of a set of measured files, parsed.
 
-Its keys are listed in `jaxnarx.methods.description`.
+Its keys are listed in `jaxnarx.settings.description`.
 """
 
 import dataclasses

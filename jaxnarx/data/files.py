@@ -1,4 +1,4 @@
-"""Datasets from files, as a TOML description says (`jaxnarx.methods.description`)."""
+"""Datasets from files, as a TOML description says (`jaxnarx.settings.description`)."""
 
 import dataclasses
 import hashlib
@@ -64,7 +64,7 @@ def read(
     Records are named after their files, with the parent folder where two names collide.
 
     Args:
-        path: The description; see `jaxnarx.methods.description` for the format.
+        path: The description; see `jaxnarx.settings.description` for the format.
         root: The folder that paths in it are relative to; default the environment
             variable `JAXNARX_DATA`, else the folder of the description.
         max_bytes: More than this when expanded is refused before reading.

@@ -26,7 +26,7 @@ from jaxnarx.design.sensitivity import (
     ResponseSensitivity,
     network_sensitivity,
 )
-from jaxnarx.methods import OptimalDesign
+from jaxnarx.settings import OptimalDesign
 from jaxnarx.texts import document
 
 __all__ = [

@@ -16,8 +16,8 @@ from jaxnarx.design.sensitivity import (
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import AprbsPlan, reachable, render
 from jaxnarx.guard import guarded
-from jaxnarx.methods import OptimalDesign
 from jaxnarx.models import Network
+from jaxnarx.settings import OptimalDesign
 from jaxnarx.solution import RESULTS, Solution
 
 

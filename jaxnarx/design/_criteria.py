@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxnarx.guard import guarded
-from jaxnarx.methods import OptimalDesign
+from jaxnarx.settings import OptimalDesign
 
 
 class Criteria(NamedTuple):

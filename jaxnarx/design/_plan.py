@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import Number, Pair, positive, require, span, whole
+from jaxnarx.confidence import error_variables
 from jaxnarx.data import Dataset, Record
 from jaxnarx.design.limits import PlanLimits, limits_for
 from jaxnarx.design.sensitivity import run_sensitivity
@@ -25,7 +26,6 @@ from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network, memory_of
 from jaxnarx.solution import RESULTS, Solution
-from jaxnarx.trust import error_variables
 
 HOLDS = 0.5, 4.0
 """Shortest and longest hold, in memories of the network: long ones show gains, short
@@ -95,7 +95,7 @@ def plan(
 
     Args:
         network: A model with a domain: one of `identify`, or of
-            `jnx.trust.learn_domain`.
+            `jnx.confidence.fit_domain`.
         duration: Length of the test [s].
         ranges: (low, high) by input, in its unit; default the trained range.
         rates: Largest change by input, in its unit per second; default the largest of
@@ -121,7 +121,7 @@ def plan(
         still for most of its time. `SpecError` where no operating point is allowed.
 
     Example:
-        network = jnx.trust.learn_domain(network, data)
+        network = jnx.confidence.fit_domain(network, data)
         found = jnx.design.plan(network, duration=20, seed=1)
         print(found.detail, found.value.inputs.shape)
     """
@@ -267,7 +267,7 @@ class Maker:
 
 
 def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outputs"]:
-    """Half the prediction interval, zero of a network that does not know its errors."""
+    """Half the prediction interval, zero of a network without an error model."""
     known = network.errors
     half = np.zeros(seen.y.shape)
     if known is None:

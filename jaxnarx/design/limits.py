@@ -15,7 +15,7 @@ from jaxnarx.models import Network
 _COMPARISON = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
 NO_DOMAIN = (
     "the network has no domain, so nothing says what it knows: "
-    "jnx.trust.learn_domain(network, data) learns it from the records of its training"
+    "jnx.confidence.fit_domain(network, data) fits one to the records of its training"
 )
 
 

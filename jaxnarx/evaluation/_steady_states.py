@@ -8,14 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.checks import known_name
+from jaxnarx.confidence import bands, domain, intervals
 from jaxnarx.data import Channel, Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
 from jaxnarx.models import Network
-from jaxnarx.refinement import bands
 from jaxnarx.shown import page
 from jaxnarx.simulation import Trajectories, fitting, simulate
-from jaxnarx.trust import domain, intervals
 
 SHORTEST, LONGEST, GROWTH = 512, 8192, 4
 """Samples of a run to rest: so many at first, and longer while something moves."""

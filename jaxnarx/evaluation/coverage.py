@@ -9,13 +9,13 @@ from jaxtyping import Bool
 from scipy.special import ndtri, stdtrit
 
 from jaxnarx import metrics
+from jaxnarx.confidence import Intervals, intervals
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.models import Network
 from jaxnarx.shown import page
 from jaxnarx.simulation import Prepared
-from jaxnarx.trust import Intervals, intervals
 
 LEVEL = 0.9
 """Probability of the intervals of a report."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.confidence import DomainIndex, Excursion, domain
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.outside import NOTICEABLE
 from jaxnarx.evaluation.rows import ScoredSamples
@@ -14,7 +15,6 @@ from jaxnarx.evaluation.table import number
 from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared
-from jaxnarx.trust import DomainIndex, Excursion, domain
 
 INDEX_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Borders of the bins of the index."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from jaxnarx.checks import positive, require
+from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset, in_units
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
@@ -49,7 +50,6 @@ from jaxnarx.guard import guarded
 from jaxnarx.models import FLAG, Network
 from jaxnarx.shown import count
 from jaxnarx.simulation import Prepared, predict, prepare, simulate
-from jaxnarx.trust import DomainIndex, Intervals
 
 OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
 """Samples of another model, record by record, for each of its outputs."""

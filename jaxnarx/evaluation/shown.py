@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared, dataset_of, prepared
-from jaxnarx.trust import DomainIndex, Intervals
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -79,8 +79,8 @@ def errors_by_size(
     if not parts:
         raise SpecError("there is no data", field="data")
     # What chooses and grows needs the metrics of this room: not before it is asked.
-    from jaxnarx.methods import Global
     from jaxnarx.partition import grow
+    from jaxnarx.settings import Global
 
     whole = grow(selection, next(iter(parts.values())), Global()).value
     counts = [selection.size(o) for o in range(len(selection.output_names))]

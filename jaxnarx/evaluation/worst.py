@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.confidence import DomainIndex
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation._region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.shown import page, span_text
 from jaxnarx.simulation import Prepared, batched
-from jaxnarx.trust import DomainIndex
 
 WORST = 10
 """Stretches of every output."""

@@ -5,12 +5,12 @@ from typing import Any
 
 from jaxnarx.data import Channels, Dataset, match_channels
 from jaxnarx.identification.pools import make_pool
-from jaxnarx.methods import Global, Identification
 from jaxnarx.models import Network
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import Pool, parse_variable
 from jaxnarx.selection import Selection, select
+from jaxnarx.settings import Global, Identification
 from jaxnarx.solution import RESULTS, Solution
 
 Events = Callable[[dict[str, Any]], None]

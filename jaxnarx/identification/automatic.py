@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.confidence import apply_release_limits, attach_domain_and_intervals
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation import data_hash
@@ -24,11 +25,10 @@ from jaxnarx.identification.leaderboard import Contender, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.shares import Shares
 from jaxnarx.identification.side import OutputTask, Side, cores
-from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, merged
-from jaxnarx.output_error import look
+from jaxnarx.partition import profile_data
+from jaxnarx.settings import PRESETS
 from jaxnarx.solution import RESULTS, Solution
-from jaxnarx.trust import knowing, released
 
 Tell = Callable[[dict[str, Any]], None]
 SHARE = 1000
@@ -52,9 +52,9 @@ def search(
     """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
     begin = time.time()
-    looks = {name: look(data, name) for name in outputs}
+    profiles = {name: profile_data(data, name) for name in outputs}
     if groups is None:
-        groups = make_groups(data, gap=max(one.memory for one in looks.values()))
+        groups = make_groups(data, gap=max(one.memory for one in profiles.values()))
     rule = PRESETS[preset].rule
     board = Leaderboard((), groups.names, rule)
     key = {
@@ -82,7 +82,7 @@ def search(
                 states,
                 added,
             )
-            for name, one in looks.items()
+            for name, one in profiles.items()
         }
         until = math.inf if budget is None else begin + budget
         race = Race(store, list(outputs), tell, begin, until)
@@ -93,10 +93,12 @@ def search(
             if not len(race.store.leaderboard):
                 raise
             stopped = True
-        facts = {n: k.to_dict(data.channels.input_names) for n, k in looks.items()}
+        facts = {n: k.to_dict(data.channels.input_names) for n, k in profiles.items()}
         found = _solution(race.store, list(outputs), stopped, race.late, facts)
         left = _left_out(race.store.leaderboard, found.value, data)
-        network = knowing(released(found.value), data, groups, left)
+        network = attach_domain_and_intervals(
+            apply_release_limits(found.value), data, groups, left
+        )
         return dataclasses.replace(found, value=network)
 
 

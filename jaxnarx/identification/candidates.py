@@ -15,10 +15,10 @@ from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod, judge
 from jaxnarx.identification.leaderboard import Contender
 from jaxnarx.identification.with_states import SHORT, with_states
-from jaxnarx.methods import HiddenStates, Identification, Preset
 from jaxnarx.models import Network, hold_to_range
-from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, best_sum
+from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, best_sum
 from jaxnarx.refinement import largest_local_pole
+from jaxnarx.settings import HiddenStates, Identification, Preset
 
 SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
 """Families of which sums are made."""
@@ -59,7 +59,7 @@ class Candidates:
     def __init__(
         self,
         data: Dataset,
-        look: Look,
+        profile: DataProfile,
         groups: Groups,
         preset: Preset,
         *,
@@ -71,7 +71,8 @@ class Candidates:
         """`known` are candidates that need not be tried again; `late` tells that the
         time is up; `added` are those of other packages; `watch` hears what is tried."""
         self.added = dict(added or {})
-        self.data, self.look, self.groups, self.preset = data, look, groups, preset
+        self.data, self.profile = data, profile
+        self.groups, self.preset = groups, preset
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
         self.watch = watch
@@ -79,7 +80,7 @@ class Candidates:
 
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time."""
-        search = ClosedSearch(self.data, self.look, self.groups)
+        search = ClosedSearch(self.data, self.profile, self.groups)
         begin, parts = time.perf_counter(), []
         limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
         if self.preset.linear:
@@ -105,16 +106,16 @@ class Candidates:
         self.spread = search.spread
         del search, parts
         for family, trials in self.added.items():
-            methods = trials(self.data, self.look.output)
+            methods = trials(self.data, self.profile.output)
             own = ((family, [name], method) for name, method in methods)
             yield from self._trained(own, MOST_ADDED, MOST_ADDED)
-        hidden = with_states(self.data, self.look.output, self.preset)
+        hidden = with_states(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
         if self.data.samples <= SHORT:
             most = patience = 2 * most
         yield from self._trained(hidden, most, patience)
-        fed = fed_back(self.data, self.look)
+        fed = fed_back(self.data, self.profile)
         yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
 
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
@@ -207,7 +208,7 @@ class Candidates:
             self.spread,
             self.best,
             self.preset.longest,
-            begin=self.look.begin,
+            begin=self.profile.begin,
             watch=watch,
         )
 
@@ -241,7 +242,7 @@ class Candidates:
     ) -> Contender:
         price = None if network is None else cost(network)
         return Contender(
-            self.look.output,
+            self.profile.output,
             0,
             family,
             name,

@@ -4,15 +4,15 @@ import math
 from collections.abc import Iterator
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import (
+from jaxnarx.partition import DataProfile
+from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.settings import (
     ForwardOLS,
     Global,
     Identification,
     Lolimot,
     SimulationError,
 )
-from jaxnarx.output_error import Look
-from jaxnarx.regressors import Pool, polynomial_pool
 
 HORIZONS = (10, 100)
 TRIED = (
@@ -26,36 +26,37 @@ LARGEST = 600
 
 
 def fed_back(
-    data: Dataset, look: Look
+    data: Dataset, profile: DataProfile
 ) -> Iterator[tuple[str, list[str], Identification]]:
     """(family, its one name, method), those that pay most often first."""
     for lags, degree, terms in TRIED:
         if degree == 1:
-            yield from _local(data, look, lags)
+            yield from _local(data, profile, lags)
             continue
-        pool = pool_of(data, look, lags, degree)
+        pool = pool_of(data, profile, lags, degree)
         if pool is not None and len(pool) > terms:
             name = f"degree {degree}, {terms} terms, lags up to {lags}"
             yield "polynomial NARX", [name], _method(pool, terms, Global())
 
 
 def _local(
-    data: Dataset, look: Look, lags: int
+    data: Dataset, profile: DataProfile, lags: int
 ) -> Iterator[tuple[str, list[str], Identification]]:
     """Affine local models over inputs and the last output."""
-    pool = pool_of(data, look, lags, 1)
+    pool = pool_of(data, profile, lags, 1)
     assert pool is not None
     over = [
         f"{n}[t-{d}]" if d else f"{n}[t]"
-        for n, d in zip(data.channels.input_names, look.dead_time, strict=True)
+        for n, d in zip(data.channels.input_names, profile.dead_time, strict=True)
     ]
     for models in (3, 6):
-        method = Lolimot(scheduling=[*over, f"{look.output}[t-1]"], max_models=models)
+        scheduling = [*over, f"{profile.output}[t-1]"]
+        method = Lolimot(scheduling, max_models=models)
         name = f"{models} models, lags up to {lags}"
         yield "LOLIMOT", [name], _method(pool, len(pool), method)
 
 
-def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
+def pool_of(data: Dataset, profile: DataProfile, lags: int, degree: int) -> Pool | None:
     """Inputs from their dead time on and outputs, all products; None if too many.
 
     Of an input that seems to act late the last sample is there in place of the oldest:
@@ -67,10 +68,10 @@ def pool_of(data: Dataset, look: Look, lags: int, degree: int) -> Pool | None:
         return None
     return polynomial_pool(
         data.channels,
-        outputs=[look.output],
+        outputs=[profile.output],
         input_lags={
             n: range(d, d + lags + 1) if d < 2 else (1, *range(d, d + lags))
-            for n, d in zip(names, look.dead_time, strict=True)
+            for n, d in zip(names, profile.dead_time, strict=True)
         },
         output_lags=range(1, lags + 1),
         degree=degree,

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification._by_method import by_method
-from jaxnarx.methods import HiddenStates, Identification
+from jaxnarx.linear import fit_states, refit_states
 from jaxnarx.models import Network, hold_to_range, ranged
+from jaxnarx.settings import HiddenStates, Identification
 from jaxnarx.simulation import fitting, predict, simulate
-from jaxnarx.states import fit_states, refit_states
 
 FIRST = 3.0
 """Error in training after the first steps of a start, as a multiple of the best
@@ -64,8 +64,8 @@ def judge(
     as the network of all is in use. The error one step ahead is left
     out, NaN, where `one_step` is False, and by default with hidden states: it has an
     estimate of these for every sample, and takes longer than the training. The first
-    `begin` samples of every record judge nothing (`Look.begin`). `watch` is called
-    with the number of every fold, from 1, before it is trained.
+    `begin` samples of every record judge nothing (`DataProfile.begin`). `watch` is
+    called with the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.

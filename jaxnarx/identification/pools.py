@@ -8,8 +8,8 @@ from jaxtyping import Bool
 
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Polynomial
 from jaxnarx.regressors import Pool, polynomial_pool
+from jaxnarx.settings import Polynomial
 
 
 def make_pool(method: Polynomial | Pool, channels: Channels) -> Pool:

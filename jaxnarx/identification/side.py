@@ -29,9 +29,9 @@ from jaxnarx.identification.candidates import (
     Watch,
 )
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.methods import PRESETS
 from jaxnarx.models import Network, load, save
-from jaxnarx.output_error import Look
+from jaxnarx.partition import DataProfile
+from jaxnarx.settings import PRESETS
 
 TASK, END, ERROR, NOW, SAID = "task", "end", "error", "now", "said.txt"
 START = f"import sys; from {__name__} import main; main(sys.argv[1])"
@@ -46,7 +46,7 @@ class OutputTask:
     """What the search for one output is told."""
 
     data: Dataset
-    look: Look
+    profile: DataProfile
     groups: Groups
     preset: str
     candidates: int | None
@@ -60,7 +60,7 @@ class OutputTask:
         """Its candidates; `watch` hears of each while it is tried."""
         found = Candidates(
             self.data,
-            self.look,
+            self.profile,
             self.groups,
             PRESETS[self.preset].with_orders(self.states),
             known=self.known,

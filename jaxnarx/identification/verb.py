@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.confidence import attach_domain_and_intervals
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.identification._by_method import Events, by_method
 from jaxnarx.identification.automatic import search
-from jaxnarx.methods import PRESETS, Identification
 from jaxnarx.models import Network
+from jaxnarx.settings import PRESETS, Identification
 from jaxnarx.solution import Solution
-from jaxnarx.trust import knowing
 
 VALIDATION = "validation"
 """The group of the records that are for validation."""
@@ -41,7 +41,7 @@ def identify(
 
     The search looks at the data, then tries candidates from cheap to rich: a constant,
     linear ARX and output-error models, filters, polynomials, regions with shared
-    feedback in closed form (`jaxnarx.output_error`), polynomials of past outputs and
+    feedback in closed form (`jaxnarx.partition`), polynomials of past outputs and
     LOLIMOT, and models with hidden states (both trained on stretches of long records).
     Each is judged by the free run over groups of records left out of its training (with
     hidden states, of a training once more from where a network of all records stands);
@@ -61,7 +61,7 @@ def identify(
         preset: `"quick"` (about a minute), `"good"`, `"best"` (an hour and more; the
             smallest error whatever it costs, also of sums of up to four candidates in
             closed form), `"ecu"` (the fewest operations within 5 % of the best, stable
-            for certain) or `"linear"`; see `jaxnarx.methods.PRESETS`.
+            for certain) or `"linear"`; see `jaxnarx.settings.PRESETS`.
         budget: Time for the search [s], shared by the outputs, after which no further
             candidate is begun; the result then depends on the machine. Default: none,
             the preset's counts bound the search.
@@ -108,7 +108,7 @@ def identify(
             field=changed[0],
         )
     found = by_method(data, method, validation, progress)
-    value = knowing(found.value, data, apart=validation)
+    value = attach_domain_and_intervals(found.value, data, apart=validation)
     return dataclasses.replace(found, value=value)
 
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterator
 
 from jaxnarx.data import Dataset, shortened
-from jaxnarx.methods import HiddenStates, Preset
-from jaxnarx.states import linear_order
+from jaxnarx.linear import linear_order
+from jaxnarx.settings import HiddenStates, Preset
 
 FAMILY = "hidden states"
 FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8, 2))

@@ -16,7 +16,7 @@ from jaxnarx.inverse.dataset import inverse_data
 from jaxnarx.inverse.forward import dead_times
 from jaxnarx.inverse.region import Region
 from jaxnarx.inverse.unity import UnityGain, unity_gain
-from jaxnarx.methods import ActuatorLimits, TrackingError
+from jaxnarx.settings import ActuatorLimits, TrackingError
 from jaxnarx.texts import document
 
 __all__ = [

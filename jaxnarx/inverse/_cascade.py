@@ -11,9 +11,9 @@ from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
-from jaxnarx.methods import ActuatorLimits
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, reported
+from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import has_diverged
 from jaxnarx.solution import NAMES, RESULTS, Solution
 

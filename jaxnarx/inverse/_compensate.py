@@ -22,9 +22,9 @@ from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect
 from jaxnarx.inverse.task import CascadeTask, make_task, spreads
 from jaxnarx.inverse.tracking_problem import TrackingProblem, tracking_problem
-from jaxnarx.methods import ActuatorLimits, TrackingError
 from jaxnarx.models import Network
 from jaxnarx.refinement import Layout, make_layout
+from jaxnarx.settings import ActuatorLimits, TrackingError
 from jaxnarx.solution import RESULTS, Solution
 
 

@@ -20,8 +20,8 @@ from jaxnarx.inverse.linearise import (
     zeros,
 )
 from jaxnarx.inverse.region import Region, find_region
-from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import Network
+from jaxnarx.settings import ActuatorLimits
 from jaxnarx.shown import brief, page
 from jaxnarx.solution import RESULTS, Solution
 

@@ -16,8 +16,8 @@ from jaxnarx.guard import guarded
 from jaxnarx.inverse.forward import positions
 from jaxnarx.inverse.linearise import require_shared
 from jaxnarx.inverse.statics import Statics, statics
-from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import Network
+from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import fitting
 from jaxnarx.solution import RESULTS, Solution
 

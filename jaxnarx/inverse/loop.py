@@ -25,8 +25,8 @@ from jaxnarx.arrays import free_run, program, twin
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
-from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import FLAG, Network, advance, depth, widened
+from jaxnarx.settings import ActuatorLimits
 
 
 class Loop(eqx.Module):

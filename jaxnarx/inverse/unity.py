@@ -13,8 +13,8 @@ from jaxnarx.data import Dataset
 from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run_record
 from jaxnarx.inverse.task import CascadeTask, make_task
-from jaxnarx.methods import ActuatorLimits
 from jaxnarx.models import Network
+from jaxnarx.settings import ActuatorLimits
 from jaxnarx.solution import RESULTS, Solution
 
 REST = 1e-3

@@ -1,5 +1,5 @@
 """Linear models: order search, fits, transfer functions, spectra, extended least
-squares.
+squares; state-space models, linear and with products of their states.
 """
 
 from jaxnarx.linear._adapt import adapt
@@ -13,17 +13,25 @@ from jaxnarx.linear.noise import NoiseModel, fit_noise
 from jaxnarx.linear.order_table import OrderSearch
 from jaxnarx.linear.orders import search_orders
 from jaxnarx.linear.regression import Regression, least_squares
-from jaxnarx.linear.state_space import StateSpace as StateSpace
-from jaxnarx.linear.subspace import chain_model as chain_model
-from jaxnarx.linear.subspace import identify_subspace as identify_subspace
-from jaxnarx.linear.subspace import subspace_models as subspace_models
+from jaxnarx.linear.state_space.fit import fit_states, refit_states
+from jaxnarx.linear.state_space.model import StateSpace as StateSpace
+from jaxnarx.linear.state_space.network import (
+    increase_degree,
+    set_state_ranges,
+    state_network,
+)
+from jaxnarx.linear.state_space.starts import linear_order
+from jaxnarx.linear.state_space.subspace import chain_model as chain_model
+from jaxnarx.linear.state_space.subspace import identify_subspace as identify_subspace
+from jaxnarx.linear.state_space.subspace import subspace_models as subspace_models
 from jaxnarx.linear.transfer_function import Bode, TransferFunction
-from jaxnarx.methods import (
+from jaxnarx.settings import (
     ARMAX,
     ARX,
     FIR,
     BoxJenkins,
     GeneralLinear,
+    HiddenStates,
     LeastSquares,
     OutputError,
     Recursive,
@@ -38,6 +46,7 @@ __all__ = [
     "ExtendedFit",
     "FIR",
     "GeneralLinear",
+    "HiddenStates",
     "Innovations",
     "LeastSquares",
     "LinearModel",
@@ -53,13 +62,27 @@ __all__ = [
     "extended_least_squares",
     "fit_linear",
     "fit_noise",
+    "fit_states",
+    "increase_degree",
     "innovations",
     "least_squares",
+    "linear_order",
     "nonlinearity",
+    "refit_states",
     "search_orders",
+    "set_state_ranges",
     "spectra",
+    "state_network",
 ]
 
 document(
-    ARMAX, ARX, FIR, BoxJenkins, GeneralLinear, LeastSquares, OutputError, Recursive
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    GeneralLinear,
+    HiddenStates,
+    LeastSquares,
+    OutputError,
+    Recursive,
 )

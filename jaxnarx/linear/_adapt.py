@@ -27,8 +27,8 @@ from jaxnarx.linear.adapt_program import (
     make_plan,
     place,
 )
-from jaxnarx.methods import Recursive
 from jaxnarx.models import Network, depth
+from jaxnarx.settings import Recursive
 from jaxnarx.simulation import (
     first_anchor,
     fitting,

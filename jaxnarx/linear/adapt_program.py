@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import Recursion, program, update_recursion
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Recursive
 from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
 from jaxnarx.regressors import evaluate
+from jaxnarx.settings import Recursive
 
 
 class RegressionRows(eqx.Module):

@@ -18,9 +18,9 @@ from jaxnarx.linear.recursion import Signals, signals, window_start
 from jaxnarx.linear.starts import starts
 from jaxnarx.linear.structure import Structure, structure_of
 from jaxnarx.linear.triangle import triangle
-from jaxnarx.methods import LinearMethod
 from jaxnarx.models import ranges
 from jaxnarx.regressors import enough
+from jaxnarx.settings import LinearMethod
 from jaxnarx.solution import RESULTS, Solution
 
 
@@ -101,7 +101,7 @@ def fit_linear(
 
     Windows never cross a record's border; samples whose window holds a missing one are
     not scored. The constant term stands for the operating point, see
-    `jaxnarx.methods.linear`.
+    `jaxnarx.settings.linear`.
 
     FIR and ARX are solved by one QR factorisation. The others minimise the squared
     innovations (`prediction_error`), with the initial states of B/F of every record as

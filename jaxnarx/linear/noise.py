@@ -23,8 +23,8 @@ from jaxnarx.guard import guarded
 from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear.fit import fit_linear
 from jaxnarx.linear.model import LinearModel
-from jaxnarx.methods import BoxJenkins
 from jaxnarx.models import Network
+from jaxnarx.settings import BoxJenkins
 from jaxnarx.simulation import fitting, simulate
 from jaxnarx.solution import Solution
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.arrays import information
 from jaxnarx.checks import choice
 from jaxnarx.linear.triangle import Triangle
-from jaxnarx.methods import ARX
+from jaxnarx.settings import ARX
 from jaxnarx.shown import page
 
 CRITERIA = ("aic", "aicc", "mdl", "fpe", "unexplained")

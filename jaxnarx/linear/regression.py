@@ -25,7 +25,7 @@ from jaxnarx.arrays import (
 )
 from jaxnarx.guard import guarded
 from jaxnarx.linear.regression_input import require_numbers, require_weights
-from jaxnarx.methods import LeastSquares
+from jaxnarx.settings import LeastSquares
 from jaxnarx.solution import RESULTS, Solution
 
 

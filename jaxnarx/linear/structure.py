@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import LinearMethod, Orders
+from jaxnarx.settings import LinearMethod, Orders
 
 Coefficients = Float[Array, " _"] | Float[np.ndarray, " _"]
 

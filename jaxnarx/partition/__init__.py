@@ -2,6 +2,12 @@
 
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
+from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
+from jaxnarx.partition.closed_form.profile import DataProfile as DataProfile
+from jaxnarx.partition.closed_form.profile import profile_data as profile_data
+from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
+from jaxnarx.partition.closed_form.sums import Sum as Sum
+from jaxnarx.partition.closed_form.sums import best_sum as best_sum
 from jaxnarx.partition.ground import Ground, make_ground, scheduling_ranges
 from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.partition.placed import place, scattered

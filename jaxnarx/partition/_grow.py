@@ -9,7 +9,6 @@ from jaxnarx.arrays import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.methods import Given, Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.models import (
     AbstractValidity,
     Network,
@@ -26,6 +25,7 @@ from jaxnarx.partition.placed import placed_output
 from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
+from jaxnarx.settings import Given, Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 _least_squares = jax.jit(least_squares)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.methods import PARTITIONS, Given, Partitioner
 from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
 from jaxnarx.partition.grid import fitted
 from jaxnarx.partition.ground import Ground
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
+from jaxnarx.settings import PARTITIONS, Given, Partitioner
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

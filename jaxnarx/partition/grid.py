@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Given, Grid
 from jaxnarx.models import (
     AbstractValidity,
     Gaussians,
@@ -20,6 +19,7 @@ from jaxnarx.partition._lolimot import validity_of_boxes
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import local_fit
 from jaxnarx.partition.local_terms import own_terms
+from jaxnarx.settings import Given, Grid
 
 SHARPNESS = 5.0
 """Steepness of log-sigmoids times the distance between borders: at the middle of a

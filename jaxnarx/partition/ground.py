@@ -9,7 +9,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError
-from jaxnarx.methods import ForwardOLS, StepwiseF
 from jaxnarx.models import AbstractValidity, OutputModel, local_models, output_model
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.regressors import (
@@ -22,6 +21,7 @@ from jaxnarx.regressors import (
     row_columns,
     variable_names,
 )
+from jaxnarx.settings import ForwardOLS, StepwiseF
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

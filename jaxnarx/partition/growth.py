@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Lolimot, SigmoidTree
 from jaxnarx.models import (
     AbstractValidity,
     Network,
@@ -31,6 +30,7 @@ from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 from jaxnarx.selection import require_room
+from jaxnarx.settings import Lolimot, SigmoidTree
 
 _lolimot = jax.jit(
     lolimot, static_argnames=("max_models", "kind", "worst", "picks", "first")

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.methods import ForwardOLS, StepwiseF
 from jaxnarx.partition.ground import Ground
 from jaxnarx.selection import choose_terms, unusable_signals, usable_terms
+from jaxnarx.settings import ForwardOLS, StepwiseF
 
 
 def own_terms(

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import program
-from jaxnarx.methods import Lolimot, Placed, SigmoidTree
 from jaxnarx.models import Gaussians, Network, OutputModel
 from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
+from jaxnarx.settings import Lolimot, Placed, SigmoidTree
 
 ROUNDS = 10
 """Rounds of the search for clusters."""

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 from jaxnarx import metrics
 from jaxnarx.arrays import information
 from jaxnarx.data import Dataset
-from jaxnarx.methods import Lolimot, SigmoidTree
 from jaxnarx.models import Network
+from jaxnarx.settings import Lolimot, SigmoidTree
 from jaxnarx.simulation import simulate
 
 Numbers = Float[np.ndarray, " stages"]

@@ -1,7 +1,6 @@
-"""Training of networks on simulation error; their stability and their uncertainty."""
+"""Training of networks on simulation error, and their stability."""
 
 from jaxnarx.arrays import ValidationScore
-from jaxnarx.refinement._bands import Bands, bands
 from jaxnarx.refinement._refine import make_task as make_task
 from jaxnarx.refinement._refine import refine
 from jaxnarx.refinement._refine import refine_task as refine_task
@@ -15,19 +14,22 @@ from jaxnarx.refinement._stability import (
     stability,
 )
 from jaxnarx.refinement._stages import Stage, stages
-from jaxnarx.refinement._uncertainty import Uncertainty, uncertainty
 from jaxnarx.refinement.criterion import squares
+from jaxnarx.refinement.labels import Labels as Labels
+from jaxnarx.refinement.labels import label as label
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.normal import normal_equations as normal_equations
 from jaxnarx.refinement.problem import Problem
+from jaxnarx.refinement.sensitivity import joined as joined
 from jaxnarx.refinement.sensitivity import linearised as linearised
 from jaxnarx.refinement.sensitivity import seen_history as seen_history
+from jaxnarx.refinement.sensitivity import stream as stream
 from jaxnarx.refinement.starts import FEEDBACK_FACTORS as FEEDBACK_FACTORS
 from jaxnarx.refinement.starts import shrunk as shrunk
+from jaxnarx.refinement.task import Task as Task
 from jaxnarx.refinement.validation import Validator
 
 __all__ = [
-    "Bands",
     "Certificate",
     "Validator",
     "ValidationScore",
@@ -35,8 +37,6 @@ __all__ = [
     "Problem",
     "Stability",
     "Stage",
-    "Uncertainty",
-    "bands",
     "certificate",
     "certified",
     "freeze",
@@ -47,5 +47,4 @@ __all__ = [
     "squares",
     "stability",
     "stages",
-    "uncertainty",
 ]

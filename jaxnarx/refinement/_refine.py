@@ -11,7 +11,6 @@ from jaxnarx.arrays import Progress
 from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network, bounded
 from jaxnarx.refinement._stability import first_horizon
 from jaxnarx.refinement._stages import Stage, stages
@@ -23,6 +22,7 @@ from jaxnarx.refinement.search import Search, takes_windows
 from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
+from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import Prepared, checked, fitting
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 

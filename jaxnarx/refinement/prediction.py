@@ -17,12 +17,12 @@ from jaxnarx.arrays import (
     evaluate_at,
     plain,
 )
-from jaxnarx.methods import PredictionError
 from jaxnarx.models import Network
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem
 from jaxnarx.refinement.separable import separable
 from jaxnarx.refinement.task import Task
+from jaxnarx.settings import PredictionError
 from jaxnarx.solution import RESULTS, Solution
 
 

@@ -23,13 +23,13 @@ from jaxnarx.arrays import (
     update_incumbents,
 )
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement._stages import Stage
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem, restraint
 from jaxnarx.refinement.task import Task
 from jaxnarx.refinement.validation import make_validator
+from jaxnarx.settings import SimulationError
 from jaxnarx.solution import RESULTS, Solution
 
 

@@ -1,11 +1,11 @@
-"""Choice by a function of the user's own, see `jaxnarx.methods.Selector`."""
+"""Choice by a function of the user's own, see `jaxnarx.settings.Selector`."""
 
 import numpy as np
 from jaxtyping import Bool
 
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import Selector
 from jaxnarx.regressors import Pool, Rows, evaluate
+from jaxnarx.settings import Selector
 
 LARGEST = 2**31
 """Bytes that the columns of all candidate terms may take where all are formed."""

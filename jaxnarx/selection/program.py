@@ -9,9 +9,9 @@ import scipy.special
 from jaxtyping import Bool, Int
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.methods import Backward, ForwardOLS, StepwiseF
 from jaxnarx.regressors import Pool
 from jaxnarx.selection._search import Program
+from jaxnarx.settings import Backward, ForwardOLS, StepwiseF
 
 Method = ForwardOLS | StepwiseF | Backward
 

@@ -13,15 +13,6 @@ from jaxnarx.arrays import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.methods import (
-    SELECTORS,
-    Anova,
-    Backward,
-    ForwardOLS,
-    Selector,
-    SimulationOLS,
-    StepwiseF,
-)
 from jaxnarx.regressors import Centring, Pool, Rows, evaluate, regression_rows
 from jaxnarx.selection._search import Program, make_lanes, search
 from jaxnarx.selection.anova import anova, significant_terms
@@ -41,6 +32,15 @@ from jaxnarx.selection.program import (
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
+from jaxnarx.settings import (
+    SELECTORS,
+    Anova,
+    Backward,
+    ForwardOLS,
+    Selector,
+    SimulationOLS,
+    StepwiseF,
+)
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 COLLINEAR = "collinear with the chosen terms"
@@ -94,7 +94,7 @@ def select(
             the first choice.
         data: Records with the channels of the pool.
         method: How to choose (default `ForwardOLS()`); a function of one's own, too,
-            see `jaxnarx.methods.Selector`; or the
+            see `jaxnarx.settings.Selector`; or the
             name of a registered one.
         weights: For every record one non-negative weight per sample; a validity
             function is one.

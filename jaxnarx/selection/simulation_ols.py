@@ -32,7 +32,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import Progress, contract, linear_recurrence, positions
 from jaxnarx.data import Dataset
-from jaxnarx.methods import SimulationError, SimulationOLS
 from jaxnarx.models import Network, assemble, depth, global_model
 from jaxnarx.refinement import (
     Layout,
@@ -44,6 +43,7 @@ from jaxnarx.refinement import (
     seen_history,
 )
 from jaxnarx.regressors import Centring, Pool
+from jaxnarx.settings import SimulationError, SimulationOLS
 from jaxnarx.simulation import RunInputs, run
 from jaxnarx.solution import RESULTS
 

@@ -5,12 +5,7 @@ from pathlib import Path
 
 from jaxnarx.data import Dataset, match_channels, read_files
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, load, set_nan_policy
-from jaxnarx.shell import output
-from jaxnarx.shell.commands import Export
-from jaxnarx.shell.description import read_description, tell_notes
-from jaxnarx.shell.messages import about, say, size, warn
-from jaxnarx.targets import (
+from jaxnarx.exporters import (
     BOTH,
     ONLY_DOUBLE,
     ONLY_SINGLE,
@@ -19,6 +14,11 @@ from jaxnarx.targets import (
     export,
     write_files,
 )
+from jaxnarx.models import Network, load, set_nan_policy
+from jaxnarx.shell import output
+from jaxnarx.shell.commands import Export
+from jaxnarx.shell.description import read_description, tell_notes
+from jaxnarx.shell.messages import about, say, size, warn
 
 README = "README.md"
 DEAR = 2.0

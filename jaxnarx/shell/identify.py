@@ -14,15 +14,15 @@ from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.evaluation import Report, Verdict, describe_partition, report
 from jaxnarx.identification import identify as verb
 from jaxnarx.identification import make_pool, needed
-from jaxnarx.methods import (
+from jaxnarx.models import Network, save
+from jaxnarx.selection import Selection
+from jaxnarx.settings import (
     ForwardOLS,
     Identification,
     SimulationError,
     SimulationOLS,
     replace_at,
 )
-from jaxnarx.models import Network, save
-from jaxnarx.selection import Selection
 from jaxnarx.shell.description import tell_findings
 from jaxnarx.shell.messages import count, first_lines, quoted, say
 from jaxnarx.shell.output import write_report, written_together

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.errors import DataFileError, reading
+from jaxnarx.exporters import lower, read_parameters
 from jaxnarx.models import Network, load, load_about, save
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import ImportDcm
 from jaxnarx.shell.messages import about, count, next_command, say
-from jaxnarx.targets import lower, read_parameters
 
 LARGEST = 64 * 2**20
 """Bytes of a file that are read."""

@@ -21,12 +21,12 @@ from jaxnarx.inverse import (
     invertible,
     unity_gain,
 )
-from jaxnarx.methods import (
+from jaxnarx.models import Network, save
+from jaxnarx.settings import (
     ActuatorLimits,
     TrackingError,
     replace_at,
 )
-from jaxnarx.models import Network, save
 from jaxnarx.shell.assigned import assigned
 from jaxnarx.shell.commands import Invert
 from jaxnarx.shell.figures.style import save as save_figure

@@ -20,10 +20,10 @@ from jaxnarx.shell.formats import Values, table_csv, write_text
 from jaxnarx.shell.unfinished import PREFIX, held, unfinished
 
 if TYPE_CHECKING:
+    from jaxnarx.confidence import Intervals
     from jaxnarx.evaluation import Report
     from jaxnarx.inverse import Tracking
     from jaxnarx.simulation import Trajectories
-    from jaxnarx.trust import Intervals
 
 
 RUN = ("model.safetensors", "report.json", "report.html")

@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 
 import jaxnarx.evaluation as evaluation
 from jaxnarx.checks import choice
+from jaxnarx.confidence import Uncertainty
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
 from jaxnarx.identification import Leaderboard, described
 from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
-from jaxnarx.refinement import Uncertainty
 from jaxnarx.selection import Selection, criteria_of
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import BY, error_over_operations

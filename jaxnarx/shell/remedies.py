@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxnarx.evaluation import Verdict
-from jaxnarx.methods import (
+from jaxnarx.settings import (
     KIND_KEY,
     Global,
     Lolimot,

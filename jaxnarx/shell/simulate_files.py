@@ -5,6 +5,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.confidence import domain, intervals
 from jaxnarx.data import Channels, Dataset, match_channels, read_files
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse import Tracking, cascade
@@ -18,7 +19,6 @@ from jaxnarx.shell.messages import about, count, next_command, say, size, warn
 from jaxnarx.shell.model_file import loaded
 from jaxnarx.shell.prepare import as_trained, raw_channels, stored
 from jaxnarx.simulation import Trajectories, predict, simulate
-from jaxnarx.trust import domain, intervals
 
 
 def simulate_files(command: Simulate) -> int:

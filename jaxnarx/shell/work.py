@@ -14,7 +14,7 @@ from jaxnarx.shell.reading import reading_told
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset, LagSuggestion, Split
-    from jaxnarx.methods import Identification
+    from jaxnarx.settings import Identification
 
 
 def run(command: commands.Command, *, typed: str) -> int:
@@ -120,9 +120,9 @@ def _check_against(model: str, data: "Dataset", *, json: bool) -> int:
     import dataclasses
     from json import dumps
 
+    from jaxnarx.confidence import domain
     from jaxnarx.data import match_channels
     from jaxnarx.models import load
-    from jaxnarx.trust import domain
 
     network = load(model)
     known = match_channels(data, network.channels.measured)[0]
@@ -184,7 +184,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
     import jax
 
     from jaxnarx.engines import pfi_siso_records
-    from jaxnarx.methods import ForwardOLS, Identification, Lolimot, Polynomial
+    from jaxnarx.settings import ForwardOLS, Identification, Lolimot, Polynomial
     from jaxnarx.shell.identify import OneMethod, identify
     from jaxnarx.shell.output import RUN, run_folder
 

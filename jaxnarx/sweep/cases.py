@@ -13,7 +13,7 @@ import numpy as np
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded
-from jaxnarx.methods import Identification, hint_at, plain_value, value_at
+from jaxnarx.settings import Identification, hint_at, plain_value, value_at
 
 SCALES = ("log", "uniform", "integer")
 Case = Mapping[str, Any]

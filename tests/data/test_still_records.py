@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from jaxnarx.data import Dataset, check, delays, step_times, suggest_lags
-from jaxnarx.output_error._look import look
+from jaxnarx.partition.closed_form.profile import profile_data
 
 SECOND = {
     "differs": lambda k, n: np.full(n, (20.0, 30.0, 40.0)[k]),
@@ -37,7 +37,7 @@ def test_every_look_at_the_data_takes_them(kind, still_output):
     assert lags.dead_time["u1", "y"] == 1 and lags.settling["u1", "y"]
     assert list(step_times(data, "y")) == ["u1"]
     assert "unclear" in str(delays(data))
-    assert look(data, "y").dead_time == (1, 0)
+    assert profile_data(data, "y").dead_time == (1, 0)
     if still_output:
         assert lags.dead_time["u1", "z"] is lags.dead_time["u2", "z"] is None
 
@@ -49,7 +49,7 @@ def test_one_long_record_does_not_hide_what_the_others_show():
     y = [np.roll(x, 4) + 0.05 * rng.normal(size=len(x)) for x in u]
     data = Dataset.from_arrays(u, y, inputs=["u"], outputs=["y"], sample_time=0.1)
     assert suggest_lags(data).dead_time["u", "y"] == 4
-    assert look(data, "y").dead_time == (4,)
+    assert profile_data(data, "y").dead_time == (4,)
 
 
 def test_two_records_with_one_value_each():

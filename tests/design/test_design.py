@@ -16,8 +16,8 @@ from jaxnarx.design import (
 from jaxnarx.design._criteria import objective
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import AprbsPlan, aprbs_plan, check_plan, render
-from jaxnarx.methods import OptimalDesign
-from jaxnarx.methods.settings import from_dict
+from jaxnarx.settings import OptimalDesign
+from jaxnarx.settings.tree import from_dict
 
 LENGTH = 240
 

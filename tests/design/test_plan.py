@@ -53,7 +53,9 @@ def known():
     pool = jnx.polynomial_pool(data.channels, input_lags=[1], output_lags=[1], degree=2)
     chosen = jnx.select(pool, data, jnx.ForwardOLS(max_terms=6)).value
     network = jnx.grow(chosen, data, jnx.Global()).value
-    return jnx.trust.learn_errors(jnx.trust.learn_domain(network, data), plant(1))
+    return jnx.confidence.fit_error_model(
+        jnx.confidence.fit_domain(network, data), plant(1)
+    )
 
 
 def made(network, **options):
@@ -233,7 +235,7 @@ def test_what_cannot_be_planned_is_told(known, options, message):
 def test_a_network_without_a_domain_is_told_how_to_get_one(known):
     import dataclasses
 
-    with pytest.raises(SpecError, match="learn_domain"):
+    with pytest.raises(SpecError, match="fit_domain"):
         made(dataclasses.replace(known, domain=None))
     with pytest.raises(SpecError, match="duration"):
         jnx.design.plan(known, duration=0)

@@ -60,7 +60,7 @@ def test_a_report_says_how_often_and_how_much(data, tmp_path):
     parts = {"train": train, "test": test}
     plain: dict[str, Any] = {"stability": False, "diagnostics": False}
     assert jnx.report(net, parts, **plain).domain is None
-    net = jnx.trust.learn_domain(net, train)
+    net = jnx.confidence.fit_domain(net, train)
     # the truth leaves the trained range: that is no divergence here
     net = dataclasses.replace(net, lower=net.lower - 50, upper=net.upper + 50)
     found = jnx.report(net, parts, **plain)

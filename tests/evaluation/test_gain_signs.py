@@ -75,7 +75,7 @@ def test_a_jump_is_told():
 def test_points_of_a_domain_alone_count_and_nothing_comes_of_nothing():
     net = network(((0, 1), 0.5), ((1, 1), -0.25))
     inside = common.from_rows([np.clip(common.signals(200), -0.5, 0.5)])
-    known = jnx.trust.learn_domain(net, inside)
+    known = jnx.confidence.fit_domain(net, inside)
     assert check_gains(known, data) == () != check_gains(net, data)
     far = common.from_rows([common.signals(60) + 100.0])
     assert check_gains(net, far) == ()

@@ -11,10 +11,10 @@ from jaxnarx.data import Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.residual_tests import diagnose, one_step
-from jaxnarx.methods import Global, Lolimot
 from jaxnarx.models import hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
+from jaxnarx.settings import Global, Lolimot
 from jaxnarx.simulation import predict
 
 

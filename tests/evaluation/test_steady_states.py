@@ -71,8 +71,8 @@ def test_a_surface_has_a_value_for_each_pair():
 
 
 def test_bands_and_the_domain_are_those_of_the_network():
-    knows = jnx.trust.learn_domain(network("one model"), data())
-    knows = jnx.trust.learn_errors(knows, data())
+    knows = jnx.confidence.fit_domain(network("one model"), data())
+    knows = jnx.confidence.fit_error_model(knows, data())
     (cut,) = intersections(knows, data(), over=["a"], points=9)
     assert cut.lower is not None and cut.upper is not None and cut.index is not None
     assert np.all(cut.lower < cut.y) and np.all(cut.y < cut.upper)

@@ -19,9 +19,9 @@ from jaxnarx.data import Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost
 from jaxnarx.identification import Leaderboard, automatic, read_search
-from jaxnarx.methods import PRESETS, Preset
-from jaxnarx.output_error import ClosedForm, look
+from jaxnarx.partition import ClosedForm, profile_data
 from jaxnarx.refinement import rate_of
+from jaxnarx.settings import PRESETS, Preset
 from jaxnarx.solution import Solution
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=0)
@@ -222,7 +222,7 @@ def test_a_budget_too_small_for_anything_still_gives_a_model(tmp_path):
     assert row.family == "constant" and told.value.history == 0
     run = jnx.simulate(told.value, plant()).value
     # Samples count behind the history of any candidate.
-    begin = look(plant(), "y").begin
+    begin = profile_data(plant(), "y").begin
     y = np.concatenate([r.y[begin:] for r in plant()])
     np.testing.assert_allclose(run.outputs[0], y.mean(), rtol=1e-9)
     # With more time the same call goes on.

@@ -15,8 +15,8 @@ from jaxnarx.identification.candidates import Candidates
 from jaxnarx.identification.fed_back import fed_back
 from jaxnarx.identification.judge import JudgedMethod
 from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.methods import Identification, Preset
-from jaxnarx.output_error import ClosedForm, ClosedSearch, Look, Sum, look
+from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, profile_data
+from jaxnarx.settings import Identification, Preset
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
 
@@ -27,8 +27,8 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def seen(data) -> Look:
-    return look(data, "y")
+def seen(data) -> DataProfile:
+    return profile_data(data, "y")
 
 
 @pytest.fixture(scope="module")
@@ -221,7 +221,7 @@ def test_a_sum_of_candidates_is_one_of_them(data, seen, few, judged, monkeypatch
     """Of those in closed form that are no constant and no ARX model; its network is
     the sum of theirs."""
     search = ClosedSearch(data, seen, groups(data))
-    orders = {len(f.stage.dictionary.a) - 1: f for f in search.linear()}
+    orders = {len(f.stage.design.a) - 1: f for f in search.linear()}
     members = [*(orders[n] for n in (1, 2)), *few]
     asked = []
 

@@ -9,11 +9,11 @@ from search_problems import plant
 from jaxnarx.data import Dataset
 from jaxnarx.identification.fed_back import LARGEST, fed_back, pool_of
 from jaxnarx.identification.pools import make_pool
-from jaxnarx.methods import PRESETS, ForwardOLS, Global, Lolimot, SimulationError
-from jaxnarx.output_error import Look
+from jaxnarx.partition import DataProfile
 from jaxnarx.regressors import Pool, parse_variable
+from jaxnarx.settings import PRESETS, ForwardOLS, Global, Lolimot, SimulationError
 
-LOOK = Look("w", (None,), (3,), rise=4.0, memory=20, reach=20, every=1)
+LOOK = DataProfile("w", (None,), (3,), rise=4.0, memory=20, reach=20, every=1)
 
 
 def wide(inputs: int) -> Dataset:
@@ -52,14 +52,14 @@ def test_lags_begin_at_the_dead_time_beside_a_recent_one():
 
 def test_local_models_are_scheduled_on_what_is_known():
     data = plant(2)
-    for look in (LOOK, dataclasses.replace(LOOK, dead_time=(0,))):
-        local = [m for f, _, m in fed_back(data, look) if f == "LOLIMOT"]
+    for profile in (LOOK, dataclasses.replace(LOOK, dead_time=(0,))):
+        local = [m for f, _, m in fed_back(data, profile) if f == "LOLIMOT"]
         assert local
         for method in local:
             assert isinstance(method.grow, Lolimot)
             rows = [parse_variable(data.channels, t) for t in method.grow.scheduling]
             assert [(row[0], row[1]) for row in rows] == [
-                (0, look.dead_time[0]),
+                (0, profile.dead_time[0]),
                 (2, 1),
             ]
 
@@ -67,8 +67,10 @@ def test_local_models_are_scheduled_on_what_is_known():
 @pytest.mark.parametrize("inputs", [1, 4, 12, 40])
 def test_pools_stay_small_however_many_inputs(inputs):
     data = wide(inputs)
-    look = dataclasses.replace(LOOK, levels=(None,) * inputs, dead_time=(0,) * inputs)
-    every = list(fed_back(data, look))
+    profile = dataclasses.replace(
+        LOOK, levels=(None,) * inputs, dead_time=(0,) * inputs
+    )
+    every = list(fed_back(data, profile))
     assert every, "local models at least"
     for _, _, method in every:
         assert isinstance(method.pool, Pool)

@@ -11,7 +11,9 @@ from search_problems import LENGTHS, explosive, plant
 from jaxnarx.data import groups, shortened
 from jaxnarx.identification import judge as module
 from jaxnarx.identification.judge import HOPELESS, JudgedMethod
-from jaxnarx.methods import (
+from jaxnarx.models._assemble import OUTPUT_MARGIN
+from jaxnarx.partition import ClosedSearch, profile_data
+from jaxnarx.settings import (
     ForwardOLS,
     Global,
     Identification,
@@ -19,8 +21,6 @@ from jaxnarx.methods import (
     Polynomial,
     SimulationError,
 )
-from jaxnarx.models._assemble import OUTPUT_MARGIN
-from jaxnarx.output_error import ClosedSearch, look
 
 METHOD = Identification(
     pool=Polynomial(outputs="y", input_lags=(1,), output_lags=(1,), degree=1),
@@ -94,10 +94,10 @@ def test_every_group_is_judged_by_a_model_of_the_others(data, found):
 @pytest.mark.parametrize("blocks", [False, True])
 def test_all_candidates_of_a_search_are_judged_by_the_same_samples(blocks):
     data = plant(lengths=(450,)) if blocks else plant()
-    seen, own = look(data, "y"), groups(data, gap=9)
+    seen, own = profile_data(data, "y"), groups(data, gap=9)
     closed = ClosedSearch(data, seen, own)
     for candidate in (closed.constant(), next(closed.linear())):
-        counts = candidate.stage.dictionary.equations.judged
+        counts = candidate.stage.design.equations.judged
         ours = judge(METHOD, data, own, 1.0, begin=seen.begin).counts
         np.testing.assert_array_equal(ours, counts)
         labelled = sum(int(np.sum(label >= 0)) for label in own.labels)

@@ -10,7 +10,7 @@ from search_fakes import FakeSearch
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.identification import identify
-from jaxnarx.methods import Identification
+from jaxnarx.settings import Identification
 
 
 @pytest.fixture(scope="module")

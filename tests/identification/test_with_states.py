@@ -33,8 +33,8 @@ from jaxnarx.identification.with_states import (
     WINDOW,
     with_states,
 )
-from jaxnarx.methods import PRESETS, HiddenStates, Preset
-from jaxnarx.output_error import ClosedSearch, look
+from jaxnarx.partition import ClosedSearch, profile_data
+from jaxnarx.settings import PRESETS, HiddenStates, Preset
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=1)
 """One structure, of short records two."""
@@ -163,7 +163,7 @@ def test_presets_try_them_as_they_say():
 def closed():
     """The mean, and the look at the data."""
     data = plant()
-    seen = look(data, "y")
+    seen = profile_data(data, "y")
     return data, seen, ClosedSearch(data, seen, groups(data)).constant()
 
 

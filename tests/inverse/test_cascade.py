@@ -21,11 +21,11 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse import cascade, inverse_data
 from jaxnarx.inverse.loop import connect
-from jaxnarx.methods import Global, Lolimot
-from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
+from jaxnarx.settings import Global, Lolimot
+from jaxnarx.settings.inverse import ActuatorLimits
 from jaxnarx.simulation import predict, simulate
 
 FREE = ((-np.inf, np.inf), (-np.inf, np.inf))

@@ -17,8 +17,8 @@ from jaxnarx.inverse import cascade, compensate
 from jaxnarx.inverse.loop import connect
 from jaxnarx.inverse.task import make_task, spreads
 from jaxnarx.inverse.tracking_problem import _residuals, tracking_problem
-from jaxnarx.methods.inverse import ActuatorLimits, TrackingError
 from jaxnarx.refinement.layout import make_layout
+from jaxnarx.settings.inverse import ActuatorLimits, TrackingError
 
 LIMITS = ActuatorLimits(range={"u": (-0.7, 0.8)}, rate={"u": 6.0})
 

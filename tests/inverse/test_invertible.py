@@ -16,11 +16,11 @@ from jaxnarx.inverse import invertible, reachable
 from jaxnarx.inverse.linearise import local_slopes, static_gain, zeros
 from jaxnarx.inverse.region import find_region
 from jaxnarx.inverse.statics import statics
-from jaxnarx.methods import Global
-from jaxnarx.methods.inverse import ActuatorLimits
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import grow
 from jaxnarx.regressors import LowPass, polynomial_pool
+from jaxnarx.settings import Global
+from jaxnarx.settings.inverse import ActuatorLimits
 
 
 def looked_at(forward: Network, data: Dataset, **options):

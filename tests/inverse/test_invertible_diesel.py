@@ -9,10 +9,10 @@ import pytest
 
 from jaxnarx.engines import Diesel, records
 from jaxnarx.inverse import invertible
-from jaxnarx.methods import ForwardOLS, Global
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS, Global
 
 
 @pytest.mark.slow

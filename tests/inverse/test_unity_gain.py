@@ -7,7 +7,7 @@ from inverse_problems import exact, linear, polynomial_inverse, recorded
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse import cascade, inverse_data, unity_gain
-from jaxnarx.methods.inverse import ActuatorLimits
+from jaxnarx.settings.inverse import ActuatorLimits
 
 
 @pytest.mark.slow

@@ -10,11 +10,11 @@ import pytest
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear._adapt import adapt
-from jaxnarx.methods import Global
-from jaxnarx.methods.least_squares import Recursive
 from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
 from jaxnarx.partition import grow
 from jaxnarx.regressors import Variables, polynomial_pool
+from jaxnarx.settings import Global
+from jaxnarx.settings.least_squares import Recursive
 
 TIME = 1200
 

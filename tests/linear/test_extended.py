@@ -8,7 +8,7 @@ import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import extended_least_squares, fit_linear
-from jaxnarx.methods.linear import ARMAX, ARX
+from jaxnarx.settings.linear import ARMAX, ARX
 from jaxnarx.solution import RESULTS
 
 TRUE = {"u[t-2]": 1.0, "u[t-1]^2": 0.3, "y[t-1]": 0.6}

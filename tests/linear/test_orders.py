@@ -12,7 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.excitation import aprbs
 from jaxnarx.linear import fit_linear, search_orders
-from jaxnarx.methods.linear import ARX
+from jaxnarx.settings.linear import ARX
 from jaxnarx.solution import RESULTS
 
 RANGE = range(1, 4)

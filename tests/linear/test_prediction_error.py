@@ -27,7 +27,7 @@ from jaxnarx.linear.prediction_error import PredictionErrorProblem
 from jaxnarx.linear.recursion import Signals, residuals, states
 from jaxnarx.linear.stability import is_stable, radius, reflected
 from jaxnarx.linear.structure import structure_of
-from jaxnarx.methods.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
+from jaxnarx.settings.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
 from jaxnarx.solution import RESULTS
 
 SAMPLES = 1000

@@ -9,8 +9,8 @@ from scipy import stats
 
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.regression import least_squares
-from jaxnarx.methods.least_squares import LeastSquares
-from jaxnarx.methods.settings import from_dict
+from jaxnarx.settings.least_squares import LeastSquares
+from jaxnarx.settings.tree import from_dict
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "nist.json"
 SETS = json.loads(REFERENCE.read_text(encoding="utf-8"))["sets"]

@@ -17,12 +17,12 @@ from jaxnarx.design import network_sensitivity
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.methods import ForwardOLS, Global, Lolimot, SimulationError
 from jaxnarx.models import load, save
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import LowPass, Orthonormal, Variables, polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS, Global, Lolimot, SimulationError
 from jaxnarx.simulation import predict, simulate
 
 BANK = (LowPass(1.0), LowPass(0.4))

@@ -16,16 +16,16 @@ from common import some
 from kinds import OWN, own_feedback
 
 import jaxnarx as jnx
+from jaxnarx.confidence.information import sums, variances
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import ModelFileError
-from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network, advance, load, save
 from jaxnarx.refinement import refine, stability
 from jaxnarx.refinement._stability.points import jacobians, points_of
-from jaxnarx.refinement.information import sums, variances
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.refinement.task import make_task
+from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, states
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
-from jaxnarx.methods import Given, Grid, SimulationError
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
+from jaxnarx.settings import Given, Grid, SimulationError
 
 ROWS = 400
 SLOW_THEN_FAST = ((0.95, 0.05), (0.5, 1.0))

@@ -11,9 +11,9 @@ from problems import data, fitted, growth, pool, records
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Given, Global, Grid, Lolimot
 from jaxnarx.models import AbstractValidity, Gaussians, SigmoidTree
 from jaxnarx.partition import grow
+from jaxnarx.settings import ForwardOLS, Given, Global, Grid, Lolimot
 
 SCHEDULE = ("u1[t]", "u2[t]")
 METHODS = growth("tiny")

@@ -12,9 +12,9 @@ from problems import ROWS, data, fitted, growth, pool, records
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import ForwardOLS, Grid, Lolimot, SigmoidTree, StepwiseF
 from jaxnarx.models import Boxes, Compact, Gaussians, LogSigmoids
 from jaxnarx.partition import grow
+from jaxnarx.settings import ForwardOLS, Grid, Lolimot, SigmoidTree, StepwiseF
 from jaxnarx.simulation import simulate
 
 SCHEDULE = ("u1[t]", "u2[t]")

@@ -11,11 +11,11 @@ import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import Global, Lolimot
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.partition import grow
 from jaxnarx.partition._lolimot import lolimot
 from jaxnarx.regressors import polynomial_pool
+from jaxnarx.settings import Global, Lolimot
 from jaxnarx.simulation import predict
 
 # Published training NRMSE, printed to six decimals (DESIGN section 9). In one dimension

@@ -9,10 +9,10 @@ import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Lolimot, Placed
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
 from jaxnarx.regressors import polynomial_pool
+from jaxnarx.settings import ForwardOLS, Lolimot, Placed
 from jaxnarx.simulation import predict
 
 MIDDLES = np.array([[0.0, 0.0], [1.0, 0.2], [0.3, 1.0]])

@@ -11,7 +11,7 @@ import scipy.optimize
 import tree_oracles
 from tree_oracles import Tree, axis_tree, make_gate, moments
 
-from jaxnarx import methods
+from jaxnarx import settings
 from jaxnarx.data import Dataset
 from jaxnarx.models import SigmoidTree
 from jaxnarx.partition import grow
@@ -362,7 +362,7 @@ def tree_network(u: np.ndarray, y: np.ndarray, models: int, smoothness: float = 
     names = [f"u{n + 1}" for n in range(u.shape[1])]
     data = Dataset.from_arrays(u, y, inputs=names, outputs=["y"], sample_time=1.0)
     pool = polynomial_pool(data.channels, input_lags=(0,), output_lags=(), degree=1)
-    method = methods.SigmoidTree(
+    method = settings.SigmoidTree(
         [f"{name}[t]" for name in names],
         max_models=models,
         smoothness=smoothness,
@@ -397,6 +397,6 @@ def test_twenty_models_of_four_variables_refined_together():
     y += 0.05 * y.std() * rng.normal(size=len(y))
     data, network = tree_network(u, y, 20, smoothness=1.4)
     assert error_of(network, data, fresh) < 0.020
-    method = methods.PredictionError(ridge=1e-4, max_steps=10)
+    method = settings.PredictionError(ridge=1e-4, max_steps=10)
     refined = refine(network, data, method).value
     assert error_of(refined, data, fresh) < 0.015

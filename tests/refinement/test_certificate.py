@@ -11,6 +11,7 @@ import pytest
 from common import A
 
 import jaxnarx as jnx
+from jaxnarx.confidence import apply_release_limits, attach_domain_and_intervals
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
@@ -23,7 +24,6 @@ from jaxnarx.models import (
 )
 from jaxnarx.refinement import certificate, certified, rate_of
 from jaxnarx.refinement._stability._certificate import _blocks
-from jaxnarx.trust import knowing, released
 
 LOW, HIGH = np.array([-1.0, -1.0, -5.0, -2.0]), np.array([1.0, 1.0, 5.0, 2.0])
 
@@ -181,7 +181,7 @@ def test_a_file_keeps_it_and_a_merged_network_has_none(tmp_path):
 def test_what_has_one_may_follow_its_inputs_far_beyond():
     data = common.from_rows([common.signals(200, seed) for seed in range(3)])
     net = network([local(0.5, 0.1)] * 2)
-    found = knowing(released(net), data)
+    found = attach_domain_and_intervals(apply_release_limits(net), data)
     assert found.certificate is not None and found.domain is not None
     assert found.outside == FLAG
     assert float(found.upper[0]) > 50 * float(net.high[2]) / float(net.gain[2])
@@ -191,7 +191,7 @@ def test_what_has_one_may_follow_its_inputs_far_beyond():
     assert again.certificate is None
     assert float(again.upper[0] - again.lower[0]) == pytest.approx(1.5 * width)
     own = network([local(0.5, 0.1)] * 2, scheduling=((2, 1),))
-    found = knowing(released(own), data)
+    found = attach_domain_and_intervals(apply_release_limits(own), data)
     assert found.certificate is None and found.outside == LINEAR
     np.testing.assert_array_equal(found.upper, own.upper)
 

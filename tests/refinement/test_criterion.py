@@ -8,10 +8,10 @@ import pytest
 from common import Y
 
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import SimulationError
 from jaxnarx.refinement import refine
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.task import make_task
+from jaxnarx.settings import SimulationError
 
 RUN = jnp.asarray([[-0.3, 0.02], [0.4, 1.7], [2.5, 0.9], [0.06, 3.0]])
 MEASURED = jnp.asarray([[0.1, 0.6], [0.4, 1.2], [0.7, 1.0], [1.9, 0.2]])

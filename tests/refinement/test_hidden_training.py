@@ -14,7 +14,6 @@ from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import PRIOR, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement._refine import make_task
@@ -22,6 +21,7 @@ from jaxnarx.refinement._stability import penalty_points
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import run, simulate
 
 BAND = (0.5, 2.0)

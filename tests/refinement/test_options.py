@@ -37,7 +37,6 @@ from jaxnarx.arrays import (
 )
 from jaxnarx.data import groups
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import freeze, refine
 from jaxnarx.refinement.any_solver import any_solver
 from jaxnarx.refinement.folds import curve, divided
@@ -52,6 +51,7 @@ from jaxnarx.refinement.starts import (
     shrink_feedback,
 )
 from jaxnarx.refinement.task import make_task
+from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import predict, run, simulate
 
 QUICK = {"horizons": (8,), "window_steps": 4, "max_steps": 8}

@@ -7,7 +7,6 @@ import numpy as np
 import oracles
 import pytest
 
-from jaxnarx.methods import SimulationError
 from jaxnarx.models import (
     AbstractValidity,
     Boxes,
@@ -21,6 +20,7 @@ from jaxnarx.refinement.labels import label
 from jaxnarx.refinement.layout import freeze, make_layout
 from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.refinement.task import make_task
+from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import run
 
 BAND = (0.5, 2.0)

@@ -18,12 +18,12 @@ from common import A, Y, some
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import SimulationError
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.refinement import freeze, refine
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import loss, normal_equations
+from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import run, simulate
 
 SPARE = {"spare_models": 1, "spare_slots": 1}

@@ -37,9 +37,9 @@ from jaxnarx.arrays.levenberg import (
 )
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.refinement import refine
+from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import NAMES, Solution
 

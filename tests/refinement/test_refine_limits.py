@@ -9,11 +9,11 @@ import numpy as np
 import oracles
 from common import A, B
 
+from jaxnarx.confidence._bands import bands
+from jaxnarx.confidence._uncertainty import uncertainty
 from jaxnarx.models import hold_to_range, reported
-from jaxnarx.refinement._bands import bands
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability import stability
-from jaxnarx.refinement._uncertainty import uncertainty
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.simulation import run, simulate

@@ -9,12 +9,12 @@ import pytest
 from common import A, B
 from hidden_problems import network, truth
 
-from jaxnarx.methods import SimulationError
 from jaxnarx.models import Network, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.problem import make_problem
+from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import run
 
 BAND = (0.5, 2.0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import ForwardOLS, Global, SimulationError
 from jaxnarx.models import Network
 from jaxnarx.partition import grow
 from jaxnarx.refinement import refine
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS, Global, SimulationError
 from jaxnarx.simulation import simulate
 
 METHOD = SimulationError(horizons=(3,), window_steps=2, max_steps=3)

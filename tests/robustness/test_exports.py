@@ -9,7 +9,7 @@ import common
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "targets"))
+sys.path.append(str(Path(__file__).parents[1] / "exporters"))
 
 from test_missing_inputs import (  # pyright: ignore[reportMissingImports]
     JUNK,
@@ -23,10 +23,10 @@ from test_targets import (  # pyright: ignore[reportMissingImports]
 )
 
 from jaxnarx.data import Channel, Channels
+from jaxnarx.exporters import export, lower, octave, runners
+from jaxnarx.exporters.fmu.prove import fmu_runner
+from jaxnarx.exporters.target import as_bytes
 from jaxnarx.models import NAN, OUTSIDE, memory_of, set_nan_policy
-from jaxnarx.targets import export, lower, octave, runners
-from jaxnarx.targets.fmu.prove import fmu_runner
-from jaxnarx.targets.target import as_bytes
 
 pytestmark = [
     pytest.mark.slow,

@@ -11,10 +11,10 @@ from anova_problems import ROWS, noise, problem, table, uniform, with_output
 from common import some
 
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods.anova import Anova
 from jaxnarx.selection.anova import sequence as anova_sequence
 from jaxnarx.selection.anova.cells import cut, group_tests, lay_out
 from jaxnarx.selection.anova.table import AnovaTable, anova, significant_terms
+from jaxnarx.settings.anova import Anova
 
 EACH = Anova(familywise=False, significance=0.05)
 

@@ -10,8 +10,8 @@ from anova_problems import layout, noise, table, uniform
 from scipy.stats import f as f_distribution
 
 from jaxnarx.errors import DataError
-from jaxnarx.methods.anova import Anova
 from jaxnarx.selection.anova.cells import cut
+from jaxnarx.settings.anova import Anova
 
 
 def factorial(seed: int):

@@ -9,7 +9,12 @@ import pytest
 from common import some
 
 from jaxnarx.data import Dataset
-from jaxnarx.methods import (
+from jaxnarx.partition import grow
+from jaxnarx.refinement import refine
+from jaxnarx.regressors import Pool, evaluate, polynomial_pool
+from jaxnarx.regressors.centring import Centring
+from jaxnarx.selection import select
+from jaxnarx.settings import (
     Backward,
     ForwardOLS,
     Global,
@@ -19,11 +24,6 @@ from jaxnarx.methods import (
     SimulationOLS,
     StepwiseF,
 )
-from jaxnarx.partition import grow
-from jaxnarx.refinement import refine
-from jaxnarx.regressors import Pool, evaluate, polynomial_pool
-from jaxnarx.regressors.centring import Centring
-from jaxnarx.selection import select
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS
 

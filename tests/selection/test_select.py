@@ -17,9 +17,9 @@ from common import A, B, Y
 
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import ForwardOLS
 from jaxnarx.regressors import Pool, polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import ForwardOLS
 
 SCALE = np.array([1500.0, 0.02, 30.0, 4.0])
 """Physical sizes of a, b, y, w: selection may not depend on them."""

@@ -5,9 +5,9 @@ import pytest
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError
-from jaxnarx.methods import Anova, StepwiseF
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.selection import select
+from jaxnarx.settings import Anova, StepwiseF
 
 
 def record(outputs) -> Dataset:

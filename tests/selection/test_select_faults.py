@@ -8,8 +8,8 @@ from test_select import SCALE, pool, record, rows_of
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.methods import Backward, ForwardOLS, SimulationOLS, StepwiseF
 from jaxnarx.selection import select
+from jaxnarx.settings import Backward, ForwardOLS, SimulationOLS, StepwiseF
 
 METHODS = {
     "forward": ForwardOLS(max_terms=8),

@@ -10,7 +10,6 @@ import pytest
 from jaxnarx.arrays.contraction import positions
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Global, SimulationOLS
 from jaxnarx.partition import grow
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.regressors import polynomial_pool
@@ -21,6 +20,7 @@ from jaxnarx.selection.simulation_ols import (
     pool_derivatives,
     promises,
 )
+from jaxnarx.settings import ForwardOLS, Global, SimulationOLS
 from jaxnarx.simulation import run, simulate
 
 METHOD = SimulationOLS(max_terms=8, start_terms=3, shortlist=12)

@@ -8,10 +8,10 @@ from common import Y
 from test_select import formed, pool, rms, rows_of
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import ForwardOLS, Global, StepwiseF
 from jaxnarx.partition import grow
 from jaxnarx.selection import choose, criteria_of, errors_along, select
 from jaxnarx.selection.sizes import largest_variance
+from jaxnarx.settings import ForwardOLS, Global, StepwiseF
 from jaxnarx.simulation import predict, simulate
 
 TERMS = 8

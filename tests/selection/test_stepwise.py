@@ -11,10 +11,10 @@ from common import W, Y
 from test_select import PROBLEMS, formed, pool, rms, rows_of
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Backward, ForwardOLS, Global, StepwiseF
 from jaxnarx.partition import grow
 from jaxnarx.regressors import Pool
 from jaxnarx.selection import Selection, coefficient_table, select
+from jaxnarx.settings import Backward, ForwardOLS, Global, StepwiseF
 
 TERMS = 12
 LEVEL = 9.0

@@ -571,8 +571,8 @@ def test_the_interval_lies_within_the_axis(browser, tmp_path, bare):
         ]
         return common.from_rows(rows)
 
-    net = jnx.trust.learn_domain(net, noisy((300,), 0))
-    net = jnx.trust.learn_errors(net, noisy((300, 300), 4))
+    net = jnx.confidence.fit_domain(net, noisy((300,), 0))
+    net = jnx.confidence.fit_error_model(net, noisy((300, 300), 4))
     path = tmp_path / "interval.html"
     write_report(report(net, noisy((200,), 5), **common.BRIEF), path)
     browser.open(path, ready=READY)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxnarx.methods import Identification, Lolimot, StepwiseF
-from jaxnarx.methods import SigmoidTree as TreeOfSigmoids
 from jaxnarx.models import SigmoidTree, load
+from jaxnarx.settings import Identification, Lolimot, StepwiseF
+from jaxnarx.settings import SigmoidTree as TreeOfSigmoids
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.parse import parse

@@ -6,7 +6,7 @@ import shlex
 import pytest
 
 from jaxnarx.evaluation.verdict import REMEDIES, Reason, Verdict
-from jaxnarx.methods import Identification, Polynomial
+from jaxnarx.settings import Identification, Polynomial
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse

@@ -6,7 +6,7 @@ import pytest
 
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.verdict import REMEDIES, Reason, Verdict
-from jaxnarx.methods import PRESETS, Identification
+from jaxnarx.settings import PRESETS, Identification
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse

@@ -354,8 +354,3 @@ def test_parameters_that_are_not_finite_give_finite_outputs_and_a_status():
     y = np.asarray(eqx.filter_jit(jnx.free_run)(lost, runs))
     status = eqx.filter_jit(run_status)(lost, runs)
     assert np.all(np.isfinite(y)) and np.all(np.asarray(status) == 6)
-
-
-def test_old_names_say_where_they_are():
-    with pytest.warns(DeprecationWarning, match=r"jnx\.regressors\.Kautz"):
-        assert jnx.Kautz is jnx.regressors.Kautz

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import Identification
-from jaxnarx.methods.settings import replace_at
+from jaxnarx.settings import Identification
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.sweep.cases import grid_cases, label_of, random_cases
 
 

@@ -8,16 +8,16 @@ from identify_problems import METHOD, engine, fleet_of
 
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import joint_pool, make_pool, terms_of
-from jaxnarx.methods import (
+from jaxnarx.partition.placed import clusters
+from jaxnarx.partition.stages import best_stage, choose_stage
+from jaxnarx.settings import (
     Lolimot,
     Polynomial,
     PredictionError,
     SigmoidTree,
     SimulationError,
 )
-from jaxnarx.methods.settings import replace_at
-from jaxnarx.partition.placed import clusters
-from jaxnarx.partition.stages import best_stage, choose_stage
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import has_diverged
 from jaxnarx.simulation.trajectories import IN_A_ROW
 from jaxnarx.sweep.identify.member import Part

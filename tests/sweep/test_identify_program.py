@@ -13,8 +13,8 @@ from identify_problems import CASES, METHOD, engine, fleet_of, parts, replaced
 from jaxnarx.data import Dataset, Fleet
 from jaxnarx.evaluation import report
 from jaxnarx.identification import identify
-from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import identify_each, network_of, program
 from jaxnarx.sweep.identify.member import stacked

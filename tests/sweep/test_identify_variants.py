@@ -6,9 +6,9 @@ from common import some
 from identify_problems import SMALL, engine, fleet_of
 
 from jaxnarx.identification import identify
-from jaxnarx.methods import Global, Placed, PredictionError
-from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Network
+from jaxnarx.settings import Global, Placed, PredictionError
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import IdentificationWork, identify_each, network_of
 

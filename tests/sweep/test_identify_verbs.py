@@ -12,10 +12,10 @@ from identify_problems import SMALL, engine, fleet_of
 
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import identify, make_pool
-from jaxnarx.methods import Given, Grid
-from jaxnarx.methods.settings import replace_at
 from jaxnarx.models import Gaussians
 from jaxnarx.partition import grow
+from jaxnarx.settings import Given, Grid
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import (
     IdentificationWork,

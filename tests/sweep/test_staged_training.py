@@ -5,8 +5,8 @@ import pytest
 from common import some
 from identify_problems import METHOD, engine, fleet_of, parts
 
-from jaxnarx.methods.settings import replace_at
 from jaxnarx.refinement import refine
+from jaxnarx.settings.tree import replace_at
 from jaxnarx.sweep.identify import IdentificationWork, identify_each, network_of
 
 # The longer window is no window: no record has as many samples.

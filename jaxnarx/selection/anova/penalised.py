@@ -21,7 +21,6 @@ from jaxtyping import Float
 from scipy.special import fdtri
 
 from jaxnarx.errors import DataError
-from jaxnarx.methods import Anova
 from jaxnarx.selection.anova.cells import (
     Effect,
     FTest,
@@ -31,6 +30,7 @@ from jaxnarx.selection.anova.cells import (
 )
 from jaxnarx.selection.anova.garrote import garrote
 from jaxnarx.selection.anova.model import Codes, cross_moments, fit, moments, sizes
+from jaxnarx.settings import Anova
 
 
 class Shrunk(NamedTuple):

@@ -30,7 +30,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.methods import Anova
 from jaxnarx.selection.anova.cells import (
     LEAST,
     CellLayout,
@@ -41,6 +40,7 @@ from jaxnarx.selection.anova.cells import (
     lay_out,
 )
 from jaxnarx.selection.anova.model import Codes, fit, residual
+from jaxnarx.settings import Anova
 
 HELD = 40_000_000
 """Sample numbers held at most, so as not to sort into cells again for every step."""

@@ -8,7 +8,7 @@ import inspect
 import re
 from typing import get_args
 
-from jaxnarx.methods import DESCRIPTION
+from jaxnarx.settings import DESCRIPTION
 from jaxnarx.shell.commands.identify import Demo as Demo
 from jaxnarx.shell.commands.identify import Identify as Identify
 from jaxnarx.shell.commands.identify import Invert as Invert

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from tyro.conf import arg
 
 from jaxnarx.errors import DataFileError, SpecError
-from jaxnarx.methods import (
+from jaxnarx.settings import (
     KIND_KEY,
     METHOD_KINDS,
     Global,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from jaxnarx.methods import ForwardOLS, Identification, Polynomial, SimulationError
+from jaxnarx.settings import ForwardOLS, Identification, Polynomial, SimulationError
 from jaxnarx.shell.commands.annotations import (
     Description,
     Flag,

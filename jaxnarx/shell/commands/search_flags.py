@@ -7,7 +7,7 @@ from tyro.conf import arg
 
 from jaxnarx.checks import choice
 from jaxnarx.errors import SpecError
-from jaxnarx.methods import PRESETS
+from jaxnarx.settings import PRESETS
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.texts import field_texts
 

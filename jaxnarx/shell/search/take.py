@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from jaxnarx.confidence import apply_release_limits, attach_domain_and_intervals
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import (
     Contender,
@@ -28,7 +29,6 @@ from jaxnarx.shell.search.folder import (
     write_run,
 )
 from jaxnarx.shell.search.leaderboard import LEGEND, table
-from jaxnarx.trust import knowing, released
 
 
 def show(command: Leaderboard) -> int:
@@ -65,7 +65,9 @@ def take(command: Take, typed: str) -> int:
     with run_folder(out, "", force=command.force, marks=RUN) as folder:
         train, validation = training(split)
         parts = scored_parts(train, validation, split.test, network)
-        network = knowing(released(network), parts["train"])
+        network = attach_domain_and_intervals(
+            apply_release_limits(network), parts["train"]
+        )
         taken = {row.output: row.number for row in rows}
         result = scored(network, parts, found, taken, told)
         following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]

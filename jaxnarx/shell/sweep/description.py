@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
-from jaxnarx.methods import Identification, by_path, from_dict, replace_at
+from jaxnarx.settings import Identification, by_path, from_dict, replace_at
 
 SECTIONS = ("data", "identification", "cases", "random")
 Case = Mapping[str, Any]

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from jaxnarx.data import Fleet
 from jaxnarx.guard import guarded
-from jaxnarx.methods import Identification
+from jaxnarx.settings import Identification
 from jaxnarx.sweep.cases import Case
 from jaxnarx.sweep.identify.work import LANES, IdentificationWork
 

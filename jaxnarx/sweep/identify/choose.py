@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.methods import ForwardOLS
 from jaxnarx.selection import Program, make_lanes, path_of, search
+from jaxnarx.settings import ForwardOLS
 from jaxnarx.sweep.identify.frame import Frame
 from jaxnarx.sweep.identify.settings import Settings
 

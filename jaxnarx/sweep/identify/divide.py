@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.methods import Global, Placed, SigmoidTree
 from jaxnarx.models import AbstractValidity, Gaussians
 from jaxnarx.partition import (
     best_stage,
@@ -16,6 +15,7 @@ from jaxnarx.partition import (
     validity_of_boxes,
     validity_of_stage,
 )
+from jaxnarx.settings import Global, Placed, SigmoidTree
 from jaxnarx.sweep.identify.settings import Settings, Shape
 
 

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.methods import PredictionError
 from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
 from jaxnarx.partition import scattered
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
+from jaxnarx.settings import PredictionError
 from jaxnarx.simulation import RunInputs, drive_of
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.identify.choose import Chosen, choose

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.identification import terms_of
-from jaxnarx.methods import (
+from jaxnarx.regressors import Pool
+from jaxnarx.settings import (
     ForwardOLS,
     Global,
     Identification,
@@ -19,7 +20,6 @@ from jaxnarx.methods import (
     SigmoidTree,
     SimulationError,
 )
-from jaxnarx.regressors import Pool
 
 Arrays = np.ndarray | Array
 Grown = Global | Lolimot | SigmoidTree | Placed

@@ -26,7 +26,6 @@ from jaxnarx.arrays import (
     begin_search,
     select_tree,
 )
-from jaxnarx.methods import PredictionError, SimulationError
 from jaxnarx.refinement import (
     FEEDBACK_FACTORS,
     Layout,
@@ -37,6 +36,7 @@ from jaxnarx.refinement import (
     squares,
     stages,
 )
+from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
 from jaxnarx.sweep.identify.member import Part
 from jaxnarx.sweep.identify.score import counted

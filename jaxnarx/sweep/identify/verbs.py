@@ -14,9 +14,9 @@ from jaxnarx.arrays import program
 from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.identification import identify, terms_of
-from jaxnarx.methods import Identification
 from jaxnarx.models import Network
 from jaxnarx.regressors import Pool
+from jaxnarx.settings import Identification
 from jaxnarx.simulation import drive_of
 from jaxnarx.solution import NAMES, Solution
 from jaxnarx.sweep.identify.choose import Chosen

@@ -13,10 +13,10 @@ from jaxnarx.data import Fleet
 from jaxnarx.errors import SpecError
 from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
-from jaxnarx.methods import Identification, replace_at, to_dict
 from jaxnarx.models import Network
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
+from jaxnarx.settings import Identification, replace_at, to_dict
 from jaxnarx.sweep.cases import Case, label_of
 from jaxnarx.sweep.identify.frame import Frame, make_frame
 from jaxnarx.sweep.identify.member import PreparedMember, make_blank, prepare, stacked

@@ -14,10 +14,10 @@ from markupsafe import Markup
 
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import THIN_CELL, Report
+from jaxnarx.exporters import SampleProgram, javascript, lower
 from jaxnarx.models import Network
 from jaxnarx.shell.report.page import records
 from jaxnarx.shell.report.page.records import numbers
-from jaxnarx.targets import SampleProgram, javascript, lower
 
 FILES = ("codec", "dom", "run", "csv", "shown", "view", "map", "try", "surface", "main")
 """The page's own scripts, in the order in which they stand in it."""

@@ -1,0 +1,57 @@
+"""What identification gives its model at the end: domain, certificate, and limits."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.confidence.domain_fit import fit_domain
+from jaxnarx.confidence.error_model import fit_error_model
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.errors import JaxnarxError
+from jaxnarx.models import FLAG, LINEAR, Network, bounded, hold_to_range
+from jaxnarx.refinement import certified
+
+WIDE = 1e6
+"""Bounds of the feedback of a network with a certificate, in widths of the range: such
+a network runs away from nothing, however far its polynomials reach where inputs come
+together as they never did (100 widths and more on a measured engine)."""
+
+
+def attach_domain_and_intervals(
+    network: Network,
+    data: Dataset,
+    groups: Groups | None = None,
+    left_out: Float[np.ndarray, "outputs groups"] | None = None,
+    apart: Dataset | None = None,
+) -> Network:
+    """The network with its domain, where it has inputs and the records can be run, with
+    its certificate, where there is one, and with prediction intervals, where the errors
+    of groups left out are known, or there are records apart from the training."""
+    network = certified(network)
+    try:
+        network = fit_domain(network, data, groups=groups)
+    except JaxnarxError:
+        return network
+    if apart is not None:
+        return fit_error_model(network, apart)
+    if left_out is None:
+        return network
+    return fit_error_model(network, data, groups=groups, left_out=left_out)
+
+
+def apply_release_limits(network: Network) -> Network:
+    """The network with limits that let it follow inputs beyond their ranges.
+
+    What is stable for every input needs no bound of its feedback: the bounds of a
+    network with a certificate are wide, and inputs are taken as they are where it holds
+    for such inputs too. Others go on from the edge of their ranges to first order. On
+    virtual engines driven up to 2.5 times the trained ranges plain inputs had the
+    smallest error on most outputs, and held ones the largest (`experiments/edge`).
+    """
+    margin = None if network.hold is None else float(network.hold)
+    for outside in (FLAG, LINEAR):
+        network = certified(hold_to_range(network, margin, outside=outside))
+        if network.certificate is not None:
+            break
+    else:
+        return network
+    return bounded(network, WIDE)

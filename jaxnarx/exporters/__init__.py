@@ -1,0 +1,42 @@
+"""Models for other programs, from C to calibration files, proven to do the same."""
+
+from jaxnarx.exporters._export import TARGETS as TARGETS
+from jaxnarx.exporters._export import Exported as Exported
+from jaxnarx.exporters._export import export as export
+from jaxnarx.exporters._export import golden_of as golden_of
+from jaxnarx.exporters._export import write_files as write_files
+from jaxnarx.exporters._javascript import javascript as javascript
+from jaxnarx.exporters._lower import lower as lower
+from jaxnarx.exporters.form import BOTH as BOTH
+from jaxnarx.exporters.form import ONLY_DOUBLE as ONLY_DOUBLE
+from jaxnarx.exporters.form import ONLY_SINGLE as ONLY_SINGLE
+from jaxnarx.exporters.form import SampleProgram as SampleProgram
+from jaxnarx.exporters.interpret import Instance as Instance
+from jaxnarx.exporters.proof import DOUBLE as DOUBLE
+from jaxnarx.exporters.proof import Case as Case
+from jaxnarx.exporters.proof import ExportError as ExportError
+from jaxnarx.exporters.proof import cases_of as cases_of
+from jaxnarx.exporters.proof import worst as worst
+from jaxnarx.exporters.readback import read_parameters as read_parameters
+from jaxnarx.exporters.target import Target as Target
+
+__all__ = [
+    "BOTH",
+    "Case",
+    "DOUBLE",
+    "ExportError",
+    "Exported",
+    "Instance",
+    "ONLY_DOUBLE",
+    "ONLY_SINGLE",
+    "SampleProgram",
+    "TARGETS",
+    "Target",
+    "export",
+    "javascript",
+    "lower",
+    "read_parameters",
+    "worst",
+    "write_files",
+]
+"""Names for users; other rooms may import every name above."""

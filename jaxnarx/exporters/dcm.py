@@ -1,0 +1,133 @@
+"""DCM 2.0: tables of parameters and maps at rest, as calibration tools read them.
+
+Every table is a FESTWERTEBLOCK of the name that its C array has, every map a KENNFELD,
+or with one input a KENNLINIE. Numbers have the digits that read back exactly in double
+precision, 17 at most; tools that hold single precision keep nine of them. Texts are of
+ISO 8859-1.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from jaxnarx.exporters.calibration import CalibrationBlock, read_dcm
+from jaxnarx.exporters.code import digits
+from jaxnarx.exporters.form import ParameterTable, Port, SampleProgram
+from jaxnarx.exporters.maps import REST, RestMap, rest_maps
+from jaxnarx.exporters.names import identifiers
+from jaxnarx.exporters.proof import ExportError
+from jaxnarx.exporters.target import Files, Golden, Proof
+
+
+def dcm_files(program: SampleProgram, golden: Golden) -> Files:
+    """The file; `golden["axes"]` has the inputs that maps go over."""
+    text = "\n".join(_lines(program, rest_maps(program, golden["axes"]))) + "\n"
+    return {f"{program.name}.dcm": text.encode("iso-8859-1")}
+
+
+def plain(text: str) -> str:
+    """A text of ISO 8859-1 that stays inside of its quotation marks, and in its line
+    and comment."""
+    text = " ".join(text.replace('"', "'").replace("*/", "* /").split())
+    return text.encode("iso-8859-1", "replace").decode("iso-8859-1")
+
+
+def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
+    name, names = program.name, map_names(program)
+    yield f"* {name}: {_from(program)}"
+    yield f"* Blocks {name}_{REST}_... are what the model does at rest. They are for"
+    yield "* reading: who changes the other blocks changes the model."
+    yield ""
+    yield "KONSERVIERUNG_FORMAT 2.0"
+    yield ""
+    yield "FUNKTIONEN"
+    yield f'  FKT {name} "" "{_from(program)}"'
+    yield "END"
+    for table in program.tables:
+        if table.values.size:
+            yield ""
+            yield from _table(name, table)
+    found = {one.output: one for one in maps}
+    for port in program.reported:
+        yield ""
+        if port not in found:
+            yield f"* no map of {plain(port.name)}: none of the inputs has been moved"
+        elif np.all(np.isfinite(found[port].values)):
+            yield from _map(names[port], name, found[port])
+        else:
+            yield f"* no map of {plain(port.name)}: it does not come to rest everywhere"
+
+
+def map_names(program: SampleProgram) -> dict[Port, str]:
+    """How the map of an output is called."""
+    words = identifiers(port.name for port in program.computed)
+    return {
+        port: f"{program.name}_{REST}_{word}"
+        for port, word in zip(program.reported, words, strict=False)
+    }
+
+
+def _from(program: SampleProgram) -> str:
+    outputs, inputs = (
+        ", ".join(port.name for port in ports)
+        for ports in (program.reported, program.inputs)
+    )
+    return plain(f"{outputs} from {inputs}, a sample every {program.sample_time:g} s")
+
+
+def _table(name: str, table: ParameterTable) -> Iterable[str]:
+    values = np.atleast_2d(table.values)
+    rows, columns = values.shape
+    size = f"{columns} @ {rows}" if table.values.ndim > 1 else str(columns)
+    yield f"FESTWERTEBLOCK {name}_{table.name} {size}"
+    yield f'  LANGNAME "{plain(table.about)}"'
+    yield f"  FUNKTION {name}"
+    yield f'  EINHEIT_W "{plain(table.unit)}"'
+    for k, column in enumerate(table.columns, start=1):
+        yield f"  * column {k}: {plain(column)}"
+    for row in values:
+        yield f"  WERT {' '.join(map(digits, row))}"
+    yield "END"
+
+
+def _map(block: str, function: str, found: RestMap) -> Iterable[str]:
+    size = " ".join(str(len(points)) for points in found.points)
+    over = " and ".join(port.name for port in found.axes)
+    yield f"{'KENNFELD' if len(found.axes) > 1 else 'KENNLINIE'} {block} {size}"
+    yield f'  LANGNAME "{plain(f"{found.output.name} at rest over {over}")}"'
+    yield f"  FUNKTION {function}"
+    for axis, port in zip("XY", found.axes, strict=False):
+        yield f'  EINHEIT_{axis} "{plain(port.unit)}"'
+    yield f'  EINHEIT_W "{plain(found.output.unit)}"'
+    first, *second = found.points
+    yield f"  ST/X {' '.join(map(digits, first))}"
+    columns = found.values.reshape(len(first), -1).T
+    for k, column in enumerate(columns):
+        if second:
+            yield f"  ST/Y {digits(second[0][k])}"
+        yield f"  WERT {' '.join(map(digits, column))}"
+    yield "END"
+
+
+def prove_dcm(program: SampleProgram, folder: Path, cases: object) -> Proof:
+    """The file read back: all tables to the last digit; and which maps there are."""
+    del cases
+    text = (folder / f"{program.name}.dcm").read_bytes().decode("iso-8859-1")
+    blocks = {block.name: block for block in read_dcm(text, "the export as DCM")}
+    for table in program.tables:
+        if table.values.size and not _equal(blocks, program.name, table):
+            raise ExportError(f"the export as DCM does not hold {table.name}")
+    missing = [
+        f"dcm: there is no map of {port.name}; the file says why"
+        for port, name in map_names(program).items()
+        if name not in blocks
+    ]
+    return {"dcm, parameters read back": 0.0}, missing
+
+
+def _equal(
+    blocks: dict[str, CalibrationBlock], name: str, table: ParameterTable
+) -> bool:
+    block = blocks.get(f"{name}_{table.name}")
+    return block is not None and np.array_equal(block.values, table.values.ravel())

@@ -1,0 +1,5 @@
+"""A model as an FMU of FMI 2.0 or 3.0 for co-simulation: sources and a binary."""
+
+from jaxnarx.exporters.fmu.pack import fmu as fmu
+from jaxnarx.exporters.fmu.prove import prove_fmu2 as prove_fmu2
+from jaxnarx.exporters.fmu.prove import prove_fmu3 as prove_fmu3

@@ -1,0 +1,131 @@
+"""The archive: description, sources, documentation, and a binary where one is made."""
+
+import dataclasses
+import functools
+import hashlib
+import io
+import platform
+import subprocess
+import uuid
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from jaxnarx.exporters import c99
+from jaxnarx.exporters.compilers import WARNINGS, compilers
+from jaxnarx.exporters.fmu import description
+from jaxnarx.exporters.fmu.documentation import page
+from jaxnarx.exporters.fmu.glue import text_of, wrapper
+from jaxnarx.exporters.fmu.variables import quantities
+from jaxnarx.exporters.form import BOTH, ONLY_SINGLE, SampleProgram
+from jaxnarx.exporters.proof import ExportError
+from jaxnarx.exporters.target import Files, Golden, as_bytes
+from jaxnarx.files import TemporaryFolder
+
+LICENCE = """The functions of FMI in sources/ are part of jaxnarx, Apache-2.0,
+https://www.apache.org/licenses/LICENSE-2.0
+The model belongs to whoever has identified it.
+"""
+MACHINES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64"}
+SYSTEMS = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
+
+
+def fmu(version: int) -> Callable[[SampleProgram, Golden], Files]:
+    """The writer of an FMU of this version of FMI."""
+    return functools.partial(_written, version=version)
+
+
+def _written(program: SampleProgram, golden: Golden, *, version: int) -> Files:
+    parts = contents(program, golden, version)
+    made = binary(program, parts, version)
+    return {archive_name(program, version): archive(parts | made)}
+
+
+def archive_name(program: SampleProgram, version: int) -> str:
+    """What the file is called."""
+    return f"{program.name}_fmi{version}.fmu"
+
+
+def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, str]:
+    """Everything but a binary, by its place in the archive."""
+    name = program.name
+    variables = quantities(program, version)
+    if program.precision == ONLY_SINGLE:  # the binary is of double
+        program = dataclasses.replace(program, precision=BOTH)
+    code = c99.sources(program, golden)
+    whole = "".join(map(str, [*code.values(), variables, text_of("unit.c"), version]))
+    token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"
+    sources = [f"{name}.c", f"{name}_fmi{version}.c"]
+    found = {
+        f"sources/{name}.h": str(code[f"{name}.h"]),
+        f"sources/{name}.c": str(code[f"{name}.c"]),
+        f"sources/{sources[1]}": wrapper(program, variables, token, version),
+        "documentation/index.html": page(program, variables, version),
+        "documentation/licenses/license.txt": LICENCE,
+    }
+    if version == 2:
+        about = description.fmi2(program, variables, token, sources)
+        return {
+            "modelDescription.xml": about,
+            **found,
+            "sources/fmi2Functions.h": text_of("fmi2Functions.h"),
+        }
+    return {
+        "modelDescription.xml": description.fmi3(program, variables, token),
+        **found,
+        "sources/buildDescription.xml": description.build(program, sources),
+    }
+
+
+def place_of_binary(name: str, version: int) -> str | None:
+    """Where the binary for this machine goes; None where FMI has no name for it."""
+    machine = MACHINES.get(platform.machine().lower(), platform.machine().lower())
+    if platform.system() not in SYSTEMS:
+        return None
+    system, end = SYSTEMS[platform.system()]
+    folder = f"{machine}-{system}"
+    if version == 2 and (machine == "x86_64" or system == "darwin"):
+        folder = f"{system}64"
+    return f"binaries/{folder}/{name}{end}"
+
+
+def binary(
+    program: SampleProgram, parts: Mapping[str, str], version: int
+) -> dict[str, bytes]:
+    """The library for this machine; nothing where there is no compiler."""
+    place = place_of_binary(program.name, version)
+    found = compilers()
+    if place is None or not found:
+        return {}
+    with TemporaryFolder() as folder:
+        for name, text in unpacked_sources(parts).items():
+            Path(folder, name).write_bytes(as_bytes(text))
+        Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
+        own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
+        library = Path(folder, Path(place).name)
+        command = [found[0], *WARNINGS, "-O2", "-fPIC", "-shared"]
+        command += ["-fvisibility=hidden", *own, "-lm", "-o", str(library)]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+        if done.returncode:
+            raise ExportError(
+                f"the FMU of {program.name} does not compile: {done.stderr[:500]}"
+            )
+        return {place: library.read_bytes()}
+
+
+def unpacked_sources(parts: Mapping[str, str]) -> dict[str, str]:
+    """Files of the folder sources, without its name."""
+    folder = "sources/"
+    return {k[len(folder) :]: v for k, v in parts.items() if k.startswith(folder)}
+
+
+def archive(parts: Mapping[str, str | bytes]) -> bytes:
+    """The zip; the same parts make the same bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in parts.items():
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o755 if name.startswith("bin") else 0o644) << 16
+            packed.writestr(entry, as_bytes(content))
+    return stream.getvalue()

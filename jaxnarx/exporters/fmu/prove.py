@@ -1,0 +1,85 @@
+"""The binary of an FMU beside the model, through the functions of FMI."""
+
+import ctypes
+import subprocess
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from jaxnarx.exporters.compilers import WARNINGS, compiler
+from jaxnarx.exporters.fmu.glue import text_of
+from jaxnarx.exporters.fmu.pack import archive_name, place_of_binary
+from jaxnarx.exporters.fmu.variables import quantities
+from jaxnarx.exporters.form import SampleProgram
+from jaxnarx.exporters.proof import DOUBLE, Case, ExportError, Runner, worst
+from jaxnarx.exporters.target import Proof
+
+
+def prove_fmu2(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
+    """Of FMI 2.0: outputs behind the step that has taken their sample."""
+    return _proven(program, folder, cases, 2)
+
+
+def prove_fmu3(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
+    """Of FMI 3.0: outputs in event mode, without delay."""
+    return _proven(program, folder, cases, 3)
+
+
+def _proven(
+    program: SampleProgram, folder: Path, cases: Sequence[Case], version: int
+) -> Proof:
+    run = fmu_runner(folder, program, version)
+    if run is None:
+        return {}, [f"fmu{version}: sources only, there is no C compiler here"]
+    return {f"fmu{version}": worst(cases, run, DOUBLE, f"FMU {version}.0")}, []
+
+
+def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | None:
+    """Runs the binary in the archive of `folder`, from measured history; None where it
+    has none for this machine."""
+    place = place_of_binary(program.name, version)
+    with zipfile.ZipFile(folder / archive_name(program, version)) as packed:
+        if place is None or place not in packed.namelist():
+            return None
+        library = folder / f"fmi{version}" / Path(place).name
+        library.parent.mkdir(exist_ok=True)
+        library.write_bytes(packed.read(place))
+        root = ET.fromstring(packed.read("modelDescription.xml"))
+    token = root.get("guid") or root.get("instantiationToken") or ""
+    call = _loop(library.parent, version).run
+    inputs, reported = len(program.inputs), len(program.reported)
+    start = [v.kind for v in quantities(program, version)].index("choice")
+
+    def run(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        past = slice(0, program.history)
+        lags = np.concatenate([u[past][::-1].T, y[past][::-1].T]).ravel()
+        rows = np.ascontiguousarray(u[program.history :], float)
+        out = np.zeros((len(rows), reported))
+        failed = call(
+            str(library).encode(),
+            token.encode(),
+            (ctypes.c_long * 5)(len(rows), inputs, reported, start, lags.size),
+            ctypes.c_double(program.sample_time),
+            *(a.ctypes.data_as(ctypes.c_void_p) for a in (lags, rows, out)),
+        )
+        if failed:
+            raise ExportError(f"FMU {version}.0 fails, loop{version}.c:{failed}")
+        return out
+
+    return run
+
+
+def _loop(build: Path, version: int) -> ctypes.CDLL:
+    """The loop over a record, in C: a call from here costs as much as a sample."""
+    for file in (f"loop{version}.c", f"fmi{version}Functions.h"):
+        (build / file).write_text(text_of(file))
+    chosen, library = compiler(), build / f"loop{version}.so"
+    assert chosen is not None, "there is a binary, so there was a compiler"
+    command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared"]
+    command += [str(build / f"loop{version}.c"), "-ldl", "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(library))

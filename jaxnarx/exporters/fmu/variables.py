@@ -1,0 +1,145 @@
+"""The variables of an FMU: what an importer sees of a program, in order.
+
+A value's reference is its place here: inputs, reported outputs, flags, whether bounds
+acted, past outputs, the choice of a start, and values given from before it.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+
+from jaxnarx.exporters.form import Port, SampleProgram, Value
+
+LIMITED = "the bound of what is fed back has acted on"
+ABOUT = {
+    "extrapolated": "1: an input is beyond its trained range, or missing",
+    "index": "distance from the training, one at its border",
+    "missing": "samples in a row at which an input is NaN or infinite; it is held",
+    "invalid": "1: an input has been missing for too long, or since the start",
+}
+"""Descriptions of the flags."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """One variable; `kind` is `real`, `boolean`, `choice` or `time`, `sees` the inputs
+    that an output depends on at its own time."""
+
+    name: str
+    kind: str
+    causality: str
+    about: str
+    unit: str = ""
+    start: float | None = None
+    sees: tuple[int, ...] = ()
+
+
+def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
+    """All of them; FMI 3.0 wants time among them."""
+    taken: set[str] = set()
+
+    def name(text: str) -> str:
+        return _free(text, taken)
+
+    def output(label: str, n: Value, kind: str, about: str, unit: str = "") -> Quantity:
+        ops = (program.ops[k] for k in program.needed([n]))
+        sees = {op.source for op in ops if op.kind == "input"}
+        return Quantity(
+            label, kind, "output", about, unit, sees=tuple(sorted(sees, key=int))
+        )
+
+    inputs = [
+        Quantity(name(p.name), "real", "input", _trained(p), p.unit, _middle(p))
+        for p in program.inputs
+    ]
+    reported = [
+        output(name(p.name), n, "real", _trained(p), p.unit)
+        for p, n in zip(program.reported, program.outputs, strict=True)
+    ]
+    flags = [
+        output(name(flag), n, "real", _flag(flag)) for flag, n in program.flags.items()
+    ]
+    limited = [
+        output(name(f"limited.{p.name}"), n, "boolean", f"{LIMITED} {p.name}")
+        for p, n in zip(program.computed, program.limited, strict=True)
+    ]
+    past = [
+        Quantity(
+            name(f"past.{program.computed[o].name}[{k}]"),
+            "real",
+            "local",
+            f"what is fed back, {k} before this sample",
+            program.computed[o].unit,
+        )
+        for o, k in past_of(program)
+    ]
+    choice = Quantity(
+        name("start"), "choice", "parameter", "what a run starts from", start=0.0
+    )
+    lags = [
+        Quantity(
+            name(f"given.{p.name}[{k + 1}]"),
+            "real",
+            "parameter",
+            f"measured {k + 1} before the first sample, for start = given",
+            p.unit,
+            _middle(p),
+        )
+        for p in (*program.inputs, *program.computed)
+        for k in range(program.history)
+    ]
+    time = Quantity(name("time"), "time", "independent", "time", "s")
+    found = (*inputs, *reported, *flags, *limited, *past, choice, *lags)
+    return (*found, time) if version == 3 else found
+
+
+def past_of(program: SampleProgram) -> list[tuple[int, int]]:
+    """The output and the lag of every entry of `program.past`."""
+    order = list(dict.fromkeys(line for line, _ in program.past))
+    own = [program.ops[n] for n in program.fed]
+    lines = {d.name: d.source for d in program.delays}
+    by_line = {
+        line: next(
+            o
+            for o, (n, op) in enumerate(zip(program.fed, own, strict=True))
+            if lines[line] in (n, *op.args)
+        )
+        for line in order
+    }
+    return [(by_line[line], k) for line, k in program.past]
+
+
+def past_gains(program: SampleProgram) -> list[float]:
+    """Physical value over value in its line, of every entry of `program.past`."""
+    lines = {d.name: d.source for d in program.delays}
+    found = []
+    for (line, _), (o, _) in zip(program.past, past_of(program), strict=True):
+        n = program.fed[o]
+        factors = [program.ops[a] for a in program.ops[n].args if a != lines[line]]
+        found.append(1.0 if n == lines[line] else float(factors[0].source))
+    return found
+
+
+def _flag(flag: str) -> str:
+    return ABOUT.get(flag, f"{flag} at this sample")
+
+
+def _trained(port: Port) -> str:
+    return f"trained from {port.low:.6g} to {port.high:.6g}"
+
+
+def _middle(port: Port) -> float:
+    return 0.5 * (port.low + port.high)
+
+
+def _free(text: str, taken: set[str]) -> str:
+    """Different from what is taken; channels have no names that XML cannot carry."""
+    found, n = text, 2
+    while found in taken:
+        found, n = f"{text}_{n}", n + 1
+    taken.add(found)
+    return found
+
+
+def units(variables: Iterable[Quantity]) -> list[str]:
+    """Every unit once."""
+    return list(dict.fromkeys(v.unit for v in variables if v.unit))

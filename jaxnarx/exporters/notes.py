@@ -1,0 +1,40 @@
+"""What whoever calls exported code has to know of the model's policies."""
+
+import textwrap
+from collections.abc import Iterable, Sequence
+
+from jaxnarx.exporters.form import INDEX
+from jaxnarx.models import (
+    FARTHEST,
+    Network,
+    describe_missing,
+    limits_of,
+)
+
+
+def notes_of(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
+    """A paragraph for each policy."""
+    index = f", its index is {FARTHEST:g}" if INDEX in flags else ""
+    missing = describe_missing(network, index)
+    return (
+        f"{missing} Measured outputs of the start are treated alike.",
+        " ".join(limits_of(network)),
+        _bound(network),
+    )
+
+
+def _bound(network: Network) -> str:
+    hidden = " or on a hidden channel, which enters it" if network.hidden else ""
+    return (
+        "limited is 1 where the bound of what is fed back has acted on an output"
+        f"{hidden}."
+    )
+
+
+def wrapped(notes: Sequence[str], lead: str, width: int = 80) -> list[str]:
+    """The paragraphs as lines of a comment, an empty one before each."""
+    lines = []
+    for note in notes:
+        lines += [lead.rstrip()]
+        lines += [lead + line for line in textwrap.wrap(note, width - len(lead))]
+    return lines

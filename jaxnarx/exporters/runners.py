@@ -1,0 +1,191 @@
+"""Exported files run here: Python in this process, JavaScript by node, C compiled."""
+
+import ctypes
+import importlib.util
+import json
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxnarx.exporters import form
+from jaxnarx.exporters.compilers import WARNINGS, compiler, compilers
+from jaxnarx.exporters.form import SampleProgram
+from jaxnarx.exporters.proof import (
+    DOUBLE,
+    SINGLE,
+    Case,
+    ExportError,
+    Runner,
+    SinglePrecisionError,
+    worst,
+)
+from jaxnarx.exporters.target import Proof
+from jaxnarx.files import TemporaryFolder
+
+
+def python_runner(path: Path) -> Runner:
+    """A module that `python_files` has written."""
+    spec = importlib.util.spec_from_file_location("exported_model", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def run(inputs, measured):
+        model = module.Model()
+        model.begin(inputs[0].tolist(), measured[0].tolist())
+        history = module.HISTORY
+        for u, y in zip(inputs[:history], measured, strict=False):
+            model.observe(u.tolist(), y.tolist())
+        return np.array([model.step(u.tolist()) for u in inputs[history:]])
+
+    return run
+
+
+def node() -> str | None:
+    """The program that runs JavaScript, where there is one."""
+    return shutil.which("node")
+
+
+def javascript_runner(path: Path) -> Runner:
+    """A module that `javascript_files` has written, run by node."""
+    program = node()
+    assert program is not None
+
+    def run(inputs, measured):
+        with TemporaryFolder() as folder:
+            module, main = Path(folder, "model.mjs"), Path(folder, "main.mjs")
+            module.write_text(path.read_text("utf-8"), "utf-8")
+            for name, values in (("u", inputs), ("y", measured)):
+                # JSON has no NaN
+                Path(folder, name).write_bytes(values.astype("<f8").tobytes())
+            main.write_text(_NODE)
+            done = subprocess.run(
+                [program, str(main)], capture_output=True, text=True, cwd=folder
+            )
+        if done.returncode:
+            raise ExportError(f"{path}: node ends with {done.stderr.strip()[-300:]}")
+        rows = json.loads(done.stdout)
+        return np.array([[np.nan if v is None else v for v in row] for row in rows])
+
+    return run
+
+
+_NODE = """import { readFileSync } from 'node:fs';
+import { Model, HISTORY, INPUTS, OUTPUTS } from './model.mjs';
+function rows(file, width) {
+  const all = new Float64Array(new Uint8Array(readFileSync(file)).buffer);
+  return Array.from({ length: all.length / width },
+    (_, t) => Array.from(all.subarray(t * width, (t + 1) * width)));
+}
+const u = rows('u', INPUTS.length), y = rows('y', OUTPUTS.length);
+const model = new Model();
+model.begin(u[0], y[0]);
+for (let t = 0; t < HISTORY; t++) model.observe(u[t], y[t]);
+console.log(JSON.stringify(u.slice(HISTORY).map((now) => model.step(now))));
+"""
+
+
+def c_runner(
+    folder: Path,
+    program: SampleProgram,
+    build: Path,
+    *,
+    single: bool,
+    cc: str | None = None,
+) -> Runner:
+    """The C files of `folder`, compiled in `build`; warnings are errors."""
+    name, upper = program.name, program.name.upper()
+    harness = build / "harness.c"
+    harness.write_text(_HARNESS.replace("NAME", name).replace("UPPER", upper))
+    chosen = cc or compiler()
+    assert chosen is not None
+    kind = "single" if single else "double"
+    library = build / f"{name}_{kind}_{Path(chosen).name}.so"
+    command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
+    command += [f"-D{upper}_SINGLE"] if single else []
+    command += [str(folder / f"{name}.c"), str(harness), "-lm", "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise ExportError(f"{name}.c does not compile: {done.stderr.strip()[:500]}")
+    call = ctypes.CDLL(str(library)).run
+
+    def run(inputs, measured):
+        u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
+        out = np.zeros((len(u) - program.history, len(program.reported)))
+        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, out))
+        call(ctypes.c_int(len(u)), *pointers)
+        return out
+
+    return run
+
+
+_HARNESS = """#include "NAME.h"
+void run(int n, const double *u, const double *y, double *out);
+void run(int n, const double *u, const double *y, double *out)
+{
+    NAME_state s;
+    NAME_out now;
+    NAME_real a[UPPER_INPUTS], b[UPPER_COMPUTED];
+    int t, k;
+    for (t = 0; t < n; t++) {
+        for (k = 0; k < UPPER_INPUTS; k++) {
+            a[k] = (NAME_real)u[t * UPPER_INPUTS + k];
+        }
+        for (k = 0; k < UPPER_COMPUTED && t <= UPPER_HISTORY; k++) {
+            b[k] = (NAME_real)y[t * UPPER_COMPUTED + k];
+        }
+        if (t == 0) {
+            NAME_begin(&s, a, b);
+        }
+        if (t < UPPER_HISTORY) {
+            NAME_observe(&s, a, b);
+            continue;
+        }
+        NAME_step(&s, a, &now);
+        for (k = 0; k < UPPER_REPORTED; k++) {
+            out[(t - UPPER_HISTORY) * UPPER_REPORTED + k] = (double)now.reported[k];
+        }
+    }
+}
+"""
+
+
+def prove_python(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
+    """The module of `folder` beside the model."""
+    run = python_runner(folder / f"{program.name}.py")
+    return {"python": worst(cases, run, DOUBLE, "Python")}, []
+
+
+def prove_javascript(
+    program: SampleProgram, folder: Path, cases: Sequence[Case]
+) -> Proof:
+    """The same, by node."""
+    if node() is None:
+        return {}, ["javascript: there is no node here"]
+    run = javascript_runner(folder / f"{program.name}.mjs")
+    return {"javascript": worst(cases, run, DOUBLE, "JavaScript")}, []
+
+
+def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
+    """The same, in the precisions of the program, by every compiler that is here."""
+    if compiler() is None:
+        return {}, ["c: there is no C compiler here"]
+    found: dict[str, float] = {}
+    for kind, most in ((form.ONLY_DOUBLE, DOUBLE), (form.ONLY_SINGLE, SINGLE)):
+        if program.precision not in (kind, form.BOTH):
+            continue
+        for n, cc in enumerate(compilers()):
+            run = c_runner(
+                folder, program, folder, single=kind == form.ONLY_SINGLE, cc=cc
+            )
+            what = f"c, {kind}" + (f", {Path(cc).name}" if n else "")
+            try:
+                found[what] = worst(cases, run, most, what)
+            except ExportError as error:
+                if kind == form.ONLY_SINGLE:
+                    raise SinglePrecisionError(str(error)) from error
+                raise
+    return found, []

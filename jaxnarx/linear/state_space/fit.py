@@ -1,0 +1,264 @@
+"""Models with hidden states, from a linear start to products, on the free run.
+
+Every start (`starts.linear_starts`) is trained as a linear model, given products of
+states and inputs degree by degree, and trained with a strong pull towards where it
+stands, which then falls. Taken is at every pull the one whose free run of the training
+records, begun as in use, has the smallest error; of many samples the one that has it
+after the first steps goes on alone. A hidden state that leaves the range it had in
+training is held in the end. Regions are divided off one after another, the best starts
+only, each with the strongest pull (`jaxnarx.linear.state_space.regions`).
+
+Polynomial nonlinear state-space models: J. Paduart et al., Identification of nonlinear
+systems using Polynomial Nonlinear State Space models, Automatica 46 (2010) 647-656.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnarx.checks import known_name
+from jaxnarx.data import Dataset, shortened
+from jaxnarx.errors import DataError, JaxnarxError
+from jaxnarx.guard import guarded
+from jaxnarx.linear.state_space.network import (
+    increase_degree,
+    set_state_ranges,
+    state_network,
+)
+from jaxnarx.linear.state_space.regions import (
+    drop_inactive,
+    pad_models,
+    split_candidates,
+)
+from jaxnarx.linear.state_space.starts import linear_starts
+from jaxnarx.models import Network, ranged
+from jaxnarx.refinement import refine
+from jaxnarx.settings import HiddenStates, SimulationError
+from jaxnarx.simulation import fitting, simulate
+from jaxnarx.solution import Solution
+
+Tell = Callable[[dict[str, Any]], None]
+TOLERANCE = 5e-4
+"""Relative decrease, twice in a row, at which a value of the pull has done its work."""
+GROWN = 2
+"""How many of the starts are divided into regions."""
+TRIED = 6
+"""Steps that a division is given before the best of them is taken."""
+HELD = 1e-4
+"""Ridge of what has gates."""
+
+
+@guarded
+def fit_states(
+    data: Dataset,
+    method: HiddenStates | None = None,
+    *,
+    hopeless: float = np.inf,
+    progress: Tell | None = None,
+) -> Solution[Network]:
+    """A network with hidden states, `x1`, `x2` ..., trained on the free run.
+
+    Args:
+        data: Records to be trained on.
+        method: Number of states, degree and pull; see `HiddenStates`.
+        hopeless: Error in training (NRMSE) beyond which no start goes on after its
+            first steps, or with two regions: a DataError then.
+        progress: Called on the host after every accepted step.
+
+    Returns:
+        `value` is the network of the last of `method.stages`, `stats["path"]` that of
+        every one, `stats["start"]` names the linear model it began from. Statuses are
+        those of `refine` for the last one. `DataError` where no start can be made:
+        records too short for so many states, say.
+
+    Example:
+        fit = jnx.linear.fit_states(data, jnx.linear.HiddenStates(states=1, degree=1))
+        print(fit.value.channels.hidden)
+    """
+    method = HiddenStates() if method is None else method
+    known = data.channels.output_names
+    for name in method.outputs:
+        known_name(name, known, "outputs", f"unknown output {name!r}")
+    places = tuple(known.index(name) for name in (method.outputs or known))
+    few = shortened(data, method.first_rows)
+    starts = _starts(few, data, places, method, progress)
+    if few is not data:
+        starts = [min(starts, key=_told)]
+    path: list[Network] = []
+    ends: list[_Start] = []
+    errors = {start.name: start.error for start in starts}
+    if method.regions > 1:
+        starts = sorted(starts, key=_told)[:GROWN]
+        starts = [_roomy(start, method.regions) for start in starts]
+    for regions, shrink in method.stages:
+        if shrink == method.shrink[0]:
+            if regions > 1:
+                starts = [_divided(s, few, method, progress) for s in starts]
+            ends = starts
+        if not path and regions == 1:
+            _require_hope(ends, hopeless)
+        ends = [_gone_on(s, data, method, shrink, progress) for s in ends]
+        if len(path) + 1 == len(method.shrink) and regions == 2:
+            _require_hope(ends, hopeless)  # first steps of a division tell little
+        path.append(drop_inactive(min(ends, key=_told).ranged))
+        if shrink == method.shrink[0]:
+            starts = ends
+    best = min(ends, key=_told)
+    stats = {"path": path, "start": best.name, "starts": errors}
+    return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
+
+
+@guarded
+def refit_states(
+    network: Network, data: Dataset, method: HiddenStates, shrink: float
+) -> Network:
+    """A network with hidden states trained once more, on these data alone.
+
+    From where it stands: its structure, and which of several minima it is in, stay. Its
+    hidden channels are held to the ranges they had, and to those that they have now.
+    Errors are those of `jaxnarx.refinement.refine`.
+    """
+    start = ranged(network, data)
+    fit = _trained(start, data, method.max_steps, shrink, None)
+    found = set_state_ranges(fit.value, data)
+    least, most = (
+        {key: f(getattr(found, key), getattr(network, key)) for key in keys}
+        for f, keys in (
+            (jnp.minimum, ("low", "lower")),
+            (jnp.maximum, ("high", "upper")),
+        )
+    )
+    return dataclasses.replace(found, **least, **most)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Start:
+    """A start on its way: where its training stands, the best network so far, with the
+    ranges of its states, and the mean squared error (NRMSE) of its free run in
+    training."""
+
+    name: str
+    fit: Solution[Network]
+    ranged: Network
+    error: float
+
+
+def _told(start: _Start) -> tuple[float, float]:
+    """The smaller is the better one."""
+    return start.error, float(start.fit.stats["loss"])
+
+
+def _gone_on(
+    start: _Start,
+    data: Dataset,
+    method: HiddenStates,
+    shrink: float,
+    progress: Tell | None,
+) -> _Start:
+    """Trained on all data with this pull. A network with a larger error than before,
+    begun as in use, is none to be used, though the training goes on from it."""
+    try:
+        fit = _trained(start.fit.value, data, method.max_steps, shrink, progress)
+    except (JaxnarxError, np.linalg.LinAlgError):
+        return start
+    network = set_state_ranges(fit.value, data)
+    error = _error(network, data)
+    if error > start.error:
+        network, error = start.ranged, start.error
+    return _Start(start.name, fit, network, error)
+
+
+def _require_hope(starts: list[_Start], hopeless: float) -> None:
+    least = min(start.error for start in starts)
+    if not least <= hopeless**2:
+        raise DataError(
+            f"an error in training of {least**0.5:.3g} after the first stage"
+        )
+
+
+def _roomy(start: _Start, regions: int) -> _Start:
+    """With a place for so many regions of what it has visited."""
+    low, high = start.ranged.low, start.ranged.high
+    network = dataclasses.replace(start.fit.value, low=low, high=high)
+    network = pad_models(network, regions)
+    return dataclasses.replace(start, fit=dataclasses.replace(start.fit, value=network))
+
+
+def _divided(
+    start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
+) -> _Start:
+    """With one region more, divided where the first steps lead to the smallest error;
+    as it is where no division can be trained."""
+    found = []
+    for network in split_candidates(start.fit.value, data):
+        try:
+            fit = _trained(network, data, TRIED, method.shrink[0], progress)
+        except (JaxnarxError, np.linalg.LinAlgError):
+            continue
+        network = set_state_ranges(fit.value, data)
+        found.append(_Start(start.name, fit, network, _error(network, data)))
+    return min(found, key=_told) if found else start
+
+
+def _starts(
+    few: Dataset,
+    data: Dataset,
+    places: tuple[int, ...],
+    method: HiddenStates,
+    progress: Tell | None,
+) -> list[_Start]:
+    """Every start after its first steps, on few samples."""
+    found, steps, shrink = [], method.first_steps, method.shrink[0]
+    reason = "no linear model can be identified"
+    for name, model in linear_starts(data, places, method.states):
+        if method.start not in ("", name):
+            continue
+        network = state_network(model, data, places, window=method.window)
+        try:
+            fit = _trained(network, few, steps, shrink, progress)
+            for degree in range(2, method.degree + 1):
+                network = increase_degree(fit.value, degree)
+                fit = _trained(network, few, steps, shrink, progress)
+            network = set_state_ranges(fit.value, few)
+            found.append(_Start(name, fit, network, _error(network, few)))
+        except (JaxnarxError, np.linalg.LinAlgError) as failure:
+            reason = str(failure)
+    if not found:
+        raise DataError(f"no start of {method.states} hidden states: {reason}")
+    return found
+
+
+def _error(network: Network, data: Dataset) -> float:
+    """Of the free run, begun as in use; infinite where it diverges."""
+    run = simulate(network, data).value
+    if any(bad.any() for bad in run.diverged):
+        return np.inf
+    own, records = list(network.modelled), fitting(network, data)
+    y = np.concatenate([r.y[:, own] for r in records])
+    made, scored = np.concatenate(run.outputs), np.concatenate(run.scored)
+    if not scored.any(axis=0).all():
+        return np.inf
+    error, spread = np.where(scored, made - y, 0.0), y.std(axis=0, where=scored)
+    return float(np.mean((error**2).sum(axis=0) / scored.sum(axis=0) / spread**2))
+
+
+def _trained(
+    network: Network,
+    data: Dataset,
+    steps: int,
+    shrink: float,
+    progress: Tell | None,
+) -> Solution[Network]:
+    gated = len(network.models[0].active) > 1
+    method = SimulationError(
+        max_steps=steps,
+        train="joint" if gated else "staged",
+        ridge=HELD if gated else 0,
+        shrink=shrink,
+        tolerance=TOLERANCE,
+        patience=steps + 1,
+    )
+    return refine(network, data, method, progress=progress)

@@ -1,0 +1,326 @@
+"""Terms of nested regions, filtered by the common feedback: columns of the free run.
+
+    y(t) = s(t) + sum_(b,k) theta[b, k] [w_b p_k / A](t)
+
+Block b holds the terms p_k times w_b, the product of the gates on the way from the root
+of a tree of halvings to region b. The root has w = 1. Of a halved region only the upper
+half enters: the lower one is the difference. So a term that is the same everywhere
+needs one coefficient, and what is known of a region stays when it is divided.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxnarx.partition.closed_form.equations import NormalEquations
+from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
+from jaxnarx.regressors import evaluate
+
+WIDTH = 0.5
+"""Standard deviation of the two Gaussians whose ratio a gate is, as a share of the half
+region's extension; O. Nelles, "Nonlinear System Identification", 2001, 13.2.2."""
+MARGIN = 0.02
+"""Share of the trained range by which predictions may leave it."""
+HARD = 60.0
+"""Steepness of a gate between levels, over their distance."""
+TILE = 32_768
+"""Numbers that are taken through product, gates and filter together (256 kB)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gate:
+    """sigma(steepness (x_dim - border)), or one minus it where `side` is -1."""
+
+    dim: int
+    border: float
+    steepness: float
+    side: int = 1
+    hard: bool = False
+    """Between the levels of a variable that has few: it is not moved."""
+
+    def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
+        a = np.clip(self.side * self.steepness * (x[self.dim] - self.border), -700, 700)
+        return 1.0 / (1.0 + np.exp(-a))
+
+    @property
+    def other(self) -> "Gate":
+        """The other half's."""
+        return dataclasses.replace(self, side=-self.side)
+
+
+Region = tuple[Gate, ...]
+"""Gates on the way from the root."""
+
+
+def with_gates(region: Region, gates: Mapping[tuple[Region, Gate], Gate]) -> Region:
+    """The region behind other gates, upper sides by the way to them and themselves."""
+    out = []
+    for n, gate in enumerate(region):
+        upper = gate if gate.side > 0 else gate.other
+        new = gates.get((region[:n], upper), upper)
+        out.append(new if gate.side > 0 else new.other)
+    return tuple(out)
+
+
+def weight(region: Region, x: Float[np.ndarray, "dims time"]) -> np.ndarray:
+    """Product of the gates at every sample."""
+    out = np.ones(x.shape[1])
+    for gate in region:
+        out = out * gate(x)
+    return out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Filtered columns of one region at the samples that count, part by part."""
+
+    region: Region
+    terms: Int[np.ndarray, " terms"]
+    columns: tuple[Float[np.ndarray, "terms _"], ...]
+
+    @functools.cached_property
+    def gram(self) -> Float[np.ndarray, "parts terms terms"]:
+        """C'C of its columns C: kept, for growth offers a block again and again."""
+        return np.stack([c @ c.T for c in self.columns])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BlockDesign:
+    """Blocks for one A(q), their normal equations and the targets.
+
+    Columns of the equations are terms, block by block.
+    """
+
+    signals: RunSignals
+    a: Float[np.ndarray, " _"]
+    blocks: tuple[Block, ...]
+    target: tuple[Float[np.ndarray, " _"], ...]
+    measured: tuple[Float[np.ndarray, " _"], ...]
+    equations: NormalEquations
+
+    @classmethod
+    def of(cls, signals: RunSignals, a: Float[np.ndarray, " _"]) -> "BlockDesign":
+        """Without blocks."""
+        target = _grouped([_target(s, a) for s in signals.stretches])
+        parts = len(target)
+        empty = NormalEquations(
+            np.zeros((parts, 0, 0)),
+            np.zeros((parts, 0)),
+            np.array([e[0] @ e[0] for e in target]),
+            np.array([e.shape[1] for e in target], float),
+            signals.apart,
+        )
+        y = _grouped([_at(s.y[None], s.counted) for s in signals.stretches])
+        own = tuple(e[0] for e in target), tuple(e[0] for e in y)
+        return cls(signals, a, (), *own, empty)
+
+    def block(
+        self, region: Region, terms: Int[np.ndarray, " terms"] | None = None
+    ) -> Block:
+        """Columns of a region, all terms unless said; a pass over the data."""
+        factor = self.signals.factor
+        terms = np.arange(len(factor)) if terms is None else terms
+        columns = [np.empty((len(terms), len(e))) for e in self.target]
+        edges = np.zeros(len(columns), int)
+        for one in self.signals.stretches:
+            counts = np.array([len(at) for at in one.counted])
+            ends = edges + counts
+            own = [c[:, k:e] for c, k, e in zip(columns, edges, ends, strict=True)]
+            self._fill(own, one, region, factor[terms])
+            edges = ends
+        return Block(region, terms, tuple(columns))
+
+    def _fill(
+        self,
+        out: list[Float[np.ndarray, "terms _"]],
+        one: Stretch,
+        region: Region,
+        factor: Int[np.ndarray, "terms degree"],
+    ) -> None:
+        """Write a stretch's columns, a few at a time, which the processor's cache
+        holds from the product to the choice of samples."""
+        counted, z, x = one.counted, one.z, one.x
+        if len(self.a) == 1:  # no sample needs the others
+            at = np.concatenate(counted)
+            borders = np.cumsum([len(own) for own in counted])[:-1]
+            counted = tuple(np.split(np.arange(len(at)), borders))
+            z, x = z[:, at], x[:, at]
+        gates = weight(region, x)[None]
+        step = max(1, TILE // max(z.shape[1], 1))
+        for k in range(0, len(factor), step):
+            raw = np.asarray(evaluate(factor[k : k + step], z)) * gates
+            run = one.filtered(raw, self.a)
+            for own, at in zip(out, counted, strict=True):
+                if len(at):
+                    own[k : k + step] = run[:, at]
+
+    def only(self, at: Int[np.ndarray, " chosen"]) -> "BlockDesign":
+        """Of these columns; blocks have the terms that are left."""
+        blocks, edge = [], 0
+        for block in self.blocks:
+            size = len(block.terms)
+            own = at[(at >= edge) & (at < edge + size)] - edge
+            edge += size
+            if own.size:
+                own = np.sort(own)
+                columns = tuple(c[own] for c in block.columns)
+                blocks.append(Block(block.region, block.terms[own], columns))
+        equations = self.equations.taken(np.sort(at))
+        return dataclasses.replace(self, blocks=tuple(blocks), equations=equations)
+
+    def moved(
+        self,
+        a: Float[np.ndarray, " _"],
+        gates: Mapping[tuple[Region, Gate], Gate] = MappingProxyType({}),
+    ) -> "BlockDesign":
+        """The same columns with other feedback and gates."""
+        out = BlockDesign.of(self.signals, a)
+        for block in self.blocks:
+            region = with_gates(block.region, gates)
+            out = out.extended(out.block(region, block.terms))
+        return out
+
+    def extended(self, block: Block) -> "BlockDesign":
+        """With one more block."""
+        gram, right = self.products(block)
+        top = np.concatenate([self.equations.gram, gram.transpose(0, 2, 1)], axis=2)
+        low = np.concatenate([gram, block.gram], axis=2)
+        equations = dataclasses.replace(
+            self.equations,
+            gram=np.concatenate([top, low], axis=1),
+            right=np.concatenate([self.equations.right, right], axis=1),
+        )
+        blocks = (*self.blocks, block)
+        return dataclasses.replace(self, blocks=blocks, equations=equations)
+
+    def products(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """C'B and C'e of a block's columns C with those of the design, B."""
+        own = [c @ e for c, e in zip(block.columns, self.target, strict=True)]
+        empty = np.zeros((len(own), len(block.terms), 0))
+        cross = [
+            np.stack([c @ b.T for c, b in zip(block.columns, one.columns, strict=True)])
+            for one in self.blocks
+        ]
+        return np.concatenate([empty, *cross], axis=2), np.stack(own)
+
+    def runs(
+        self, theta: Float[np.ndarray, " columns"]
+    ) -> list[Float[np.ndarray, " time"]]:
+        """Free runs of all stretches, in standard deviations of the output."""
+        pairs = zip(self.signals.stretches, self.driven(theta), strict=True)
+        return [
+            one.filtered(raw[None], self.a)[0] + one.left_by_start(self.a)
+            for one, raw in pairs
+        ]
+
+    def driven(
+        self, theta: Float[np.ndarray, " columns"]
+    ) -> list[Float[np.ndarray, " time"]]:
+        """What drives A(q) y in all stretches: the sum of all terms, unfiltered."""
+        out = []
+        for one in self.signals.stretches:
+            raw, edge = np.zeros(len(one.y)), 0
+            for block in self.blocks:
+                own = theta[edge : edge + len(block.terms)]
+                edge += len(own)
+                used = np.flatnonzero(own)
+                p = evaluate(self.signals.factor[block.terms[used]], one.z)
+                raw += weight(block.region, one.x) * (own[used] @ np.asarray(p))
+            out.append(raw)
+        return out
+
+    def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:
+        """Sum of squared errors of every group by a model made without it."""
+        out = []
+        for g in range(len(self.signals.apart)):
+            theta = self.equations.without(g).solve(ridge)
+            out.append(self.loss(g, self.answers(g, theta[None])[0]))
+        return np.array(out)
+
+    def curve(
+        self, ridge: float, sizes: Sequence[int], first: Sequence[int]
+    ) -> Float[np.ndarray, "groups sizes"]:
+        """The same with so many columns, chosen anew without the group."""
+        out = np.empty((len(self.signals.apart), len(sizes)))
+        for g in range(len(self.signals.apart)):
+            path = self.equations.without(g).forward(ridge, max(sizes), first)
+            theta = np.zeros((len(sizes), self.equations.columns))
+            for row, size in zip(theta, sizes, strict=True):
+                at, own = path.at(size)
+                row[at] = own
+            out[g] = [self.loss(g, run) for run in self.answers(g, theta)]
+        return out
+
+    def answers(
+        self, group: int, theta: Float[np.ndarray, "models columns"]
+    ) -> Float[np.ndarray, "models _"]:
+        """Free runs of several models where samples of a group count.
+
+        Block by block: all columns in one array would be a copy of the largest thing
+        there is.
+        """
+        out, edge = np.tile(self.begun(group), (len(theta), 1)), 0
+        for block in self.blocks:
+            own = theta[:, edge : edge + len(block.terms)]
+            edge += own.shape[1]
+            out += own @ block.columns[group]
+        return out
+
+    def begun(self, group: int) -> Float[np.ndarray, " _"]:
+        """What the measured start leaves in a group's free run."""
+        return self.measured[group] - self.target[group]
+
+    def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
+        """Sum of squared errors of a group, held within the trained range."""
+        return float(np.sum(self.error(group, run) ** 2))
+
+    def error(
+        self, group: int, run: Float[np.ndarray, " _"]
+    ) -> Float[np.ndarray, " _"]:
+        """Measured less what a run answers, held within the trained range.
+
+        That of all records, as the model of all is held in use: within that of the
+        others a group that goes farther would judge the limits, and nothing else.
+        """
+        return self.measured[group] - np.clip(run, *self.trained_range())
+
+    def places(self, group: int) -> Int[np.ndarray, " _"]:
+        """Where its samples are among those of all records."""
+        return np.concatenate(
+            [one.first + one.counted[group] for one in self.signals.stretches]
+        )
+
+    def trained_range(self) -> tuple[float, float]:
+        """Of the output in all that is measured, widened as it is in use."""
+        low = min(y.min(initial=np.inf) for y in self.measured)
+        high = max(y.max(initial=-np.inf) for y in self.measured)
+        return low - MARGIN * (high - low), high + MARGIN * (high - low)
+
+    def rows(self) -> list[np.ndarray]:
+        """Columns at the samples that count, part by part; not to be written to."""
+        if len(self.blocks) == 1:
+            return list(self.blocks[0].columns)
+        return [
+            np.concatenate(
+                [np.zeros((0, len(e))), *(b.columns[g] for b in self.blocks)]
+            )
+            for g, e in enumerate(self.target)
+        ]
+
+
+def _target(one: Stretch, a: Float[np.ndarray, " _"]) -> list[np.ndarray]:
+    error = one.y - one.left_by_start(a)
+    return _at(error[None], one.counted)
+
+
+def _at(rows: np.ndarray, counted) -> list[np.ndarray]:
+    return [rows[:, at] for at in counted]
+
+
+def _grouped(parts: list[list[np.ndarray]]) -> list[np.ndarray]:
+    """Of records' groups the groups of all records."""
+    return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]

@@ -1,0 +1,28 @@
+"""Least squares one step ahead (ARX)."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.arrays import ridge_solve
+from jaxnarx.partition.closed_form.signals import RunSignals
+from jaxnarx.regressors import evaluate
+
+
+def equation_error(
+    signals: RunSignals, order: int, *, without: int | None = None
+) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, " columns"]]:
+    """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
+    size = order + len(signals.factor)
+    gram, right = np.zeros((size, size)), np.zeros(size)
+    parts = signals.apart.shape[1]
+    trains = np.full(parts, True) if without is None else ~signals.apart[without]
+    for one in signals.stretches:
+        past = np.concatenate([one.before[:order][::-1], one.y])
+        lags = [past[order - i : order - i + len(one.y)] for i in range(1, order + 1)]
+        at = np.concatenate([c for c, t in zip(one.counted, trains, strict=True) if t])
+        terms = np.asarray(evaluate(signals.factor, one.z[:, at]))
+        rows = np.concatenate([-np.stack(lags)[:, at], terms])
+        gram += rows @ rows.T
+        right += rows @ one.y[at]
+    found = ridge_solve(gram, right, 1e-9)
+    return np.concatenate([[1.0], found[:order]]), found[order:]

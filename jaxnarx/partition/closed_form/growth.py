@@ -1,0 +1,191 @@
+"""Regions by halving, judged by the free run of groups left out."""
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.partition.closed_form.design_matrix import (
+    HARD,
+    WIDTH,
+    Block,
+    BlockDesign,
+    Gate,
+    Region,
+    with_gates,
+)
+
+RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+COARSE = 1e-4, 1e-2
+"""Of one region: it cannot tell what regions will make of its feedback, and finer ones
+rank by chance."""
+SIZES = (
+    *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
+    *(380, 450),
+)
+"""Numbers of columns that are tried."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Box:
+    """A region and the box it covers, in scheduling variables from 0 to 1."""
+
+    region: Region
+    low: Float[np.ndarray, " dims"]
+    high: Float[np.ndarray, " dims"]
+
+    def moved(self, gates: Mapping[tuple[Region, Gate], Gate]) -> "Box":
+        """The same leaf behind other gates; the box follows the borders."""
+        region = with_gates(self.region, gates)
+        low, high = np.zeros_like(self.low), np.ones_like(self.high)
+        for gate in region:
+            if gate.side > 0:
+                low[gate.dim] = max(low[gate.dim], gate.border)
+            else:
+                high[gate.dim] = min(high[gate.dim], gate.border)
+        return Box(region, low, high)
+
+    def halved(self, gate: Gate) -> tuple["Box", "Box"]:
+        """Upper and lower half."""
+        low, high = self.low.copy(), self.high.copy()
+        low[gate.dim] = high[gate.dim] = gate.border
+        upper = Box((*self.region, gate), low, self.high)
+        return upper, Box((*self.region, gate.other), self.low, high)
+
+    def gate(self, dim: int, levels: Sequence[float] | None) -> Gate | None:
+        """The gate that halves the box across a variable, between levels if any."""
+        if levels is not None:
+            inside = [v for v in levels if self.low[dim] <= v <= self.high[dim]]
+            if len(inside) < 2:
+                return None
+            middle = len(inside) // 2
+            below, above = inside[middle - 1 : middle + 1]
+            return Gate(dim, (below + above) / 2, HARD / (above - below), hard=True)
+        extent = self.high[dim] - self.low[dim]
+        return Gate(dim, self.low[dim] + extent / 2, 2 / (WIDTH**2 * extent))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GrownStage:
+    """One partition with the number of columns and the ridge that serve it best."""
+
+    design: BlockDesign
+    leaves: tuple[Box, ...]
+    losses: Float[np.ndarray, " groups"]
+    """Sum of squared errors of every group left out."""
+    size: int
+    ridge: float
+
+    @property
+    def score(self) -> float:
+        """Root mean square error of the groups left out, in standard deviations."""
+        count = self.design.equations.judged.sum()
+        return float(np.sqrt(self.losses.sum() / max(count, 1.0)))
+
+    def left_out(self) -> list[Float[np.ndarray, " _"]]:
+        """Free runs over every group by a model made without it, not held."""
+        equations, first, out = (
+            self.design.equations,
+            constants(self.design),
+            [],
+        )
+        for g in range(len(self.losses)):
+            theta = np.zeros((1, equations.columns))
+            path = equations.without(g).forward(self.ridge, self.size, first)
+            at, own = path.at(self.size)
+            theta[0, at] = own
+            out.append(self.design.answers(g, theta)[0])
+        return out
+
+    def chosen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and coefficients from all groups."""
+        system = self.design.equations.without(None)
+        first = constants(self.design)
+        return system.forward(self.ridge, self.size, first).at(self.size)
+
+
+def constants(design: BlockDesign) -> list[int]:
+    """The constant, which every model has."""
+    rows = np.asarray(design.signals.factor)
+    return np.flatnonzero(np.all(rows == 0, axis=1))[:1].tolist()
+
+
+def sized(
+    design: BlockDesign,
+    leaves: tuple[Box, ...],
+    ridges: Sequence[float] = COARSE,
+    *,
+    search: bool = False,
+) -> GrownStage:
+    """Number of columns and ridge by the groups left out.
+
+    The best of these ridges; with `search` from there on to the next smaller and larger
+    ones of `RIDGES` for as long as the groups gain.
+    """
+    equations = design.equations
+    most = min(equations.columns, int(equations.samples.sum() / 8))
+    sizes = [s for s in SIZES if s < most] + [min(most, SIZES[-1])]
+    first = constants(design)
+
+    @functools.cache
+    def stage(place: int) -> GrownStage:
+        curve = design.curve(RIDGES[place], sizes, first)
+        n = int(curve.sum(axis=0).argmin())
+        return GrownStage(design, leaves, curve[:, n], sizes[n], RIDGES[place])
+
+    at = min((RIDGES.index(ridge) for ridge in ridges), key=lambda n: stage(n).score)
+    for way in (-1, 1) if search else ():
+        while 0 <= at + way < len(RIDGES):
+            if stage(at + way).score >= stage(at).score:
+                break
+            at += way
+    return stage(at)
+
+
+def grown(
+    start: GrownStage,
+    *,
+    max_models: int,
+    levels: Sequence[Sequence[float] | None],
+    patience: int = 3,
+) -> list[GrownStage]:
+    """One more region a stage; those that no halving improves end it."""
+    stages, kept = [start], {}
+    while len(stages[-1].leaves) < max_models:
+        last = stages[-1]
+        tried = _tried(last, levels, kept)
+        if not tried:
+            break
+        _, n, gate, block = min(tried, key=lambda one: one[0])
+        leaf = last.leaves[n]
+        upper, lower = leaf.halved(gate)
+        leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
+        kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
+        stage = sized(last.design.extended(block), leaves, (last.ridge,), search=True)
+        stages.append(stage)
+        best = int(np.argmin([s.score for s in stages]))
+        if len(stages) - 1 - best >= patience:
+            break
+    return stages
+
+
+def _tried(stage: GrownStage, levels, kept: dict[Region, Block]):
+    """Loss of every halving: the chosen columns and all of the new block."""
+    at, _ = stage.chosen()
+    small, out = stage.design.only(at), []
+    for n, leaf in enumerate(stage.leaves):
+        for dim, own in enumerate(levels):
+            gate = leaf.gate(dim, own)
+            if gate is None:
+                continue
+            region = (*leaf.region, gate)
+            if region not in kept:
+                kept[region] = stage.design.block(region)
+            out.append((_with(small, kept[region], stage.ridge), n, gate, kept[region]))
+    return out
+
+
+def _with(small: BlockDesign, block: Block, ridge: float) -> float:
+    return float(small.extended(block).left_out(ridge).sum())

@@ -1,0 +1,121 @@
+"""A candidate in closed form: its structure, its errors, its network."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset
+from jaxnarx.models import OUTPUT_MARGIN, Network
+from jaxnarx.partition.closed_form.growth import GrownStage
+from jaxnarx.partition.closed_form.network import network_of
+from jaxnarx.partition.closed_form.signals import RunSignals
+from jaxnarx.partition.closed_form.sums import Errors, Summand, root_mean_square
+from jaxnarx.simulation import has_diverged
+
+WILD = 1e30
+"""Stands for numbers beyond all numbers [standard deviations]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """A candidate: its structure, its errors, and the network of all records."""
+
+    family: str
+    name: str
+    stage: GrownStage
+    data: Dataset
+    given: Float[np.ndarray, " columns"] | None = None
+    """Coefficients that are not those of least squares of the free run ..."""
+    left_out: Sequence[Float[np.ndarray, " _"]] | None = None
+    """... and what such models answer over every group made without it."""
+
+    @property
+    def free_run(self) -> float:
+        """NRMSE over the groups left out."""
+        return self.stage.score
+
+    def losses(self) -> Float[np.ndarray, " groups"]:
+        """Mean squared error of every group; NaN where no sample of it counts."""
+        count = self.stage.design.equations.judged
+        return self.stage.losses / np.where(count > 0, count, np.nan)
+
+    def diverged(self) -> int:
+        """Runs that would leave the bounds of the feedback, far beyond the trained
+        range more than now and then: records run by the model of all groups, and groups
+        by the models made without them."""
+        low, high = self._bounds
+        left = self.stage.left_out() if self.left_out is None else self.left_out
+        return sum(
+            bool(has_diverged((run < low) | (run > high)))
+            for run in (*self._runs(), *map(tame, left))
+            if len(run)
+        )
+
+    def one_step(self) -> float:
+        """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
+        return root_mean_square(self.ahead()[1])
+
+    def ahead(self) -> Errors:
+        """One-step errors of the model of all groups, where samples count."""
+        a, order = self.stage.design.a, len(self.stage.design.a) - 1
+        driven = self.stage.design.driven(self.coefficients())
+        places, errors = [], []
+        for one, raw in zip(self._signals.stretches, driven, strict=True):
+            past = np.concatenate([one.before[:order][::-1], one.y])
+            at = np.concatenate(one.counted)
+            places.append(one.first + at)
+            errors.append((np.convolve(past, a, mode="valid") - raw)[at])
+        return np.concatenate(places), np.concatenate(errors)
+
+    def left(self) -> list[Errors]:
+        """Free-run errors of every group by the model made without it."""
+        design = self.stage.design
+        runs = self.stage.left_out() if self.left_out is None else self.left_out
+        return [(design.places(g), design.error(g, run)) for g, run in enumerate(runs)]
+
+    @property
+    def _signals(self) -> RunSignals:
+        return self.stage.design.signals
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        y = np.concatenate(self.stage.design.measured)
+        margin = OUTPUT_MARGIN * (y.max() - y.min())
+        return float(y.min() - margin), float(y.max() + margin)
+
+    def part(self, network: Network) -> Summand:
+        """What a sum needs of it."""
+        left = [(at, error.astype(np.float32)) for at, error in self.left()]
+        at, error = self.ahead()
+        return Summand(self.name, network, left, (at, error.astype(np.float32)))
+
+    def _runs(self) -> list[np.ndarray]:
+        """Free runs by the model of all groups."""
+        with np.errstate(all="ignore"):
+            runs = self.stage.design.runs(self.coefficients())
+        return list(map(tame, runs))
+
+    def groups(self) -> Float[np.ndarray, " groups"]:
+        """Free-run NRMSE of every group left out."""
+        return np.sqrt(self.losses())
+
+    def coefficients(self) -> Float[np.ndarray, " columns"]:
+        """Of all columns, from all groups; zero where a column is not chosen."""
+        if self.given is not None:
+            return self.given
+        at, theta = self.stage.chosen()
+        full = np.zeros(self.stage.design.equations.columns)
+        full[at] = theta
+        return full
+
+    def network(self) -> Network:
+        """Trained on all records."""
+        leaves = tuple(leaf.region for leaf in self.stage.leaves)
+        return network_of(self.stage.design, leaves, self.coefficients(), self.data)
+
+
+def tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
+    """Numbers beyond all numbers are very large ones."""
+    return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)

@@ -1,0 +1,109 @@
+"""A network from nested regions: leaves of a tree, terms in scaled signals."""
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset
+from jaxnarx.models import (
+    Network,
+    OutputModel,
+    SigmoidTree,
+    assemble,
+    global_model,
+    local_models,
+    output_model,
+)
+from jaxnarx.partition.closed_form.design_matrix import BlockDesign, Gate, Region
+from jaxnarx.partition.closed_form.signals import RunSignals
+from jaxnarx.regressors import Pool, Variables
+
+
+def network_of(
+    design: BlockDesign,
+    leaves: tuple[Region, ...],
+    theta: Float[np.ndarray, " columns"],
+    data: Dataset,
+) -> Network:
+    """The network whose free run is that of these columns with these coefficients.
+
+    A leaf's coefficients are the sums of those of the regions that hold it, since the
+    weights of the leaves within a region sum to the region's.
+    """
+    signals, a = design.signals, design.a
+    table = np.zeros((len(leaves), len(signals.factor)))
+    edge = 0
+    for block in design.blocks:
+        own = theta[edge : edge + len(block.terms)]
+        edge += len(own)
+        for row, leaf in zip(table, leaves, strict=True):
+            if leaf[: len(block.region)] == block.region:
+                row[block.terms] += own
+    raw = _in_scaled_signals(signals, table, a)
+    fed = np.tile(-a[1:], (len(leaves), 1))
+    used = np.any(raw != 0, axis=0)
+    pool = _with_feedback(signals, signals.factor[used], len(a) - 1)
+    theta = np.concatenate([raw[:, used], fed], axis=1)
+    if len(leaves) == 1:
+        model = global_model(pool.factor, theta[0])
+    else:
+        model = _divided(signals, leaves, pool, theta)
+    return assemble(pool, data, signals.gain, [model])
+
+
+def _in_scaled_signals(
+    signals: RunSignals,
+    table: Float[np.ndarray, "leaves terms"],
+    a: Float[np.ndarray, " _"],
+) -> Float[np.ndarray, "leaves terms"]:
+    """Coefficients of the terms of scaled signals from those of centred ones."""
+    back, outside, _ = signals.centring.reduced(signals.factor)
+    assert not len(outside), "a product without its parts"
+    raw = signals.spread * table @ back
+    constant = np.flatnonzero(np.all(signals.factor == 0, axis=1))
+    raw[:, constant[0]] += signals.middle * a.sum()
+    return raw
+
+
+def _with_feedback(signals: RunSignals, factor: np.ndarray, order: int) -> Pool:
+    """Terms that are used, the output's lags last; variables without a term go."""
+    pool = signals.pool
+    entries = pool.variables.entries
+    kept = [n for n in range(len(entries)) if np.any(factor == n + 1)]
+    place = np.zeros(len(entries) + 1, np.int32)
+    place[np.array(kept, int) + 1] = np.arange(1, len(kept) + 1)
+    signal = len(pool.channels.inputs) + pool.outputs[0]
+    lags = [(signal, lag, None) for lag in range(1, order + 1)]
+    fed = np.zeros((order, factor.shape[1]), np.int32)
+    fed[:, 0] = len(kept) + 1 + np.arange(order)
+    variables = Variables.of([*(entries[n] for n in kept), *lags])
+    rows = np.concatenate([place[factor], fed])
+    return Pool(variables, rows, pool.channels, pool.outputs)
+
+
+def _divided(
+    signals: RunSignals,
+    leaves: tuple[Region, ...],
+    pool: Pool,
+    theta: Float[np.ndarray, "leaves terms"],
+) -> OutputModel:
+    """Leaves behind the gates on their ways."""
+    gates: dict[tuple[Region, Gate], int] = {}
+    for leaf in leaves:
+        for n, gate in enumerate(leaf):
+            upper = gate if gate.side > 0 else gate.other
+            gates.setdefault((leaf[:n], upper), len(gates))
+    path = np.zeros((len(leaves), len(gates)), np.int32)
+    for m, leaf in enumerate(leaves):
+        for n, gate in enumerate(leaf):
+            upper = gate if gate.side > 0 else gate.other
+            path[m, gates[leaf[:n], upper]] = gate.side
+    own = [gate for _, gate in gates]
+    direction = np.eye(len(signals.scheduling))[[g.dim for g in own]]
+    border = np.array([g.border for g in own], float)
+    steep = np.log([g.steepness for g in own])
+    validity = SigmoidTree(*jax.device_put((direction, border, steep, path)))
+    local = local_models(pool.factor, theta, sparse=True)
+    return output_model(
+        local, validity, signals.scheduling, signals.offset, signals.span
+    )

@@ -1,0 +1,331 @@
+"""From linear models to regions with products: candidates in closed form, in order.
+
+Every candidate is judged by the free run of groups of records left out, which the
+normal equations of the simulation error give without another pass over the data.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Dataset, Groups
+from jaxnarx.partition.closed_form.denominator import is_stable, of_times
+from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
+from jaxnarx.partition.closed_form.equation_error import equation_error
+from jaxnarx.partition.closed_form.gauss_newton import (
+    move_feedback_and_gates,
+    places_of,
+)
+from jaxnarx.partition.closed_form.growth import Box, GrownStage, grown, sized
+from jaxnarx.partition.closed_form.model import ClosedForm, tame
+from jaxnarx.partition.closed_form.profile import DataProfile
+from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.terms import (
+    Memory,
+    linear_pool,
+    product_pool,
+    scheduling,
+)
+
+ORDERS = 4
+"""Largest order of A(q)."""
+SETTLED = 1e-4
+"""Ridge while the feedback of linear models is sought."""
+FAMILIES = "filtered inputs", "OE with filtered inputs"
+SCALES = 5
+"""Scales of lags and filters that are tried, each twice the last one."""
+SERVES = 0.995
+"""Share of the error that must be left at most for another round."""
+NEARLY = 1.1
+"""Error of a partition, over that of the best, with which its gates are moved too."""
+GROWN = 2
+"""How many of the polynomials are grown."""
+
+
+Root = tuple[int, int, ClosedForm]
+"""Step of the lags, order of the feedback, and the candidate."""
+
+
+class ClosedSearch:
+    """Candidates for one output; what several of them need is formed once."""
+
+    def __init__(self, data: Dataset, profile: DataProfile, groups: Groups):
+        self.data, self.profile, self.groups = data, profile, groups
+        self.known: dict[tuple[Memory, int], RunSignals] = {}
+
+    def signals(self, memory: Memory, degree: int) -> RunSignals:
+        """Variables and terms of a memory."""
+        key = memory, degree
+        if key not in self.known:
+            pool = linear_pool(self.data, self.profile, memory)
+            if degree > 1:
+                pool = product_pool(pool, self.profile, memory, degree)
+            table = scheduling(self.data, self.profile, memory)
+            self.known = {
+                key: signals_of(
+                    self.data,
+                    pool,
+                    table,
+                    *self.groups.parts(),
+                    history=ORDERS,
+                    every=self.profile.every,
+                    begin=self.profile.begin,
+                )
+            }
+        return self.known[key]
+
+    def memory(self, step: int) -> Memory:
+        """Lags and filters in this scale."""
+        return Memory.of(step, self.profile.reach, self.profile.memory)
+
+    def found(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
+        """A candidate."""
+        return ClosedForm(family, name, stage, self.data)
+
+    def root(
+        self,
+        signals: RunSignals,
+        a: Float[np.ndarray, " _"],
+        *,
+        search: bool = True,
+    ) -> GrownStage:
+        """One region with this feedback; the ridge is a coarse one or searched."""
+        design = BlockDesign.of(signals, a)
+        design = design.extended(design.block(()))
+        dims = len(signals.scheduling)
+        leaf = Box((), np.zeros(dims), np.ones(dims))
+        return sized(design, (leaf,), search=search)
+
+    def retuned(
+        self, stage: GrownStage, *, gates: bool = False, most: int = 1
+    ) -> GrownStage:
+        """The same regions with the feedback (and gates) that suit them best.
+
+        As often as the groups left out gain: every time columns are chosen anew.
+        """
+        for _ in range(most):
+            new = self._retuned(stage, gates)
+            if new is None or new.score > SERVES * stage.score:
+                return stage if new is None or new.score > stage.score else new
+            stage = new
+        return stage
+
+    def _retuned(self, stage: GrownStage, gates: bool) -> GrownStage | None:
+        at, _ = stage.chosen()
+        start = stage.design.only(at)
+        end = move_feedback_and_gates(start, stage.ridge, gates=gates)[0]
+        if end is start:
+            return None
+        pairs = zip(places_of(start), places_of(end), strict=True)
+        gate_of = {old: new[1] for old, new in pairs}
+        moved = stage.design.moved(end.a, gate_of)
+        leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
+        return sized(moved, leaves, (stage.ridge,), search=True)
+
+    def constant(self) -> ClosedForm:
+        """The mean."""
+        signals = self.signals(Memory(1, (0,), ()), 1)
+        design = BlockDesign.of(signals, np.ones(1))
+        place = np.flatnonzero(np.all(signals.factor == 0, axis=1))
+        design = design.extended(design.block((), place))
+        dims = len(signals.scheduling)
+        leaf = Box((), np.zeros(dims), np.ones(dims))
+        losses = design.left_out(0.0)
+        return self.found(
+            "constant", "mean", GrownStage(design, (leaf,), losses, 1, 0.0)
+        )
+
+    def linear(self) -> Iterator[ClosedForm]:
+        """Output-error models of rising order without filters (OE)."""
+        last = np.ones(1)
+        for order in range(1, ORDERS + 1):
+            signals = self.signals(Memory(1, tuple(range(order + 2)), ()), 1)
+            a = self.feedback(signals, order, last)
+            stage = self.root(signals, a)
+            last = a
+            yield self.found("OE", f"order {order}", stage)
+
+    def feedback(
+        self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
+    ) -> Float[np.ndarray, " _"]:
+        """A(q) of linear terms: the best of several starts, tuned."""
+        starts = [a for a in self._starts(signals, order, last) if is_stable(a)]
+        every = []
+        for a in starts:
+            design = BlockDesign.of(signals, a)
+            design = design.extended(design.block(()))
+            every.append(move_feedback_and_gates(design, SETTLED, steps=1))
+        every.sort(key=lambda one: one[1])
+        return min(
+            (move_feedback_and_gates(one, SETTLED) for one, _ in every[:2]),
+            key=lambda one: one[1],
+        )[0].a
+
+    def _starts(self, signals: RunSignals, order: int, last) -> Iterator[np.ndarray]:
+        if len(last) == order + 1:
+            yield last
+        elif len(last) == order:
+            yield np.convolve(last, [1.0, -0.3])
+            yield np.convolve(last, [1.0, -0.9])
+        yield equation_error(signals, order)[0]
+        unit = self.data.sample_time
+        rise, slow = max(self.profile.rise, 1.0), max(self.profile.memory / 3, 2.0)
+        times = [rise, float(np.sqrt(rise * slow)), slow] if order <= 2 else [slow]
+        for time in dict.fromkeys(times):
+            yield of_times([time * unit / 3**k for k in range(order)], unit)
+
+    def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[ClosedForm]:
+        """Linear terms at lags and through filters, without feedback and with it."""
+        memory = self.memory(max(1, round(self.profile.rise / 4)))
+        signals = self.signals(memory, 1)
+        for order in (0, 1):
+            a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
+            stage = self.root(signals, a)
+            yield self.found(FAMILIES[order], told(memory, a), stage)
+
+    def polynomials(
+        self, orders: dict[int, np.ndarray], degree: int
+    ) -> tuple[list[Root], list[Root]]:
+        """Products in several scales of lags and filters, with several feedbacks; best
+        first, with a coarse ridge and with the one that serves them best.
+
+        What ranks first alone need not do so when it is divided: of both orders
+        some are grown.
+        """
+        own = self.profile
+        most = max(min(own.rise, own.reach), own.memory / 64, 1.0)
+        step = max(1, 2 ** int(np.log2(most) - SCALES + 1))
+        coarse, fine = [], []
+        while step <= most:
+            memory = self.memory(step)
+            signals = self.signals(memory, degree)
+            for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
+                stage = self.root(signals, a, search=False)
+                name = f"degree {degree}, {told(memory, a)}"
+                found = self.found("polynomial", name, stage)
+                coarse.append((step, order, found))
+                stage = sized(stage.design, stage.leaves, (stage.ridge,), search=True)
+                fine.append((step, order, dataclasses.replace(found, stage=stage)))
+            step *= 2
+        return _ranked(coarse), _ranked(fine)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the output, in its unit."""
+        (one,) = self.known.values()
+        o = len(self.data.channels.inputs) + one.pool.outputs[0]
+        return float(one.spread * one.gain[o])
+
+    def candidates(
+        self, max_models: int, degree: int = 2, grown_roots: int = GROWN
+    ) -> Iterator[ClosedForm]:
+        """From the mean to regions, cheap ones first."""
+        yield self.constant()
+        for order in (1, 2, 3):
+            yield self.equation_error(order)
+        orders = {}
+        for one in self.linear():
+            orders[len(one.stage.design.a) - 1] = one.stage.design.a
+            yield one
+        yield from self.filtered(orders)
+        if degree < 2:
+            return
+        coarse, fine = self.polynomials(orders, degree)
+        yield from (one[2] for one in _distinct(fine, lambda one: one[1]))
+        for root in _to_grow(coarse, fine)[:grown_roots]:
+            stage = self.retuned(root.stage)
+            if stage is not root.stage:
+                root = dataclasses.replace(root, stage=stage)
+                yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
+            levels = self.levels(root.stage.design.signals)
+            stages = grown(root.stage, max_models=max_models, levels=levels)
+            best = int(np.argmin([one.score for one in stages]))
+            if best:
+                for stage in stages[1 : best + 1]:
+                    if len(stage.leaves) % 2 == 0 or stage is stages[best]:
+                        yield self.divided(root, stage)
+            for stage in _to_move(stages, best):
+                end = self.retuned(stage, gates=True, most=3)
+                if end is not stage:
+                    yield self.divided(root, end, ", gates moved")
+
+    def divided(
+        self, root: ClosedForm, stage: GrownStage, more: str = ""
+    ) -> ClosedForm:
+        """A candidate of several regions."""
+        name = f"{len(stage.leaves)} regions, {root.name}{more}"
+        return self.found("shared feedback", name, stage)
+
+    def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
+        """Of scheduling variables with few values these, scaled as they are."""
+        out = []
+        scales = zip(signals.offset, signals.span, strict=True)
+        entries = zip(signals.scheduling.entries, scales, strict=True)
+        for (signal, _, filter_), (offset, span) in entries:
+            own = self.profile.levels[signal] if filter_ is None else None
+            out.append(own and tuple(float((v - offset) / span) for v in own))
+        return out
+
+    def equation_error(self, order: int) -> ClosedForm:
+        """Least squares one step ahead (ARX), run freely."""
+        signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
+        dims, losses, left = len(signals.scheduling), [], []
+        # What is fitted one step ahead may run away: inf then, and held to the range.
+        with np.errstate(all="ignore"):
+            for g in range(len(self.groups)):
+                a, theta = equation_error(signals, order, without=g)
+                bare = _bare(signals, a)
+                left.append(tame(_of_group(signals, bare.runs(theta), g)))
+                losses.append(bare.loss(g, left[-1]))
+            a, theta = equation_error(signals, order)
+            bare = _bare(signals, a)
+        leaf = Box((), np.zeros(dims), np.ones(dims))
+        stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
+        return ClosedForm("ARX", f"order {order}", stage, self.data, theta, left)
+
+
+def _ranked(every: list[Root]) -> list[Root]:
+    return sorted(every, key=lambda one: one[2].free_run)
+
+
+def _distinct(ranked: list[Root], kind: Callable[[Root], Any]) -> list[Root]:
+    """The best of every kind, best first."""
+    seen: dict[Any, Root] = {}
+    for one in ranked:
+        seen.setdefault(kind(one), one)
+    return list(seen.values())
+
+
+def _to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
+    """The best of every scale, of both orders in turn."""
+    both = (_distinct(ranked, lambda one: one[0]) for ranked in (coarse, fine))
+    turns = [one for pair in zip(*both, strict=True) for one in pair]
+    return [one[2] for one in _distinct(turns, lambda one: one[:2])]
+
+
+def _to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
+    """The best, and the one with the most regions that is nearly as good: halvings may
+    gain little before their gates have moved."""
+    near = [n for n, s in enumerate(stages) if s.score <= NEARLY * stages[best].score]
+    return [stages[n] for n in dict.fromkeys((best, max(near))) if n]
+
+
+def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
+    """Memory and order in words."""
+    return f"order {len(a) - 1}, {memory}"
+
+
+def _bare(signals: RunSignals, a: Float[np.ndarray, " _"]) -> BlockDesign:
+    """One region without products of its columns."""
+    bare = BlockDesign.of(signals, a)
+    terms = np.arange(len(signals.factor))
+    return dataclasses.replace(bare, blocks=(Block((), terms, ()),))
+
+
+def _of_group(signals: RunSignals, runs: list[np.ndarray], group: int) -> np.ndarray:
+    """Where a group's samples count."""
+    parts = zip(signals.stretches, runs, strict=True)
+    return np.concatenate([run[one.counted[group]] for one, run in parts])

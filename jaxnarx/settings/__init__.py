@@ -1,0 +1,80 @@
+"""Settings of the verbs: frozen and jax-free, so that the command line can use them."""
+
+from jaxnarx.settings.anova import Anova
+from jaxnarx.settings.description import DESCRIPTION as DESCRIPTION
+from jaxnarx.settings.design import OptimalDesign
+from jaxnarx.settings.fields import fields_of as fields_of
+from jaxnarx.settings.fields import kinds_of as kinds_of
+from jaxnarx.settings.identification import Identification
+from jaxnarx.settings.inverse import ActuatorLimits, TrackingError
+from jaxnarx.settings.least_squares import LeastSquares, Recursive
+from jaxnarx.settings.linear import (
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    GeneralLinear,
+    OutputError,
+)
+from jaxnarx.settings.linear import LinearMethod as LinearMethod
+from jaxnarx.settings.linear import Orders as Orders
+from jaxnarx.settings.partition import (
+    Given,
+    Global,
+    Grid,
+    Lolimot,
+    Placed,
+    SigmoidTree,
+)
+from jaxnarx.settings.pool import Polynomial
+from jaxnarx.settings.presets import PRESETS as PRESETS
+from jaxnarx.settings.presets import Preset as Preset
+from jaxnarx.settings.protocols import PARTITIONS, SELECTORS, Partitioner, Selector
+from jaxnarx.settings.refinement import PredictionError, SimulationError
+from jaxnarx.settings.selection import Backward, ForwardOLS, StepwiseF
+from jaxnarx.settings.simulation_ols import SimulationOLS
+from jaxnarx.settings.states import HiddenStates
+from jaxnarx.settings.tree import KIND_KEY as KIND_KEY
+from jaxnarx.settings.tree import METHOD_KINDS as METHOD_KINDS
+from jaxnarx.settings.tree import by_path as by_path
+from jaxnarx.settings.tree import from_dict as from_dict
+from jaxnarx.settings.tree import hint_at as hint_at
+from jaxnarx.settings.tree import names_of as names_of
+from jaxnarx.settings.tree import plain_value as plain_value
+from jaxnarx.settings.tree import replace_at as replace_at
+from jaxnarx.settings.tree import to_dict as to_dict
+from jaxnarx.settings.tree import value_at as value_at
+
+__all__ = [
+    "PARTITIONS",
+    "SELECTORS",
+    "ARMAX",
+    "ARX",
+    "FIR",
+    "ActuatorLimits",
+    "Anova",
+    "Backward",
+    "BoxJenkins",
+    "ForwardOLS",
+    "GeneralLinear",
+    "Given",
+    "Global",
+    "Grid",
+    "HiddenStates",
+    "Identification",
+    "LeastSquares",
+    "Lolimot",
+    "OptimalDesign",
+    "OutputError",
+    "Partitioner",
+    "Placed",
+    "Polynomial",
+    "PredictionError",
+    "Recursive",
+    "Selector",
+    "SigmoidTree",
+    "SimulationError",
+    "SimulationOLS",
+    "StepwiseF",
+    "TrackingError",
+]

@@ -1,0 +1,56 @@
+"""Settings of models with hidden states."""
+
+from collections.abc import Sequence
+
+from jaxnarx.checks import require
+from jaxnarx.settings.fields import Count, Steps, settings
+
+
+@settings
+class HiddenStates:
+    """A state-space model with polynomials of states and inputs, or with local models
+    in regions of them, trained on the free run.
+
+    Linear models by subspace identification and a chain of first-order lags are its
+    starts; products come with coefficients of zero, regions by division.
+    """
+
+    outputs: Sequence[str] = ()
+    """Names of the outputs it computes; default: all."""
+    states: Count = 2
+    """Number of hidden states."""
+    degree: Count = 2
+    """Most factors of a product."""
+    regions: Count = 1
+    """Most regions, in each of which everything has local models; with degree one they
+    are linear. Every number from two on is trained."""
+    shrink: Sequence[float] = (0.1, 0.01, 0.001)
+    """Pull of the coefficients, see `SimulationError`: at first towards the linear
+    model, then towards where the last value has led. The training goes through these
+    values one after another."""
+    window: Count = 50
+    """Measured samples that a run's first states are estimated from."""
+    start: str = ""
+    """Name of the linear model to start from; by default the one with the smallest
+    error in training."""
+    max_steps: Steps = 40
+    """Accepted steps at each value of `shrink`, on all samples."""
+    first_steps: Steps = 12
+    """Those that every start is given first, at each degree."""
+    first_rows: Count = 3000
+    """Samples, in stretches of all records, that these are taken on. Where there are
+    more the best start goes on alone."""
+
+    def __post_init__(self):
+        falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))
+        require(
+            len(self.shrink) > 0 and falling and self.shrink[-1] >= 0,
+            "shrink",
+            f"shrink must fall, and not below zero, got {tuple(self.shrink)}",
+        )
+
+    @property
+    def stages(self) -> tuple[tuple[int, float], ...]:
+        """Number of regions and pull of every network that the training ends with."""
+        counts = range(min(self.regions, 2), self.regions + 1)
+        return tuple((count, pull) for count in counts for pull in self.shrink)

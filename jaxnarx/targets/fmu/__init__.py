@@ -1,5 +1,0 @@
-"""A model as an FMU of FMI 2.0 or 3.0 for co-simulation: sources and a binary."""
-
-from jaxnarx.targets.fmu.pack import fmu as fmu
-from jaxnarx.targets.fmu.prove import prove_fmu2 as prove_fmu2
-from jaxnarx.targets.fmu.prove import prove_fmu3 as prove_fmu3
