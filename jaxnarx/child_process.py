@@ -1,4 +1,5 @@
-"""Start Python processes that never import what lies in the current folder.
+"""Start Python processes: none imports what lies in the current folder, and those that
+share the cores with others keep to one thread.
 
 `python -c` and multiprocessing's `spawn` put the current folder first on the module
 path, so a `json.py` beside the data would be executed. `-P` and `PYTHONSAFEPATH`
@@ -12,10 +13,19 @@ from collections.abc import Mapping
 SAFE = {"PYTHONSAFEPATH": "1"}
 """Environment of a Python process and of those that it starts."""
 
+_POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+
 
 def python_command(code: str, *arguments: str) -> list[str]:
     """Words that run `code` in a Python without the current folder on its path."""
     return [sys.executable, "-P", "-c", code, *arguments]
+
+
+def one_thread() -> dict[str, str]:
+    """Environment of a process whose linear algebra and XLA keep to one thread."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {_ONE_THREAD}".strip()
+    return {f"{name}_NUM_THREADS": "1" for name in _POOLS} | {"XLA_FLAGS": flags}
 
 
 def python_environment(given: Mapping[str, str] | None = None) -> dict[str, str]:

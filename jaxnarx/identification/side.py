@@ -18,7 +18,7 @@ from typing import Any
 
 import jax
 
-from jaxnarx.child_process import python_command, python_environment
+from jaxnarx.child_process import one_thread, python_command, python_environment
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import TemporaryFolder, write_whole
 from jaxnarx.identification.candidates import (
@@ -36,7 +36,6 @@ from jaxnarx.settings import PRESETS
 TASK, END, ERROR, NOW, SAID = "task", "end", "error", "now", "said.txt"
 START = f"import sys; from {__name__} import main; main(sys.argv[1])"
 """The module by its name, so that classes of pickles are its own."""
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 WATCH = 1.0
 """Seconds between looks whether the process that has started this one is there."""
 
@@ -84,7 +83,7 @@ def cores() -> int:
 
 
 class Side:
-    """A process at work on a task, with one thread for linear algebra."""
+    """A process at work on a task, on one thread."""
 
     def __init__(self, task: OutputTask):
         self._folder = TemporaryFolder()
@@ -94,7 +93,7 @@ class Side:
         with open(self.place / SAID, "wb") as said:
             self.process = subprocess.Popen(
                 python_command(START, str(self.place)),
-                env=python_environment(dict.fromkeys(THREADS, "1")),
+                env=python_environment(one_thread()),
                 stdin=subprocess.DEVNULL,
                 stdout=said,
                 stderr=said,

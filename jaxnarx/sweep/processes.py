@@ -15,7 +15,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
-from jaxnarx.child_process import SAFE
+from jaxnarx.child_process import SAFE, one_thread
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.sweep.cluster import compute_on_cluster, threads_of
 from jaxnarx.sweep.folder.run_folder import RunFolder
@@ -25,8 +25,6 @@ from jaxnarx.sweep.work import Work
 SILENT = logging.CRITICAL + 1
 """What dask would log is told by this package, or does not matter."""
 
-_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-_POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
 _WAIT = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
@@ -162,10 +160,7 @@ def _cores() -> list[int]:
 
 def _child_environment() -> dict[str, str]:
     """One thread for everything, and jax configured as it is here."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    settings = SAFE | {f"{name}_NUM_THREADS": "1" for name in _POOLS}
-    settings["XLA_FLAGS"] = f"{flags} {_ONE_THREAD}".strip()
-    settings["JAX_ENABLE_X64"] = str(int(is_float64()))
+    settings = SAFE | one_thread() | {"JAX_ENABLE_X64": str(int(is_float64()))}
     for name in ("jax_compilation_cache_dir", "jax_platforms"):
         if value := getattr(jax.config, name):
             settings[name.upper()] = str(value)
