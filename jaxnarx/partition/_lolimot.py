@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.errors import SpecError
 from jaxnarx.models import AbstractValidity, Boxes, Compact, Gaussians
 from jaxnarx.partition.local_fit import at_once, effective, local_fit
+from jaxnarx.partition.stages import grow_stages
 
 
 class Growth(eqx.Module):
@@ -220,11 +221,6 @@ def lolimot(
             going=allowed | jnp.any(free),
         )
 
-    def stage(s: Growth, _):
-        target = s.count + 1
-        s = jax.lax.while_loop(lambda s: s.going & (s.count < target), attempt, s)
-        return s, keep(s)
-
     def keep(s: Growth) -> LolimotStage:
         phi = _share(s.curves, jnp.sum(s.curves, axis=0)[None])
         used = (slots < s.count)[:, None]
@@ -257,5 +253,4 @@ def lolimot(
         sse=jnp.sum(squares(jnp.sum(phi * output, axis=0))),
         going=jnp.asarray(True),
     )
-    _, later = jax.lax.scan(stage, begin, None, length=max_models - given)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), keep(begin), later)
+    return grow_stages(begin, attempt, keep, max_models - given)

@@ -1,6 +1,7 @@
-"""Which stage of a growth to keep."""
+"""The stages of a growth, and which of them to keep."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,51 @@ from jaxnarx.settings import Lolimot, SigmoidTree
 from jaxnarx.simulation import simulate
 
 Numbers = Float[np.ndarray, " stages"]
+
+
+def grow_stages(
+    begin: Any,
+    attempt: Callable[[Any], Any],
+    keep: Callable[[Any], Any],
+    stages: int,
+) -> Any:
+    """What `keep` makes of `begin` and of so many stages more, stacked, in a program.
+
+    A state has `count`, its number of local models, and `going`, whether any may still
+    be divided. `attempt` divides one local model, or finds that it cannot be; a stage
+    attempts until there is one more. Once none is going, stages repeat the last.
+    """
+
+    def grow_stage(state, _):
+        target = state.count + 1
+        state = jax.lax.while_loop(
+            lambda s: s.going & (s.count < target), attempt, state
+        )
+        return state, keep(state)
+
+    first = jax.tree.map(lambda a: a[None], keep(begin))
+    if not stages:
+        return first
+    _, later = jax.lax.scan(grow_stage, begin, None, length=stages)
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), first, later)
+
+
+class BestStage(NamedTuple):
+    """The best stage so far and its figure; `going` until `patience` stages in a row
+    are no better. On the host and, with `xp` jax.numpy, inside a program."""
+
+    stage: Any
+    value: Any
+    going: Any = True
+
+    def update(
+        self, stage: Any, value: Any, patience: int, xp: Any = np
+    ) -> "BestStage":
+        """With one stage more."""
+        better = self.going & (value < self.value)
+        best = xp.where(better, stage, self.stage)
+        value = xp.where(better, value, self.value)
+        return BestStage(best, value, self.going & (stage - best < patience))
 
 
 def free_run_nrmse(network: Network, data: Dataset) -> float:
@@ -54,29 +100,25 @@ def choose_stage(
         validation[stage] = score(stage)
         return float(validation[stage])
 
-    best, stopped = 0, "capacity"
-    smallest = value(0)
+    best = BestStage(0, value(0))
     for stage in range(1, distinct):
-        now = value(stage)
-        if now < smallest:
-            best, smallest = stage, now
-        elif stage - best >= method.patience:
-            stopped = "criterion"
+        best = best.update(stage, value(stage), method.patience)
+        if not best.going:
             break
-    if stopped == "capacity" and count[distinct - 1] < method.max_models:
-        stopped = "data"
+    grew_to_capacity = count[distinct - 1] >= method.max_models
+    stopped = "capacity" if grew_to_capacity else "data"
     figures = {
         "models": count[:distinct],
         "sse": sse,
         "aicc": known["aicc"],
         "bic": known["bic"],
         "effective": effective,
-        "best": best,
-        "stopped": stopped,
+        "best": int(best.stage),
+        "stopped": stopped if best.going else "criterion",
     }
     if method.criterion == "validation":
         figures["validation"] = validation
-    return best, figures
+    return int(best.stage), figures
 
 
 def best_stage(
@@ -100,15 +142,11 @@ def best_stage(
         return last
     values = information(sse, effective, samples)[criterion]
 
-    def look(carry, now):
-        best, smallest, going = carry
-        n, value, here = now
-        going = going & here
-        better = going & (value < smallest)
-        best = jnp.where(better, n, best)
-        going = going & (n - best < patience)
-        return (best, jnp.where(better, value, smallest), going), None
+    def update(best: BestStage, now):
+        stage, value, here = now
+        best = best._replace(going=best.going & here)
+        return best.update(stage, value, patience, jnp), None
 
-    begin = jnp.asarray(0), values[0], jnp.asarray(True)
-    (best, _, _), _ = jax.lax.scan(look, begin, (at[1:], values[1:], there[1:]))
-    return best
+    begin = BestStage(jnp.asarray(0), values[0], jnp.asarray(True))
+    best, _ = jax.lax.scan(update, begin, (at[1:], values[1:], there[1:]))
+    return best.stage

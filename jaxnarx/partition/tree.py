@@ -32,6 +32,7 @@ from jaxnarx.partition.split import (
     steepness,
     unit,
 )
+from jaxnarx.partition.stages import grow_stages
 
 
 class TreeStage(eqx.Module):
@@ -71,6 +72,11 @@ class _Growth(eqx.Module):
     locked: Bool[Array, " models"]
     going: Bool[Array, ""]
 
+    @property
+    def count(self) -> Int[Array, ""]:
+        """Leaves so far."""
+        return self.stage.count
+
 
 def sigmoid_tree(
     p: Float[Array, "terms rows"],
@@ -102,20 +108,12 @@ def sigmoid_tree(
     rows = SplitRows(p, z, y, weight, smoothness, ridge, least, picks, first)
     given = 1 if start is None else len(start.path)
     begin = _begin(rows, max_models, start, oblique)
-    if max_models == given:
-        return jax.tree.map(lambda a: a[None], begin.stage)
-
-    def stage(s: _Growth, _):
-        target = s.stage.count + 1
-        s = jax.lax.while_loop(
-            lambda s: s.going & (s.stage.count < target),
-            lambda s: _attempt(s, rows, oblique, steps),
-            s,
-        )
-        return s, s.stage
-
-    _, later = jax.lax.scan(stage, begin, None, length=max_models - given)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin.stage, later)
+    return grow_stages(
+        begin,
+        lambda s: _attempt(s, rows, oblique, steps),
+        lambda s: s.stage,
+        max_models - given,
+    )
 
 
 def _begin(

@@ -16,6 +16,7 @@ from jaxnarx.partition.closed_form.design_matrix import (
     Region,
     with_gates,
 )
+from jaxnarx.partition.stages import BestStage
 
 RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 COARSE = 1e-4, 1e-2
@@ -86,11 +87,8 @@ class GrownStage:
 
     def left_out(self) -> list[Float[np.ndarray, " _"]]:
         """Free runs over every group by a model made without it, not held."""
-        equations, first, out = (
-            self.design.equations,
-            constants(self.design),
-            [],
-        )
+        equations, first = self.design.equations, constants(self.design)
+        out = []
         for g in range(len(self.losses)):
             theta = np.zeros((1, equations.columns))
             path = equations.without(g).forward(self.ridge, self.size, first)
@@ -153,7 +151,8 @@ def grown(
 ) -> list[GrownStage]:
     """One more region a stage; those that no halving improves end it."""
     stages, kept = [start], {}
-    while len(stages[-1].leaves) < max_models:
+    best = BestStage(0, start.score)
+    while best.going and len(stages[-1].leaves) < max_models:
         last = stages[-1]
         tried = _tried(last, levels, kept)
         if not tried:
@@ -164,10 +163,8 @@ def grown(
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
         stage = sized(last.design.extended(block), leaves, (last.ridge,), search=True)
+        best = best.update(len(stages), stage.score, patience)
         stages.append(stage)
-        best = int(np.argmin([s.score for s in stages]))
-        if len(stages) - 1 - best >= patience:
-            break
     return stages
 
 
