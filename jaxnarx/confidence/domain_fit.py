@@ -145,37 +145,50 @@ def followed(
     its record; what a run remembers is what is left of such a change of all inputs
     after they are again as they were.
     """
-    spread = _spread(data, network)
-    base = simulate(network, data).value.outputs
-
-    def run(changed: list[np.ndarray]) -> list[np.ndarray]:
-        records = [
-            dataclasses.replace(r, u=u) for r, u in zip(data, changed, strict=True)
-        ]
-        made = simulate(network, dataclasses.replace(data, records=tuple(records)))
-        pairs = zip(made.value.outputs, base, strict=True)
-        return [((a - b) / spread[None]) ** 2 for a, b in pairs]
-
     moved = [np.roll(r.u, len(r) // 2, axis=0) for r in data]
-    weight = []
-    for s in used:
-        only = [
+    alone = [
+        [
             np.concatenate([r.u[:, :s], m[:, s : s + 1], r.u[:, s + 1 :]], axis=1)
             for r, m in zip(data, moved, strict=True)
         ]
-        weight.append(np.sqrt(np.mean(np.concatenate(run(only)))))
-    weight = np.array(weight, float)
-    longest = max(len(r) for r in data)
-    left = np.zeros(longest)
-    for cut in CUTS:
-        back = []
-        for r, m in zip(data, moved, strict=True):
-            before = np.arange(len(r)) < cut * len(r)
-            back.append(np.where(before[:, None], m, r.u))
-        for r, change in zip(data, run(back), strict=True):
-            tail = change[int(np.ceil(cut * len(r))) :].mean(axis=1)
+        for s in used
+    ]
+    back = [
+        [
+            np.where((np.arange(len(r)) < cut * len(r))[:, None], m, r.u)
+            for r, m in zip(data, moved, strict=True)
+        ]
+        for cut in CUTS
+    ]
+    changes = _changes(network, data, [*alone, *back])
+    weight = [np.sqrt(np.mean(np.concatenate(c))) for c in changes[: len(used)]]
+    left = np.zeros(max(len(r) for r in data))
+    for cut, change in zip(CUTS, changes[len(used) :], strict=True):
+        for r, square in zip(data, change, strict=True):
+            tail = square[int(np.ceil(cut * len(r))) :].mean(axis=1)
             left[: len(tail)] += tail
+    weight = np.array(weight, float)
     return _shares(weight), _memory(left, min(len(r) for r in data))
+
+
+def _changes(
+    network: Network, data: Dataset, inputs: list[list[np.ndarray]]
+) -> list[list[np.ndarray]]:
+    """Squared change of the free run of every record, in spreads of the outputs, where
+    its inputs are others: a list of records for each of `inputs`, all run at once."""
+    spread = _spread(data, network)[None]
+    records = [
+        dataclasses.replace(record, name=f"{record.name} {n}", u=u)
+        for n, own in enumerate([[r.u for r in data], *inputs])
+        for record, u in zip(data, own, strict=True)
+    ]
+    many = dataclasses.replace(data, records=tuple(records))
+    runs = simulate(network, many).value.outputs
+    base, *others = (runs[n : n + len(data)] for n in range(0, len(runs), len(data)))
+    return [
+        [((a - b) / spread) ** 2 for a, b in zip(one, base, strict=True)]
+        for one in others
+    ]
 
 
 def _shares(weight: Float[np.ndarray, " used"]) -> Float[np.ndarray, " used"]:
