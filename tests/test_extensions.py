@@ -223,7 +223,7 @@ def test_the_quick_examples_hold_to_their_contracts(tmp_path):
 @pytest.mark.slow
 def test_all_examples_hold_to_their_contracts(tmp_path):
     names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
-    assert len(names) == 7
+    assert len(names) == 8
     run_contracts(names, tmp_path)
 
 

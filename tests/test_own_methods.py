@@ -1,6 +1,8 @@
 """Methods of one's own go wherever the package's go."""
 
 import dataclasses
+import sys
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -8,9 +10,13 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
+from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Gaussians
+from jaxnarx.partition.stages import free_run_nrmse
 from jaxnarx.selection import own
+from jaxnarx.settings import PARTITIONS
+from jaxnarx.sweep import IdentificationWork
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,6 +86,50 @@ def test_own_selection_and_own_partition_go_through_every_verb(tmp_path):
     jnx.save(fit.value, tmp_path / "own.safetensors")
     loaded = jnx.load(tmp_path / "own.safetensors")
     assert "y" in jnx.report(loaded, data()).table
+
+
+@pytest.fixture
+def halving(monkeypatch):
+    """The documented example of a partition, registered for a test."""
+    folder = Path(__file__).parents[1] / "docs" / "extensions"
+    monkeypatch.syspath_prepend(str(folder))
+    import halving  # pyright: ignore[reportMissingImports]
+
+    assert len((folder / "halving.py").read_text().splitlines()) <= 40
+    yield halving.Halving
+    del PARTITIONS["halving"]
+    sys.modules.pop("halving")
+
+
+def bent(rows: int, seed: int) -> jnx.Dataset:
+    """y(t) = 0.5 y(t-1) + |u(t-1)|: flat and steep on either side of zero."""
+    rng = np.random.default_rng(seed)
+    u, y = rng.uniform(-1, 1, rows), np.zeros(rows)
+    for t in range(1, rows):
+        y[t] = 0.5 * y[t - 1] + max(u[t - 1], 0.0)
+    names: dict[str, Any] = {"inputs": ["u"], "outputs": ["y"], "sample_time": 1.0}
+    return jnx.Dataset.from_arrays(u, y, **names)
+
+
+def test_a_documented_partition_is_grown_refined_swept_saved_exported_and_reported(
+    halving, tmp_path
+):
+    train, test = bent(240, 1), bent(200, 2)
+    given = jnx.Given("halving", scheduling="u[t-1]")
+    grown = jnx.grow(pool(1), train, given).value
+    assert len(grown.regions(0)) == halving().models
+    one = jnx.grow(pool(1), train, jnx.Global()).value
+    fit = jnx.refine(grown, train, jnx.SimulationError(max_steps=5)).value
+    errors = [free_run_nrmse(net, test) for net in (one, grown, fit)]
+    assert errors[2] < 0.5 * errors[1] < 0.5 * errors[0], errors
+    jnx.save(fit, tmp_path / "halves.safetensors")
+    loaded = jnx.load(tmp_path / "halves.safetensors")
+    assert "y" in jnx.report(loaded, test).table
+    assert not jnx.export(loaded, train, to=["python"]).failed
+    fleet = Fleet.from_datasets({"a": train, "b": bent(240, 3)}, train=[0])
+    method = jnx.Identification(pool=pool(1), grow=given, refine=None)
+    done = jnx.run_sweep(IdentificationWork(fleet, method), tmp_path / "run")
+    assert done.value.column("status").tolist() == ["ok", "ok"]
 
 
 def test_a_growth_goes_on_from_an_own_partition():
