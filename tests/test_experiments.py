@@ -271,7 +271,7 @@ def test_compilations_are_counted(tmp_path):
 def test_the_verbs_beside_the_program(tmp_path):
     (row,) = run("verbs.py", results=tmp_path)["verbs"].values()
     assert all(seconds > 0 for seconds in row["seconds a fit"].values())
-    assert_target(row["loop over program"])
+    assert_target(row["verbs over program"])
 
 
 @pytest.mark.slow
