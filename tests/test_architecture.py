@@ -49,7 +49,8 @@ HOUSE = [
     ["confidence"],
     ["selection"],
     ["partition"],
-    ["linear", "inverse", "design", "evaluation", "exporters"],
+    ["exporters"],
+    ["linear", "inverse", "design", "evaluation"],
     ["identification"],
     ["sweep"],
     # Floor 4, and the checks that users run over their extensions.

@@ -15,7 +15,6 @@ Results: `experiments/benchmarks/results/edge_measured.json`.
 """
 
 import argparse
-import dataclasses
 import json
 import sys
 import time
@@ -45,6 +44,7 @@ def main() -> None:
 
     import jaxnarx as jnx
     from jaxnarx.evaluation import cost
+    from jaxnarx.exporters import lower
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--preset", default="good")
@@ -69,14 +69,14 @@ def main() -> None:
     path = folder / "edge_measured.json"
     figures = json.loads(path.read_text())["figures"] if path.exists() else {}
     past = figures.get(preset, {}).get("scored", [])
-    domain, errors = network.domain, network.errors
-    assert domain is not None and errors is not None
+    step = cost(network).operations
+    indexed = lower(network).operations
     found: dict[str, Any] = {
         "test": tested(network, test, train),
         "operations": {
-            "step": sum(sum(part.values()) for part in _price(cost(network))),
-            "index": domain.operations,
-            "intervals": errors.operations,
+            "step": step,
+            "index": indexed - step,
+            "intervals": lower(network, level=0.9).operations - indexed,
         },
         "outside": network.outside,
     }
@@ -94,14 +94,6 @@ def main() -> None:
     when = code() | {"date": time.strftime("%Y-%m-%d")}
     figures[preset] = found | {"scored": [*past, when]}
     record("edge_measured", figures, folder=folder)
-
-
-def _price(price: Any) -> list[dict[str, int]]:
-    """Operations of a step by part."""
-    return [
-        {k: v for k, v in dataclasses.asdict(part).items() if isinstance(v, int)}
-        for part in (price.terms, price.weights, price.blend, price.filters)
-    ]
 
 
 def small(data: Any, records: int) -> Any:

@@ -140,7 +140,7 @@ def column(network: Any, row: Row, seconds: float, open_set: OpenSet) -> Row:
         "name": row["name"],
         "free_run": row["free_run"],
         "parameters": price.parameters,
-        "operations": price.multiplications + price.divisions + price.exponentials,
+        "operations": price.operations,
         "fit_seconds": seconds,
         "test": scores([free_runs(network, open_set)], open_set, output)[0],
     }

@@ -1,34 +1,74 @@
-"""What one sample of a network costs: the arithmetic a control unit would do."""
+"""What one sample of a network costs: the arithmetic of its exported form."""
 
+import collections
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.evaluation.operations import NONE, Operations, filtering, weighing
+from jaxnarx.exporters import (
+    BLEND,
+    FILTERS,
+    FRAME,
+    TERMS,
+    WEIGHTS,
+    SampleProgram,
+    lower,
+    stored_for_weights,
+)
 from jaxnarx.guard import guarded
-from jaxnarx.models import Boxes, Network, OutputModel
-from jaxnarx.regressors import AbstractFilter
+from jaxnarx.models import Network
 from jaxnarx.shown import aligned, page
 
-Term = tuple[int, ...]
-"""Variables of a product in ascending order, from 1; empty: the constant."""
+NAMES = {
+    "mul": "multiplications",
+    "add": "additions",
+    "sub": "additions",
+    "neg": "additions",
+    "exp": "exponentials",
+    "sqrt": "exponentials",
+    "div": "divisions",
+    "max": "comparisons",
+    "min": "comparisons",
+    "less": "comparisons",
+    "where": "comparisons",
+}
+"""What an operation of an exported program counts as."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Operations:
+    """How many of each. A subtraction and a change of sign are additions; a root is an
+    exponential; the smaller or larger of two values and a choice are comparisons."""
+
+    multiplications: int = 0
+    additions: int = 0
+    exponentials: int = 0
+    divisions: int = 0
+    comparisons: int = 0
+
+    @property
+    def total(self) -> int:
+        """All together."""
+        return sum(dataclasses.astuple(self))
 
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
     """Operations of one sample by their purpose, and the size of the model.
 
-    `regressors` counts the terms of all local models, the constant left out;
-    `parameters` all numbers to be stored: coefficients, constants among them, and those
-    of the validity functions. In the cost of a network `outputs` holds each output's.
+    `frame` are scales, limits, flags, and what stands for missing inputs. `regressors`
+    counts the terms of all local models, the constant left out; `parameters` all
+    numbers to be stored: coefficients, constants among them, and those of the validity
+    functions. In the cost of a network `outputs` holds each output's.
     """
 
     terms: Operations
     weights: Operations
     blend: Operations
     filters: Operations
+    frame: Operations
     parameters: int
     local_models: int
     regressors: int
@@ -56,143 +96,107 @@ class Cost:
     @property
     def total(self) -> Operations:
         """All operations together."""
-        return self.terms + self.weights + self.blend + self.filters
+        parts = self.terms, self.weights, self.blend, self.filters, self.frame
+        columns = zip(*map(dataclasses.astuple, parts), strict=True)
+        return Operations(*map(sum, columns))
 
     @property
-    def multiplications(self) -> int:
-        """Of terms, weights, blend and filters."""
-        return self.total.multiplications
-
-    @property
-    def additions(self) -> int:
-        """Additions and subtractions."""
-        return self.total.additions
-
-    @property
-    def exponentials(self) -> int:
-        """Of the validity functions."""
-        return self.total.exponentials
-
-    @property
-    def divisions(self) -> int:
-        """Of the validity functions."""
-        return self.total.divisions
-
-    @property
-    def comparisons(self) -> int:
-        """Of the validity functions."""
-        return self.total.comparisons
+    def operations(self) -> int:
+        """Their number, as exported code states it without the domain index."""
+        return self.total.total
 
 
 COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
     ("models", lambda c: c.local_models),
     ("regressors", lambda c: c.regressors),
     ("parameters", lambda c: c.parameters),
-    ("multiplications", lambda c: c.multiplications),
+    ("multiplications", lambda c: c.total.multiplications),
     ("of them terms", lambda c: c.terms.multiplications),
-    ("additions", lambda c: c.additions),
-    ("exponentials", lambda c: c.exponentials),
-    ("divisions", lambda c: c.divisions),
-    ("comparisons", lambda c: c.comparisons),
+    ("additions", lambda c: c.total.additions),
+    ("exponentials", lambda c: c.total.exponentials),
+    ("divisions", lambda c: c.total.divisions),
+    ("comparisons", lambda c: c.total.comparisons),
 )
 """Sizes, and operations of one sample, as they are shown."""
 
 
 @guarded
-def cost(network: Network, *, shared: bool = False) -> Cost:
+def cost(network: Network) -> Cost:
     """Operations a control unit does at one sample, output by output and in total.
 
-    - terms: a multiplication for a linear term, two for a product of two variables,
-      three for one of three, none for the constant, in each local model that has the
-      term (thesis, section 6.3); n terms take n - 1 additions. Coefficients belong to
-      physical units, so nothing is scaled;
-    - weights: see `weighing`; none for a single local model;
-    - blend: a multiplication per local model, and their sum;
-    - filters: see `filtering`; what outputs have in common counts once in the total.
-
-    With `Boxes` one local model speaks at a time: there is no blend, and terms are
-    those of the costliest one. Shifting the past and limiting the feedback is not
-    counted.
+    Counted are those of the exported form (`jaxnarx.exporters.lower`), without the
+    domain index and intervals: what every target computes, products of variables that
+    local models have in common formed once. Their purpose is that of whoever needs them
+    first: the terms of the local models, the weights of these with the scaling of the
+    scheduling, the blend, filters, and the frame of scales, limits and flags around
+    them. The cost of one output holds what it alone would take; in the total what
+    outputs have in common counts once.
 
     Args:
-        network: The model.
-        shared: A product of variables is formed once for all local models of its
-            output, from the product of its first factors, and each use takes the one
-            multiplication by the coefficient.
+        network: The model. `SpecError` where its validity function cannot be exported.
 
     Returns:
         Operations by purpose and sizes of the model, `outputs` those of each output.
 
     Example:
-        print(jnx.evaluation.cost(network, shared=True))
+        print(jnx.evaluation.cost(network))
     """
-    outputs = {
-        name: _output(network, model, shared)
-        for name, model in zip(network.computed_names, network.models, strict=True)
-    }
-    pairs = [pair for m in network.models for pair in _filters(network, m)]
-    parts = list(outputs.values())
+    program = lower(network, index=False, slopes=False)
+    lines = [name for name, _ in program.past]
+    outputs: dict[str, Cost] = {}
+    for o, name in enumerate(network.computed_names):
+        values = [program.fed[o], program.limited[o], *program.outputs[o : o + 1]]
+        own = program.closed(values, without=lines)
+        outputs[name] = _cost(program, own, _sizes(network, o), {})
+    sizes = [
+        (one.parameters, one.local_models, one.regressors) for one in outputs.values()
+    ]
+    parameters, local_models, regressors = map(sum, zip(*sizes, strict=True))
+    whole = parameters, local_models, regressors
+    return _cost(program, program.model_step(), whole, outputs)
+
+
+def _cost(
+    program: SampleProgram,
+    values: Iterable[int],
+    sizes: tuple[int, int, int],
+    outputs: dict[str, Cost],
+) -> Cost:
+    """Of these operations, by their purpose."""
+    ops = (program.ops[n] for n in values)
+    counts = collections.Counter(
+        (op.purpose, NAMES[op.kind]) for op in ops if op.kind in NAMES
+    )
+
+    def of(purpose: str) -> Operations:
+        kinds = (field.name for field in dataclasses.fields(Operations))
+        return Operations(*(counts[purpose, kind] for kind in kinds))
+
+    parameters, local_models, regressors = sizes
     return Cost(
-        terms=sum((c.terms for c in parts), NONE),
-        weights=sum((c.weights for c in parts), NONE),
-        blend=sum((c.blend for c in parts), NONE),
-        filters=filtering(pairs),
-        parameters=sum(c.parameters for c in parts),
-        local_models=sum(c.local_models for c in parts),
-        regressors=sum(c.regressors for c in parts),
+        terms=of(TERMS),
+        weights=of(WEIGHTS),
+        blend=of(BLEND),
+        filters=of(FILTERS),
+        frame=of(FRAME),
+        parameters=parameters,
+        local_models=local_models,
+        regressors=regressors,
         outputs=outputs,
     )
 
 
-def _output(network: Network, model: OutputModel, shared: bool) -> Cost:
-    local = local_terms(model)
-    coefficients = sum(map(len, local))
-    weights, stored, blend, work = NONE, 0, NONE, _terms(local, shared)
-    if len(local) > 1:
-        weights, stored = weighing(model.validity, np.asarray(model.active))
-        blend = Operations(multiplications=len(local), additions=len(local) - 1)
-        if isinstance(model.validity, Boxes):
-            alone = [_terms([terms], shared) for terms in local]
-            blend, work = NONE, max(alone, key=dataclasses.astuple)
-    return Cost(
-        terms=work,
-        weights=weights,
-        blend=blend,
-        filters=filtering(_filters(network, model)),
-        parameters=coefficients + stored,
-        local_models=len(local),
-        regressors=coefficients - sum(terms.count(()) for terms in local),
-    )
-
-
-def local_terms(model: OutputModel) -> list[list[Term]]:
-    """The distinct terms of every active local model."""
-    factor, index = np.asarray(model.local.factor), np.asarray(model.local.index)
-    used = np.asarray(model.local.used)
-    rows = [tuple(sorted(v for v in row if v)) for row in factor.tolist()]
-    return [
-        list(dict.fromkeys(rows[i] for i in index[m, used[m]].tolist()))
-        for m in np.flatnonzero(np.asarray(model.active)).tolist()
-    ]
-
-
-def _terms(local: list[list[Term]], shared: bool) -> Operations:
-    additions = sum(max(len(terms) - 1, 0) for terms in local)
-    if not shared:
-        return Operations(sum(len(t) for terms in local for t in terms), additions)
-    coefficients = sum(1 for terms in local for t in terms if t)
-    products = {t[:n] for terms in local for t in terms for n in range(2, len(t) + 1)}
-    return Operations(coefficients + len(products), additions)
-
-
-def _filters(
-    network: Network, model: OutputModel
-) -> Iterable[tuple[int, AbstractFilter]]:
-    """(signal, filter) of every filtered variable in a term or in the scheduling."""
-    used = {v for terms in local_terms(model) for term in terms for v in term}
-    entries = [network.variables.entries[v - 1] for v in sorted(used)]
-    entries += model.scheduling.entries
-    return [(s, f) for s, _, f in entries if f is not None]
+def _sizes(network: Network, output: int) -> tuple[int, int, int]:
+    """Parameters, local models and regressors of an output."""
+    model = network.models[output]
+    active = np.flatnonzero(np.asarray(model.active))
+    constant = ~np.any(np.asarray(model.local.factor) != 0, axis=1)
+    index, used = np.asarray(model.local.index), np.asarray(model.local.used)
+    terms = [np.unique(index[m, used[m]]) for m in active]
+    coefficients = sum(map(len, terms))
+    constants = int(sum(constant[own].sum() for own in terms))
+    stored = stored_for_weights(network, output)
+    return coefficients + stored, len(active), coefficients - constants
 
 
 @guarded

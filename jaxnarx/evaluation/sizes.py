@@ -95,8 +95,7 @@ def errors_by_size(
     found = []
     for o, channel in enumerate(whole.output_channels):
         own = sizes <= counts[o]
-        price = [p.outputs[channel.name].total for p in prices]
-        operations = [p.multiplications + p.divisions + p.exponentials for p in price]
+        operations = [p.outputs[channel.name].operations for p in prices]
         one, free = (
             {p: np.array(scores[p, mode])[own, o] for p in parts}
             for mode in ("one step", "free run")

@@ -7,11 +7,17 @@ from jaxnarx.exporters._export import golden_of as golden_of
 from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
+from jaxnarx.exporters.form import BLEND as BLEND
 from jaxnarx.exporters.form import BOTH as BOTH
+from jaxnarx.exporters.form import FILTERS as FILTERS
+from jaxnarx.exporters.form import FRAME as FRAME
 from jaxnarx.exporters.form import ONLY_DOUBLE as ONLY_DOUBLE
 from jaxnarx.exporters.form import ONLY_SINGLE as ONLY_SINGLE
+from jaxnarx.exporters.form import TERMS as TERMS
+from jaxnarx.exporters.form import WEIGHTS as WEIGHTS
 from jaxnarx.exporters.form import SampleProgram as SampleProgram
 from jaxnarx.exporters.interpret import Instance as Instance
+from jaxnarx.exporters.parameters import stored_for_weights as stored_for_weights
 from jaxnarx.exporters.proof import DOUBLE as DOUBLE
 from jaxnarx.exporters.proof import Case as Case
 from jaxnarx.exporters.proof import ExportError as ExportError

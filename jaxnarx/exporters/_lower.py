@@ -15,8 +15,13 @@ from jaxnarx.exporters.confidence import domain_index, half_width
 from jaxnarx.exporters.derivatives import gradient
 from jaxnarx.exporters.entrance import Entrance
 from jaxnarx.exporters.form import (
+    BLEND,
+    FILTERS,
+    FRAME,
     HALF,
     INDEX,
+    TERMS,
+    WEIGHTS,
     Builder,
     DelayLine,
     Port,
@@ -45,6 +50,7 @@ def lower(
     *,
     index: bool = True,
     level: float | None = None,
+    slopes: bool = True,
 ) -> SampleProgram:
     """The program of a network.
 
@@ -52,6 +58,7 @@ def lower(
     with an error model and a `level`, `half_` and an output's name: half of its
     prediction interval of that probability. `SpecError` where it has a validity
     function that is not known here, or is asked for intervals without an error model.
+    Without `slopes` the program has no `jacobian`.
     """
     known = network.domain is not None
     if level is not None and (network.errors is None or not known):
@@ -60,7 +67,8 @@ def lower(
             "jnx.confidence.fit_error_model(network, data) fits one",
             field="level",
         )
-    return _Lowering(network, name).program(index=index and known, level=level)
+    lowering = _Lowering(network, name)
+    return lowering.program(index=index and known, level=level, slopes=slopes)
 
 
 @dataclasses.dataclass
@@ -96,7 +104,9 @@ class _Lowering:
     def _all_tables(self) -> list[Variables]:
         return [self.network.variables, *(m.scheduling for m in self.network.models)]
 
-    def program(self, *, index: bool, level: float | None) -> SampleProgram:
+    def program(
+        self, *, index: bool, level: float | None, slopes: bool
+    ) -> SampleProgram:
         network, b = self.network, self.b
         for o in range(len(network.models)):
             self.lines[f"y_{self.names[o]}"] = self._measured_line(o, self.names[o])
@@ -128,7 +138,7 @@ class _Lowering:
             *(b.op("input", source=i) for i in range(len(self.inputs))),
             *(b.op("delay", source=one) for one in past),
         ]
-        jacobian = [gradient(b, y, sources) for y in physical]
+        jacobian = [gradient(b, y, sources) for y in physical if slopes]
         if index or level is not None:
             flags |= self._confidence(physical, index=index, level=level)
         flags |= self.entrance.flags()
@@ -205,10 +215,12 @@ class _Lowering:
             return self._fed(self.network.signals.index(signal), lag)
         if far and signal >= self.given:
             return self.b.const(0.0)
-        value = self._scaled(signal, far=far)
+        with self.b.purpose(FRAME):
+            value = self._scaled(signal, far=far)
         base = self._base("far" if far else "u", signal)
         if filter_ is not None:
-            value, base = self._filtered(value, base, filter_)
+            with self.b.purpose(FILTERS):
+                value, base = self._filtered(value, base, filter_)
         return value if lag == 0 else self._lagged(base, lag, value)
 
     def _base(self, kind: str, signal: int) -> str:
@@ -305,8 +317,9 @@ class _Lowering:
             columns = column_names(at, kind, values)
             return b.parameters(f"{kind}_{name}", values, about, columns=columns)
 
-        z = self._scheduling(model, tables) if divided(at) else []
-        phi = weights(b, at, z, tables)
+        with b.purpose(WEIGHTS):
+            z = self._scheduling(model, tables) if divided(at) else []
+            phi, total = weights(b, at, z, tables)
         factor = np.asarray(model.local.factor)
         dense, used, table = THETA.read(at), THETA.columns(at), tables("theta")
         group_of: dict[int, int] = {}
@@ -318,25 +331,32 @@ class _Lowering:
                 group = f"{name}_group{g + 1}"
                 self.lines[f"y_{group}"] = self._measured_line(o, group)
         local = []
-        for m in range(len(active)):
-            parts = [
-                b.mul(table[m, k], self._term(factor[n], o, group_of.get(m)))
-                for k, n in enumerate(used)
-                if dense[m, k] != 0
-            ]
-            local.append(b.add(*parts))
+        with b.purpose(TERMS):
+            for m in range(len(active)):
+                parts = [
+                    b.mul(table[m, k], self._term(factor[n], o, group_of.get(m)))
+                    for k, n in enumerate(used)
+                    if dense[m, k] != 0
+                ]
+                local.append(b.add(*parts))
         if own is not None:
             for g, row in enumerate(own):
                 value = self._group(np.flatnonzero(row).tolist(), phi, local)
                 bounded, _ = self._bounded(o, value)
                 self.lines[f"y_{name}_group{g + 1}"].source = bounded
-        return b.dot(phi, local)
+        with b.purpose(BLEND):
+            blend = b.dot(phi, local)
+            return blend if total is None else b.op("div", blend, total)
 
     def _group(self, members: list[int], phi: list[Value], local: list[Value]) -> Value:
         """Mean of a group by its weights; of all alike where they vanish."""
-        b = self.b
         if len(members) == 1:
             return local[members[0]]
+        with self.b.purpose(BLEND):
+            return self._mean(members, phi, local)
+
+    def _mean(self, members: list[int], phi: list[Value], local: list[Value]) -> Value:
+        b = self.b
         total = b.add(*(phi[m] for m in members))
         there = b.op("less", b.const(0.0), total)
         safe = b.op("where", there, total, b.const(1.0))

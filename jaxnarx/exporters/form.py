@@ -18,9 +18,10 @@ in numpy.
 | `less a b`, `where c a b` | 1 or 0; a where c is not 0, else b |
 """
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,17 +32,27 @@ ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
 INDEX, HALF = "index", "half_"
 """Flags: the index of the domain, and half of a prediction interval by output."""
 
+TERMS, WEIGHTS, BLEND, FILTERS, FRAME = "terms", "weights", "blend", "filters", "frame"
+"""Purposes of operations; the frame are scales, limits, flags and what is missing."""
+
+SOURCES = ("const", "table", "input", "measured", "delay", "state")
+"""Kinds that take no arithmetic."""
+
 Value = int
 """Number of the operation that makes a value."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Op:
-    """One operation: its kind, the values it takes, and what names a source."""
+    """One operation: its kind, the values it takes, and what names a source.
+
+    Its `purpose` is that of who asked for it first, and makes it no other operation.
+    """
 
     kind: str
     args: tuple[Value, ...] = ()
     source: Any = None
+    purpose: str = dataclasses.field(default=FRAME, compare=False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,20 +165,31 @@ class SampleProgram:
     @property
     def model_operations(self) -> int:
         """The same without what the index and intervals take."""
+        return self._count(self.model_step())
+
+    def model_step(self) -> list[Value]:
+        """The operations of one sample without what the index and intervals take."""
         flags = [n for f, n in self.flags.items() if f != INDEX and f[:5] != HALF]
-        found = self.needed([*self.outputs, *self.fed, *self.limited, *flags])
+        return self.closed([*self.outputs, *self.fed, *self.limited, *flags])
+
+    def closed(
+        self, values: Iterable[Value], without: Sequence[str] = ()
+    ) -> list[Value]:
+        """The operations that values take, and those of all that is kept for them from
+        sample to sample, but for the lines `without`."""
+        found = self.needed(values)
         count = -1
         while count < len(found):
             count = len(found)
             kept = {op.source for op in (self.ops[n] for n in found) if op.source}
             names = {at[0] if isinstance(at, tuple) else at for at in kept}
+            names -= set(without)
             lines = [k.source for k in (*self.delays, *self.states) if k.name in names]
             found = self.needed([*found, *lines])
-        return self._count(found)
+        return found
 
     def _count(self, values: Iterable[Value]) -> int:
-        sources = ("const", "table", "input", "measured", "delay", "state")
-        return sum(self.ops[n].kind not in sources for n in values)
+        return sum(self.ops[n].kind not in SOURCES for n in values)
 
     @property
     def cost(self) -> str:
@@ -202,13 +224,23 @@ class Builder:
         self.ops: list[Op] = []
         self.tables: dict[str, ParameterTable] = {}
         self._known: dict[Op, Value] = {}
+        self._purpose = FRAME
+
+    @contextlib.contextmanager
+    def purpose(self, name: str) -> Iterator[None]:
+        """What operations made inside are for."""
+        before, self._purpose = self._purpose, name
+        try:
+            yield
+        finally:
+            self._purpose = before
 
     def op(self, kind: str, *args: Value, source: Any = None) -> Value:
         """The value of an operation."""
         folded = self._folded(kind, args)
         if folded is not None:
             return folded
-        op = Op(kind, args, source)
+        op = Op(kind, args, source, self._purpose)
         if op not in self._known:
             self._known[op] = len(self.ops)
             self.ops.append(op)
@@ -300,7 +332,7 @@ class Builder:
 
     def _folded(self, kind: str, args: tuple[Value, ...]) -> Value | None:
         """The value that needs no operation, if there is one."""
-        if kind in ("const", "table", "input", "measured", "delay", "state"):
+        if kind in SOURCES:
             return None
         numbers = [self._number(n) for n in args]
         if kind == "add" and 0.0 in numbers:

@@ -66,6 +66,10 @@ class AbstractTable(abc.ABC):
 
     about: str
 
+    def stored(self, at: OutputAt) -> int:
+        """How many numbers of the table have to be stored."""
+        return self.read(at).size
+
     @abc.abstractmethod
     def read(self, at: OutputAt) -> Values:
         """The numbers of the table."""
@@ -142,6 +146,10 @@ class Gates(AbstractTable):
     """Directions of the gates of a tree, times steepness."""
 
     about: str = "directions of the gates, times steepness"
+
+    def stored(self, at: OutputAt) -> int:
+        """A variable that a gate does not look at has none."""
+        return int(np.count_nonzero(self.read(at)))
 
     def read(self, at: OutputAt) -> Values:
         """See `AbstractTable`."""
@@ -325,6 +333,13 @@ def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
         return {"theta": THETA}
     kind = VALIDITIES.get(type(at.model.validity), {})
     return {"scheduling": SCHEDULING, **kind, "theta": THETA}
+
+
+def stored_for_weights(network: Network, output: int) -> int:
+    """How many numbers the validity functions of an output are made of."""
+    at = OutputAt(network, output)
+    kind = VALIDITIES.get(type(at.model.validity), {}) if divided(at) else {}
+    return sum(table.stored(at) for table in kind.values())
 
 
 def column_names(at: OutputAt, kind: str, values: Values) -> list[str]:

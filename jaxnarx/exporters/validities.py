@@ -18,13 +18,15 @@ from jaxnarx.models import (
 
 Tables = Callable[[str], np.ndarray]
 """The values of a table of parameters by its kind."""
+Weights = tuple[list[Value], Value | None]
 
 
-def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> list[Value]:
-    """The weight of every active local model at scaled scheduling variables `z`."""
+def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> Weights:
+    """What every active local model counts at scaled scheduling variables `z`, and what
+    the blend is divided by, unless weights sum to one already."""
     kind = type(at.model.validity)
     if not divided(at):
-        return [b.const(1.0)]
+        return [b.const(1.0)], None
     if kind not in VALIDITIES:
         raise SpecError(
             f"a network with the validity function {kind.__name__} cannot be exported; "
@@ -34,7 +36,7 @@ def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> list[Va
     return _WRITERS[kind](b, at, z, tables)
 
 
-def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     centre, scale = tables("centre"), tables("narrowness")
     half = b.const(-0.5)
     logit = []
@@ -45,11 +47,15 @@ def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
         logit.append(b.mul(half, b.add(*(b.mul(a, a) for a in away))))
     top = b.largest(logit)
     e = [b.op("exp", b.op("sub", one, top)) for one in logit]
-    total = b.add(*e)
-    return [b.op("div", one, total) for one in e]
+    return e, b.add(*e)
 
 
-def _boxes(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+def _boxes(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
+    return _nearest(b, z, tables), None
+
+
+def _nearest(b: Builder, z, tables: Tables) -> list[Value]:
+    """One for the box that holds a point, or is nearest to it, zero for the others."""
     low, high = tables("low"), tables("high")
     zero = b.const(0.0)
     away = []
@@ -70,7 +76,7 @@ def _boxes(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     return found[::-1]
 
 
-def _compact(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+def _compact(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     zero, one = b.const(0.0), b.const(1.0)
     z = [b.clip(x, zero, one) for x in z]
     low, high, scale = (tables(what) for what in ("low", "high", "steepness"))
@@ -91,15 +97,12 @@ def _compact(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
         curve.append(b.mul(*sides))
     total = b.add(*curve)
     there = b.op("less", b.const(float(np.finfo(np.float64).tiny)), total)
-    safe = b.op("where", there, total, one)
-    nearest = _boxes(b, at, z, tables)
-    return [
-        b.op("where", there, b.op("div", c, safe), n)
-        for c, n in zip(curve, nearest, strict=True)
-    ]
+    nearest = _nearest(b, z, tables)
+    chosen = [b.op("where", there, c, n) for c, n in zip(curve, nearest, strict=True)]
+    return chosen, b.op("where", there, total, one)
 
 
-def _log_sigmoids(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+def _log_sigmoids(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     active, validity = at.active, at.model.validity
     assert isinstance(validity, LogSigmoids)
     border, (steep,) = tables("border"), tables("steepness")
@@ -110,10 +113,10 @@ def _log_sigmoids(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     zero, one = b.const(0.0), b.const(1.0)
     count = len(np.asarray(validity.border)) + 1
     steps = [one, *(beyond.get(m, zero) for m in range(1, count)), zero]
-    return [b.op("sub", steps[m], steps[m + 1]) for m in active.tolist()]
+    return [b.op("sub", steps[m], steps[m + 1]) for m in active.tolist()], None
 
 
-def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
+def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     validity = at.model.validity
     assert isinstance(validity, SigmoidTree)
     path = np.asarray(validity.path)[at.active]
@@ -125,15 +128,16 @@ def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> list[Value]:
     for n, g in enumerate(gates.tolist()):
         a = b.clip(b.op("sub", b.dot(direction[n], z), border[n]), least, most)
         e = b.op("exp", b.op("neg", a))
-        under = b.add(one, e)
-        sides[g] = b.op("div", one, under), b.op("div", e, under)
-    return [
+        above = b.op("div", one, b.add(one, e))
+        sides[g] = above, b.mul(e, above)
+    products = [
         b.mul(*(sides[g][int(row[g] < 0)] for g in gates.tolist() if row[g]))
         for row in path
     ]
+    return products, None
 
 
-_WRITERS: dict[type, Callable[..., list[Value]]] = {
+_WRITERS: dict[type, Callable[..., Weights]] = {
     Gaussians: _gaussians,
     Boxes: _boxes,
     Compact: _compact,

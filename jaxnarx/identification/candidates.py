@@ -246,19 +246,13 @@ class Candidates:
             0,
             family,
             name,
-            operations=None if price is None else _operations(price),
+            operations=None if price is None else price.operations,
             parameters=None if price is None else price.parameters,
             seconds=round(seconds, 2),
             pole=None if network is None else largest_local_pole(network),
             status="skipped" if network is None else "ok",
             detail=detail,
         )
-
-
-def _operations(price) -> int:
-    """Multiplications, divisions and exponentials at a sample."""
-    parts = price.terms, price.weights, price.blend, price.filters
-    return sum(p.multiplications + p.divisions + p.exponentials for p in parts)
 
 
 def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:

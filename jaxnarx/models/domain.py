@@ -78,21 +78,6 @@ class Domain(eqx.Module):
         half, middle = 0.5 * (high - low), 0.5 * (high + low)
         return middle, _wide(half, middle, xp), _wide(rate, middle, xp)
 
-    @property
-    def operations(self) -> int:
-        """Multiplications, additions and comparisons of one sample's index.
-
-        Constants are folded; a filter takes three, a range and a rate three each of
-        every input, the ellipsoid and each point one product and one sum or two by
-        feature.
-        """
-        points, features = self.points.shape
-        used = len(self.inputs)
-        ellipsoid = 2 * features**2 + 2 * features
-        return (
-            3 * (features - used) + 8 * used + ellipsoid + points * (3 * features + 1)
-        )
-
     def layers(
         self, x: Float[Array, "features time"], step: Float[Array, "used time"]
     ) -> tuple[Float[Array, "time layers"], Int[Array, "time layers"]]:

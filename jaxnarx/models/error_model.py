@@ -41,13 +41,6 @@ class ErrorModel(eqx.Module):
     constant: Float[Array, " outputs"]
     quantile: Float[Array, "outputs levels"]
 
-    @property
-    def operations(self) -> int:
-        """Of one sample: a search among the knots, one product and two sums for every
-        variable, and what makes an interval of their sum."""
-        outputs, variables, knots = self.knots.shape
-        return outputs * (variables * (int(np.ceil(np.log2(knots))) + 3) + 6)
-
     def size(
         self, output: int, z: Float[np.ndarray, "variables time"]
     ) -> Float[np.ndarray, " time"]:

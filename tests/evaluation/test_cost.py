@@ -1,20 +1,17 @@
-"""Operations of a sample: by hand, and by numbers that count what is done to them."""
+"""Operations of a sample: by hand, and as exported code states them."""
 
-import collections
 import dataclasses
-import math
 
-import equinox as eqx
+import common
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from common import A, B, Part, Y, network
 
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation._cost import cost, local_terms
-from jaxnarx.evaluation.operations import Operations, filtering, weighing
+from jaxnarx.evaluation._cost import Operations, cost
+from jaxnarx.exporters import lower
 from jaxnarx.models import (
-    AbstractValidity,
     Boxes,
     Compact,
     Gaussians,
@@ -24,133 +21,13 @@ from jaxnarx.models import (
     SigmoidTree,
 )
 from jaxnarx.regressors import (
+    AbstractFilter,
     Kautz,
     LowPass,
     Variables,
     laguerre_bank,
     orthonormal_bank,
 )
-
-COUNTS = collections.Counter()
-
-
-@dataclasses.dataclass
-class Number:
-    """A real number that counts: the slow, obvious way to know what a formula costs."""
-
-    value: float
-
-    def __add__(self, other):
-        COUNTS["additions"] += 1
-        return Number(self.value + other.value)
-
-    def __sub__(self, other):
-        COUNTS["additions"] += 1
-        return Number(self.value - other.value)
-
-    def __mul__(self, other):
-        COUNTS["multiplications"] += 1
-        return Number(self.value * other.value)
-
-    def __truediv__(self, other):
-        COUNTS["divisions"] += 1
-        return Number(self.value / other.value)
-
-    def __neg__(self):
-        return Number(-self.value)
-
-    def __lt__(self, other):
-        COUNTS["comparisons"] += 1
-        return self.value < other.value
-
-
-ZERO, ONE = Number(0.0), Number(1.0)
-
-
-def exp(a):
-    COUNTS["exponentials"] += 1
-    return Number(math.exp(a.value))
-
-
-def sigmoid(a):
-    return ONE / (ONE + exp(-a))
-
-
-def total(numbers):
-    out = numbers[0]
-    for number in numbers[1:]:
-        out = out + number
-    return out
-
-
-def largest(numbers):
-    out = numbers[0]
-    for number in numbers[1:]:
-        out = number if out < number else out
-    return out
-
-
-# The three active models' weights in plain numbers, and what to divide the blend by -
-
-
-def gaussians(f, z):
-    logits = []
-    for c, s in zip(np.asarray(f.centre)[:3], np.exp(f.log_width)[:3], strict=True):
-        away = [
-            (x - Number(c[d])) * Number(math.sqrt(0.5) / s[d]) for d, x in enumerate(z)
-        ]
-        logits.append(-total([a * a for a in away]))
-    top = largest(logits)
-    weights = [exp(a - top) for a in logits]
-    return weights, total(weights)
-
-
-def compact(f, z):
-    low, high, margin = (np.asarray(p) for p in (f.low, f.high, jnp.exp(f.log_margin)))
-    z = [largest([ZERO, -largest([-ONE, -x])]) for x in z]
-
-    def flank(t):
-        t = largest([ZERO, -largest([-ONE, -t])])
-        inner = t * (Number(6.0) * t - Number(15.0)) + Number(10.0)
-        return t * t * t * inner
-
-    curves = []
-    for m in range(3):
-        flanks = []
-        for d, x in enumerate(z):
-            half = Number(0.5 / margin[m, d])
-            flanks.append(flank((x - Number(low[m, d] - margin[m, d])) * half))
-            flanks.append(flank((Number(high[m, d] + margin[m, d]) - x) * half))
-        out = flanks[0]
-        for one in flanks[1:]:
-            out = out * one
-        curves.append(out)
-    whole = total(curves)
-    assert ZERO < whole
-    return curves, whole
-
-
-def log_sigmoids(f, z):
-    a = Number(math.exp(float(f.log_steepness)))
-    gates = [sigmoid((z[0] - Number(b)) * a) for b in f.border.tolist()[:2]]
-    inner = [one - two for one, two in zip(gates[:-1], gates[1:], strict=True)]
-    return [ONE - gates[0], *inner, gates[-1]], None
-
-
-def tree(f, z):
-    """Two gates: the second divides the side where the first is open."""
-    gates = []
-    unit, border, steepness = map(np.asarray, (f.unit(), f.border, f.log_steepness))
-    for g in range(2):
-        slope = (unit[g] * np.exp(steepness[g])).tolist()
-        along = total([Number(s) * x for s, x in zip(slope, z, strict=True) if s])
-        gates.append(sigmoid(along - Number(border[g] * np.exp(steepness[g]))))
-    inside = gates[0] * gates[1]
-    return [ONE - gates[0], inside, gates[0] - inside], None
-
-
-PLAIN = {Gaussians: gaussians, Compact: compact, LogSigmoids: log_sigmoids}
-PLAIN[SigmoidTree] = tree
 
 LOW = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 0.5]])
 HIGH = np.array([[0.5, 1.0], [1.0, 0.5], [1.0, 1.0]])
@@ -198,8 +75,8 @@ def model_of(validity) -> OutputModel:
 
 
 def whole(validity):
-    start = network([], ())
-    return dataclasses.replace(start, modelled=(0,), models=(model_of(validity),))
+    start = network([Part([[((0,), 1.0)]])], (0,))
+    return dataclasses.replace(start, models=(model_of(validity),))
 
 
 @pytest.fixture(scope="module", params=range(5))
@@ -207,134 +84,122 @@ def example(request):
     return whole(validities()[request.param])
 
 
-def counted(net, v, z, products):
-    """The output of a sample by counting numbers; `products` remembers or not."""
-    model = net.models[0]
-    weights, norm = PLAIN[type(model.validity)](model.validity, z)
-
-    def product(term):
-        if len(term) == 1:
-            return v[term[0] - 1]
-        if term in products:
-            return products[term]
-        out = product(term[:-1]) * v[term[-1] - 1]
-        if products is not FORGETFUL:
-            products[term] = out
-        return out
-
-    local = []
-    for m, terms in enumerate(TERMS):
-        theta = np.asarray(model.local.coefficient)[m]
-        local.append(
-            total(
-                [
-                    Number(theta[s]) * product(t) if t else Number(theta[s])
-                    for s, t in enumerate(terms)
-                ]
-            )
-        )
-    y = total([w * one for w, one in zip(weights, local, strict=True)])
-    return y if norm is None else y / norm
-
-
-FORGETFUL: dict = {}
-
-
-@eqx.filter_jit
-def called(model, v, z):
-    return model(v, z)
-
-
-@pytest.mark.parametrize("example", [0, 2, 3, 4], indirect=True)  # boxes: below
-@pytest.mark.parametrize("shared", [False, True])
-def test_counts_are_those_of_numbers_that_count(example, shared):
-    model = example.models[0]
-    rng = np.random.default_rng(1)
-    v, z = rng.normal(size=5), rng.uniform(size=len(model.offset))
-    COUNTS.clear()
-    products = {} if shared else FORGETFUL
-    got = counted(example, list(map(Number, v)), list(map(Number, z)), products)
-    expected = called(model, np.concatenate([[1.0], v]), z)
-    # The count is worth something only where the formula is the network's.
-    assert got.value == pytest.approx(float(expected), rel=1e-12)
-    assert cost(example, shared=shared).total == Operations(**COUNTS)
+@pytest.mark.parametrize("kind", common.KINDS)
+def test_the_sum_is_what_exported_code_states(kind):
+    net = common.named(kind)
+    price = cost(net)
+    assert price.operations == lower(net, index=False).operations
+    assert price.operations == lower(net, index=True).model_operations
+    assert price.total.total == price.operations
+    parts = [one.operations for one in price.outputs.values()]
+    # Flags are of the model alone; what outputs have in common counts once.
+    assert max(parts) < price.operations < sum(parts) + 25
 
 
 BY_HAND = {
-    # Per class: operations of the weights, and numbers stored for them.
-    Gaussians: (Operations(12, 6 + 3 + 3 + 2, 3, 1, 2), 12),
-    Boxes: (Operations(0, 12, 0, 0, 12 + 2), 12),
-    Compact: (Operations(3 * 2 * 2 * 6 + 9, 3 * 12 + 2, 0, 1, 4 + 24 + 1), 18),
-    LogSigmoids: (Operations(2, 6, 2, 2), 3),
-    SigmoidTree: (Operations(3 + 1, 3 + 4, 2, 2), 5),
+    # Three models over two variables: operations of the weights, of the blend, and
+    # numbers stored. Every model: differences, scales, squares, their sum and its half;
+    # then the largest, differences from it, exponentials, their sum.
+    Gaussians: (
+        Operations(2 + 3 * (2 + 2 + 1), 2 + 3 * (2 + 1) + 3 + 2, 3, 0, 2),
+        Operations(3, 2, 0, 1),
+        12,
+    ),
+    # Distances from four borders and zero; the nearest; which one that is.
+    Boxes: (Operations(2, 2 + 12, 0, 0, 3 * 4 + 2 + 3 * 2 + 2), Operations(3, 2), 12),
+    # Twelve flanks, products of four, their sum; boxes where it vanishes.
+    Compact: (
+        Operations(2 + 12 * 6 + 3 * 3, 2 + 12 * 4 + 2 + 12, 0, 0, 4 + 24 + 22 + 5),
+        Operations(3, 2, 0, 1),
+        18,
+    ),
+    # Two gates: a difference, a scale and a sigmoid with a change of sign.
+    LogSigmoids: (Operations(1 + 2, 1 + 2 * 3 + 2 + 0, 2, 2), Operations(3, 2), 3),
+    # Two gates: products with both variables, one of them zero, their sum, the border,
+    # its sign, limits, a sigmoid and its other side; two leaves have both gates.
+    SigmoidTree: (
+        Operations(2 + 2 * (2 + 1) + 2, 2 + 2 * (1 + 1 + 1 + 1), 2, 2, 4),
+        Operations(3, 2),
+        5,
+    ),
 }
 
 
 def test_weights_by_hand(example):
-    validity = example.models[0].validity
-    active = np.arange(4) < 3
-    assert weighing(validity, active) == BY_HAND[type(validity)]
-    one_box = isinstance(validity, Boxes)
-    got = cost(example)
-    # The costliest local model alone, or all of them and their blend.
-    assert got.terms == (Operations(8, 3) if one_box else Operations(15, 6))
-    assert got.blend == (Operations() if one_box else Operations(3, 2))
-    assert (got.local_models, got.regressors) == (3, 7)
-    assert got.parameters == 9 + BY_HAND[type(validity)][1]
+    weights, blend, stored = BY_HAND[type(example.models[0].validity)]
+    price = cost(example)
+    assert (price.weights, price.blend) == (weights, blend)
+    assert (price.local_models, price.regressors) == (3, 7)
+    assert price.parameters == 9 + stored
 
 
-def test_shared_products_are_formed_once():
-    net = whole(validities()[0])
+def test_products_are_formed_once_and_a_constant_costs_nothing():
     # x1 x2, x1 x2 x3, x1 x2 x4, x3 x3, x3 x3 x3 and seven coefficients.
-    assert cost(net, shared=True).terms == Operations(5 + 7, 6)
-    assert local_terms(net.models[0]) == TERMS
+    assert cost(whole(validities()[0])).terms == Operations(5 + 7, 6)
 
 
 def test_a_single_model_has_no_weights_and_a_linear_term_costs_one():
     part = Part([[((0,), 1.0), ((1,), 2.0), ((2,), 3.0)]])
-    got = cost(network([part, part], (0, 1)))
-    assert got.outputs["y"].total == Operations(2, 2)
-    assert got.total == Operations(4, 4) and got.parameters == 6
-    assert (got.multiplications, got.additions, got.exponentials) == (4, 4, 0)
-    assert (got.divisions, got.comparisons, got.regressors) == (0, 0, 4)
+    price = cost(network([part, part], (0, 1)))
+    assert price.outputs["y"].terms == Operations(3 - 1, 2)
+    assert price.weights == price.blend == price.filters == Operations()
+    assert (price.parameters, price.regressors) == (6, 4)
 
 
 def test_the_table_has_a_line_per_output_and_their_sum():
     part = Part([[((0,), 1.0), ((1,), 2.0), ((3,), 3.0)]])
-    head, y, w, both = str(cost(network([part, part], (0, 1)))).splitlines()
-    assert head.split()[:4] == ["models", "regressors", "parameters", "multiplications"]
-    assert y.split() == ["y", "1", "2", "3", "2", "2", "2", "0", "0", "0"]
-    assert both.split() == ["all", "2", "4", "6", "4", "4", "4", "0", "0", "0"]
-    assert len({len(line) for line in (head, y, w, both)}) == 1
+    price = cost(network([part, part], (0, 1)))
+    lines = str(price).splitlines()
+    assert lines[0].split()[:4] == [
+        "models",
+        "regressors",
+        "parameters",
+        "multiplications",
+    ]
+    y, w, both = (line.split() for line in lines[1:])
+    assert (y[:4], w[0]) == (["y", "1", "2", "3"], "w")
+    assert both[:4] == ["all", "2", "4", "6"]
+    assert int(both[4]) == price.total.multiplications
+    assert len({len(line) for line in lines}) == 1
+
+
+def filtered(*pairs: tuple[int, AbstractFilter]) -> Operations:
+    """Of a network with a linear term of each filtered signal."""
+    table = Variables.of([(s, 0, f) for s, f in pairs])
+    part = Part([[((n,), 0.5) for n in range(1, len(pairs) + 1)]])
+    return cost(dataclasses.replace(network([part], (0,)), variables=table)).filters
 
 
 def test_filters_share_their_cascades():
-    low = filtering([(A, LowPass(1.0))])
-    assert low == Operations(2, 1)
-    # Three sections of a Laguerre bank: three states, two of them passed on.
+    low = filtered((A, LowPass(1.0)))
+    # x' = a x + b u, and what is seen of it is c x'.
+    assert low == Operations(3, 1)
+    assert filtered((A, LowPass(1.0)), (B, LowPass(1.0))) == Operations(6, 2)
     bank = laguerre_bank(1.0, 3)
-    assert filtering([(A, f) for f in bank]) == Operations(3 * 2 + 2 * 2, 3 + 2)
-    assert filtering([(A, bank[2])]) == filtering([(A, f) for f in bank])
-    # The first function is a first-order lag but for its gain; another signal is not.
-    assert filtering([(A, bank[0]), (A, LowPass(1.0))]) == low
-    assert filtering([(A, LowPass(1.0)), (B, LowPass(1.0))]) == low + low
-    # A complex pair, both functions; then the pair before a real section.
-    assert filtering([(A, Kautz(2.0, 0.5, k)) for k in (1, 2)]) == Operations(5, 3)
-    mixed = orthonormal_bank((-1 + 2j, -3.0))
-    assert filtering([(A, f) for f in mixed]) == Operations(5 + 3 + 2, 3 + 2 + 1)
+    three = filtered(*((A, f) for f in bank))
+    assert filtered((A, bank[2])) == three  # the last one has gone through all
+    once = sum(filtered((A, f)).multiplications for f in bank)
+    assert three.multiplications < once
+    pair = filtered(*((A, Kautz(2.0, 0.5, k)) for k in (1, 2)))
+    assert pair.additions < sum(
+        filtered((A, Kautz(2.0, 0.5, k))).additions for k in (1, 2)
+    )
+    assert filtered(*((A, f) for f in orthonormal_bank((-1 + 2j, -3.0)))).additions > 0
 
 
 def test_filters_of_unused_variables_cost_nothing_and_common_ones_once():
     table = Variables.of([(A, 0, LowPass(1.0)), (B, 0, LowPass(2.0)), (Y, 1, None)])
     part = Part([[((1,), 2.0), ((3,), 0.5)]])
     net = dataclasses.replace(network([part, part], (0, 1)), variables=table)
-    got = cost(net)
-    assert got.outputs["y"].filters == got.outputs["w"].filters == Operations(2, 1)
-    assert got.filters == Operations(2, 1)
-    assert got.multiplications == 2 + 2 + 2
+    price = cost(net)
+    assert price.outputs["y"].filters == price.outputs["w"].filters == price.filters
+    assert price.filters == Operations(3, 1)
 
 
-def test_a_validity_without_a_rule_is_refused():
-    unknown = weighing.dispatch(AbstractValidity)
-    with pytest.raises(SpecError, match="no rule to count"):
-        unknown(validities()[0], np.arange(4) < 3)
+def test_a_validity_that_cannot_be_exported_is_refused():
+    class Own(Gaussians):
+        pass
+
+    centre = jnp.zeros((4, 2))
+    with pytest.raises(SpecError, match="Own cannot be exported"):
+        cost(whole(Own(centre, centre)))

@@ -93,13 +93,11 @@ def test_it_is_saved_and_told_as_any_other(added, tmp_path):
     assert left == ["y_1"] * 3 + ["y"] + ["y_2"] * 2
 
 
-def test_constant_gates_cost_a_product_and_no_exponential(parts, added):
+def test_gates_that_share_cost_as_any_other(parts, added):
     alone = [cost(part).weights for part in parts]
     own = cost(added).weights
-    assert own.exponentials == sum(one.exponentials for one in alone)
-    # Two gates above, and now a product at each part's root that has gates below.
-    more = own.multiplications - sum(one.multiplications for one in alone)
-    assert more == 3
+    # Two gates above; their tables can be calibrated, so nothing of them is folded.
+    assert own.exponentials == sum(one.exponentials for one in alone) + 2
 
 
 @pytest.mark.parametrize(
