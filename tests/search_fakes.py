@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.identification import Contender, Leaderboard
+from jaxnarx.identification import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.models import Network, assemble, global_model, merged
 from jaxnarx.regressors import polynomial_pool
@@ -26,11 +26,11 @@ KINDS = (
 """Family, name, errors in the groups (None: it diverges) and operations."""
 
 
-def row(kind: int, number: int = 0, output: str = "y") -> Contender:
+def row(kind: int, number: int = 0, output: str = "y") -> Candidate:
     """The candidate of a kind."""
     family, name, errors, operations = KINDS[kind]
     pooled = None if errors is None else float(np.mean(errors))
-    return Contender(
+    return Candidate(
         output=output,
         number=number or kind + 1,
         family=family,
@@ -79,7 +79,7 @@ def fitted(data: Dataset, output: str, *, linear: bool = True) -> Network:
 
 @dataclasses.dataclass
 class FakeSearch:
-    """What `jaxnarx.identification.automatic.search` promises, its models made up."""
+    """What `jaxnarx.identification.search.search` promises, its models made up."""
 
     tried: list[str] = dataclasses.field(default_factory=list)
     stop_after: int | None = None

@@ -64,7 +64,7 @@ def test_a_relative_path_is_that_of_the_folder_we_are_in(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "code",
     [
-        "import jaxnarx.identification.side, jaxnarx.data.readers.apart",
+        "import jaxnarx.identification.worker, jaxnarx.data.readers.apart",
         "import multiprocessing as m; m.get_context('spawn').Process().start()",
     ],
     ids=["search", "a process that it starts"],

@@ -11,7 +11,7 @@ import pytest
 from test_architecture import modules, parsed
 
 import jaxnarx as jnx
-from jaxnarx.identification import Contender, Leaderboard
+from jaxnarx.identification import Candidate, Leaderboard
 from jaxnarx.shown import aligned, brief, count, page, ratio_text, some, span_text
 from jaxnarx.sweep import SweepTable
 
@@ -120,9 +120,9 @@ def test_a_network_tells_regions_and_equations():
 
 def test_a_leaderboard_marks_its_choice():
     rows = [
-        Contender("y", 1, "ARX", "order 1", 0.5, None, (0.5,), operations=9),
-        Contender("y", 2, "OE", "order 2", 0.2, 0.01, (0.2,), operations=30),
-        Contender("y", 3, "OE", "order 3", None, status="diverged"),
+        Candidate("y", 1, "ARX", "order 1", 0.5, None, (0.5,), operations=9),
+        Candidate("y", 2, "OE", "order 2", 0.2, 0.01, (0.2,), operations=30),
+        Candidate("y", 3, "OE", "order 3", None, status="diverged"),
     ]
     lines = str(Leaderboard(tuple(rows))).splitlines()
     starred = [line for line in lines if line.startswith("*")]

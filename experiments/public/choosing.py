@@ -44,7 +44,7 @@ def tried(name: str, seed: int, small: bool) -> list[dict[str, Any]]:
     """Every structure and pull: the truth, and errors on blocks left out both ways."""
     from jaxnarx.data import groups
     from jaxnarx.errors import JaxnarxError
-    from jaxnarx.identification.judge import judge, score, trained
+    from jaxnarx.identification.cross_validate import cross_validate, fit_method, score
     from jaxnarx.settings import HiddenStates
 
     train, test, spread = records(name, seed, 300 if small else LENGTH)
@@ -57,11 +57,11 @@ def tried(name: str, seed: int, small: bool) -> list[dict[str, Any]]:
             method = replace(method, start="subspace", max_steps=2, first_steps=2)
         begin = time.perf_counter()
         try:
-            networks = trained(method, blocks.parted(train))
+            networks = fit_method(method, blocks.parted(train))
         except (JaxnarxError, np.linalg.LinAlgError) as error:
             print(name, seed, states, degree, error)
             continue
-        refitted = judge(method, train, blocks, spread)
+        refitted = cross_validate(method, train, blocks, spread)
         seconds = time.perf_counter() - begin
         starts = from_starts(method, train, blocks, spread)
         for n, pull in enumerate(PULLS):
@@ -86,12 +86,12 @@ def from_starts(method: Any, train: Any, blocks: Any, spread: float) -> list[Any
     """Errors of every pull, trained from linear models without each block; None where
     a run diverges or nothing can be trained."""
     from jaxnarx.errors import JaxnarxError
-    from jaxnarx.identification.judge import score, trained
+    from jaxnarx.identification.cross_validate import fit_method, score
 
     losses = np.full((len(PULLS), len(blocks)), np.nan)
     for g, fold in enumerate(blocks.folds(train, whole=True)):
         try:
-            networks = trained(method, blocks.parted(train, g))
+            networks = fit_method(method, blocks.parted(train, g))
         except (JaxnarxError, np.linalg.LinAlgError):
             return [None] * len(PULLS)
         for n, network in enumerate(networks):

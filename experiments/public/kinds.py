@@ -36,7 +36,7 @@ def kind(row: Any) -> str:
 def identified(name: str, seed: int, small: bool) -> dict[str, Any]:
     """The best of every kind, and which is taken."""
     import jaxnarx as jnx
-    from jaxnarx.identification.judge import score
+    from jaxnarx.identification.cross_validate import score
     from jaxnarx.identification.search_folder import read_search
 
     train, test, spread = records(name, seed, 300 if small else LENGTH)

@@ -36,14 +36,14 @@ def judged(method: Any, open_set: OpenSet, best: Any, rows: int) -> list[Row]:
     import numpy as np
 
     from jaxnarx.errors import JaxnarxError
-    from jaxnarx.identification.judge import judge
+    from jaxnarx.identification.cross_validate import cross_validate
 
     train, begin = open_set.train, time.perf_counter()
     o = train.channels.output_names.index(method.outputs[0])
     spread = float(np.concatenate([r.y[:, o] for r in train]).std())
     own = None if best is None else np.asarray(best)
     try:
-        every = judge(
+        every = cross_validate(
             *(method, train, groups_of(open_set), spread, own, rows), one_step=False
         )
     except (JaxnarxError, np.linalg.LinAlgError) as error:
@@ -80,11 +80,11 @@ def best_of(rows: list[Row]) -> Row | None:
 def taken(rows: list[Row]) -> Row | None:
     """The one that is trained on everything: by the rule of `jaxnarx.identify`, the
     cheapest that is as good as the best to 5 % and a standard error."""
-    from jaxnarx.identification.leaderboard import Contender, Leaderboard
+    from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 
     able = [row for row in rows if "free_run" in row]
     contenders = [
-        Contender(
+        Candidate(
             *("", n, "hidden states", row["name"]),
             free_run=row["free_run"],
             groups=tuple(row["groups"]),
@@ -116,7 +116,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     Of up to `rows` samples that is the network that was judged; longer ones have
     trained it in stretches, and now do as a whole, with more steps.
     """
-    from jaxnarx.identification.judge import begun
+    from jaxnarx.identification.cross_validate import fit_full
 
     train = open_set.train
     at = method.stages.index((row.get("regions", 1), row["pull"]))
@@ -125,7 +125,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     else:
         data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()
-    network = begun(method, data)[at]
+    network = fit_full(method, data)[at]
     return network, round(time.perf_counter() - begin, 1)
 
 

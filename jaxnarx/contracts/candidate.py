@@ -5,14 +5,14 @@ from pathlib import Path
 
 from jaxnarx.contracts.life import lives, plant
 from jaxnarx.data import groups
-from jaxnarx.identification import Candidate, Candidates, by_method
+from jaxnarx.identification import CandidateFactory, CandidateSearch, by_method
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import Identification, Preset
 
 QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True)
 
 
-def names_methods(candidate: Candidate) -> None:
+def names_methods(candidate: CandidateFactory) -> None:
     """Of data and an output it makes names, each once, and methods that end with a
     model of this output."""
     found = list(candidate(plant(), "y"))
@@ -22,16 +22,16 @@ def names_methods(candidate: Candidate) -> None:
     assert all(isinstance(method, Identification) for _, method in found)
 
 
-def goes_to_another_process(candidate: Candidate) -> None:
+def goes_to_another_process(candidate: CandidateFactory) -> None:
     """It can be pickled: outputs are searched side by side. A function of a module can,
     one inside of another function, or of a notebook, cannot."""
     assert pickle.loads(pickle.dumps(candidate)) is candidate
 
 
-def is_tried_in_a_search(candidate: Candidate) -> None:
+def is_tried_in_a_search(candidate: CandidateFactory) -> None:
     """It becomes a row of a leaderboard, with an error on records left out."""
     data = plant()
-    search = Candidates(
+    search = CandidateSearch(
         *(data, profile_data(data, "y"), groups(data), QUICK),
         added={"added": candidate},
     )
@@ -41,7 +41,7 @@ def is_tried_in_a_search(candidate: Candidate) -> None:
     assert any(row.eligible for row in rows), told
 
 
-def lives_with_it(candidate: Candidate, folder: Path) -> None:
+def lives_with_it(candidate: CandidateFactory, folder: Path) -> None:
     """The network of its first method is refined, saved, loaded and exported, or says
     that it cannot be."""
     _, method = next(iter(candidate(plant(), "y")))

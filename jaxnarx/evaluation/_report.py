@@ -55,7 +55,7 @@ class Report:
     `dataclasses.replace(report, history=...)`:
 
     - `leaderboard`: by output name, the candidates of the search that this model comes
-      from, in the form that `jaxnarx.identification.described` gives;
+      from, in the form that `jaxnarx.identification.describe` gives;
     - `selection`: by output name (or flat, for one), a dict of `names`, `err` and
       `cumulative` lists in order of choice, and `criteria`: name -> values by size;
     - `history`: one dict per refinement iteration with `iteration`, `stage`, `horizon`

@@ -2,10 +2,10 @@
 
 from jaxnarx.identification._by_method import Events, needed
 from jaxnarx.identification._by_method import by_method as by_method
-from jaxnarx.identification.account import described, figure, sentences, title, used
-from jaxnarx.identification.candidates import CANDIDATES, Candidate
-from jaxnarx.identification.candidates import Candidates as Candidates
-from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.identification.candidates import CANDIDATES, CandidateFactory
+from jaxnarx.identification.candidates import CandidateSearch as CandidateSearch
+from jaxnarx.identification.explain import describe, figure, sentences, title, used
+from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import CANDIDATES_FOLDER as CANDIDATES_FOLDER
 from jaxnarx.identification.search_folder import SEARCH_FILE as SEARCH_FILE
@@ -15,12 +15,12 @@ from jaxnarx.identification.verb import VALIDATION, identify, with_group
 __all__ = [
     "CANDIDATES",
     "Candidate",
-    "VALIDATION",
+    "CandidateFactory",
     "Events",
     "Leaderboard",
-    "Contender",
     "SearchFolder",
-    "described",
+    "VALIDATION",
+    "describe",
     "figure",
     "identify",
     "joint_pool",

@@ -11,10 +11,10 @@ from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.evaluation import cost
 from jaxnarx.extensions import Registry
-from jaxnarx.identification.fed_back import fed_back
-from jaxnarx.identification.judge import JudgedMethod, judge
-from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.identification.with_states import SHORT, with_states
+from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
+from jaxnarx.identification.leaderboard import Candidate
+from jaxnarx.identification.narx_candidates import propose_narx
+from jaxnarx.identification.state_space_candidates import SHORT, propose_state_space
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, best_sum
 from jaxnarx.refinement import largest_local_pole
@@ -29,10 +29,10 @@ NEAR = 1.5
 
 Trial = tuple[str, list[str], Identification | HiddenStates]
 """Family, names of the candidates that a method ends with, and the method."""
-Candidate = Callable[[Dataset, str], Iterable[tuple[str, Identification]]]
+CandidateFactory = Callable[[Dataset, str], Iterable[tuple[str, Identification]]]
 """What another package adds to a search: of the data and the name of an output, names
 and methods to be tried, those that promise most first."""
-CANDIDATES: Registry[Candidate] = Registry("candidate of identify", {})
+CANDIDATES: Registry[CandidateFactory] = Registry("candidate of identify", {})
 """Families of other packages. Tried behind what is found in closed form; functions of
 modules, for outputs are searched in processes of their own."""
 
@@ -49,11 +49,11 @@ class Trying:
 
 
 Watch = Callable[[Trying], None]
-Tried = tuple[Contender, Network | None]
+Tried = tuple[Candidate, Network | None]
 """A candidate, and its network trained on all records if there is one."""
 
 
-class Candidates:
+class CandidateSearch:
     """The search for one output."""
 
     def __init__(
@@ -63,9 +63,9 @@ class Candidates:
         groups: Groups,
         preset: Preset,
         *,
-        known: Sequence[Contender] = (),
+        known: Sequence[Candidate] = (),
         late: Callable[[], bool] = lambda: False,
-        added: Mapping[str, Candidate] | None = None,
+        added: Mapping[str, CandidateFactory] | None = None,
         watch: Watch = lambda trying: None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
@@ -109,13 +109,13 @@ class Candidates:
             methods = trials(self.data, self.profile.output)
             own = ((family, [name], method) for name, method in methods)
             yield from self._trained(own, MOST_ADDED, MOST_ADDED)
-        hidden = with_states(self.data, self.profile.output, self.preset)
+        hidden = propose_state_space(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
         if self.data.samples <= SHORT:
             most = patience = 2 * most
         yield from self._trained(hidden, most, patience)
-        fed = fed_back(self.data, self.profile)
+        fed = propose_narx(self.data, self.profile)
         yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
 
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
@@ -189,7 +189,7 @@ class Candidates:
                 promising |= self._is_near(tried[0])
                 yield tried
 
-    def _is_near(self, row: Contender) -> bool:
+    def _is_near(self, row: Candidate) -> bool:
         """Whether a candidate came near the best so far."""
         if not row.eligible or self.best is None:
             return row.eligible
@@ -197,11 +197,11 @@ class Candidates:
 
     def _judge(
         self, method: Identification | HiddenStates, trying: Trying
-    ) -> list[JudgedMethod]:
+    ) -> list[CrossValidation]:
         def watch(fold: int) -> None:
             self.watch(dataclasses.replace(trying, fold=fold))
 
-        return judge(
+        return cross_validate(
             method,
             self.data,
             self.groups,
@@ -213,7 +213,7 @@ class Candidates:
         )
 
     def _judged(
-        self, family: str, name: str, found: JudgedMethod, seconds: float
+        self, family: str, name: str, found: CrossValidation, seconds: float
     ) -> Tried:
         row = self._row(family, name, seconds, found.network, found.detail)
         groups = _listed(np.sqrt(found.losses))
@@ -239,9 +239,9 @@ class Candidates:
         seconds: float,
         network: Network | None,
         detail: str = "",
-    ) -> Contender:
+    ) -> Candidate:
         price = None if network is None else cost(network)
-        return Contender(
+        return Candidate(
             self.profile.output,
             0,
             family,
@@ -259,12 +259,12 @@ def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
     return tuple(float(e) if np.isfinite(e) else None for e in errors)
 
 
-def _losses(row: Contender) -> Float[np.ndarray, " groups"]:
+def _losses(row: Candidate) -> Float[np.ndarray, " groups"]:
     """Mean squared errors of the groups of a row."""
     return np.array([np.nan if e is None else e**2 for e in row.groups])
 
 
-def _with_error(row: Contender, losses: Float[np.ndarray, " groups"]) -> Contender:
+def _with_error(row: Candidate, losses: Float[np.ndarray, " groups"]) -> Candidate:
     """With the standard error of the free run, from the spread between groups."""
     losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:

@@ -22,7 +22,7 @@ LARGEST = 1e100
 
 
 @dataclasses.dataclass(frozen=True)
-class Contender:
+class Candidate:
     """One candidate for one output.
 
     Errors are NRMSE: root mean square over the standard deviation of the output, pooled
@@ -78,7 +78,7 @@ class Contender:
         return dataclasses.asdict(self)
 
     @classmethod
-    def from_dict(cls, table: dict[str, Any]) -> "Contender":
+    def from_dict(cls, table: dict[str, Any]) -> "Candidate":
         """From a file; SpecError names what it cannot be."""
         fields = {field.name: field for field in dataclasses.fields(cls)}
         if not isinstance(table, dict):
@@ -99,7 +99,7 @@ class Contender:
 class Leaderboard:
     """All candidates of an identification, output by output, best first."""
 
-    rows: tuple[Contender, ...]
+    rows: tuple[Candidate, ...]
     group_names: tuple[str, ...] = ()
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best (that of
@@ -119,7 +119,7 @@ class Leaderboard:
 
     _repr_html_ = page
 
-    def __iter__(self) -> Iterator[Contender]:
+    def __iter__(self) -> Iterator[Candidate]:
         return iter(self.rows)
 
     def __len__(self) -> int:
@@ -130,15 +130,15 @@ class Leaderboard:
         """Names, in the order of their first candidates."""
         return list(dict.fromkeys(row.output for row in self.rows))
 
-    def of(self, output: str) -> list[Contender]:
+    def of(self, output: str) -> list[Candidate]:
         """Rows of one output, best first; those that may not be chosen come last."""
         return sorted((r for r in self.rows if r.output == output), key=_place)
 
-    def best(self, output: str) -> Contender | None:
+    def best(self, output: str) -> Candidate | None:
         """The smallest error, whatever it costs."""
         return next((row for row in self.of(output) if row.eligible), None)
 
-    def chosen(self, output: str) -> Contender | None:
+    def chosen(self, output: str) -> Candidate | None:
         """The one to use by the rule; None where every candidate is vetoed."""
         best = self.best(output)
         if best is None or self.rule == "best":
@@ -148,7 +148,7 @@ class Leaderboard:
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
-    def above_best(self, row: Contender) -> tuple[float, float] | None:
+    def above_best(self, row: Candidate) -> tuple[float, float] | None:
         """How much larger the error is than that of the best, and the standard error of
         that difference; None for the best itself and for what may not be chosen."""
         best = self.best(row.output)
@@ -156,7 +156,7 @@ class Leaderboard:
             return None
         return _excess(row, best)
 
-    def worst_group(self, row: Contender) -> tuple[str, float] | None:
+    def worst_group(self, row: Candidate) -> tuple[str, float] | None:
         """Name and error of the group that a candidate serves worst."""
         seen = [
             (error, name)
@@ -201,7 +201,7 @@ def _require_figures(name: str, value: Any) -> None:
             )
 
 
-def _line(row: Contender, chosen: bool) -> tuple[str, ...]:
+def _line(row: Candidate, chosen: bool) -> tuple[str, ...]:
     """Cells of a candidate; where it has no error, what became of it."""
     error = row.status if row.free_run is None else f"{row.free_run:.4g}"
     if row.free_run is not None and row.standard_error:
@@ -211,24 +211,24 @@ def _line(row: Contender, chosen: bool) -> tuple[str, ...]:
     return star, str(row.number), error, *sizes, row.family, row.name
 
 
-def _error(row: Contender) -> float:
+def _error(row: Candidate) -> float:
     return math.inf if row.free_run is None else row.free_run
 
 
-def _cost(row: Contender) -> float:
+def _cost(row: Candidate) -> float:
     return math.inf if row.operations is None else float(row.operations)
 
 
-def _place(row: Contender) -> tuple[bool, float, float]:
+def _place(row: Candidate) -> tuple[bool, float, float]:
     return (not row.eligible, _error(row), _cost(row))
 
 
-def _within(row: Contender, best: Contender) -> bool:
+def _within(row: Candidate, best: Candidate) -> bool:
     """Whether the error is at most `SHARE` above that of the best."""
     return _error(row) <= (1 + SHARE) * _error(best)
 
 
-def _near(row: Contender, best: Contender) -> bool:
+def _near(row: Candidate, best: Candidate) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
     Of the difference, group by group: groups differ in how hard they are, which says
@@ -241,7 +241,7 @@ def _near(row: Contender, best: Contender) -> bool:
     return difference <= LIMIT * error
 
 
-def _excess(row: Contender, best: Contender) -> tuple[float, float]:
+def _excess(row: Candidate, best: Candidate) -> tuple[float, float]:
     """The difference of two errors and its standard error, by groups.
 
     Squares are what adds up over groups; their difference over the sum of both errors

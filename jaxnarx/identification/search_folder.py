@@ -19,7 +19,7 @@ from typing import Any
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
 from jaxnarx.guard import is_fit
-from jaxnarx.identification.leaderboard import LARGEST, Contender, Leaderboard
+from jaxnarx.identification.leaderboard import LARGEST, Candidate, Leaderboard
 from jaxnarx.models import Network, load, save
 
 SEARCH_FILE = "search.json"
@@ -41,7 +41,7 @@ class SearchFolder:
         """Where the model of a candidate is, or would be."""
         return self.path / CANDIDATES_FOLDER / f"{number}.safetensors"
 
-    def row(self, number: int) -> Contender:
+    def row(self, number: int) -> Candidate:
         """The candidate of that number; SpecError where there is none."""
         for row in self.leaderboard:
             if row.number == number:
@@ -68,7 +68,7 @@ class SearchFolder:
             )
         return network
 
-    def added(self, row: Contender, network: Network | None) -> "SearchFolder":
+    def added(self, row: Candidate, network: Network | None) -> "SearchFolder":
         """With one more candidate, written to the disk: its model before its row."""
         if network is not None:
             self.save(row.number, network)
@@ -181,7 +181,7 @@ def _lock(place: Path) -> FolderLock:
     return lock
 
 
-def lost(folder: SearchFolder, row: Contender) -> bool:
+def lost(folder: SearchFolder, row: Candidate) -> bool:
     """Whether the model of a candidate that had one is no longer there."""
     return row.free_run is not None and not folder.model_path(row.number).is_file()
 
@@ -213,10 +213,10 @@ def _board(file: Path, told: Mapping[str, Any]) -> Leaderboard:
     names, rule = told["group_names"], told["rule"]
     if not (is_fit(names, list[str]) and is_fit(rule, str)):
         raise TypeError("names of groups and the rule are texts")
-    rows: dict[int, Contender] = {}
+    rows: dict[int, Candidate] = {}
     for place, table in enumerate(told["rows"], 1):
         try:
-            row = Contender.from_dict(_encodable(table))
+            row = Candidate.from_dict(_encodable(table))
             if row.number in rows:
                 raise SpecError(f"number {row.number} is taken by a row before")
             if len(row.groups) != len(names) and (row.groups or row.eligible):
@@ -238,14 +238,14 @@ def _encodable(table: Any) -> Any:
     return {k: encodable(v) if isinstance(v, str) else v for k, v in table.items()}
 
 
-def _finite(row: Contender) -> Contender:
+def _finite(row: Candidate) -> Candidate:
     """Without figures beyond the largest that a file holds."""
 
     def kept(value: Any) -> Any:
         return None if isinstance(value, float) and not value <= LARGEST else value
 
     plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
-    return Contender(**plain, groups=tuple(kept(e) for e in row.groups))
+    return Candidate(**plain, groups=tuple(kept(e) for e in row.groups))
 
 
 def _plain(key: Mapping[str, Any]) -> dict[str, Any]:

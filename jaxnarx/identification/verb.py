@@ -13,7 +13,7 @@ from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.guard import guarded
 from jaxnarx.identification._by_method import Events, by_method
-from jaxnarx.identification.automatic import search
+from jaxnarx.identification.search import search
 from jaxnarx.models import Network
 from jaxnarx.settings import PRESETS, Identification
 from jaxnarx.solution import Solution

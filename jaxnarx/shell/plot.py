@@ -18,7 +18,7 @@ from jaxnarx.confidence import Uncertainty
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.evaluation import describe_partition, diagnose, report
-from jaxnarx.identification import Leaderboard, described
+from jaxnarx.identification import Leaderboard, describe
 from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection, criteria_of
@@ -214,7 +214,7 @@ def leaderboard(
     `by="parameters"` shows it over the number of parameters.
     """
     choice(by, tuple(BY), "by")
-    entry = described(board, _named(output, board.outputs))
+    entry = describe(board, _named(output, board.outputs))
     return error_over_operations(entry, by=by)
 
 

@@ -11,10 +11,10 @@ from jaxnarx.data import groups
 from jaxnarx.errors import DataError
 from jaxnarx.evaluation import cost
 from jaxnarx.identification import candidates as module
-from jaxnarx.identification.candidates import Candidates
-from jaxnarx.identification.fed_back import fed_back
-from jaxnarx.identification.judge import JudgedMethod
-from jaxnarx.identification.leaderboard import Contender
+from jaxnarx.identification.candidates import CandidateSearch
+from jaxnarx.identification.cross_validate import CrossValidation
+from jaxnarx.identification.leaderboard import Candidate
+from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, profile_data
 from jaxnarx.settings import Identification, Preset
 
@@ -63,22 +63,24 @@ def judged(monkeypatch, few) -> dict:
         return [result]
 
     monkeypatch.setattr(module, "ClosedSearch", Fake)
-    monkeypatch.setattr(module, "judge", judge)
+    monkeypatch.setattr(module, "cross_validate", judge)
     return said
 
 
-def made(losses, network=None, **more) -> JudgedMethod:
+def made(losses, network=None, **more) -> CrossValidation:
     losses = np.array(losses, float)
     counts = np.where(np.isfinite(losses), [100.0, 150.0, 120.0, 80.0], 0.0)
-    return JudgedMethod(losses, counts, 0.1, more.pop("diverged", 0), network, **more)
+    return CrossValidation(
+        losses, counts, 0.1, more.pop("diverged", 0), network, **more
+    )
 
 
 def names(data, seen) -> list[tuple[str, str]]:
-    return [(family, name) for family, (name,), _ in fed_back(data, seen)]
+    return [(family, name) for family, (name,), _ in propose_narx(data, seen)]
 
 
 def tried(data, seen, preset=TINY, **more):
-    found = Candidates(data, seen, groups(data), preset, **more)
+    found = CandidateSearch(data, seen, groups(data), preset, **more)
     return found, list(found)
 
 
@@ -159,10 +161,10 @@ def test_a_kind_that_comes_nowhere_near_is_given_up(
 
 def test_known_ones_are_not_tried_again_but_count(data, seen, few, judged):
     family, name = names(data, seen)[0]
-    known = Contender(
+    known = Candidate(
         "y", 4, family, name, free_run=0.03, groups=(0.03, None, 0.03, 0.03)
     )
-    failed = Contender(
+    failed = Candidate(
         "y", 5, *names(data, seen)[1], status="failed", groups=(1e-9,) * 4
     )
     judged["results"] = [made([0.5] * 4, few[0].network())]

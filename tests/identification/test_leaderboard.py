@@ -7,15 +7,15 @@ import io
 import numpy as np
 import pytest
 
-from jaxnarx.identification import Contender, Leaderboard
+from jaxnarx.identification import Candidate, Leaderboard
 
 GROUPS = ("day 1", "day 2", "day 3", "day 4")
 
 
-def row(number: int, errors, operations: int | None = 10, **more) -> Contender:
+def row(number: int, errors, operations: int | None = 10, **more) -> Candidate:
     """A candidate with these errors of the groups, all of one size."""
     squares = np.square(errors or (1.0,))
-    made = Contender(
+    made = Candidate(
         "y",
         number,
         "OE",
@@ -28,7 +28,7 @@ def row(number: int, errors, operations: int | None = 10, **more) -> Contender:
     return dataclasses.replace(made, **more)
 
 
-def board(*rows: Contender, rule: str = "near") -> Leaderboard:
+def board(*rows: Candidate, rule: str = "near") -> Leaderboard:
     return Leaderboard(rows, GROUPS, rule)
 
 
@@ -59,7 +59,7 @@ def test_worse_everywhere_is_not_near_though_groups_differ_more():
     assert board(BEST, other).chosen("y") == BEST
 
 
-def paired(mine: Contender, best: Contender) -> bool:
+def paired(mine: Candidate, best: Candidate) -> bool:
     """Mean difference of squares within its standard error, as in a paired test, and
     not more than 5 % worse."""
     a, b = (np.array(one.groups, float) ** 2 for one in (mine, best))
@@ -191,8 +191,8 @@ def test_a_row_there_and_back():
     wild = dataclasses.replace(BEST, groups=(0.1, None), free_run=None)
     for one in (BEST, wild):
         table = one.to_dict()
-        assert Contender.from_dict(table) == one
-        assert Contender.from_dict(table | {"groups": list(one.groups)}) == one
+        assert Candidate.from_dict(table) == one
+        assert Candidate.from_dict(table | {"groups": list(one.groups)}) == one
     assert BEST.eligible and not wild.eligible
     assert not dataclasses.replace(BEST, status="failed").eligible
 

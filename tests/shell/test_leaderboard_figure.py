@@ -8,13 +8,13 @@ from search_fakes import board, row
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
-from jaxnarx.identification import Leaderboard, described
+from jaxnarx.identification import Leaderboard, describe
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.search.leaderboard import live_head, live_line, table
 
 
 def drawn(found: Leaderboard):
-    figure = error_over_operations(described(found, "y"))
+    figure = error_over_operations(describe(found, "y"))
     (axes,) = figure.axes
     legend = axes.get_legend()
     assert legend is not None

@@ -20,7 +20,7 @@ from test_html import make
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
-from jaxnarx.identification import described
+from jaxnarx.identification import describe
 from jaxnarx.shell.report.html import render, write_report
 from jaxnarx.shell.report.page import running
 from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
@@ -589,7 +589,7 @@ def test_the_interval_lies_within_the_axis(browser, tmp_path, bare):
 @needs_browser
 def test_a_leaderboard_fits_a_narrow_page(browser, made, tmp_path, bare):
     path = tmp_path / "board.html"
-    entry = {"y": described(board("y"), "y")}
+    entry = {"y": describe(board("y"), "y")}
     write_report(dataclasses.replace(made, leaderboard=entry), path)
     size = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     browser.send("Emulation.setDeviceMetricsOverride", **size)

@@ -37,7 +37,7 @@ def error_over_operations(
     The line joins those that no other beats at the same cost. Shaded is one
     standard error above the best; bars show that of each. Candidates that
     diverge stand as crosses at the top. `entry` is what
-    `jaxnarx.identification.described` gives; `by="parameters"` shows the error over
+    `jaxnarx.identification.describe` gives; `by="parameters"` shows the error over
     their number instead, without the line.
     """
     rows = [r | {"size": r[by]} for r in entry["rows"] if r[by] is not None]

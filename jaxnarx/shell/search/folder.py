@@ -14,7 +14,7 @@ from jaxnarx.identification import (
     VALIDATION,
     Leaderboard,
     SearchFolder,
-    described,
+    describe,
     with_group,
 )
 from jaxnarx.models import Network, merged, narrowed, save
@@ -101,7 +101,7 @@ def rivals(
 
     Their names say so: on test records another candidate may be better.
     """
-    tables = [described(found.leaderboard, n, taken.get(n))["rows"] for n in outputs]
+    tables = [describe(found.leaderboard, n, taken.get(n))["rows"] for n in outputs]
     networks = {}
     for linear, kind in ((True, "linear"), (False, "nonlinear")):
         firsts = [_first_of(rows, linear) for rows in tables]
@@ -147,7 +147,7 @@ def scored(
         parts,
         horizons=(1, 10) if shortest > network.history + 10 else (1,),
         leaderboard={
-            name: described(board, name, taken.get(name))
+            name: describe(board, name, taken.get(name))
             for name in network.output_names
         },
         beside=_fitting(rivals(found, network.output_names, taken), parts),

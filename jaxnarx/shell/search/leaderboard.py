@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from jaxnarx.identification import Contender, Leaderboard, described, figure
+from jaxnarx.identification import Candidate, Leaderboard, describe, figure
 from jaxnarx.shown import aligned
 
 TOP = 10
@@ -29,7 +29,7 @@ def live_head() -> str:
     return _live("", "output", "family", "free run", "operations", "s", "", "")
 
 
-def live_line(row: Contender, best: bool) -> str:
+def live_line(row: Candidate, best: bool) -> str:
     """One candidate as it finishes; the best of its output so far has a star."""
     operations = "" if row.operations is None else str(row.operations)
     cells = (str(row.number), row.output, row.family, figure(row), operations)
@@ -42,7 +42,7 @@ def _live(number, output, family, error, operations, seconds, star, name) -> str
     return f"  {words} {figures} {star:1} {_cut(name, WIDEST)}".rstrip()
 
 
-def _name(row: Contender) -> str:
+def _name(row: Candidate) -> str:
     """The name, and why there is no figure."""
     return f"{row.name} ({row.detail})" if row.detail else row.name
 
@@ -55,7 +55,7 @@ def table(
     With `top` only so many: the first ones, and among them the one in use and the
     best linear one; `command` shows the others.
     """
-    rows = described(board, output)["rows"]
+    rows = describe(board, output)["rows"]
     shown = rows if top is None else _first(rows, top)
     text = aligned([HEAD, *map(_cells, shown)], [name in LEFT for name in HEAD])
     text[0] = text[0].replace("_", " ")
@@ -77,7 +77,7 @@ def _first(rows: list[dict[str, Any]], top: int) -> list[dict[str, Any]]:
 
 
 def _cells(table: dict[str, Any]) -> list[str]:
-    row = Contender.from_dict(
+    row = Candidate.from_dict(
         {k: v for k, v in table.items() if k in _FIELDS} | {"groups": ()}
     )
     worst = table["worst_group"]
@@ -105,7 +105,7 @@ def _above(table: dict[str, Any]) -> str:
     return f"{table['above_best']:.2g} ± {table['above_best_standard_error']:.2g}"
 
 
-_FIELDS = {field.name for field in dataclasses.fields(Contender)}
+_FIELDS = {field.name for field in dataclasses.fields(Candidate)}
 
 
 def _cut(text: str, width: int) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from jaxnarx.confidence import apply_release_limits, attach_domain_and_intervals
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import (
-    Contender,
+    Candidate,
     SearchFolder,
     read_search,
     sentences,
@@ -83,13 +83,13 @@ def take(command: Take, typed: str) -> int:
     return judged(result, command.require_fit)
 
 
-def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Contender]:
+def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Candidate]:
     """The candidates of these numbers; SpecError where two are of one output."""
     if not numbers:
         raise SpecError(
             "give the number of a candidate; `jaxnarx leaderboard` has them"
         )
-    rows: dict[str, Contender] = {}
+    rows: dict[str, Candidate] = {}
     for number in numbers:
         row = found.row(number)
         if row.output in rows:
@@ -101,7 +101,7 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Contender]:
     return list(rows.values())
 
 
-def _network(found: SearchFolder, rows: Sequence[Contender]) -> Network:
+def _network(found: SearchFolder, rows: Sequence[Candidate]) -> Network:
     networks = [found.network(row.number) for row in rows]
     whole = networks[0] if len(networks) == 1 else merged(networks)
     return narrowed(whole)

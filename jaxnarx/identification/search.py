@@ -21,10 +21,10 @@ from jaxnarx.data import groups as make_groups
 from jaxnarx.evaluation import data_hash
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
-from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
-from jaxnarx.identification.shares import Shares
-from jaxnarx.identification.side import OutputTask, Side, cores
+from jaxnarx.identification.time_budget import TimeBudget
+from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
 from jaxnarx.models import Network, merged
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import PRESETS
@@ -85,7 +85,7 @@ def search(
             for name, one in profiles.items()
         }
         until = math.inf if budget is None else begin + budget
-        race = Race(store, list(outputs), tell, begin, until)
+        race = SearchRunner(store, list(outputs), tell, begin, until)
         stopped = False
         try:
             race.run(tasks)
@@ -102,7 +102,7 @@ def search(
         return dataclasses.replace(found, value=network)
 
 
-class Race:
+class SearchRunner:
     """Candidates of all outputs as they come."""
 
     def __init__(
@@ -114,7 +114,7 @@ class Race:
         until: float,
     ):
         self.store, self.outputs, self.tell = store, outputs, tell
-        self.begin, self.shares = begin, Shares(until, 0, 1)
+        self.begin, self.shares = begin, TimeBudget(until, 0, 1)
         self.late: list[str] = []
         """Outputs whose search the budget has ended."""
 
@@ -123,7 +123,7 @@ class Race:
         places = {name: self.outputs.index(name) for name in tasks}
         tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
         workers = min(cores(), len(tasks))
-        self.shares = Shares(self.shares.until, len(tasks), max(workers, 1))
+        self.shares = TimeBudget(self.shares.until, len(tasks), max(workers, 1))
         if workers < 2:
             for name, task in tasks.items():
                 task = self._begun(name, task)
@@ -149,7 +149,7 @@ class Race:
         own = (r.number for r in self.store.leaderboard.rows if r.output == output)
         return 1 + max(own, default=SHARE * self.outputs.index(output))
 
-    def add(self, output: str, row: Contender, network: Network | None) -> None:
+    def add(self, output: str, row: Candidate, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
         rows = self.store.leaderboard.rows
         same = [
@@ -186,13 +186,13 @@ class Race:
     def _side_by_side(self, tasks: dict[str, OutputTask]) -> None:
         """A process for every output, as many at a time as there are cores."""
         waiting = list(tasks)
-        running: dict[str, Side] = {}
+        running: dict[str, SearchWorker] = {}
         try:
             while waiting or running:
                 while waiting and len(running) < self.shares.workers:
                     name = waiting.pop(0)
                     tasks[name] = self._begun(name, tasks[name])
-                    running[name] = Side(tasks[name])
+                    running[name] = SearchWorker(tasks[name])
                 for name, side in list(running.items()):
                     ended = side.ended
                     for row, network in side.found():

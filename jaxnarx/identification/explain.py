@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from jaxnarx.identification.leaderboard import Contender, Leaderboard
+from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.shown import ratio_text
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
@@ -22,17 +22,17 @@ RULES = {
 NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %"}
 
 
-def is_linear(row: Contender) -> bool:
+def is_linear(row: Candidate) -> bool:
     """Whether a candidate is of a linear family."""
     return row.family.lower() in LINEAR
 
 
-def title(row: Contender) -> str:
+def title(row: Candidate) -> str:
     """`12 (OE: order 2)`."""
     return f"{row.number} ({row.family}: {row.name})"
 
 
-def figure(row: Contender) -> str:
+def figure(row: Candidate) -> str:
     """`0.131 ± 0.004`, or what became of the candidate."""
     if row.free_run is None:
         return row.status
@@ -44,14 +44,14 @@ def figure(row: Contender) -> str:
     return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
 
-def used(board: Leaderboard, output: str, taken: int | None = None) -> Contender:
+def used(board: Leaderboard, output: str, taken: int | None = None) -> Candidate:
     """The row of the model in use: taken by hand, else chosen, else the safest."""
     if taken is not None:
         return next(r for r in board.of(output) if r.number == taken)
     return board.chosen(output) or safest(board, output)
 
 
-def safest(board: Leaderboard, output: str) -> Contender:
+def safest(board: Leaderboard, output: str) -> Candidate:
     """Where every candidate is vetoed: the mean, else the one that diverges least."""
     rows = board.of(output)
     told = {"constant": 0, "diverged": 1}
@@ -60,17 +60,17 @@ def safest(board: Leaderboard, output: str) -> Contender:
     )
 
 
-def pareto(board: Leaderboard, output: str) -> list[Contender]:
+def pareto(board: Leaderboard, output: str) -> list[Candidate]:
     """Candidates that no other beats in error at the same cost; cheapest first."""
     rows = [r for r in board.of(output) if r.eligible and r.operations is not None]
-    front: list[Contender] = []
+    front: list[Candidate] = []
     for row in sorted(rows, key=lambda r: (r.operations, r.free_run)):
         if not front or _less(row, front[-1]):
             front.append(row)
     return front
 
 
-def _less(row: Contender, other: Contender) -> bool:
+def _less(row: Candidate, other: Candidate) -> bool:
     return (row.free_run or 0.0) < (other.free_run or 0.0)
 
 
@@ -83,7 +83,7 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     return told
 
 
-def described(
+def describe(
     board: Leaderboard, output: str, taken: int | None = None
 ) -> dict[str, Any]:
     """The rows of an output, best first, and the words, as plain values for files."""
@@ -99,7 +99,7 @@ def described(
 
 
 def _plain(
-    board: Leaderboard, place: int, row: Contender, is_used: bool
+    board: Leaderboard, place: int, row: Candidate, is_used: bool
 ) -> dict[str, Any]:
     name, error = board.worst_group(row) or ("", None)
     above = board.above_best(row) or (None, None)
@@ -115,7 +115,7 @@ def _plain(
     )
 
 
-def _choice(board: Leaderboard, output: str, row: Contender) -> str:
+def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
     chosen, named = board.chosen(output), f"{output}: {title(row)}"
     if chosen is None:
         return (
@@ -130,7 +130,7 @@ def _choice(board: Leaderboard, output: str, row: Contender) -> str:
     return f"{told}: {RULES.get(board.rule, f'chosen by the rule {board.rule!r}')}."
 
 
-def _best(board: Leaderboard, row: Contender) -> list[str]:
+def _best(board: Leaderboard, row: Candidate) -> list[str]:
     best = board.best(row.output)
     if best is None or best == row or row.free_run is None:
         return []
@@ -139,7 +139,7 @@ def _best(board: Leaderboard, row: Contender) -> list[str]:
     return [f"The best itself, {title(best)}, {_price(best, row)}{told}."]
 
 
-def _others(board: Leaderboard, row: Contender) -> list[str]:
+def _others(board: Leaderboard, row: Candidate) -> list[str]:
     """What the best of a family costs that is neither this nor that of the best."""
     best = board.best(row.output) or row
     for other in board.of(row.output):
@@ -151,7 +151,7 @@ def _others(board: Leaderboard, row: Contender) -> list[str]:
     return []
 
 
-def _price(other: Contender, row: Contender) -> str:
+def _price(other: Candidate, row: Candidate) -> str:
     """What another candidate would cost and bring: `takes 3 times the ... for ...`."""
     if other.operations is None:
         cost = "takes an unknown number of operations"
@@ -171,7 +171,7 @@ def _price(other: Contender, row: Contender) -> str:
     return f"{cost} and has {abs(change):.1%} {'more' if change > 0 else 'less'} error"
 
 
-def _linear(board: Leaderboard, row: Contender) -> list[str]:
+def _linear(board: Leaderboard, row: Candidate) -> list[str]:
     """What nonlinearity buys."""
     best = board.best(row.output)
     rows = [
@@ -196,7 +196,7 @@ def _vetoed(board: Leaderboard, output: str) -> list[str]:
     return [f"{lost} of {len(rows)} candidates {is_are} on records left out: vetoed."]
 
 
-def _groups(board: Leaderboard, row: Contender) -> list[str]:
+def _groups(board: Leaderboard, row: Candidate) -> list[str]:
     worst = board.worst_group(row)
     known = [e for e in row.groups if e is not None]
     if worst is None or len(known) < 2 or not row.free_run:

@@ -6,9 +6,9 @@ import json
 import pytest
 from search_fakes import board, row
 
-from jaxnarx.identification import Leaderboard, described, figure, sentences, used
-from jaxnarx.identification.account import _price, pareto, safest
-from jaxnarx.identification.leaderboard import Contender
+from jaxnarx.identification import Leaderboard, describe, figure, sentences, used
+from jaxnarx.identification.explain import _price, pareto, safest
+from jaxnarx.identification.leaderboard import Candidate
 
 
 def test_the_choice_and_what_others_cost():
@@ -49,7 +49,7 @@ def test_the_best_that_is_also_the_cheapest_is_called_that():
 def test_one_taken_by_hand_stands_beside_the_chosen():
     told = sentences(board("y"), "y", 2)
     assert "taken by hand in place of 3 (polynomial: degree 2), 0.200" in told[0]
-    assert described(board("y"), "y", 2)["used"] == 2
+    assert describe(board("y"), "y", 2)["used"] == 2
     assert used(board("y"), "y", 2).family == "ARX"
 
 
@@ -67,7 +67,7 @@ def test_where_all_are_vetoed_the_mean_is_the_safest():
     assert safest(found, "y").family == "constant"
     assert safest(Leaderboard((rows[0],)), "y").family == "ARX"
     assert "Every candidate is vetoed" in sentences(found, "y")[0]
-    assert described(found, "y")["chosen"] is None
+    assert describe(found, "y")["chosen"] is None
 
 
 def test_the_front_falls_with_the_cost():
@@ -79,7 +79,7 @@ def test_the_front_falls_with_the_cost():
 
 
 def test_plain_tables_are_json():
-    text = json.dumps(described(board("y", "w"), "w"), allow_nan=False)
+    text = json.dumps(describe(board("y", "w"), "w"), allow_nan=False)
     rows = json.loads(text)["rows"]
     assert [r["rank"] for r in rows] == [1, 2, 3, 4, 5]
     assert [r["used"] for r in rows] == [False, True, False, False, False]
@@ -100,5 +100,5 @@ def test_plain_tables_are_json():
     ],
 )
 def test_figures_have_the_digits_that_their_error_leaves(error, spread, text):
-    one = Contender("y", 1, "OE", "order 1", free_run=error, standard_error=spread)
+    one = Candidate("y", 1, "OE", "order 1", free_run=error, standard_error=spread)
     assert figure(dataclasses.replace(one, status="skipped")) == text

@@ -22,13 +22,13 @@ from jaxnarx.child_process import one_thread, python_command, python_environment
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.files import TemporaryFolder, write_whole
 from jaxnarx.identification.candidates import (
-    Candidate,
-    Candidates,
+    CandidateFactory,
+    CandidateSearch,
     Tried,
     Trying,
     Watch,
 )
-from jaxnarx.identification.leaderboard import Contender
+from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.models import Network, load, save
 from jaxnarx.partition import DataProfile
 from jaxnarx.settings import PRESETS
@@ -51,13 +51,13 @@ class OutputTask:
     candidates: int | None
     until: float
     """Time of the clock after which no candidate is begun."""
-    known: tuple[Contender, ...]
+    known: tuple[Candidate, ...]
     states: int | None = None
-    added: Mapping[str, Candidate] = dataclasses.field(default_factory=dict)
+    added: Mapping[str, CandidateFactory] = dataclasses.field(default_factory=dict)
 
     def run(self, watch: Watch) -> Iterator[Tried]:
         """Its candidates; `watch` hears of each while it is tried."""
-        found = Candidates(
+        found = CandidateSearch(
             self.data,
             self.profile,
             self.groups,
@@ -82,7 +82,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class Side:
+class SearchWorker:
     """A process at work on a task, on one thread."""
 
     def __init__(self, task: OutputTask):

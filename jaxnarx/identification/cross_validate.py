@@ -23,7 +23,7 @@ candidate's there, beyond which the other groups are not tried."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class JudgedMethod:
+class CrossValidation:
     """Errors of one candidate on groups left out, in standard deviations."""
 
     losses: Float[np.ndarray, " groups"]
@@ -43,7 +43,7 @@ class JudgedMethod:
         return self.network is not None
 
 
-def judge(
+def cross_validate(
     method: Identification | HiddenStates,
     data: Dataset,
     groups: Groups,
@@ -54,7 +54,7 @@ def judge(
     one_step: bool | None = None,
     begin: int = 0,
     watch: Callable[[int], None] = lambda fold: None,
-) -> list[JudgedMethod]:
+) -> list[CrossValidation]:
     """Train without every group in turn, run freely over it; then train on everything.
 
     A method may end with several networks of a kind (`trained`); each is judged. Given
@@ -84,7 +84,7 @@ def judge(
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
         everything = groups.parted(data) if parted else data
-        whole = begun(method, everything, rows, best)
+        whole = fit_full(method, everything, rows, best)
         every = [_Judging(len(groups), one_step, begin) for _ in whole]
         if told := _hopeless(whole, data, spread, best, begin):
             return [one.judged(None, told) for one in every]
@@ -93,16 +93,16 @@ def judge(
         train = groups.parted(data, g) if parted else fold.train
         if isinstance(method, HiddenStates):
             last = max(n for n, one in enumerate(every, 1) if not one.told)
-            networks = along(whole[:last], method, train, data, rows)
+            networks = refit_stages(whole[:last], method, train, data, rows)
             networks += [None] * (len(whole) - last)
         else:
-            networks = trained(method, train, rows, known=data)
+            networks = fit_method(method, train, rows, known=data)
         every = every or [_Judging(len(groups), one_step, begin) for _ in networks]
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best)
         if all(one.told for one in every):
             return [one.judged(None, one.told) for one in every]
-    whole = whole or trained(method, data, rows)
+    whole = whole or fit_method(method, data, rows)
     return [
         one.judged(None if one.told else network, one.told)
         for one, network in zip(every, whole, strict=True)
@@ -159,17 +159,17 @@ class _Judging:
             return ""
         return f"given up after {g + 1} of {len(self.losses)} groups"
 
-    def judged(self, network: Network | None, detail: str = "") -> JudgedMethod:
+    def judged(self, network: Network | None, detail: str = "") -> CrossValidation:
         """The outcome."""
         one_step = np.nan
         if network is not None:
             one_step = float(np.sqrt(self.ahead / max(self.counts.sum(), 1.0)))
-        return JudgedMethod(
+        return CrossValidation(
             self.losses, self.counts, one_step, self.diverged, network, detail
         )
 
 
-def begun(
+def fit_full(
     method: HiddenStates,
     data: Dataset,
     rows: int | None = None,
@@ -184,7 +184,7 @@ def begun(
     return _held(fit.stats["path"], data)
 
 
-def along(
+def refit_stages(
     whole: list[Network],
     method: HiddenStates,
     data: Dataset,
@@ -201,14 +201,14 @@ def along(
     before, size = None, 0
     for (regions, pull), network in zip(method.stages, whole, strict=False):
         if before is None or regions != size:
-            before, size = again(network, method, pull, data, known, rows), regions
+            before, size = refit(network, method, pull, data, known, rows), regions
         if before is not None:
-            before = again(before, method, pull, data, known, rows)
+            before = refit(before, method, pull, data, known, rows)
         found.append(before)
     return found
 
 
-def again(
+def refit(
     network: Network,
     method: HiddenStates,
     pull: float,
@@ -245,7 +245,7 @@ def _hopeless(
     return ""
 
 
-def trained(
+def fit_method(
     method: Identification | HiddenStates,
     data: Dataset,
     rows: int | None = None,

@@ -7,7 +7,7 @@ import pytest
 from search_problems import plant
 
 from jaxnarx.data import Dataset
-from jaxnarx.identification.fed_back import LARGEST, fed_back, pool_of
+from jaxnarx.identification.narx_candidates import LARGEST, pool_of, propose_narx
 from jaxnarx.identification.pools import make_pool
 from jaxnarx.partition import DataProfile
 from jaxnarx.regressors import Pool, parse_variable
@@ -29,7 +29,7 @@ def wide(inputs: int) -> Dataset:
 
 def test_every_candidate_has_a_name_and_more_terms_to_choose_from_than_it_takes():
     data, seen = plant(2), []
-    for family, (name,), method in fed_back(data, LOOK):
+    for family, (name,), method in propose_narx(data, LOOK):
         seen.append((family, name))
         assert isinstance(method.pool, Pool) and isinstance(method.select, ForwardOLS)
         assert isinstance(method.refine, SimulationError)
@@ -53,7 +53,7 @@ def test_lags_begin_at_the_dead_time_beside_a_recent_one():
 def test_local_models_are_scheduled_on_what_is_known():
     data = plant(2)
     for profile in (LOOK, dataclasses.replace(LOOK, dead_time=(0,))):
-        local = [m for f, _, m in fed_back(data, profile) if f == "LOLIMOT"]
+        local = [m for f, _, m in propose_narx(data, profile) if f == "LOLIMOT"]
         assert local
         for method in local:
             assert isinstance(method.grow, Lolimot)
@@ -70,7 +70,7 @@ def test_pools_stay_small_however_many_inputs(inputs):
     profile = dataclasses.replace(
         LOOK, levels=(None,) * inputs, dead_time=(0,) * inputs
     )
-    every = list(fed_back(data, profile))
+    every = list(propose_narx(data, profile))
     assert every, "local models at least"
     for _, _, method in every:
         assert isinstance(method.pool, Pool)

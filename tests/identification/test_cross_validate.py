@@ -9,8 +9,8 @@ import pytest
 from search_problems import LENGTHS, explosive, plant
 
 from jaxnarx.data import groups, shortened
-from jaxnarx.identification import judge as module
-from jaxnarx.identification.judge import HOPELESS, JudgedMethod
+from jaxnarx.identification import cross_validate as module
+from jaxnarx.identification.cross_validate import HOPELESS, CrossValidation
 from jaxnarx.models._assemble import OUTPUT_MARGIN
 from jaxnarx.partition import ClosedSearch, profile_data
 from jaxnarx.settings import (
@@ -32,14 +32,14 @@ METHOD = Identification(
 SPREAD = 2.5
 
 
-def judge(*args, **more) -> JudgedMethod:
+def judge(*args, **more) -> CrossValidation:
     """The outcome of a method that ends with one network."""
-    (one,) = module.judge(*args, **more)
+    (one,) = module.cross_validate(*args, **more)
     return one
 
 
 def trained(*args):
-    (network,) = module.trained(*args)
+    (network,) = module.fit_method(*args)
     return network
 
 
@@ -49,7 +49,7 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def found(data) -> JudgedMethod:
+def found(data) -> CrossValidation:
     return judge(METHOD, data, groups(data), SPREAD)
 
 

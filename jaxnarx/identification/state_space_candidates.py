@@ -39,7 +39,7 @@ SHARE, WINDOW = 40, (10, 50)
 less and not more samples than these."""
 
 
-def with_states(
+def propose_state_space(
     data: Dataset, output: str, preset: Preset
 ) -> Iterator[tuple[str, list[str], HiddenStates]]:
     """(family, names, method), those that pay most often first.

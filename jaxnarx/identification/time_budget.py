@@ -3,7 +3,7 @@
 import statistics
 
 
-class Shares:
+class TimeBudget:
     """Outputs begin one after the other, as many at a time as there are workers."""
 
     def __init__(self, until: float, outputs: int, workers: int):

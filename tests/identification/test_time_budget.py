@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxnarx.identification.shares import Shares
+from jaxnarx.identification.time_budget import TimeBudget
 
 
 @pytest.mark.parametrize(
@@ -10,7 +10,7 @@ from jaxnarx.identification.shares import Shares
 )
 def test_every_output_has_its_share_and_none_begins_after_the_end(outputs, workers):
     """Each uses all that it is given."""
-    shares = Shares(1120.0, outputs, workers)
+    shares = TimeBudget(1120.0, outputs, workers)
     ends: list[float] = []
     for n in range(outputs):
         now = 1000.0 if n < workers else sorted(ends)[n - workers]
@@ -21,14 +21,14 @@ def test_every_output_has_its_share_and_none_begins_after_the_end(outputs, worke
 
 
 def test_what_one_leaves_the_others_have():
-    shares = Shares(100.0, 2, 1)
+    shares = TimeBudget(100.0, 2, 1)
     assert shares.begin("a", 0.0) == 50.0
     shares.finish("a", 10.0)
     assert shares.begin("b", 10.0) == 100.0
 
 
 def test_time_left_is_told_by_what_outputs_took():
-    shares = Shares(1000.0, 4, 2)
+    shares = TimeBudget(1000.0, 4, 2)
     shares.begin("a", 0.0)
     shares.begin("b", 0.0)
     assert shares.left(5.0) is None

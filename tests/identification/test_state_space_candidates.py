@@ -11,14 +11,14 @@ from search_problems import LENGTHS, made, plant
 import jaxnarx as jnx
 from jaxnarx.data import Dataset, groups
 from jaxnarx.errors import DataError
-from jaxnarx.identification import automatic
 from jaxnarx.identification import candidates as module
-from jaxnarx.identification import judge as judging
-from jaxnarx.identification import with_states as module_of_methods
-from jaxnarx.identification.candidates import Candidates
-from jaxnarx.identification.judge import JudgedMethod
-from jaxnarx.identification.leaderboard import Contender
-from jaxnarx.identification.with_states import (
+from jaxnarx.identification import cross_validate as judging
+from jaxnarx.identification import search
+from jaxnarx.identification import state_space_candidates as module_of_methods
+from jaxnarx.identification.candidates import CandidateSearch
+from jaxnarx.identification.cross_validate import CrossValidation
+from jaxnarx.identification.leaderboard import Candidate
+from jaxnarx.identification.state_space_candidates import (
     FAMILY,
     FEW,
     FEW_INPUTS,
@@ -31,7 +31,7 @@ from jaxnarx.identification.with_states import (
     SHORT,
     SHORT_PULLS,
     WINDOW,
-    with_states,
+    propose_state_space,
 )
 from jaxnarx.partition import ClosedSearch, profile_data
 from jaxnarx.settings import PRESETS, HiddenStates, Preset
@@ -50,7 +50,7 @@ def wide(inputs: int, rows: int) -> Dataset:
 
 def sizes(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
     """Number of states and degree of what is tried without regions."""
-    found = [method for *_, method in with_states(data, "y", preset)]
+    found = [method for *_, method in propose_state_space(data, "y", preset)]
     return [(method.states, method.degree) for method in found if method.regions == 1]
 
 
@@ -59,7 +59,7 @@ def sizes(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
 
 def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
     data, seen = plant(2), []
-    for family, names, method in with_states(data, "y", TINY):
+    for family, names, method in propose_state_space(data, "y", TINY):
         assert family == FAMILY and method.outputs == ("y",)
         assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS)
         for name, (regions, pull) in zip(names, method.stages, strict=True):
@@ -67,7 +67,7 @@ def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
             assert name == f"{method.states} states, {kind}, pull {pull:g}"
         seen += names
     assert len(set(seen)) == len(seen) >= 6
-    _, _, long = next(with_states(wide(1, SHORT + 1), "y", TINY))
+    _, _, long = next(propose_state_space(wide(1, SHORT + 1), "y", TINY))
     assert long.shrink == PULLS
 
 
@@ -105,7 +105,7 @@ def test_short_records_begin_with_products_of_two():
 
 def regional(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
     """Where in the list regions are tried, and of how many states."""
-    every = [method for *_, method in with_states(data, "y", preset)]
+    every = [method for *_, method in propose_state_space(data, "y", preset)]
     assert all(m.degree == 1 for m in every if m.regions > 1)
     return [(n, m.states) for n, m in enumerate(every) if m.regions > 1]
 
@@ -119,7 +119,9 @@ def test_short_records_try_regions_in_turn_with_products():
     assert [states for _, states in regional(wide(1, SHORT), asked)] == [1, 5]
     # 200 samples bear 33 coefficients: of two states twelve a region, but no two of
     # three or four states, of 20 and 30.
-    found = [m for *_, m in with_states(wide(1, 200), "y", TINY) if m.regions > 1]
+    found = [
+        m for *_, m in propose_state_space(wide(1, 200), "y", TINY) if m.regions > 1
+    ]
     assert [(m.states, m.regions) for m in found] == [(2, 2)]
 
 
@@ -144,7 +146,7 @@ def test_there_are_samples_enough_for_the_coefficients(inputs, rows):
 def test_the_window_is_a_share_of_the_shortest_record(lengths, window):
     rng = np.random.default_rng(0)
     signals = [rng.normal(size=(n, 1)) for n in lengths]
-    every = list(with_states(made(signals, signals), "y", TINY))
+    every = list(propose_state_space(made(signals, signals), "y", TINY))
     assert every and {method.window for _, _, method in every} == {window}
 
 
@@ -189,30 +191,32 @@ def asked(monkeypatch, closed) -> dict:
         return result
 
     monkeypatch.setattr(module, "ClosedSearch", Fake)
-    monkeypatch.setattr(module, "judge", judge)
+    monkeypatch.setattr(module, "cross_validate", judge)
     return said
 
 
-def outcome(closed, *errors: float | None) -> list[JudgedMethod]:
+def outcome(closed, *errors: float | None) -> list[CrossValidation]:
     """One network for every error; None: given up."""
     counts = np.full(4, 100.0)
     network = closed[2].network()
     return [
-        JudgedMethod(np.full(4, np.nan), counts, np.nan, 0, None, "given up")
+        CrossValidation(np.full(4, np.nan), counts, np.nan, 0, None, "given up")
         if e is None
-        else JudgedMethod(np.full(4, e**2), counts, 0.1, 0, network)
+        else CrossValidation(np.full(4, e**2), counts, 0.1, 0, network)
         for e in errors
     ]
 
 
-def tried(closed, **more) -> list[Contender]:
+def tried(closed, **more) -> list[Candidate]:
     """Rows of all candidates but the mean."""
     data, seen, _ = closed
-    return [row for row, _ in Candidates(data, seen, groups(data), TINY, **more)][1:]
+    return [row for row, _ in CandidateSearch(data, seen, groups(data), TINY, **more)][
+        1:
+    ]
 
 
 def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
-    expected = [names for _, names, _ in with_states(closed[0], "y", TINY)][:2]
+    expected = [names for _, names, _ in propose_state_space(closed[0], "y", TINY)][:2]
     first, second = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8, 0.9, 0.45)
     assert [len(first), len(second)] == [len(names) for names in expected]
     asked["results"] = [outcome(closed, *first), outcome(closed, *second)]
@@ -249,7 +253,7 @@ def test_failed_ones_do_not_count_as_near(closed, asked, monkeypatch):
     monkeypatch.setattr(module, "SHORT", 0)  # of short records all are tried
     impatient = dataclasses.replace(TINY, states=3, patience=2)
     data, seen, _ = closed
-    found = Candidates(data, seen, groups(data), impatient, known=rows)
+    found = CandidateSearch(data, seen, groups(data), impatient, known=rows)
     assert len(list(found)) == 1 and len(asked["asked"]) == 2
 
 
@@ -294,7 +298,7 @@ METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
 
 def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed, fits):
     data = closed[0]
-    found = judging.judge(METHOD, data, groups(data), 1.0)
+    found = judging.cross_validate(METHOD, data, groups(data), 1.0)
     assert fits["all"] == [(METHOD, sum(LENGTHS))]
     rest = [sum(LENGTHS) - n for n in LENGTHS]
     # What cannot be trained without a group is not tried without the others.
@@ -319,9 +323,9 @@ def test_behind_a_training_that_fails_the_next_starts_from_where_it_stands(
         asked.append(network)
         return None if pull == PULLS[0] else network
 
-    monkeypatch.setattr(judging, "again", again)
+    monkeypatch.setattr(judging, "refit", again)
     networks, data = [closed[2].network() for _ in PULLS], closed[0]
-    found = judging.along(networks, METHOD, data, data)
+    found = judging.refit_stages(networks, METHOD, data, data)
     assert asked == [networks[0], networks[1], networks[1], networks[1]]
     assert found == [None, networks[1], networks[1]]
 
@@ -333,10 +337,10 @@ def test_every_number_of_regions_starts_from_where_it_stands(monkeypatch, closed
         asked.append((network, pull))
         return network
 
-    monkeypatch.setattr(judging, "again", again)
+    monkeypatch.setattr(judging, "refit", again)
     method = dataclasses.replace(METHOD, degree=1, regions=3, shrink=(0.1, 0.01))
     networks, data = [closed[2].network() for _ in method.stages], closed[0]
-    found = judging.along(networks, method, data, data)
+    found = judging.refit_stages(networks, method, data, data)
     assert asked == [(networks[at], pull) for at in (0, 2) for pull in (0.1, 0.1, 0.01)]
     assert found == [networks[0], networks[0], networks[2], networks[2]]
 
@@ -344,7 +348,7 @@ def test_every_number_of_regions_starts_from_where_it_stands(monkeypatch, closed
 def test_an_error_in_training_beyond_the_best_leaves_nothing_out(closed, fits):
     data = closed[0]
     best = np.full(4, 1e-4)
-    found = judging.judge(METHOD, data, groups(data), 1.0, best)
+    found = judging.cross_validate(METHOD, data, groups(data), 1.0, best)
     assert len(fits["all"]) == 1 and not fits["again"] and len(found) == 3
     assert all("error in training" in one.detail for one in found)
     assert not any(one.complete for one in found)
@@ -367,7 +371,7 @@ def test_a_plant_with_a_hidden_state_is_judged_as_it_is():
     data = made(us, ys)
     method = HiddenStates(outputs=("y",), states=1, shrink=(1e-2, 1e-4), window=10)
     spread = float(np.concatenate(ys).std())
-    found = judging.judge(method, data, groups(data), spread)
+    found = judging.cross_validate(method, data, groups(data), spread)
     assert len(found) == 2
     for one in found:
         assert one.complete and one.network is not None and one.network.hidden == 1
@@ -382,16 +386,16 @@ def test_a_plant_with_a_hidden_state_is_judged_as_it_is():
 def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path):
     few = dataclasses.replace(TINY, orders=(1,), patience=9, rule="best")
     monkeypatch.setitem(PRESETS, "tiny", few)
-    monkeypatch.setattr(automatic, "cores", lambda: 1)
+    monkeypatch.setattr(search, "cores", lambda: 1)
     for name, pulls in (("SHORT_PULLS", (0.3, 0.001)), ("PULLS", (0.1, 0.001))):
         monkeypatch.setattr(module_of_methods, name, pulls)
     asked = []
 
     def judge(method, *args, **more):
         asked.append((method.states, method.degree, method.regions))
-        return judging.judge(method, *args, **more)
+        return judging.cross_validate(method, *args, **more)
 
-    monkeypatch.setattr(module, "judge", judge)
+    monkeypatch.setattr(module, "cross_validate", judge)
 
     def stop(event):
         row = event.get("row")
@@ -404,7 +408,7 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
     done = jnx.identify(plant(), preset="tiny", folder=folder)
     assert done.is_okay and asked == [(1, 2, 1), (1, 1, 3)]
     rows = [row for row in done.stats["leaderboard"] if row.family == FAMILY]
-    names = [names for _, names, _ in with_states(plant(), "y", few)][:2]
+    names = [names for _, names, _ in propose_state_space(plant(), "y", few)][:2]
     assert [row.name for row in rows] == sum(names, [])
     assert len({row.number for row in rows}) == len(rows)
     assert all(row.status in ("ok", "skipped", "diverged") for row in rows)

@@ -18,7 +18,7 @@ import jaxnarx as jnx
 from jaxnarx.data import Groups, groups
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost
-from jaxnarx.identification import Leaderboard, automatic, read_search
+from jaxnarx.identification import Leaderboard, read_search, search
 from jaxnarx.partition import ClosedForm, profile_data
 from jaxnarx.refinement import rate_of
 from jaxnarx.settings import PRESETS, Preset
@@ -51,7 +51,7 @@ def whole(tiny, tmp_path_factory) -> tuple[Path, Solution]:
 
 @pytest.fixture
 def one_core(monkeypatch):
-    monkeypatch.setattr(automatic, "cores", lambda: 1)
+    monkeypatch.setattr(search, "cores", lambda: 1)
 
 
 def table(board: Leaderboard) -> list:
@@ -189,7 +189,7 @@ def test_interrupted_before_anything_was_tried_it_stops(monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("jaxnarx.identification.side.Candidates.__iter__", stop)
+    monkeypatch.setattr("jaxnarx.identification.worker.CandidateSearch.__iter__", stop)
     with pytest.raises(KeyboardInterrupt):
         jnx.identify(plant(), preset="linear")
 
@@ -236,7 +236,7 @@ def test_without_a_budget_the_clock_decides_nothing(tiny, whole, monkeypatch):
         """As `OutputTask._late` on a machine that is slower by a year."""
         return time.time() + 3.2e7 > self.until
 
-    monkeypatch.setattr("jaxnarx.identification.side.OutputTask._late", late)
+    monkeypatch.setattr("jaxnarx.identification.worker.OutputTask._late", late)
     found = jnx.identify(plant(), preset=tiny)
     names = [(row.family, row.name) for row in board_of(found)]
     assert names == [(row.family, row.name) for row in board_of(whole[1])]
@@ -300,7 +300,7 @@ def test_what_makes_no_sense_is_told(settings, words):
 def alone() -> Solution:
     """Two outputs, one after the other."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(automatic, "cores", lambda: 1)
+        patch.setattr(search, "cores", lambda: 1)
         return jnx.identify(plant(2), preset="linear")
 
 
@@ -320,7 +320,7 @@ def test_every_output_is_searched_as_if_it_were_alone(alone):
 
 
 def test_side_by_side_is_one_by_one(alone, monkeypatch):
-    monkeypatch.setattr(automatic, "cores", lambda: 2)
+    monkeypatch.setattr(search, "cores", lambda: 2)
     found = jnx.identify(plant(2), preset="linear")
     assert found.is_okay and found.value.output_names == ["y", "w"]
     pairs = zip(table(board_of(found))[:-2], table(board_of(alone))[:-2], strict=True)
@@ -360,7 +360,7 @@ def test_interrupted_in_the_first_output_the_second_has_none_yet(one_core, tmp_p
 
 @pytest.mark.slow
 def test_interrupted_side_by_side_it_leaves_no_process(monkeypatch, tmp_path):
-    monkeypatch.setattr(automatic, "cores", lambda: 2)
+    monkeypatch.setattr(search, "cores", lambda: 2)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     started = []
     popen = subprocess.Popen
@@ -380,7 +380,7 @@ def test_interrupted_side_by_side_it_leaves_no_process(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_trouble_in_a_process_is_raised_here(monkeypatch):
     """With what it said."""
-    monkeypatch.setattr(automatic, "cores", lambda: 2)
+    monkeypatch.setattr(search, "cores", lambda: 2)
     monkeypatch.setenv("JAX_PLATFORMS", "nowhere")
     with pytest.raises(Exception, match="nowhere"):
         jnx.identify(plant(2), preset="linear", candidates=1)

@@ -25,7 +25,7 @@ LARGEST = 600
 """Candidate terms of a pool."""
 
 
-def fed_back(
+def propose_narx(
     data: Dataset, profile: DataProfile
 ) -> Iterator[tuple[str, list[str], Identification]]:
     """(family, its one name, method), those that pay most often first."""
