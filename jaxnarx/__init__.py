@@ -9,7 +9,7 @@ import importlib
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from jaxnarx.texts import document
+from jaxnarx.docstrings import document
 
 if TYPE_CHECKING:
     from jaxnarx import confidence as confidence

@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])

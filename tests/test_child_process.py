@@ -12,7 +12,7 @@ import pytest
 
 import jaxnarx
 from jaxnarx.child_process import python_command, python_environment
-from jaxnarx.data.readers import apart, contents
+from jaxnarx.data.readers import contents, sandbox
 from jaxnarx.data.readers.columns import Asked
 from jaxnarx.errors import DataFileError
 
@@ -36,18 +36,18 @@ def hostile_folder(request, tmp_path, monkeypatch):
 
 def test_a_reader_executes_nothing_of_the_current_folder(hostile_folder):
     np.savez("a.npz", speed=np.arange(3.0))
-    apart.close()
+    sandbox.close()
     try:
         (column,) = contents(Path("a.npz"), Asked())
     finally:
-        apart.close()
+        sandbox.close()
     assert column.name == "speed"
     assert not (hostile_folder / "executed").exists()
 
 
 def test_a_relative_path_is_that_of_the_folder_we_are_in(tmp_path, monkeypatch):
     """The process that reads goes on while the working folder changes."""
-    apart.close()
+    sandbox.close()
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
@@ -58,13 +58,13 @@ def test_a_relative_path_is_that_of_the_folder_we_are_in(tmp_path, monkeypatch):
     (tmp_path / "second" / "a.npz").write_bytes(b"PK")
     with pytest.raises(DataFileError, match="^a.npz: "):
         contents(Path("a.npz"), Asked())
-    apart.close()
+    sandbox.close()
 
 
 @pytest.mark.parametrize(
     "code",
     [
-        "import jaxnarx.identification.worker, jaxnarx.data.readers.apart",
+        "import jaxnarx.identification.worker, jaxnarx.data.readers.sandbox",
         "import multiprocessing as m; m.get_context('spawn').Process().start()",
     ],
     ids=["search", "a process that it starts"],

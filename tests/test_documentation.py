@@ -19,13 +19,13 @@ from tyro.conf import Positional
 
 import jaxnarx
 from jaxnarx import settings
+from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.settings.tree import replace_at
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.commands.flags import with_options
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.solution import NAMES
-from jaxnarx.texts import field_texts
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -5,7 +5,7 @@ import numpy as np
 
 import jaxnarx as jnx
 from jaxnarx.solution import tell_precision
-from jaxnarx.sweep.number_type import number_type
+from jaxnarx.sweep.precision import number_type
 
 
 def test_float32_stays_float32():

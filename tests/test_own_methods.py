@@ -14,7 +14,7 @@ from jaxnarx.data import Fleet
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Gaussians
 from jaxnarx.partition.stages import free_run_nrmse
-from jaxnarx.selection import own
+from jaxnarx.selection import custom_selector
 from jaxnarx.settings import PARTITIONS
 from jaxnarx.sweep import IdentificationWork
 
@@ -153,6 +153,6 @@ def test_what_an_own_method_returns_is_checked(monkeypatch):
     with pytest.raises(SpecError, match="not a selection"):
         few = jnx.select(pool(1), data(), lambda *_: [1]).value
         jnx.select(few, data(), lambda *_: [1])
-    monkeypatch.setattr(own, "LARGEST", 1)
+    monkeypatch.setattr(custom_selector, "LARGEST", 1)
     with pytest.raises(SpecError, match="narrow the pool first"):
         jnx.select(pool(), data(), lambda *_: [1])

@@ -7,6 +7,7 @@ import pydoc
 import pytest
 
 from jaxnarx import settings
+from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import (
     ForwardOLS,
@@ -33,7 +34,6 @@ from jaxnarx.settings.tree import (
     to_dict,
     value_at,
 )
-from jaxnarx.texts import field_texts
 
 TABLE = {
     "pool": {"outputs": ["y"], "input_lags": {"a": [0, 1]}, "degree": 3},

@@ -31,7 +31,7 @@ from jaxnarx.simulation import (
     predict,
     simulate,
 )
-from jaxnarx.sweep.number_type import number_type
+from jaxnarx.sweep.precision import number_type
 
 # Sixty steps of stable recursions, physical values of order ten.
 ROUNDING = 1e-10

@@ -15,8 +15,8 @@ FLOORS = {
     "2 data and models": ["models", "regressors", "excitation", "data", "engines"],
     "1 arrays": ["arrays", "metrics"],
     "ground": [
-        *("solution", "settings", "shown", "texts", "extensions"),
-        *("checks", "child_process", "files", "guard", "errors"),
+        *("solution", "settings", "formatting", "docstrings", "extensions"),
+        *("checks", "child_process", "files", "argument_checks", "errors"),
     ],
 }
 """The rooms of every floor, the highest first; a test holds the imports to it."""

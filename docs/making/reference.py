@@ -10,7 +10,7 @@ from typing import Any
 from docstrings import markdown, prose
 from names import Name, constant, definition, modules_of, public
 
-from jaxnarx.texts import field_texts
+from jaxnarx.docstrings import field_texts
 
 TITLES = {
     "shell": "plot: figures",

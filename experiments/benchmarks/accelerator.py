@@ -106,8 +106,8 @@ def normal_calls(models: int, terms: int, records: int, samples: int) -> Any:
     """J'J and J'r of one network on many records."""
     import jax.numpy as jnp
 
+    from jaxnarx.refinement.gauss_newton import normal_equations
     from jaxnarx.refinement.layout import make_layout
-    from jaxnarx.refinement.normal import normal_equations
 
     network = make_network(models, terms)
     drive, anchor, _ = make_records(network, samples, records)

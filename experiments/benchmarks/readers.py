@@ -103,7 +103,7 @@ def ours(path: str, names: list[str], step: float | None) -> dict[str, Any]:
         found["check"] = time.perf_counter() - begin - reading
     ended.set()
     watching.join()
-    from jaxnarx.data.readers.apart import close
+    from jaxnarx.data.readers.sandbox import close
 
     close()
     peaks = [

@@ -194,8 +194,8 @@ def run_normal(
     import jax
     import jax.numpy as jnp
 
+    from jaxnarx.refinement.gauss_newton import normal_equations
     from jaxnarx.refinement.layout import make_layout
-    from jaxnarx.refinement.normal import normal_equations
 
     network = make_network(models, terms)
     drive, anchor, _ = make_records(network, samples, records)

@@ -114,7 +114,7 @@ def derivatives(smoke: bool) -> dict[str, Any]:
     import jax.numpy as jnp
     import numpy as np
 
-    from jaxnarx.refinement.normal import loss, normal_equations
+    from jaxnarx.refinement.gauss_newton import loss, normal_equations
 
     data = plant(SMALL if smoke else 600)
     task, layout, u = prepared(trained(data), data)
@@ -146,7 +146,7 @@ def price(smoke: bool) -> dict[str, Any]:
     import jax.numpy as jnp
 
     from jaxnarx.evaluation import cost
-    from jaxnarx.refinement.normal import loss, normal_equations
+    from jaxnarx.refinement.gauss_newton import loss, normal_equations
 
     data = plant(SMALL if smoke else SAMPLES)
     with_states = trained(data)

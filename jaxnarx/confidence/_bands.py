@@ -8,12 +8,12 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.confidence._uncertainty import Uncertainty
 from jaxnarx.confidence.enclosure import AbstractEnclosure
 from jaxnarx.confidence.information import variances
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, reported
 from jaxnarx.refinement import Layout
 from jaxnarx.simulation import (

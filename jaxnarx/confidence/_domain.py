@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.confidence.domain_fit import feature_rows, layers_of
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page, span_text
 from jaxnarx.models import LAYERS, Network
-from jaxnarx.shown import page, span_text
 from jaxnarx.simulation import Prepared, fitting
 from jaxnarx.solution import RESULTS, Solution
 

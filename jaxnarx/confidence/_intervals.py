@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.confidence.domain_fit import feature_rows, layers_of
 from jaxnarx.confidence.enclosure import AbstractEnclosure
 from jaxnarx.confidence.error_model import told_by
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import LEVELS, Network
 from jaxnarx.simulation import Prepared, Trajectories, fitting, simulate
 from jaxnarx.solution import RESULTS, Solution

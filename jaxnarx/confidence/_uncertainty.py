@@ -22,15 +22,22 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import not_negative
 from jaxnarx.confidence.information import Sums, sums
 from jaxnarx.confidence.noise import OutputNoise, estimate_noise
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.models import Network, depth
-from jaxnarx.refinement import Labels, Layout, Task, label, make_layout, make_task
-from jaxnarx.shown import aligned, page
+from jaxnarx.refinement import (
+    Labels,
+    Layout,
+    TrainingData,
+    label,
+    make_layout,
+    make_task,
+)
 from jaxnarx.simulation import Prepared, checked, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
@@ -190,7 +197,9 @@ def _one_of(value: str, known: tuple[str, ...], field: str) -> None:
         raise SpecError(f"{field} must be {names}, got {value!r}", field=field)
 
 
-def _sums(network: Network, layout: Layout, task: Task, noise: OutputNoise) -> Sums:
+def _sums(
+    network: Network, layout: Layout, task: TrainingData, noise: OutputNoise
+) -> Sums:
     """`sums` of one run over the whole records."""
     dtype = np.asarray(task.weight).dtype
     return sums(

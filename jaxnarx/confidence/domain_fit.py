@@ -6,12 +6,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, Groups, shortened, stack_records
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import LAYERS, Domain, Network
 from jaxnarx.regressors import LowPass, Variables, row_columns
 from jaxnarx.simulation import fitting, simulate

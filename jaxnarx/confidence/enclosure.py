@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.shown import aligned, brief, page, some
+from jaxnarx.formatting import aligned, brief, page, some
 from jaxnarx.simulation import Trajectories
 
 

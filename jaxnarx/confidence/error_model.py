@@ -6,11 +6,11 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.confidence.domain_fit import InputRows, feature_rows, fold_layers
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import GROWTH, LEVELS, ErrorModel, Network
 from jaxnarx.simulation import Trajectories, fitting, simulate
 

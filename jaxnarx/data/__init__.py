@@ -21,6 +21,8 @@ from jaxnarx.data._survey import ChannelGuess as ChannelGuess
 from jaxnarx.data._survey import Survey as Survey
 from jaxnarx.data._survey import measurement_files as measurement_files
 from jaxnarx.data._survey import survey as survey
+from jaxnarx.data.align_channels import in_units as in_units
+from jaxnarx.data.align_channels import match_channels as match_channels
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
 from jaxnarx.data.channels import numbered as numbered
@@ -41,8 +43,6 @@ from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import bank_times as bank_times
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags
-from jaxnarx.data.match import in_units as in_units
-from jaxnarx.data.match import match_channels as match_channels
 from jaxnarx.data.pieces import usual_length as usual_length
 from jaxnarx.data.preparation import AbstractStep as AbstractStep
 from jaxnarx.data.preparation import Changes as Changes

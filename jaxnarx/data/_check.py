@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data._dynamics import Answer, dynamics
@@ -10,7 +11,6 @@ from jaxnarx.data.compare_records import far_levels, other_units
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
-from jaxnarx.guard import guarded
 
 
 @guarded

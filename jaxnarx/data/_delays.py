@@ -7,7 +7,7 @@ from jaxnarx.checks import whole
 from jaxnarx.data._dynamics import Answer, dynamics
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 @dataclasses.dataclass(frozen=True)

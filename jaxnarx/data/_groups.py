@@ -17,7 +17,7 @@ from jaxnarx.checks import whole as whole_number
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
 from jaxnarx.data.record import Record
-from jaxnarx.data.repeats import Cycle, cycles
+from jaxnarx.data.repeated_cycles import Cycle, cycles
 from jaxnarx.errors import DataError, SpecError
 
 FEWEST = 3
@@ -146,13 +146,13 @@ def groups(
     """What of `data` is left out together.
 
     Named groups stay as they are, and records that none names are put into others.
-    Without names, records that repeat each other's inputs (`jaxnarx.data.repeats`) are
-    tied together and dealt, largest first, into up to `folds` groups of about equal
-    size. With fewer than three such parts, or one that holds over half of the samples,
-    every record is cut into `folds` blocks of equal length, of which group k holds the
-    k-th; records that repeat each other are cut at the same places of their cycle. A
-    record too short to be cut is put into one of these groups. The same data always
-    give the same groups.
+    Without names, records that repeat each other's inputs
+    (`jaxnarx.data.repeated_cycles`) are tied together and dealt, largest first, into up
+    to `folds` groups of about equal size. With fewer than three such parts, or one that
+    holds over half of the samples, every record is cut into `folds` blocks of equal
+    length, of which group k holds the k-th; records that repeat each other are cut at
+    the same places of their cycle. A record too short to be cut is put into one of
+    these groups. The same data always give the same groups.
 
     Args:
         data: Records to be divided.

@@ -11,7 +11,7 @@ import numpy as np
 from jaxnarx.checks import require
 from jaxnarx.data._groups import whole_groups
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.repeats import cycles
+from jaxnarx.data.repeated_cycles import cycles
 from jaxnarx.errors import DataError, SpecError
 
 

@@ -3,10 +3,10 @@
 import dataclasses
 from collections.abc import Sequence
 
+from jaxnarx.argument_checks import guarded
+from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.match import match_channels
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 
 STEP = 1e-6
 """Sample times may differ by this share."""

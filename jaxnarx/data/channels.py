@@ -5,10 +5,10 @@ import functools
 import unicodedata
 from collections.abc import Mapping, Sequence
 
+from jaxnarx.argument_checks import guarded_fields
 from jaxnarx.checks import known_name
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded_fields
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 def require_plain(text: str, what: str, *, field: str) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, overload
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data.channels import Channel, Channels, make_channels
 from jaxnarx.data.construct import array_sources
 from jaxnarx.data.frames import frame_sources
@@ -11,8 +12,7 @@ from jaxnarx.data.missing import assemble, require_missing
 from jaxnarx.data.overview import overview
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
-from jaxnarx.guard import guarded
-from jaxnarx.shown import brief, page
+from jaxnarx.formatting import brief, page
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -7,22 +7,22 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.cuts import Cut, columns_of
+from jaxnarx.data.crop import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.families import MARK, is_numbered, members_of, read_member
+from jaxnarx.data.file_patterns import find_files, find_groups, require_inside
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import Source, alike, assemble
-from jaxnarx.data.patterns import find_files, find_groups, require_inside
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, reading, suggest
-from jaxnarx.guard import guarded
-from jaxnarx.shown import brief, page
+from jaxnarx.formatting import brief, page
 
 MAX_BYTES = 4e9
 """Limit of the expanded size of all files of a description, in bytes. Reading takes up

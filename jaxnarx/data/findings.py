@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, Literal
 
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 Severity = Literal["error", "warning", "note"]
 SHOWN = 3

@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.match import match_channels
 from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.shown import aligned, brief, page, some
+from jaxnarx.formatting import aligned, brief, page, some
 
 Choice = slice | int | str | Sequence[int | str]
 """Which records of every engine belong to a part: by position or by name."""

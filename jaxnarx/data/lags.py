@@ -5,12 +5,12 @@ from collections.abc import Collection
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data._dynamics import dynamics
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import DataError
-from jaxnarx.guard import guarded
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 def step_times(data: Dataset, output: str) -> dict[str, float]:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.record import Record
-from jaxnarx.shown import aligned, some
+from jaxnarx.formatting import aligned, some
 
 
 def overview(

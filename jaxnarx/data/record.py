@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.shown import brief, page
+from jaxnarx.formatting import brief, page
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

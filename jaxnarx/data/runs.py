@@ -15,7 +15,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.families import MARK, read_member
 from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.readers.columns import Asked, Table
-from jaxnarx.data.repeats import cycles
+from jaxnarx.data.repeated_cycles import cycles
 from jaxnarx.data.roles import ChannelGuess
 from jaxnarx.errors import DataError
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 class Conversion(NamedTuple):

@@ -26,8 +26,8 @@ from jaxnarx.design.sensitivity import (
     ResponseSensitivity,
     network_sensitivity,
 )
+from jaxnarx.docstrings import document
 from jaxnarx.settings import OptimalDesign
-from jaxnarx.texts import document
 
 __all__ = [
     "AbstractSensitivity",

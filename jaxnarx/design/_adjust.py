@@ -7,6 +7,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.design._criteria import Criteria, criteria, objective
 from jaxnarx.design.sensitivity import (
     AbstractSensitivity,
@@ -15,7 +16,6 @@ from jaxnarx.design.sensitivity import (
 )
 from jaxnarx.errors import SpecError
 from jaxnarx.excitation import AprbsPlan, reachable, render
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.settings import OptimalDesign
 from jaxnarx.solution import RESULTS, Solution

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxnarx.guard import guarded
+from jaxnarx.argument_checks import guarded
 from jaxnarx.settings import OptimalDesign
 
 

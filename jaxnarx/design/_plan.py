@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import Number, Pair, positive, require, span, whole
 from jaxnarx.confidence import error_variables
 from jaxnarx.data import Dataset, Record
@@ -23,7 +24,6 @@ from jaxnarx.design.views import (
     watch,
 )
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, memory_of
 from jaxnarx.solution import RESULTS, Solution
 

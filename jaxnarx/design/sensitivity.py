@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel, run_record, scheduling_values
 
 

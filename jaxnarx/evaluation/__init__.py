@@ -27,8 +27,9 @@ from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
 from jaxnarx.evaluation.gain_signs import check_gains as check_gains
 from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
-from jaxnarx.evaluation.notes import data_hash as data_hash
+from jaxnarx.evaluation.page_records import ShownRecord as ShownRecord
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
+from jaxnarx.evaluation.remarks import data_hash as data_hash
 from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests import FreeRunResiduals as FreeRunResiduals
@@ -42,7 +43,6 @@ from jaxnarx.evaluation.residual_tests.correlations import (
 )
 from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
-from jaxnarx.evaluation.shown import ShownRecord as ShownRecord
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
 from jaxnarx.evaluation.table import data_of as data_of

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.exporters import (
     BLEND,
     FILTERS,
@@ -17,9 +18,8 @@ from jaxnarx.exporters import (
     lower,
     stored_for_weights,
 )
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.models import Network
-from jaxnarx.shown import aligned, page
 
 NAMES = {
     "mul": "multiplications",

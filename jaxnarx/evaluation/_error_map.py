@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import usable
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset, unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples, collect
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.shown import page
 from jaxnarx.simulation import Prepared, batched, prepared, simulate
 
 CELLS = 12

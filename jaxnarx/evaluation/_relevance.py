@@ -6,14 +6,14 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import choice
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import collect
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network
-from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import Trajectories, fitting, simulate
 
 BLOCKS = 20

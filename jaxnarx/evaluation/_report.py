@@ -13,21 +13,21 @@ from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation._region_errors import RegionError
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.domain_errors import DomainErrors
-from jaxnarx.evaluation.effects import Effect
+from jaxnarx.evaluation.effect_sizes import Effect
 from jaxnarx.evaluation.error_distribution import ErrorDistribution
+from jaxnarx.evaluation.extrapolation import Outside
 from jaxnarx.evaluation.gain_signs import GainFinding
-from jaxnarx.evaluation.notes import stability_values
-from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.page_records import ShownRecord
+from jaxnarx.evaluation.remarks import stability_values
 from jaxnarx.evaluation.residual_tests import Diagnostics
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
-from jaxnarx.evaluation.shown import ShownRecord
 from jaxnarx.evaluation.summary import Summary, summary
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict, judge
-from jaxnarx.evaluation.worst import ErrorStretch
+from jaxnarx.evaluation.worst_segments import ErrorStretch
+from jaxnarx.formatting import page
 from jaxnarx.models import Network, describe_policies
-from jaxnarx.shown import page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

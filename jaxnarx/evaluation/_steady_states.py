@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.confidence import bands, domain, intervals
 from jaxnarx.data import Channel, Dataset, Record
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.shown import page
 from jaxnarx.simulation import Trajectories, fitting, simulate
 
 SHORTEST, LONGEST, GROWTH = 512, 8192, 4

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import FREE_RUN, Row, ScoredSamples, collect, score
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.models import Network
-from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import simulate
 
 

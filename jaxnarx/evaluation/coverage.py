@@ -13,8 +13,8 @@ from jaxnarx.confidence import Intervals, intervals
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
+from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.shown import page
 from jaxnarx.simulation import Prepared
 
 LEVEL = 0.9

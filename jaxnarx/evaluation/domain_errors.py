@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.confidence import DomainIndex, Excursion, domain
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.outside import NOTICEABLE
+from jaxnarx.evaluation.extrapolation import NOTICEABLE
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.metrics import pooled_rms

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 POINTS = 201
 """Of the cumulated curve."""

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.shown import page
 from jaxnarx.simulation import fitting
 
 RUNS = 160

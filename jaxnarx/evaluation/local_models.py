@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import program
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
 from jaxnarx.regressors import (
     Variables,

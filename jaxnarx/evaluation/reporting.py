@@ -5,6 +5,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import positive, require
 from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset, in_units
@@ -21,18 +22,19 @@ from jaxnarx.evaluation.domain_errors import (
     domain_indices,
     domain_notes,
 )
-from jaxnarx.evaluation.effects import effects
+from jaxnarx.evaluation.effect_sizes import effects
 from jaxnarx.evaluation.error_distribution import error_distribution
+from jaxnarx.evaluation.extrapolation import held_notes, outside, range_notes
 from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
-from jaxnarx.evaluation.notes import (
+from jaxnarx.evaluation.page_records import ShownRecord, shown_records
+from jaxnarx.evaluation.regions import describe_partition
+from jaxnarx.evaluation.remarks import (
     assess,
     data_hash,
     data_notes,
     score_notes,
     stability_notes,
 )
-from jaxnarx.evaluation.outside import held_notes, outside, range_notes
-from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.evaluation.rows import (
     FREE_RUN,
@@ -42,13 +44,11 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
-from jaxnarx.evaluation.shown import ShownRecord, shown_records
 from jaxnarx.evaluation.table import data_of
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
-from jaxnarx.evaluation.worst import worst_stretches
-from jaxnarx.guard import guarded
+from jaxnarx.evaluation.worst_segments import worst_stretches
+from jaxnarx.formatting import count
 from jaxnarx.models import FLAG, Network
-from jaxnarx.shown import count
 from jaxnarx.simulation import Prepared, predict, prepare, simulate
 
 OtherRuns = list[tuple[Channel, list[ScoredSamples]]]

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation.rows import collect, score
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.models import Network
 from jaxnarx.regressors import term_name
-from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import predict, simulate
 
 

@@ -11,8 +11,8 @@ from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict
+from jaxnarx.formatting import span_text
 from jaxnarx.models import OUTSIDE_WORDS, Network
-from jaxnarx.shown import span_text
 
 USE = {
     GOOD: "it can stand in for the engine wherever its inputs stay within the range it "

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
-from jaxnarx.shown import ratio_text
+from jaxnarx.formatting import ratio_text
 
 HEADER = (
     "record",

@@ -42,8 +42,8 @@ from jaxnarx.data import Channel
 from jaxnarx.evaluation._region_errors import RegionError
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
+from jaxnarx.evaluation.extrapolation import NOTICEABLE, Outside
 from jaxnarx.evaluation.gain_signs import GainFinding
-from jaxnarx.evaluation.outside import NOTICEABLE, Outside
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 

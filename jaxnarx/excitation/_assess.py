@@ -11,7 +11,7 @@ from jaxnarx.checks import Number, Pair, known_name, positive, span, whole
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.excitation.placement import Box, box, discrepancy
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 # Of records of different lengths, which one axis name would not allow.
 Signals = Float[Array, "_ inputs"] | Float[np.ndarray, "_ inputs"]

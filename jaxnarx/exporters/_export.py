@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
@@ -25,9 +26,8 @@ from jaxnarx.exporters.python import python_files
 from jaxnarx.exporters.target import Files, Golden, Target, as_bytes
 from jaxnarx.extensions import Registry
 from jaxnarx.files import TemporaryFolder
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.models import HOLD, Network
-from jaxnarx.shown import page
 
 _OWN: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.errors import DataFileError, suggest
 from jaxnarx.exporters._lower import lower
 from jaxnarx.exporters.calibration import (
@@ -16,7 +17,6 @@ from jaxnarx.exporters.calibration import (
 from jaxnarx.exporters.form import ParameterTable
 from jaxnarx.exporters.maps import REST
 from jaxnarx.exporters.parameters import OutputAt, tables_of
-from jaxnarx.guard import guarded
 from jaxnarx.models import LEVELS, Network, bounded, require_consistent
 from jaxnarx.refinement import certified
 

@@ -3,8 +3,8 @@
 import math
 from typing import Any
 
+from jaxnarx.formatting import ratio_text
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
-from jaxnarx.shown import ratio_text
 
 LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
 """Families without products and regions, in small letters."""

@@ -8,10 +8,10 @@ import statistics
 from collections.abc import Iterator
 from typing import Any
 
+from jaxnarx.argument_checks import require_fit
 from jaxnarx.errors import SpecError
 from jaxnarx.files import cell
-from jaxnarx.guard import require_fit
-from jaxnarx.shown import aligned, page, some
+from jaxnarx.formatting import aligned, page, some
 
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""

@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxnarx.argument_checks import is_fit
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
-from jaxnarx.guard import is_fit
 from jaxnarx.identification.leaderboard import LARGEST, Candidate, Leaderboard
 from jaxnarx.models import Network, load, save
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.confidence import attach_domain_and_intervals
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.guard import guarded
 from jaxnarx.identification._by_method import Events, by_method
 from jaxnarx.identification.search import search
 from jaxnarx.models import Network

@@ -8,6 +8,7 @@ what cannot be inverted, `unity_gain` afterwards how near the cascade comes to o
 Reference: thesis section 7.3; B. Widrow, E. Walach, Adaptive Inverse Control, 1996.
 """
 
+from jaxnarx.docstrings import document
 from jaxnarx.inverse._cascade import Tracking, cascade
 from jaxnarx.inverse._compensate import compensate
 from jaxnarx.inverse._invertible import Invertibility, invertible
@@ -17,7 +18,6 @@ from jaxnarx.inverse.forward import dead_times
 from jaxnarx.inverse.region import Region
 from jaxnarx.inverse.unity import UnityGain, unity_gain
 from jaxnarx.settings import ActuatorLimits, TrackingError
-from jaxnarx.texts import document
 
 __all__ = [
     "ActuatorLimits",

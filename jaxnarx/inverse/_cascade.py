@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
-from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.metrics import nrmse

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import (
     NEVER,
     Driver,
@@ -18,7 +19,6 @@ from jaxnarx.arrays import (
     plain,
 )
 from jaxnarx.data import Dataset
-from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect
 from jaxnarx.inverse.task import CascadeTask, make_task, spreads
 from jaxnarx.inverse.tracking_problem import TrackingProblem, tracking_problem

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset, Finding, Findings
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import brief, page
 from jaxnarx.inverse._reachable import Reach, reachable
 from jaxnarx.inverse.dataset import Lead, leads_of
 from jaxnarx.inverse.forward import dead_times, positions
@@ -22,7 +23,6 @@ from jaxnarx.inverse.linearise import (
 from jaxnarx.inverse.region import Region, find_region
 from jaxnarx.models import Network
 from jaxnarx.settings import ActuatorLimits
-from jaxnarx.shown import brief, page
 from jaxnarx.solution import RESULTS, Solution
 
 SOME = 0.02

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, stack_records
-from jaxnarx.guard import guarded
 from jaxnarx.inverse.forward import positions
 from jaxnarx.inverse.linearise import require_shared
 from jaxnarx.inverse.statics import Statics, statics

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels, Dataset, Record, delays
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.inverse.forward import dead_times
 from jaxnarx.models import Network
 

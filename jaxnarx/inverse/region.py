@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 GAIN = 0.05
 """A second border is named where it tells so much more of the points right."""

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
-from jaxnarx.guard import guarded
 from jaxnarx.inverse.loop import Loop, connect, run_record
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.models import Network

@@ -2,6 +2,7 @@
 squares; state-space models, linear and with products of their states.
 """
 
+from jaxnarx.docstrings import document
 from jaxnarx.linear._adapt import adapt
 from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear._nonlinearity import NonlinearityCheck, nonlinearity
@@ -36,7 +37,6 @@ from jaxnarx.settings import (
     OutputError,
     Recursive,
 )
-from jaxnarx.texts import document
 
 __all__ = [
     "ARMAX",

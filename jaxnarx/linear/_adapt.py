@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import history_of
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.adapt_program import (
     Limits,
     WindowedSamples,

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset, match_channels, stack_records
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.linear.recursion import (
     best_states,

@@ -27,10 +27,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Channel, Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.linear._spectra import (
     OVERLAP,
     WINDOW,
@@ -41,7 +42,6 @@ from jaxnarx.linear._spectra import (
     spectra,
 )
 from jaxnarx.linear.orders import output_place
-from jaxnarx.shown import page
 
 LEAKAGE = 0.01
 """Share of the output's spectrum that is excused as leakage."""

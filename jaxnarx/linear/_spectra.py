@@ -16,10 +16,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.orders import output_place
 
 WINDOW = "hann"

@@ -14,9 +14,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset, gains
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.fit import WORST
 from jaxnarx.linear.orders import output_place
 from jaxnarx.linear.triangle import factorise

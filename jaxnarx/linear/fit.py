@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Batch, Dataset, stack_records
 from jaxnarx.errors import DataError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.linear.orders import output_place, require_varying
 from jaxnarx.linear.prediction_error import PredictionErrorEnd, least_innovations

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channel, Channels
+from jaxnarx.formatting import page
 from jaxnarx.linear.structure import Polynomials, Structure
 from jaxnarx.linear.transfer_function import TransferFunction
 from jaxnarx.models import OUTPUT_MARGIN, Network, global_model
 from jaxnarx.regressors import Variables
-from jaxnarx.shown import page
 
 
 class LinearModel(eqx.Module):

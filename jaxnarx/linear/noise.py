@@ -18,8 +18,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
-from jaxnarx.guard import guarded
 from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear.fit import fit_linear
 from jaxnarx.linear.model import LinearModel

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays import information
 from jaxnarx.checks import choice
+from jaxnarx.formatting import page
 from jaxnarx.linear.triangle import Triangle
 from jaxnarx.settings import ARX
-from jaxnarx.shown import page
 
 CRITERIA = ("aic", "aicc", "mdl", "fpe", "unexplained")
 

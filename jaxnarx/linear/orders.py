@@ -16,9 +16,9 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.order_table import OrderSearch, order_search
 from jaxnarx.linear.structure import by_input
 from jaxnarx.linear.triangle import Triangle, triangle

@@ -17,13 +17,13 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import (
     LeastSquaresFit,
     leverage,
     solve_least_squares,
     solve_recursively,
 )
-from jaxnarx.guard import guarded
 from jaxnarx.linear.regression_input import require_numbers, require_weights
 from jaxnarx.settings import LeastSquares
 from jaxnarx.solution import RESULTS, Solution

@@ -8,7 +8,7 @@ from jaxtyping import Complex, Float
 
 from jaxnarx.data import Channel
 from jaxnarx.errors import SpecError
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 EDGE = 1e-12
 """A denominator below this share of its coefficients' sum counts as zero at z = 1."""

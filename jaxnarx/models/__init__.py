@@ -10,10 +10,12 @@ from jaxnarx.models._assemble import ranged as ranged
 from jaxnarx.models._assemble import ranges as ranges
 from jaxnarx.models._assemble import training_bounds as training_bounds
 from jaxnarx.models._total import total as total
-from jaxnarx.models.consistent import require_consistent as require_consistent
+from jaxnarx.models.combine_outputs import hidden_names as hidden_names
+from jaxnarx.models.combine_outputs import merged as merged
 from jaxnarx.models.domain import FARTHEST as FARTHEST
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain
+from jaxnarx.models.drop_channels import narrowed as narrowed
 from jaxnarx.models.error_model import GROWTH as GROWTH
 from jaxnarx.models.error_model import LEVELS as LEVELS
 from jaxnarx.models.error_model import ErrorModel as ErrorModel
@@ -44,15 +46,12 @@ from jaxnarx.models.limits import overshoot_rule as overshoot_rule
 from jaxnarx.models.limits import reported as reported
 from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.limits import within_margin as within_margin
-from jaxnarx.models.merge import hidden_names as hidden_names
-from jaxnarx.models.merge import merged as merged
 from jaxnarx.models.missing import Gaps as Gaps
 from jaxnarx.models.missing import hold_missing as hold_missing
 from jaxnarx.models.missing import largest_sizes as largest_sizes
 from jaxnarx.models.missing import memory_of as memory_of
 from jaxnarx.models.missing import set_nan_policy as set_nan_policy
 from jaxnarx.models.missing import trusted_samples as trusted_samples
-from jaxnarx.models.narrow import narrowed as narrowed
 from jaxnarx.models.network import MISSING as MISSING
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
@@ -82,6 +81,7 @@ from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about
 from jaxnarx.models.storage import save as save
+from jaxnarx.models.validate import require_consistent as require_consistent
 from jaxnarx.models.validity import VALIDITIES as VALIDITIES
 from jaxnarx.models.validity import AbstractValidity as AbstractValidity
 from jaxnarx.models.validity import Boxes as Boxes

@@ -41,9 +41,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Batch
-from jaxnarx.guard import guarded
 from jaxnarx.models.missing import memory_of
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR

@@ -27,9 +27,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import positive
 from jaxnarx.data import Batch
-from jaxnarx.guard import guarded
 from jaxnarx.models.domain import FARTHEST
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD

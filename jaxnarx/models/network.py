@@ -24,6 +24,7 @@ from jaxnarx.arrays import twin
 from jaxnarx.checks import whole
 from jaxnarx.data import Channel, Channels, numbered
 from jaxnarx.errors import SpecError
+from jaxnarx.formatting import count, page
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR, NAN, OUTSIDE, OUTSIDE_WORDS
@@ -36,7 +37,6 @@ from jaxnarx.regressors import (
     term_name,
     variable_names,
 )
-from jaxnarx.shown import count, page
 
 Arrays = Array | np.ndarray
 

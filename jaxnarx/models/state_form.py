@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models.feedback import sources
 from jaxnarx.models.limits import overshoot, within_margin
 from jaxnarx.models.network import Network

@@ -32,11 +32,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Channel, Channels, check_precision
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
-from jaxnarx.guard import guarded
-from jaxnarx.models.consistent import LONGEST, require_consistent
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
 from jaxnarx.models.network import (
@@ -47,6 +46,7 @@ from jaxnarx.models.network import (
     Network,
     OutputModel,
 )
+from jaxnarx.models.validate import LONGEST, require_consistent
 from jaxnarx.models.validity import VALIDITIES, Gaussians
 from jaxnarx.regressors import (
     Variables,

@@ -8,21 +8,25 @@ from jaxnarx.partition.closed_form.profile import profile_data as profile_data
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Sum as Sum
 from jaxnarx.partition.closed_form.sums import best_sum as best_sum
-from jaxnarx.partition.ground import Ground, make_ground, scheduling_ranges
+from jaxnarx.partition.clusters import place, scattered
 from jaxnarx.partition.local_fit import fit_models
-from jaxnarx.partition.placed import place, scattered
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.partition.stages import best_stage
 from jaxnarx.partition.switching import switch
+from jaxnarx.partition.training_rows import (
+    TrainingRows,
+    make_training_rows,
+    scheduling_ranges,
+)
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 
 __all__ = [
-    "Ground",
+    "TrainingRows",
     "best_stage",
     "fit_models",
     "grow",
     "lolimot",
-    "make_ground",
+    "make_training_rows",
     "place",
     "scattered",
     "scheduling_ranges",

@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import (
     AbstractValidity,
     Network,
@@ -16,13 +16,13 @@ from jaxnarx.models import (
     assemble,
     global_model,
 )
-from jaxnarx.partition.given import Regions, given_output, given_regions
+from jaxnarx.partition.clusters import placed_output
+from jaxnarx.partition.fixed import Regions, given_output, given_regions
 from jaxnarx.partition.grid import grid_output
-from jaxnarx.partition.ground import Ground, make_ground
-from jaxnarx.partition.growth import grow_output
+from jaxnarx.partition.iterative import grow_output
 from jaxnarx.partition.own_feedback import with_feedback
-from jaxnarx.partition.placed import placed_output
 from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
+from jaxnarx.partition.training_rows import TrainingRows, make_training_rows
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
 from jaxnarx.settings import Given, Global, Grid, Lolimot, Placed, SigmoidTree
@@ -84,7 +84,7 @@ def grow(
     data, _ = match_channels(data, pool.channels)
     given = method if isinstance(method, Given) else _start(method, start)
     regions = [] if given is None else given_regions(pool, given)
-    ground = make_ground(
+    training = make_training_rows(
         pool,
         factors,
         data,
@@ -93,22 +93,22 @@ def grow(
         None if isinstance(method, Global) else method.local,
     )
     if isinstance(method, Global):
-        return _grow_global(ground)
+        return _grow_global(training)
     if isinstance(method, Grid):
-        made = [grid_output(ground, o, method) for o in range(len(factors))]
-        return _as_told(ground, made, method, validation)
+        made = [grid_output(training, o, method) for o in range(len(factors))]
+        return _as_told(training, made, method, validation)
     if isinstance(method, Placed):
-        made = [(placed_output(ground, o, method), []) for o in range(len(factors))]
-        return _as_told(ground, made, method, validation)
+        made = [(placed_output(training, o, method), []) for o in range(len(factors))]
+        return _as_told(training, made, method, validation)
     if isinstance(method, Given):
-        made = [given_output(ground, *own, method) for own in enumerate(regions)]
-        return _as_told(ground, made, method, validation)
+        made = [given_output(training, *own, method) for own in enumerate(regions)]
+        return _as_told(training, made, method, validation)
     if method.criterion == "validation" and validation is None:
         raise SpecError(
             'criterion="validation" needs records: grow(..., validation=...)',
             field="validation",
         )
-    return _grow_stages(ground, method, validation, regions)
+    return _grow_stages(training, method, validation, regions)
 
 
 def _start(method: Method, start: Any) -> Given | None:
@@ -127,19 +127,19 @@ def _start(method: Method, start: Any) -> Given | None:
     return Given(start, scheduling=own)
 
 
-def _assembled(ground: Ground, models: list[OutputModel]) -> Network:
-    return assemble(ground.pool, ground.data, ground.rows.gain, models)
+def _assembled(training: TrainingRows, models: list[OutputModel]) -> Network:
+    return assemble(training.pool, training.data, training.rows.gain, models)
 
 
-def _grow_global(ground: Ground) -> Solution[Network]:
-    factors = ground.factors
+def _grow_global(training: TrainingRows) -> Solution[Network]:
+    factors = training.factors
     models, ranks, conds = [], [], []
     for o, factor in enumerate(factors):
-        psi, rank, cond = _least_squares(*ground.columns(o), ground.weight(o))
-        models.append(global_model(factor, ground.coefficients(o, psi)))
+        psi, rank, cond = _least_squares(*training.columns(o), training.weight(o))
+        models.append(global_model(factor, training.coefficients(o, psi)))
         ranks.append(int(rank))
         conds.append(float(cond))
-    network = _assembled(ground, models)
+    network = _assembled(training, models)
     stats = {"rank": np.array(ranks), "cond": np.array(conds)}
     short = [o for o, f in enumerate(factors) if ranks[o] < len(f)]
     if short:
@@ -149,14 +149,18 @@ def _grow_global(ground: Ground) -> Solution[Network]:
             f"{len(factors[o])}; remove collinear terms"
         )
         return Solution(network, RESULTS.unidentifiable, stats, detail)
-    return _solution(ground, network, RESULTS.ok, stats)
+    return _solution(training, network, RESULTS.ok, stats)
 
 
 def _solution(
-    ground: Ground, network: Network, status: RESULTS, stats: dict, detail: str = ""
+    training: TrainingRows,
+    network: Network,
+    status: RESULTS,
+    stats: dict,
+    detail: str = "",
 ) -> Solution[Network]:
     """The solution, unless rounding spoils the network."""
-    if told := ground.warning(list(network.models)):
+    if told := training.warning(list(network.models)):
         return Solution(network, RESULTS.unidentifiable, stats, told)
     return Solution(network, status, stats, detail)
 
@@ -181,13 +185,13 @@ def _scheduling(method: Method, pool: Pool, regions: list[Regions]) -> tuple[str
     return names or tuple(method.scheduling)
 
 
-def _judges(ground: Ground, validation: Dataset | None) -> Dataset:
+def _judges(training: TrainingRows, validation: Dataset | None) -> Dataset:
     """The records that decide on the feedback."""
-    return ground.data if validation is None else validation
+    return training.data if validation is None else validation
 
 
 def _as_told(
-    ground: Ground,
+    training: TrainingRows,
     made: list[tuple[OutputModel, list[int]]],
     method: Given | Grid | Placed,
     validation: Dataset | None,
@@ -196,12 +200,14 @@ def _as_told(
     models, poor = zip(*made, strict=True)
     outputs = range(len(models))
     network, found = with_feedback(
-        _assembled(ground, list(models)), _judges(ground, validation), method.feedback
+        _assembled(training, list(models)),
+        _judges(training, validation),
+        method.feedback,
     )
     stats: dict[str, Any] = {"poor": list(poor)} | found
     short = [o for o in outputs if poor[o]]
     if not short:
-        return _solution(ground, network, RESULTS.ok, stats)
+        return _solution(training, network, RESULTS.ok, stats)
     o = short[0]
     listed = ", ".join(str(m + 1) for m in poor[o][:8])
     detail = (
@@ -212,24 +218,24 @@ def _as_told(
 
 
 def _grow_stages(
-    ground: Ground,
+    training: TrainingRows,
     method: Lolimot | SigmoidTree,
     validation: Dataset | None,
     regions: list[Regions],
 ) -> Solution[Network]:
     models, figures = [], []
-    for o in range(len(ground.factors)):
+    for o in range(len(training.factors)):
         start = regions[o] if regions else None
-        model, figure = grow_output(ground, o, method, validation, start)
+        model, figure = grow_output(training, o, method, validation, start)
         models.append(model)
         figures.append(figure)
     network, found = with_feedback(
-        _assembled(ground, models), _judges(ground, validation), method.feedback
+        _assembled(training, models), _judges(training, validation), method.feedback
     )
     stats = {k: [f[k] for f in figures] for k in figures[0]} | found
     if any(f["stopped"] == "criterion" for f in figures):
-        return _solution(ground, network, RESULTS.no_improvement, stats)
-    return _solution(ground, network, RESULTS.ok, stats, _refused(network, stats))
+        return _solution(training, network, RESULTS.no_improvement, stats)
+    return _solution(training, network, RESULTS.ok, stats, _refused(network, stats))
 
 
 def _refused(network: Network, stats: dict[str, Any]) -> str:

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.partition.ground import Ground
+from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.selection import choose_terms, unusable_signals, usable_terms
 from jaxnarx.settings import ForwardOLS, StepwiseF
 
 
 def own_terms(
-    ground: Ground,
+    training: TrainingRows,
     output: int,
     phi: Float[Array, "models rows"],
     method: ForwardOLS | StepwiseF,
@@ -22,23 +22,23 @@ def own_terms(
     The local models are the lanes of one search; each is fitted to the whole output,
     as if it were alone, on samples that count as much as it is valid there.
     """
-    pool, rows = ground.pool, ground.rows
-    usable = usable_terms(pool, unusable_signals(ground.data, pool))
+    pool, rows = training.pool, training.rows
+    usable = usable_terms(pool, unusable_signals(training.data, pool))
     candidates = np.zeros(len(pool), bool)
-    candidates[term_positions(ground, output)] = True
+    candidates[term_positions(training, output)] = True
     weight = phi * rows.weight[output][None]
     lanes = dataclasses.replace(
         rows, y=jnp.broadcast_to(rows.y[output][None], weight.shape), weight=weight
     )
     starts = [[] for _ in range(len(phi))]
     choice = choose_terms(pool, lanes, method, usable & candidates, starts)
-    return _dense(choice.path, len(pool))[:, term_positions(ground, output)]
+    return _dense(choice.path, len(pool))[:, term_positions(training, output)]
 
 
-def term_positions(ground: Ground, output: int) -> list[int]:
+def term_positions(training: TrainingRows, output: int) -> list[int]:
     """Where the candidate terms of an output stand in the pool."""
-    place = {tuple(row): n for n, row in enumerate(ground.pool.factor.tolist())}
-    return [place[tuple(row)] for row in ground.factors[output].tolist()]
+    place = {tuple(row): n for n, row in enumerate(training.pool.factor.tolist())}
+    return [place[tuple(row)] for row in training.factors[output].tolist()]
 
 
 def _dense(path, terms: int) -> Float[np.ndarray, "models terms"]:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import free_run, program
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, depth, recursion, reported
 from jaxnarx.simulation import (
     RunInputs,

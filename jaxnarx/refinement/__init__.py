@@ -15,10 +15,10 @@ from jaxnarx.refinement._stability import (
 )
 from jaxnarx.refinement._stages import Stage, stages
 from jaxnarx.refinement.criterion import squares
+from jaxnarx.refinement.gauss_newton import normal_equations as normal_equations
 from jaxnarx.refinement.labels import Labels as Labels
 from jaxnarx.refinement.labels import label as label
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
-from jaxnarx.refinement.normal import normal_equations as normal_equations
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.refinement.sensitivity import joined as joined
 from jaxnarx.refinement.sensitivity import linearised as linearised
@@ -26,7 +26,7 @@ from jaxnarx.refinement.sensitivity import seen_history as seen_history
 from jaxnarx.refinement.sensitivity import stream as stream
 from jaxnarx.refinement.starts import FEEDBACK_FACTORS as FEEDBACK_FACTORS
 from jaxnarx.refinement.starts import shrunk as shrunk
-from jaxnarx.refinement.task import Task as Task
+from jaxnarx.refinement.training_data import TrainingData as TrainingData
 from jaxnarx.refinement.validation import Validator
 
 __all__ = [

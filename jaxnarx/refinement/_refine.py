@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import Progress
 from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, bounded
 from jaxnarx.refinement._stability import first_horizon
 from jaxnarx.refinement._stages import Stage, stages
@@ -21,7 +21,12 @@ from jaxnarx.refinement.prediction import refine_prediction
 from jaxnarx.refinement.search import Search, takes_windows
 from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.starts import random_start, remedies
-from jaxnarx.refinement.task import Task, make_task, require_motion, require_window
+from jaxnarx.refinement.training_data import (
+    TrainingData,
+    make_task,
+    require_motion,
+    require_window,
+)
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import Prepared, checked, fitting
 from jaxnarx.solution import RESULTS, Solution, tell_precision
@@ -163,8 +168,8 @@ def refine(
 
 def refine_task(
     layout: Layout,
-    task: Task,
-    guard: Task,
+    task: TrainingData,
+    guard: TrainingData,
     method: SimulationError,
     progress: Progress | None = None,
     *,
@@ -179,7 +184,9 @@ def refine_task(
     schedules = _schedules(layout, task, method, solver)
     prior = _prior(layout, deviations)
 
-    def search(task: Task, guard: Task, limit: int | None = None) -> Search:
+    def search(
+        task: TrainingData, guard: TrainingData, limit: int | None = None
+    ) -> Search:
         return Search(
             layout,
             task,
@@ -199,7 +206,7 @@ def refine_task(
     if left_out is None:
         return _solve(search(task, guard))
 
-    def judge(rest: Task, judged: Task) -> np.ndarray:
+    def judge(rest: TrainingData, judged: TrainingData) -> np.ndarray:
         one = search(rest, judged)
         _solve(one)
         own = [row for row in one.log.history if row.get("start", "") == one.winner]
@@ -257,7 +264,7 @@ def _require_solver(
 
 
 def _schedules(
-    layout: Layout, task: Task, method: SimulationError, solver: Any
+    layout: Layout, task: TrainingData, method: SimulationError, solver: Any
 ) -> dict[str, list[Stage]]:
     """The orders of training that are tried, by name."""
     if layout.base.hidden:

@@ -13,12 +13,12 @@ from jaxtyping import Bool
 
 from jaxnarx.data import Groups
 from jaxnarx.errors import DataError
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 
 
 def divided(
-    task: Task, groups: Groups, history: int, judge: Task | None = None
-) -> list[tuple[Task, Task]]:
+    task: TrainingData, groups: Groups, history: int, judge: TrainingData | None = None
+) -> list[tuple[TrainingData, TrainingData]]:
     """For every group a task without it, and one that it alone is judged by.
 
     That is a part of `judge`, where runs begin otherwise. Shapes stay. A group without
@@ -62,7 +62,8 @@ def curve(start: tuple[bool, float], history: Sequence[dict], total: int) -> np.
 
 
 def best_position(
-    folds: Sequence[tuple[Task, Task]], judge: Callable[[Task, Task], np.ndarray]
+    folds: Sequence[tuple[TrainingData, TrainingData]],
+    judge: Callable[[TrainingData, TrainingData], np.ndarray],
 ) -> tuple[int, list[float]]:
     """The position of the least mean score, and the mean at every position.
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models import PRIOR, Network, depth, fed_back, scales
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 
 
 class Initial(eqx.Module):
@@ -76,7 +76,7 @@ class Initial(eqx.Module):
 
 
 def initial_conditions(
-    network: Network, task: Task, *, measured: bool = True
+    network: Network, task: TrainingData, *, measured: bool = True
 ) -> Initial | None:
     """What can be estimated; None where the network feeds nothing back.
 

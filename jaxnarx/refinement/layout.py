@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import program, twin
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network, OutputModel
 from jaxnarx.refinement.initial import Initial
 from jaxnarx.regressors import Centring

@@ -21,15 +21,15 @@ from jaxnarx.models import Network
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem
 from jaxnarx.refinement.separable import separable
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 from jaxnarx.settings import PredictionError
 from jaxnarx.solution import RESULTS, Solution
 
 
 def refine_prediction(
     layout: Layout,
-    task: Task,
-    guard: Task,
+    task: TrainingData,
+    guard: TrainingData,
     method: PredictionError,
     prior: np.ndarray | None = None,
     progress: Progress | None = None,

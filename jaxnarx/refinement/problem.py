@@ -17,9 +17,9 @@ from jaxnarx.refinement._stability import (
     penalty_residuals,
 )
 from jaxnarx.refinement.criterion import Criterion
+from jaxnarx.refinement.gauss_newton import loss, normal_equations, roots
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.normal import loss, normal_equations, roots
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 from jaxnarx.simulation import RunInputs
 
 Arrays = Array | np.ndarray
@@ -46,7 +46,11 @@ class Restraint(eqx.Module):
 
 
 def restraint(
-    layout: Layout, u: np.ndarray, task: Task, weight: float | int, target: float | int
+    layout: Layout,
+    u: np.ndarray,
+    task: TrainingData,
+    weight: float | int,
+    target: float | int,
 ) -> Restraint | None:
     """The penalty in the norm that suits the network at `u`; None without weight."""
     if not weight:
@@ -142,7 +146,7 @@ def _parts(linear: Linear):
 
 def make_problem(
     layout: Layout,
-    task: Task,
+    task: TrainingData,
     horizon: int | None,
     *,
     ridge: float | int = 0.0,

@@ -27,7 +27,7 @@ from jaxnarx.models import Network
 from jaxnarx.refinement._stages import Stage
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem, restraint
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 from jaxnarx.refinement.validation import make_validator
 from jaxnarx.settings import SimulationError
 from jaxnarx.solution import RESULTS, Solution
@@ -66,8 +66,8 @@ class Search:
     def __init__(
         self,
         layout: Layout,
-        task: Task,
-        guard: Task,
+        task: TrainingData,
+        guard: TrainingData,
         method: SimulationError,
         *,
         schedules: dict[str, list[Stage]],

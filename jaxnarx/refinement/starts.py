@@ -14,7 +14,7 @@ from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem
 from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.separable import solve_coefficients
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 
 REACH = 0.7
 """Standard deviation of a random move of the partition, in solver coordinates."""
@@ -26,7 +26,9 @@ EXTRA = 3
 """Random starts in the last remedy."""
 
 
-def one_step_least_squares(layout: Layout, task: Task, u: np.ndarray) -> np.ndarray:
+def one_step_least_squares(
+    layout: Layout, task: TrainingData, u: np.ndarray
+) -> np.ndarray:
     """`u` with all coefficients at their least-squares values one step ahead.
 
     Three times: samples at the feedback bound have no part in one solution, and may
@@ -47,7 +49,7 @@ def _solved(problem: Problem, inner: Int[np.ndarray | Array, " inner"], u):
 
 
 def random_start(
-    layout: Layout, task: Task, u: np.ndarray, rng: np.random.Generator
+    layout: Layout, task: TrainingData, u: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """The partition moved at random, with the coefficients of least squares there.
 
@@ -69,7 +71,9 @@ def random_start(
 
 
 def shrunk(
-    layout: Layout, u: Float[Array, " params"], factor: float | Float[Array, ""]
+    layout: Layout,
+    u: Float[Array, " params"],
+    factor: float | Float[Array, ""],
 ) -> Float[Array, " params"]:
     """Coefficients of fed-back terms times `factor`, their others as they are."""
     new = layout.gather(shrink_feedback(layout.place(u), factor))

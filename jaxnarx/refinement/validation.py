@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays import ValidationScore, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.task import Task
+from jaxnarx.refinement.training_data import TrainingData
 from jaxnarx.simulation import RunInputs, begun, has_diverged, limited, run
 
 
@@ -55,7 +55,9 @@ class Validator(eqx.Module):
         return ValidationScore(lost | ~finite, jnp.where(finite, value, jnp.inf))
 
 
-def make_validator(layout: Layout, task: Task, *, trained: bool = False) -> Validator:
+def make_validator(
+    layout: Layout, task: TrainingData, *, trained: bool = False
+) -> Validator:
     """Of the records of a task; those without a scored sample cannot diverge.
 
     `trained` where it is the task of the training itself.

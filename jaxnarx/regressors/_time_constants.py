@@ -5,11 +5,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import triangle
 from jaxnarx.checks import choice, known_name
 from jaxnarx.data import Dataset, bank_times, step_times
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool
 from jaxnarx.regressors.rows import regression_rows

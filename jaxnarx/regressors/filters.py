@@ -21,9 +21,9 @@ import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
+from jaxnarx.argument_checks import guarded, guarded_fields
 from jaxnarx.checks import positive, require, whole
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded, guarded_fields
 
 LARGEST_ORDER = 30
 """Functions a cascade may have; the state grows with them."""

@@ -12,14 +12,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.regressors.filters import AbstractFilter, LowPass, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
-from jaxnarx.shown import page
 
 LARGEST = 5_000_000
 """Terms a pool may hold; beyond that its index table alone takes over 100 MB."""

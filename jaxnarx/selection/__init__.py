@@ -1,7 +1,7 @@
 """Choice of terms from a pool."""
 
 from jaxnarx.selection._search import Program, make_lanes, search
-from jaxnarx.selection.own import require_room as require_room
+from jaxnarx.selection.custom_selector import require_room as require_room
 from jaxnarx.selection.path import path_of
 from jaxnarx.selection.select_terms import choose_terms as choose_terms
 from jaxnarx.selection.select_terms import select

@@ -9,17 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.regressors import Centring, Pool, Rows, evaluate, regression_rows
 from jaxnarx.selection._search import Program, make_lanes, search
 from jaxnarx.selection.anova import anova, significant_terms
 from jaxnarx.selection.basis import Basis, Lane
 from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
-from jaxnarx.selection.figures import figures_of, histories_of
-from jaxnarx.selection.own import own_choice
+from jaxnarx.selection.custom_selector import own_choice
 from jaxnarx.selection.path import PartialFHistory, Path, path_of, resized
 from jaxnarx.selection.program import (
     Method,
@@ -31,6 +30,7 @@ from jaxnarx.selection.program import (
 )
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
+from jaxnarx.selection.statistics import figures_of, histories_of
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.settings import (
     SELECTORS,

@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.errors import SpecError
+from jaxnarx.formatting import page
 from jaxnarx.regressors import Pool
-from jaxnarx.shown import page
 
 
 class Selection(eqx.Module):

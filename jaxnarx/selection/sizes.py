@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.guard import guarded
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, assemble, global_model
 from jaxnarx.regressors import evaluate, regression_rows

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.special
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
-from jaxnarx.guard import guarded
 from jaxnarx.selection.selection import Selection
 
 Numbers = Sequence[float | None] | np.ndarray

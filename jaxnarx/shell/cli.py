@@ -69,9 +69,9 @@ def _run(arguments: list[str]) -> int:
         command = parse(arguments)
     except SystemExit as stop:
         return int(stop.code or 0) if arguments else USAGE
-    from jaxnarx.shell import work
+    from jaxnarx.shell import dispatch
 
-    return work.run(command, typed=shlex.join(["jaxnarx", *arguments]))
+    return dispatch.run(command, typed=shlex.join(["jaxnarx", *arguments]))
 
 
 def _told(error: BaseException) -> int:

@@ -27,13 +27,13 @@ from jaxnarx.settings import (
     TrackingError,
     replace_at,
 )
-from jaxnarx.shell.assigned import assigned
 from jaxnarx.shell.commands import Invert
 from jaxnarx.shell.figures.style import save as save_figure
 from jaxnarx.shell.figures.tracking import draw_tracking
 from jaxnarx.shell.identify import Teller
 from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import write_report, write_text, written_together
+from jaxnarx.shell.parse_ranges import assigned
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import Solution
 

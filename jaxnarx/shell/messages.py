@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from jaxnarx.errors import DataFileError, SpecError, printable
 from jaxnarx.files import unwritable
-from jaxnarx.shown import count as count
+from jaxnarx.formatting import count as count
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset

@@ -6,10 +6,10 @@ from jaxnarx.design import TestPlan, plan
 from jaxnarx.errors import SpecError
 from jaxnarx.models import load
 from jaxnarx.shell import output
-from jaxnarx.shell.assigned import assigned, seconds
 from jaxnarx.shell.commands import Plan
 from jaxnarx.shell.formats import table_csv
 from jaxnarx.shell.messages import count, next_command, say, warn
+from jaxnarx.shell.parse_ranges import assigned, seconds
 from jaxnarx.shell.record_files import describe, record_csv
 
 PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"

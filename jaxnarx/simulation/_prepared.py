@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import choice
 from jaxnarx.data import (
@@ -19,9 +20,8 @@ from jaxnarx.data import (
     stack_records,
 )
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.models import HOLD, Gaps, Network, driving, hold_missing
-from jaxnarx.shown import page
 from jaxnarx.simulation.masks import Masks, make_masks
 from jaxnarx.simulation.runs import RunInputs, drive_of, make_drive
 

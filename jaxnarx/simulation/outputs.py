@@ -15,9 +15,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import HOLD, Network, fading, overshoot, within_margin
 from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor

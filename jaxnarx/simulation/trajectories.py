@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Batch
+from jaxnarx.formatting import aligned, brief, page, some
 from jaxnarx.models import NAN, Network, reported
-from jaxnarx.shown import aligned, brief, page, some
 from jaxnarx.simulation.masks import tables
 
 SHARE = 0.05

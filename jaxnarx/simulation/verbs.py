@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.simulation._prepared import (
     Prepared,

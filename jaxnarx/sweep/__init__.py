@@ -19,5 +19,5 @@ from jaxnarx.sweep.identify import IdentificationWork as IdentificationWork
 from jaxnarx.sweep.identify import identify_each as identify_each
 from jaxnarx.sweep.identify import network_of as network_of
 from jaxnarx.sweep.identify import score_names as score_names
-from jaxnarx.sweep.pace import Progress as Progress
+from jaxnarx.sweep.progress import Progress as Progress
 from jaxnarx.sweep.work import Work as Work

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.settings import Identification, hint_at, plain_value, value_at
 
 SCALES = ("log", "uniform", "integer")

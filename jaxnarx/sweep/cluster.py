@@ -13,7 +13,7 @@ from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.sweep.folder.claims import Claims
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.loop import PAUSE
-from jaxnarx.sweep.number_type import is_float64, number_type
+from jaxnarx.sweep.precision import is_float64, number_type
 from jaxnarx.sweep.rows import Row, compute_rows
 from jaxnarx.sweep.work import Work
 

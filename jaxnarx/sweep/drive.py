@@ -4,16 +4,16 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.sweep.analysis.table import SweepTable
 from jaxnarx.sweep.folder.claims import clear_dead
 from jaxnarx.sweep.folder.manifest import make_manifest, other_versions
 from jaxnarx.sweep.folder.run_folder import RunFolder, find_run, open_run
 from jaxnarx.sweep.loop import work_through
-from jaxnarx.sweep.number_type import is_float64
-from jaxnarx.sweep.pace import Pace, Progress
+from jaxnarx.sweep.precision import is_float64
+from jaxnarx.sweep.progress import Progress, Throughput
 from jaxnarx.sweep.work import Work
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def run_sweep(
     if run.manifest.chunk != chunk:
         notes.append(f"chunks are of {run.manifest.chunk} members, as they were begun")
     redone = run.discard_damaged()
-    pace = Pace(run, progress)
+    pace = Throughput(run, progress)
     pace()
     try:
         if client is not None:

@@ -19,7 +19,7 @@ from jaxnarx.child_process import SAFE, one_thread
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.sweep.cluster import compute_on_cluster, threads_of
 from jaxnarx.sweep.folder.run_folder import RunFolder
-from jaxnarx.sweep.number_type import is_float64
+from jaxnarx.sweep.precision import is_float64
 from jaxnarx.sweep.work import Work
 
 SILENT = logging.CRITICAL + 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxnarx.data.readers import apart, contents, read_table
+from jaxnarx.data.readers import contents, read_table, sandbox
 from jaxnarx.data.readers.columns import Asked
 from jaxnarx.data.readers.mdf_formula import apply_formula
 from jaxnarx.data.readers.spreadsheet_size import count_cells
@@ -84,7 +84,9 @@ def test_a_dataset_with_many_names_counts_as_often(tmp_path):
 def test_an_answer_over_the_limit_is_refused_here_too(tmp_path, monkeypatch):
     path = tmp_path / "a.npz"
     np.savez(path, x=np.arange(1000.0))
-    monkeypatch.setattr(apart.Apart, "ask", lambda self, *a, **k: answer(self))
+    monkeypatch.setattr(
+        sandbox.SandboxedReader, "ask", lambda self, *a, **k: answer(self)
+    )
 
     def answer(reader):
         reader.folder.mkdir(exist_ok=True)

@@ -10,7 +10,7 @@ from common import BRIEF, Part, from_rows, network
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
 from jaxnarx.evaluation.baseline import NAME
-from jaxnarx.evaluation.outside import held_notes, outside, range_notes
+from jaxnarx.evaluation.extrapolation import held_notes, outside, range_notes
 from jaxnarx.evaluation.rows import Row
 from jaxnarx.models import hold_to_range
 from jaxnarx.simulation import simulate

@@ -10,7 +10,7 @@ import pytest
 from jaxnarx.data import Channel, Channels, Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import Report, metrics, report, reporting
-from jaxnarx.evaluation.notes import score_notes
+from jaxnarx.evaluation.remarks import score_notes
 
 CHANNELS = Channels(
     (Channel("speed", "rpm"),), (Channel("NOx", "ppm"), Channel("torque", "Nm"))

@@ -10,7 +10,7 @@ from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation._region_errors import RegionError
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
-from jaxnarx.evaluation.outside import Outside
+from jaxnarx.evaluation.extrapolation import Outside
 from jaxnarx.evaluation.verdict import REMEDIES
 
 

@@ -22,9 +22,9 @@ from jaxnarx.errors import ModelFileError
 from jaxnarx.models import Network, advance, load, save
 from jaxnarx.refinement import refine, stability
 from jaxnarx.refinement._stability.points import jacobians, points_of
+from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.normal import normal_equations
-from jaxnarx.refinement.task import make_task
+from jaxnarx.refinement.training_data import make_task
 from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, states
 

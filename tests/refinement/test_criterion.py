@@ -10,7 +10,7 @@ from common import Y
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.refinement import refine
 from jaxnarx.refinement.criterion import Criterion
-from jaxnarx.refinement.task import make_task
+from jaxnarx.refinement.training_data import make_task
 from jaxnarx.settings import SimulationError
 
 RUN = jnp.asarray([[-0.3, 0.02], [0.4, 1.7], [2.5, 0.9], [0.06, 3.0]])

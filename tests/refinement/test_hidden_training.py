@@ -18,9 +18,9 @@ from jaxnarx.models import PRIOR, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability import penalty_points
+from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import run, simulate
 

@@ -40,9 +40,9 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.refinement import freeze, refine
 from jaxnarx.refinement.any_solver import any_solver
 from jaxnarx.refinement.folds import curve, divided
+from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.refinement.problem import make_problem
 from jaxnarx.refinement.random_windows import random_windows
 from jaxnarx.refinement.starts import (
@@ -50,7 +50,7 @@ from jaxnarx.refinement.starts import (
     random_start,
     shrink_feedback,
 )
-from jaxnarx.refinement.task import make_task
+from jaxnarx.refinement.training_data import make_task
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import predict, run, simulate
 

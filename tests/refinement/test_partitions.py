@@ -16,10 +16,10 @@ from jaxnarx.models import (
     SigmoidTree,
 )
 from jaxnarx.refinement import refine
+from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.labels import label
 from jaxnarx.refinement.layout import freeze, make_layout
-from jaxnarx.refinement.normal import normal_equations
-from jaxnarx.refinement.task import make_task
+from jaxnarx.refinement.training_data import make_task
 from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import run
 

@@ -21,8 +21,8 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Gaussians, Network
 from jaxnarx.refinement import freeze, refine
 from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.normal import loss, normal_equations
 from jaxnarx.settings import SimulationError
 from jaxnarx.simulation import run, simulate
 

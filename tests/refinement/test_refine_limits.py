@@ -14,8 +14,8 @@ from jaxnarx.confidence._uncertainty import uncertainty
 from jaxnarx.models import hold_to_range, reported
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability import stability
+from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.refinement.normal import normal_equations
 from jaxnarx.simulation import run, simulate
 
 KIND = "coupled, by own output"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from battery import MEMORY_IS_TOLD
 
-from jaxnarx.data.readers import apart, contents, read_table
+from jaxnarx.data.readers import contents, read_table, sandbox
 from jaxnarx.data.readers.columns import Asked
 from jaxnarx.errors import DataFileError, JaxnarxError
 
@@ -30,7 +30,7 @@ SECRET = 123456.75
 
 def peak() -> float:
     """Of the reading process since it was last asked [MB]."""
-    process = apart._APART[0]._process
+    process = sandbox._APART[0]._process
     if process is None or process.poll() is not None:
         return 0.0
     place = Path(f"/proc/{process.pid}")

@@ -1097,7 +1097,7 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, own):
     environment["XDG_CACHE_HOME"] = str(tmp_path / "home")
     if own:
         environment[names[0]] = str(tmp_path / "own")
-    words = "from jaxnarx.shell import work; work._configure(); import jax; "
+    words = "from jaxnarx.shell import dispatch; dispatch._configure(); import jax; "
     words += "print(jax.config.jax_compilation_cache_dir)"
     found = subprocess.run(
         [sys.executable, "-c", words], env=environment, text=True, capture_output=True
@@ -1111,7 +1111,7 @@ def test_half_written_programs_are_compiled_anew(tmp_path):
     # all programs are kept, whatever the environment says of short ones
     kept = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)} | kept
-    words = "from jaxnarx.shell import work; work._configure(); import jax; "
+    words = "from jaxnarx.shell import dispatch; dispatch._configure(); import jax; "
     words += "print(jax.jit(lambda x: x * 3)(2.0))"
     for _ in range(2):
         found = subprocess.run(

@@ -12,7 +12,7 @@ from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.commands.search_flags import seconds
-from jaxnarx.shell.remedies import next_search
+from jaxnarx.shell.next_command import next_search
 from jaxnarx.shell.search.progress import duration
 from jaxnarx.shell.search.run import folder_name
 

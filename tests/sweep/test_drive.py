@@ -10,7 +10,7 @@ from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.sweep import read_sweep, run_sweep
 from jaxnarx.sweep.folder.manifest import make_manifest
 from jaxnarx.sweep.folder.run_folder import open_run
-from jaxnarx.sweep.pace import Pace
+from jaxnarx.sweep.progress import Throughput
 
 
 def test_every_member_is_a_row_in_its_place(tmp_path):
@@ -35,7 +35,7 @@ def test_the_time_left_knows_of_the_compilation(tmp_path, monkeypatch):
     times, told = [0.0, 30.0, 30.1, 32.0, 34.0, 70.0], []
     monkeypatch.setattr(time, "perf_counter", lambda: times[0])
     run = open_run(tmp_path, make_manifest(Toy(120), chunk=4, float64=True))
-    pace = Pace(run, told.append)
+    pace = Throughput(run, told.append)
     for number, chunks in enumerate((0, 1, 1, 1, 1, 18)):
         for n in range(chunks):
             members = run.members(sum((0, 1, 1, 1, 1, 18)[:number]) + n)

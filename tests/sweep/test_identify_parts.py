@@ -8,7 +8,7 @@ from identify_problems import METHOD, engine, fleet_of
 
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import joint_pool, make_pool, terms_of
-from jaxnarx.partition.placed import clusters
+from jaxnarx.partition.clusters import clusters
 from jaxnarx.partition.stages import best_stage, choose_stage
 from jaxnarx.settings import (
     Lolimot,
@@ -20,10 +20,10 @@ from jaxnarx.settings import (
 from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import has_diverged
 from jaxnarx.simulation.trajectories import IN_A_ROW
-from jaxnarx.sweep.identify.member import Part
+from jaxnarx.sweep.identify.engine_data import Part
+from jaxnarx.sweep.identify.refine_step import FULL, schedule
 from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import shapes
-from jaxnarx.sweep.identify.train import FULL, schedule
 from jaxnarx.sweep.identify.work import IdentificationWork
 
 

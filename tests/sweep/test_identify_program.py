@@ -17,7 +17,7 @@ from jaxnarx.models import Gaussians
 from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import identify_each, network_of, program
-from jaxnarx.sweep.identify.member import stacked
+from jaxnarx.sweep.identify.engine_data import stacked
 from jaxnarx.sweep.identify.rows import score_names
 from jaxnarx.sweep.identify.work import IdentificationWork
 

@@ -18,7 +18,7 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.data.units import same_unit
 from jaxnarx.errors import SpecError
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Measurement files of the ASAM standard, MDF 3 and 4, by asammdf.
 
-They are read in a process of their own (`jaxnarx.data.readers.apart`). A channel that
+They are read in a process of their own (`jaxnarx.data.readers.sandbox`). A channel that
 several groups hold is asked for as `"n_mot @ group 3"`; the device behind a name
 (`n_mot\\XCP:1`) may be left out where that is clear.
 """
@@ -8,8 +8,8 @@ several groups hold is asked for as `"n_mot @ group 3"`; the device behind a nam
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxnarx.data.readers.apart import ask, table_of
 from jaxnarx.data.readers.columns import Asked, Column, Table
+from jaxnarx.data.readers.sandbox import ask, table_of
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:

@@ -2,7 +2,7 @@
 
 The first sheet that holds numbers is read, or the one that `table` names. Names stand
 in the first row behind `skip_rows`, units in the next where it holds text and the one
-below numbers. They are read in a process of their own (`jaxnarx.data.readers.apart`).
+below numbers. They are read in a process of their own (`jaxnarx.data.readers.sandbox`).
 """
 
 import dataclasses
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.data.readers.apart import ask, table_file
 from jaxnarx.data.readers.columns import Asked, Column, Table
+from jaxnarx.data.readers.sandbox import ask, table_file
 from jaxnarx.data.record import RowSource
 
 

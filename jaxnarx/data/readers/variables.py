@@ -1,6 +1,6 @@
 """Files of named variables: MATLAB (4 to 7.3), HDF5 and NumPy's npz.
 
-They are read in a process of their own (`jaxnarx.data.readers.apart`). What is a
+They are read in a process of their own (`jaxnarx.data.readers.sandbox`). What is a
 channel in them tells `variable_channels`. A channel whose name is there several times
 is asked for by its place (`"run1.speed"`), or by `table`, the variable it is in.
 """
@@ -8,8 +8,8 @@ is asked for by its place (`"run1.speed"`), or by `table`, the variable it is in
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxnarx.data.readers.apart import ask, table_of
 from jaxnarx.data.readers.columns import Asked, Column, Table
+from jaxnarx.data.readers.sandbox import ask, table_of
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Batch, Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.gain_signs import check_gains
@@ -37,7 +38,6 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import (
     normality,
     runs_test,
 )
-from jaxnarx.guard import guarded
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.simulation import Prepared, Trajectories, batched, predict

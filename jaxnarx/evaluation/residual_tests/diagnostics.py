@@ -14,7 +14,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.operating_point import OperatingPoint
 from jaxnarx.evaluation.residual_tests.scalar_tests import ScalarTest
 from jaxnarx.evaluation.table import strict
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 HOW_ESTIMATED = {
     "global": "fitted to these samples by least squares: the bounds allow for it",

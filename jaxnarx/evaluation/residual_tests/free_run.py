@@ -8,6 +8,7 @@ import scipy.fft
 import scipy.special
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Channel, Dataset, unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
@@ -15,9 +16,8 @@ from jaxnarx.evaluation.residual_tests.correlations import without_mean
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products
 from jaxnarx.evaluation.residual_tests.one_step import usable_inputs
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import aligned, page
 from jaxnarx.models import Network
-from jaxnarx.shown import aligned, page
 from jaxnarx.simulation import Prepared, batched, simulate
 from jaxnarx.solution import RESULTS, Solution
 

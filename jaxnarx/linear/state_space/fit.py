@@ -19,10 +19,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import known_name
 from jaxnarx.data import Dataset, shortened
 from jaxnarx.errors import DataError, JaxnarxError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.state_space.network import (
     increase_degree,
     set_state_ranges,

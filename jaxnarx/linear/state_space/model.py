@@ -13,9 +13,9 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Complex, Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import require
 from jaxnarx.errors import DataError
-from jaxnarx.guard import guarded
 
 EDGE = 1e-3
 """How far from the unit circle poles are kept."""

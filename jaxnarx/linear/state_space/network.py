@@ -15,9 +15,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.state_space.model import StateSpace
 from jaxnarx.models import OUTPUT_MARGIN, Network, global_model, hidden_names, ranges
 from jaxnarx.regressors import Variables

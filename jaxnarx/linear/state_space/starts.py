@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Dataset
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.state_space.model import StateSpace
 from jaxnarx.linear.state_space.subspace import (
     chain_model,

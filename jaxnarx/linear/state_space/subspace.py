@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.arrays import ROWS_AT_ONCE, accumulate
 from jaxnarx.checks import choice, require, whole
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.linear.state_space.model import (
     StateSpace,
     recursion,

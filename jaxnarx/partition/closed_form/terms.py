@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 
 from jaxnarx.data import Dataset
+from jaxnarx.formatting import page
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.regressors import (
     LowPass,
@@ -13,7 +14,6 @@ from jaxnarx.regressors import (
     Variables,
     polynomial_pool,
 )
-from jaxnarx.shown import page
 
 SPREAD = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""

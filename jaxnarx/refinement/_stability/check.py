@@ -6,15 +6,15 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
-from jaxnarx.guard import guarded
+from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.refinement._stability._certificate import Certificate, certificate
 from jaxnarx.refinement._stability.bound import RUN, Bound, bounds
 from jaxnarx.refinement._stability.points import points_of
 from jaxnarx.refinement._stability.poles import Poles, pole_table, time_constant
-from jaxnarx.shown import page
 from jaxnarx.simulation import (
     Masks,
     Prepared,

@@ -16,13 +16,13 @@ from jaxtyping import Float
 from scipy.special import fdtri
 
 from jaxnarx.errors import DataError
+from jaxnarx.formatting import page
 from jaxnarx.regressors import Pool, Rows
 from jaxnarx.selection.anova.cells import Effect, FTest, cut
 from jaxnarx.selection.anova.model import Codes
 from jaxnarx.selection.anova.penalised import shrink
 from jaxnarx.selection.anova.sequence import sequence
 from jaxnarx.settings import Anova
-from jaxnarx.shown import page
 
 SHOWN = 30
 """Rows of the table's text."""

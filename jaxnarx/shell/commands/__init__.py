@@ -1,7 +1,7 @@
 """The commands and their flags. No jax here: `--help` answers at once.
 
 Each command is a frozen dataclass; its docstring and those of its fields are the help.
-The work is done by `jaxnarx.shell.work`, imported when a command runs.
+The work is done by `jaxnarx.shell.dispatch`, imported when a command runs.
 """
 
 import inspect

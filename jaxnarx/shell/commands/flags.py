@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from tyro.conf import arg
 
+from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.settings import (
     KIND_KEY,
@@ -33,7 +34,6 @@ from jaxnarx.shell.commands.search_flags import (
     search_options,
     words_of_search,
 )
-from jaxnarx.texts import field_texts
 
 FLAGS = {
     "output": "pool.outputs",

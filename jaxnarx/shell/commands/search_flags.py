@@ -6,10 +6,10 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from jaxnarx.checks import choice
+from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import PRESETS
 from jaxnarx.shell.commands.search import Automatic
-from jaxnarx.texts import field_texts
 
 NAMES = ("preset", "budget", "candidates", "states")
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}

@@ -31,12 +31,12 @@ from jaxnarx.evaluation import (
     region_sentence,
 )
 from jaxnarx.files import encodable, write_whole
+from jaxnarx.formatting import ratio_text, span_text
 from jaxnarx.shell import figures
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.style import inline_svg
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import running
-from jaxnarx.shown import ratio_text, span_text
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""

@@ -3,8 +3,8 @@
 import dataclasses
 from typing import Any
 
+from jaxnarx.formatting import aligned
 from jaxnarx.identification import Candidate, Leaderboard, describe, figure
-from jaxnarx.shown import aligned
 
 TOP = 10
 """Candidates that the end of a search shows of every output."""

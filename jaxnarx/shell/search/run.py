@@ -23,10 +23,10 @@ from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.description import read_description, tell_findings
-from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.exit_code import judged, require_finite
 from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
+from jaxnarx.shell.next_command import next_search
 from jaxnarx.shell.output import RUN, run_folder, slug
-from jaxnarx.shell.remedies import next_search
 from jaxnarx.shell.report.page import exported_cost
 from jaxnarx.shell.search.folder import (
     CSV,

@@ -15,7 +15,7 @@ from jaxnarx.identification import (
 from jaxnarx.models import Network, merged, narrowed
 from jaxnarx.shell.commands.search import Leaderboard, Take
 from jaxnarx.shell.description import read_description
-from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.exit_code import judged, require_finite
 from jaxnarx.shell.messages import first_lines, next_command, quoted, say
 from jaxnarx.shell.output import RUN, run_folder
 from jaxnarx.shell.search.folder import (

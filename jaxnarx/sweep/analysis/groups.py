@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.evaluation import pareto
-from jaxnarx.guard import guarded
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.analysis.table import SweepTable
 

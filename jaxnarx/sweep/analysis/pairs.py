@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 from jaxnarx.sweep.analysis.groups import labels
 from jaxnarx.sweep.analysis.table import SweepTable
 

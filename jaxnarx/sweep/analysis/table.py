@@ -11,7 +11,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Shaped
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.shown import aligned, brief, page, some
+from jaxnarx.formatting import aligned, brief, page, some
 from jaxnarx.solution import NAMES, OKAY
 
 WIDTH = 100

@@ -10,8 +10,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.errors import DataFileError, SpecError
-from jaxnarx.guard import guarded
 from jaxnarx.sweep.folder.chunks import (
     Damaged,
     arrow_table,

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import Fleet
-from jaxnarx.guard import guarded
 from jaxnarx.settings import Identification
 from jaxnarx.sweep.cases import Case
 from jaxnarx.sweep.identify.work import LANES, IdentificationWork

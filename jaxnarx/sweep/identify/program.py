@@ -15,13 +15,13 @@ from jaxnarx.regressors import evaluate
 from jaxnarx.settings import PredictionError
 from jaxnarx.simulation import RunInputs, drive_of
 from jaxnarx.solution import NAMES
-from jaxnarx.sweep.identify.choose import Chosen, choose
-from jaxnarx.sweep.identify.divide import Divided, GrowthRows, divide
-from jaxnarx.sweep.identify.frame import Frame
-from jaxnarx.sweep.identify.member import Member, Part
+from jaxnarx.sweep.identify.engine_data import Member, Part
+from jaxnarx.sweep.identify.grow_step import Divided, GrowthRows, divide
+from jaxnarx.sweep.identify.refine_step import EngineTraining, Trained, schedule, train
 from jaxnarx.sweep.identify.score import Score, score
+from jaxnarx.sweep.identify.select_step import Chosen, choose
 from jaxnarx.sweep.identify.settings import Settings
-from jaxnarx.sweep.identify.train import Trained, TrainingData, schedule, train
+from jaxnarx.sweep.identify.shared_tables import Frame
 
 
 class Outcome(eqx.Module):
@@ -152,7 +152,7 @@ def _refined(
         weight = jnp.where(jnp.asarray(member.train.anchors)[..., None], weight, 0.0)
     judging = member.train if member.validation is None else member.validation
     guard = drive if member.validation is None else _drive(member, judging)
-    ground = TrainingData(
+    training = EngineTraining(
         layout,
         drive,
         member.train,
@@ -162,7 +162,7 @@ def _refined(
         _weight(judging, guard),
         *_moving(layout, settings),
     )
-    return train(ground, u, settings, schedule(refine, frame.shape.steps)), u, layout
+    return train(training, u, settings, schedule(refine, frame.shape.steps)), u, layout
 
 
 def _moving(
@@ -192,7 +192,10 @@ def _weight(part: Part, drive: RunInputs) -> Float[Array, "records time outputs"
 
 
 def _scores(
-    member: Member, layout: Layout, drive: RunInputs, ends: Float[Array, "2 params"]
+    member: Member,
+    layout: Layout,
+    drive: RunInputs,
+    ends: Float[Array, "2 params"],
 ) -> dict[str, Score]:
     """Of every part: start and end, one step and free run."""
     parts = {"train": (member.train, drive)}

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxnarx.argument_checks import guarded
 from jaxnarx.data import PARTS, Fleet
-from jaxnarx.guard import guarded
 from jaxnarx.models import (
     AbstractValidity,
     Gaussians,
@@ -17,7 +17,7 @@ from jaxnarx.models import (
 )
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.solution import NAMES
-from jaxnarx.sweep.identify.member import PreparedMember
+from jaxnarx.sweep.identify.engine_data import PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 
 Row = dict[str, Any]

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx import metrics
 from jaxnarx.models import Network
 from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, limited, run
-from jaxnarx.sweep.identify.member import Part
+from jaxnarx.sweep.identify.engine_data import Part
 
 
 class Score(eqx.Module):

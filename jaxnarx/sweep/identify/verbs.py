@@ -19,11 +19,11 @@ from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification
 from jaxnarx.simulation import drive_of
 from jaxnarx.solution import NAMES, Solution
-from jaxnarx.sweep.identify.choose import Chosen
-from jaxnarx.sweep.identify.member import Member, Part, PreparedMember
+from jaxnarx.sweep.identify.engine_data import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.score import Score, score
+from jaxnarx.sweep.identify.select_step import Chosen
 
 
 def run_member(

@@ -9,17 +9,21 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxnarx.argument_checks import guarded_fields
 from jaxnarx.data import Fleet
 from jaxnarx.errors import SpecError
-from jaxnarx.guard import guarded_fields
 from jaxnarx.identification import joint_pool
 from jaxnarx.models import Network
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification, replace_at, to_dict
 from jaxnarx.sweep.cases import Case, label_of
-from jaxnarx.sweep.identify.frame import Frame, make_frame
-from jaxnarx.sweep.identify.member import PreparedMember, make_blank, prepare, stacked
+from jaxnarx.sweep.identify.engine_data import (
+    PreparedMember,
+    make_blank,
+    prepare,
+    stacked,
+)
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
 from jaxnarx.sweep.identify.settings import (
@@ -29,6 +33,7 @@ from jaxnarx.sweep.identify.settings import (
     shapes,
     spare,
 )
+from jaxnarx.sweep.identify.shared_tables import Frame, make_frame
 from jaxnarx.sweep.identify.verbs import run_member
 
 LANES = 16

@@ -11,8 +11,8 @@ import pytest
 from test_architecture import modules, parsed
 
 import jaxnarx as jnx
+from jaxnarx.formatting import aligned, brief, count, page, ratio_text, some, span_text
 from jaxnarx.identification import Candidate, Leaderboard
-from jaxnarx.shown import aligned, brief, count, page, ratio_text, some, span_text
 from jaxnarx.sweep import SweepTable
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.table import number
+from jaxnarx.formatting import page
 from jaxnarx.models import FLAG, OUTSIDE_WORDS, Network
-from jaxnarx.shown import page
 
 NOTICEABLE = 0.01
 """Share of samples outside from which a report says so."""

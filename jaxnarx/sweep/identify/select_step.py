@@ -7,8 +7,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.selection import Program, make_lanes, path_of, search
 from jaxnarx.settings import ForwardOLS
-from jaxnarx.sweep.identify.frame import Frame
 from jaxnarx.sweep.identify.settings import Settings
+from jaxnarx.sweep.identify.shared_tables import Frame
 
 
 class Chosen(eqx.Module):

@@ -16,7 +16,7 @@ from common import some
 
 import jaxnarx as jnx
 from jaxnarx import settings
-from jaxnarx.texts import field_texts
+from jaxnarx.docstrings import field_texts
 
 PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     f"{room}.{name}": getattr(getattr(jnx, room), name)

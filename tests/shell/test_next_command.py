@@ -11,7 +11,7 @@ from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.commands.search import Automatic
-from jaxnarx.shell.remedies import next_search, next_words
+from jaxnarx.shell.next_command import next_search, next_words
 
 TYPED = (
     'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'

@@ -21,13 +21,13 @@ from jaxnarx.models import (
 )
 from jaxnarx.models import SigmoidTree as SigmoidTreeValidity
 from jaxnarx.partition._lolimot import boxes_of_validity, lolimot, validity_of_boxes
-from jaxnarx.partition.given import Regions, placed
-from jaxnarx.partition.ground import Ground
+from jaxnarx.partition.clusters import moved_output
+from jaxnarx.partition.fixed import Regions, placed
 from jaxnarx.partition.local_terms import own_terms
-from jaxnarx.partition.placed import moved_output
 from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import SplitRows
 from jaxnarx.partition.stages import choose_stage, free_run_nrmse
+from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.partition.tree import sigmoid_tree, validity_of_stage
 from jaxnarx.selection import require_room
 from jaxnarx.settings import Lolimot, SigmoidTree
@@ -44,7 +44,7 @@ _sigmoid_tree = jax.jit(
 
 
 def grow_output(
-    ground: Ground,
+    training: TrainingRows,
     output: int,
     method: Lolimot | SigmoidTree,
     validation: Dataset | None,
@@ -53,30 +53,30 @@ def grow_output(
     """The model of one output, and the figures of all stages, from `start` on."""
     begin = None
     if start is not None:
-        ground, shape, count = placed(ground, output, start)
+        training, shape, count = placed(training, output, start)
         begin = _beginning(method, shape, count)
-    factor, rows = ground.factors[output], ground.rows
+    factor, rows = training.factors[output], training.rows
     if method.local is not None:
         advice = "choose among them first, with `select`, and grow from the selection"
         require_room(len(factor), rows, "local", advice)
-    p, y = ground.columns(output)
-    stages, validity = _run(ground, output, p, y, method, begin)
+    p, y = training.columns(output)
+    stages, validity = _run(training, output, p, y, method, begin)
     stages = jax.tree.map(np.asarray, stages)
     sparse = method.local is not None
 
     frame = assemble(
-        ground.pool.of_output(output),
-        ground.data,
+        training.pool.of_output(output),
+        training.data,
         rows.gain,
-        [global_model(factor, ground.coefficients(output, stages.theta[0, 0]))],
+        [global_model(factor, training.coefficients(output, stages.theta[0, 0]))],
     )
 
     def at(stage: int, sparse: bool = False) -> Network:
         """The network of a stage; all slots, so that one program serves all stages."""
         slots, count = method.max_models, int(stages.count[stage])
-        theta = ground.coefficients(output, stages.theta[stage])
+        theta = training.coefficients(output, stages.theta[stage])
         shape = validity(stage, slots)
-        model = ground.model(output, theta, shape, count, sparse=sparse)
+        model = training.model(output, theta, shape, count, sparse=sparse)
         return dataclasses.replace(frame, models=(model,))
 
     def score(stage: int) -> float:
@@ -87,40 +87,42 @@ def grow_output(
         stages.count,
         stages.sse,
         stages.effective,
-        ground.samples(output),
+        training.samples(output),
         method,
         score,
     )
     found["stages"] = [at(n, sparse) for n in range(len(found["models"]))]
-    found["least"] = float(_fitting(ground, output, p, method)["least"])
+    found["least"] = float(_fitting(training, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
         tree = jax.device_put(jax.tree.map(lambda a: a[best], stages))
         tree = prune(
-            tree, _rows_of(ground, output, p, y, method), oblique=method.oblique
+            tree, _rows_of(training, output, p, y, method), oblique=method.oblique
         )
         stages, best, count = jax.tree.map(lambda a: a[None], tree), 0, int(tree.count)
         validity = functools.partial(validity_of_stage, stages)
         found["pruned_to"] = count
     if not sparse:
-        theta = ground.coefficients(output, stages.theta[best, :count])
-        model = ground.model(output, theta, validity(best, count), count)
+        theta = training.coefficients(output, stages.theta[best, :count])
+        model = training.model(output, theta, validity(best, count), count)
         if method.scatter:
             grown = dataclasses.replace(frame, models=(model,))
-            model = moved_output(ground, output, grown, method)
+            model = moved_output(training, output, grown, method)
         return model, found
     shape = validity(best, count)
-    phi = shape(ground.z, jnp.ones(count, bool))
+    phi = shape(training.z, jnp.ones(count, bool))
     assert method.local is not None
-    theta = own_terms(ground, output, phi, method.local)
-    return ground.model(output, theta, shape, count, sparse=True), found
+    theta = own_terms(training, output, phi, method.local)
+    return training.model(output, theta, shape, count, sparse=True), found
 
 
 def _number(value: float | int, dtype: np.dtype) -> Array:
     return jax.device_put(np.asarray(value, dtype))
 
 
-def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method):
+def _fitting(
+    training: TrainingRows, output: int, p: Float[Array, "terms rows"], method
+):
     """How local models are fitted, the same for every growth."""
     number = functools.partial(_number, dtype=p.dtype)
     picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
@@ -129,18 +131,20 @@ def _fitting(ground: Ground, output: int, p: Float[Array, "terms rows"], method)
         "ridge": number(method.ridge),
         "least": number(least),
         "picks": picks,
-        "first": ground.constant(output) if picks else None,
+        "first": training.constant(output) if picks else None,
     }
 
 
-def _rows_of(ground: Ground, output: int, p, y, method: SigmoidTree) -> SplitRows:
+def _rows_of(
+    training: TrainingRows, output: int, p, y, method: SigmoidTree
+) -> SplitRows:
     smoothness = _number(method.smoothness, p.dtype)
-    fitting = _fitting(ground, output, p, method)
-    return SplitRows(p, ground.z, y, ground.weight(output), smoothness, **fitting)
+    fitting = _fitting(training, output, p, method)
+    return SplitRows(p, training.z, y, training.weight(output), smoothness, **fitting)
 
 
 def _run(
-    ground: Ground,
+    training: TrainingRows,
     output: int,
     p: Float[Array, "terms rows"],
     y: Float[Array, " rows"],
@@ -149,8 +153,8 @@ def _run(
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(_number, dtype=p.dtype)
-    common = _fitting(ground, output, p, method) | {"max_models": method.max_models}
-    data = p, ground.z, y, ground.weight(output)
+    common = _fitting(training, output, p, method) | {"max_models": method.max_models}
+    data = p, training.z, y, training.weight(output)
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
         shape = {"oblique": method.oblique, "steps": method.steps}

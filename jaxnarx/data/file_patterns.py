@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
-from jaxnarx.data.cuts import Cut, divided, require_apart
+from jaxnarx.data.crop import Cut, divided, require_apart
 from jaxnarx.data.description import Description
 from jaxnarx.errors import DataFileError, SpecError
 

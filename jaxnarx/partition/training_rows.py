@@ -25,7 +25,7 @@ from jaxnarx.settings import ForwardOLS, StepwiseF
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Ground:
+class TrainingRows:
     """Rows of the data with the candidate terms of every output.
 
     `z` are the scheduling variables of every row, scaled to [0, 1]; x = offset + span z
@@ -131,14 +131,14 @@ def _columns(factor, v, y, output):
     return evaluate(factor, v), y[output]
 
 
-def make_ground(
+def make_training_rows(
     pool: Pool,
     factors: list[Int[np.ndarray, "_ degree"]],
     data: Dataset,
     scheduling: tuple[str, ...],
     gain: Float[np.ndarray, " signals"] | None,
     local: ForwardOLS | StepwiseF | None = None,
-) -> Ground:
+) -> TrainingRows:
     """Rows and ranges; `DataError` where there are too few or nothing moves."""
     table = scheduling_table(pool, scheduling) if scheduling else Variables(())
     terms = max(len(f) for f in factors)
@@ -155,7 +155,7 @@ def make_ground(
     x = row_columns(rows.batch, rows.at, table, data.sample_time)
     low, span = scheduling_ranges(pool, x, table)
     z = jax.device_put((x - low[:, None]) / span[:, None])
-    return Ground(pool, factors, data, rows, table, low, span, z)
+    return TrainingRows(pool, factors, data, rows, table, low, span, z)
 
 
 def scheduling_ranges(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
-from jaxnarx.shell.judged import judged, require_finite
+from jaxnarx.shell.exit_code import judged, require_finite
 from jaxnarx.shell.messages import about, next_command, quoted, say, size, warn
 from jaxnarx.shell.reading import reading_told
 
@@ -235,8 +235,8 @@ def _identify(command: commands.Identify, typed: str) -> int:
 
 def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
     from jaxnarx.shell.identify import OneMethod, checked, identify, prepared_by
+    from jaxnarx.shell.next_command import next_words
     from jaxnarx.shell.output import RUN, run_folder
-    from jaxnarx.shell.remedies import next_words
 
     require_finite("require_fit", command.require_fit)
     share = 0.2 if command.hold_out is None else command.hold_out

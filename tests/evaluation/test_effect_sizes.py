@@ -9,7 +9,7 @@ from test_verdict import FINE, made, row
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.domain_errors import INDEX_EDGES, DomainErrors, ErrorByIndex
-from jaxnarx.evaluation.effects import effects
+from jaxnarx.evaluation.effect_sizes import effects
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import hold_to_range
 

@@ -14,7 +14,7 @@ what went before; until then from the call on, so that more time is rather left 
 less."""
 
 
-class Pace:
+class Throughput:
     """Tells a callback when chunks have been added to the folder."""
 
     def __init__(self, run: RunFolder, progress: Progress | None):

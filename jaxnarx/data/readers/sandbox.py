@@ -32,7 +32,7 @@ from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, JaxnarxError
 from jaxnarx.files import TemporaryFolder
 
-START = "from jaxnarx.data.readers.apart import serve; serve()"
+START = "from jaxnarx.data.readers.sandbox import serve; serve()"
 OWN = 1e9
 """Bytes of memory beside those of the samples: the interpreter and its libraries."""
 LEAST, RATE = 60.0, 2e6
@@ -42,7 +42,7 @@ LEAST, RATE = 60.0, 2e6
 def ask(module: str, function: str, path: Path, **given: Any) -> Any:
     """What `function(path, folder, **given)` of a module answers in the process."""
     if not _APART:
-        _APART.append(Apart())
+        _APART.append(SandboxedReader())
     return _APART[0].ask(module, function, path, **given)
 
 
@@ -93,7 +93,7 @@ def close() -> None:
         _APART.pop().close()
 
 
-class Apart:
+class SandboxedReader:
     """The process, and the folder of its arrays."""
 
     def __init__(self) -> None:
@@ -193,7 +193,7 @@ class Apart:
         )
 
 
-_APART: list[Apart] = []
+_APART: list[SandboxedReader] = []
 """The process that reads, once there is one."""
 
 

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import program
 from jaxnarx.models import Gaussians, Network, OutputModel
-from jaxnarx.partition.ground import Ground
 from jaxnarx.partition.local_fit import fit_models
+from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import Lolimot, Placed, SigmoidTree
@@ -24,15 +24,15 @@ NARROWEST = 0.1
 """Least extension of a cluster, as a share of one of as many equal boxes."""
 
 
-def placed_output(ground: Ground, output: int, method: Placed) -> OutputModel:
+def placed_output(training: TrainingRows, output: int, method: Placed) -> OutputModel:
     """The model of one output."""
-    p, y = ground.columns(output)
+    p, y = training.columns(output)
     numbers = [np.asarray(x, p.dtype) for x in (method.k_sigma, method.ridge)]
-    rows = p, ground.z, y, ground.weight(output)
+    rows = p, training.z, y, training.weight(output)
     most, seed = method.max_models, np.asarray(method.seed)
     validity, theta = _placed(*rows, *numbers, seed, most=most, at=method.at)
-    theta = ground.coefficients(output, theta)
-    return ground.model(output, theta, validity, most)
+    theta = training.coefficients(output, theta)
+    return training.model(output, theta, validity, most)
 
 
 @program
@@ -122,12 +122,12 @@ def scattered(
 
 
 def moved_output(
-    ground: Ground, output: int, frame: Network, method: Lolimot | SigmoidTree
+    training: TrainingRows, output: int, frame: Network, method: Lolimot | SigmoidTree
 ) -> OutputModel:
     """The model of one output, that of `frame`, with its partition moved at random."""
     layout = make_layout(frame, None, WIDTH_BAND)
-    p = evaluate(ground.factors[output], ground.rows.v)
-    rows = p, ground.z, ground.rows.y[output], ground.weight(output)
+    p = evaluate(training.factors[output], training.rows.v)
+    rows = p, training.z, training.rows.y[output], training.weight(output)
     numbers = [np.asarray(x, p.dtype) for x in (method.scatter, method.ridge)]
     u = _moved(layout, frame, rows, *numbers, np.asarray(method.seed))
     return layout.place(u).models[0]

@@ -10,7 +10,7 @@ from jaxnarx import metrics
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, ScoredSamples
-from jaxnarx.shown import page
+from jaxnarx.formatting import page
 
 
 @dataclasses.dataclass(frozen=True)

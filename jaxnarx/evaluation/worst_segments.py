@@ -11,8 +11,8 @@ from jaxnarx.confidence import DomainIndex
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation._region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
+from jaxnarx.formatting import page, span_text
 from jaxnarx.models import Network
-from jaxnarx.shown import page, span_text
 from jaxnarx.simulation import Prepared, batched
 
 WORST = 10

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
 from jaxnarx.partition.grid import fitted
-from jaxnarx.partition.ground import Ground
+from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
 from jaxnarx.settings import PARTITIONS, Given, Partitioner
 
@@ -106,18 +106,18 @@ def _checked(validity: AbstractValidity, dims: int) -> int:
 
 
 def given_output(
-    ground: Ground, output: int, regions: Regions, method: Given
+    training: TrainingRows, output: int, regions: Regions, method: Given
 ) -> tuple[OutputModel, list[int]]:
     """The model of one output, and which local models lack samples."""
-    own, validity, count = placed(ground, output, regions)
+    own, validity, count = placed(training, output, regions)
     return fitted(own, output, validity, count, method)
 
 
 def placed(
-    ground: Ground, output: int, regions: Regions
-) -> tuple[Ground, AbstractValidity, int]:
-    """The ground of the regions, their validity functions, how many are in use."""
-    own, validity = _narrowed(ground, regions), regions.validity
+    training: TrainingRows, output: int, regions: Regions
+) -> tuple[TrainingRows, AbstractValidity, int]:
+    """The rows of the regions, their validity functions, how many are in use."""
+    own, validity = _narrowed(training, regions), regions.validity
     if isinstance(validity, AbstractValidity):
         return own, validity, regions.count
     p = evaluate(own.factors[output], own.rows.v)
@@ -134,18 +134,18 @@ def placed(
     return own, found, _checked(found, len(regions.scheduling))
 
 
-def _narrowed(ground: Ground, regions: Regions) -> Ground:
-    """The ground with these scheduling variables only, on the scale of the regions."""
-    at = np.array([ground.names.index(name) for name in regions.scheduling])
-    low, span = ground.offset[at], ground.span[at]
-    z = ground.z[at]
+def _narrowed(training: TrainingRows, regions: Regions) -> TrainingRows:
+    """The rows with these scheduling variables only, on the scale of the regions."""
+    at = np.array([training.names.index(name) for name in regions.scheduling])
+    low, span = training.offset[at], training.span[at]
+    z = training.z[at]
     if regions.ranges is not None:
         x = low[:, None] + span[:, None] * z
         low, span = regions.ranges[:, 0], np.diff(regions.ranges, axis=1)[:, 0]
         low, span = low.astype(z.dtype), span.astype(z.dtype)
         z = (x - low[:, None]) / span[:, None]
-    entries = ground.scheduling.entries
+    entries = training.scheduling.entries
     table = Variables.of([entries[n] for n in at])
     return dataclasses.replace(
-        ground, scheduling=table, offset=low, span=span, z=jnp.asarray(z)
+        training, scheduling=table, offset=low, span=span, z=jnp.asarray(z)
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset, read_split
-from jaxnarx.data.repeats import STILL, cycles
+from jaxnarx.data.repeated_cycles import STILL, cycles
 
 
 def staircase(rng: np.random.Generator, rows: int, inputs: int = 2, hold: int = 20):
@@ -53,7 +53,7 @@ def likeness(a: np.ndarray, b: np.ndarray, lag: int) -> float:
 
 
 def test_likeness_is_the_formula_at_every_shift():
-    from jaxnarx.data.repeats import _courses, likeness_of
+    from jaxnarx.data.repeated_cycles import _courses, likeness_of
 
     rng = np.random.default_rng(0)
     us = [staircase(rng, n) + 0.3 * k for k, n in enumerate((90, 70))]
@@ -75,7 +75,7 @@ def test_likeness_is_the_formula_at_every_shift():
 
 def test_the_chance_is_the_scatter_of_independent_records():
     """Two hundred pairs of random steps: mean square likeness without a shift."""
-    from jaxnarx.data.repeats import _courses, likeness_of
+    from jaxnarx.data.repeated_cycles import _courses, likeness_of
 
     rng = np.random.default_rng(1)
     values, told = [], []

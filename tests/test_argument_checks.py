@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
+from jaxnarx.argument_checks import guarded
 from jaxnarx.errors import JaxnarxError, SpecError
-from jaxnarx.guard import guarded
 
 ROOMS = {
     "evaluation": "cost pareto",

@@ -29,7 +29,7 @@ CONSTANT = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Task:
+class TrainingData:
     """A dataset prepared for runs of one network: the loss is mean squared NRMSE."""
 
     drive: RunInputs
@@ -43,11 +43,13 @@ class Task:
             return jax.device_put(first_anchor(self.masks))
         return jax.device_put(window_anchors(self.masks, horizon))
 
-    def only(self, rows: Bool[np.ndarray, "records time"]) -> "Task":
+    def only(self, rows: Bool[np.ndarray, "records time"]) -> "TrainingData":
         """The same task with weight on these samples alone; shapes stay."""
         return self._scoring(self.masks.scored & rows[:, :, None])
 
-    def without(self, rows: Bool[np.ndarray, "records time"], history: int) -> "Task":
+    def without(
+        self, rows: Bool[np.ndarray, "records time"], history: int
+    ) -> "TrainingData":
         """The same task as if the outputs had not been measured at `rows`.
 
         They have no weight, and no run begins within `history` samples after them.
@@ -70,7 +72,9 @@ class Task:
         )
         return dataclasses.replace(self, masks=masks)._scoring(scored)
 
-    def _scoring(self, scored: Bool[np.ndarray, "records time outputs"]) -> "Task":
+    def _scoring(
+        self, scored: Bool[np.ndarray, "records time outputs"]
+    ) -> "TrainingData":
         """Weight where samples are `scored`, as much in all for every output."""
         own = np.asarray(self.weight)
         weight = np.where(scored, own, 0.0)
@@ -80,12 +84,12 @@ class Task:
         masks = dataclasses.replace(self.masks, scored=scored)
         return dataclasses.replace(self, weight=weight, masks=masks)
 
-    def begun(self, network: Network) -> "Task":
+    def begun(self, network: Network) -> "TrainingData":
         """The same task with what hidden channels of `network` best start from."""
         start = jax.device_put(self.masks.start)
         return dataclasses.replace(self, drive=begun(network, self.drive, start))
 
-    def one_step(self) -> "Task":
+    def one_step(self) -> "TrainingData":
         """The same task, counting samples with a complete measured history alone."""
         ready = self.masks.anchors[:, :, None]
         weight = jax.device_put(np.where(ready, np.asarray(self.weight), 0.0))
@@ -108,7 +112,7 @@ def make_task(
     corner: float | int = 0.2,
     box_cox: float | int | Mapping[str, float | int] = 1.0,
     window: int = 0,
-) -> tuple[Task, Float[np.ndarray, " outputs"]]:
+) -> tuple[TrainingData, Float[np.ndarray, " outputs"]]:
     """Prepare `data`, or take them as they are prepared; residuals are divided by the
     outputs' standard deviation in them.
 
@@ -144,7 +148,7 @@ def make_task(
     total = np.where(total > 0, total, 1.0)
     weight = share / (total * spread**2 * len(network.modelled))[None, None]
     weight = jax.device_put(weight.astype(spread.dtype))
-    return Task(drive, masks, weight, criterion), spread
+    return TrainingData(drive, masks, weight, criterion), spread
 
 
 def require_window(network: Network, data: Dataset | Prepared) -> None:
@@ -180,7 +184,7 @@ def record_weights(
     return value
 
 
-def require_motion(network: Network, task: Task) -> None:
+def require_motion(network: Network, task: TrainingData) -> None:
     """`DataError` where a modelled output is constant over all samples that count."""
     for o, name in enumerate(network.computed_names):
         counted = np.asarray(task.drive.measured)[..., o][task.masks.scored[..., o]]

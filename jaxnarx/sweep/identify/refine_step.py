@@ -38,7 +38,7 @@ from jaxnarx.refinement import (
 )
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
-from jaxnarx.sweep.identify.member import Part
+from jaxnarx.sweep.identify.engine_data import Part
 from jaxnarx.sweep.identify.score import counted
 from jaxnarx.sweep.identify.settings import Settings
 
@@ -46,7 +46,7 @@ FULL = 2**30
 """A window longer than any record."""
 
 
-class TrainingData(eqx.Module):
+class EngineTraining(eqx.Module):
     """What a refinement reads and never changes.
 
     `weight` makes mean squared NRMSE of the training errors, `guard_weight` of those of
@@ -127,31 +127,31 @@ def schedule(method: SimulationError | PredictionError, steps: int) -> Turn:
 
 
 def active(
-    ground: TrainingData, turns: Turn, settings: Settings
+    data: EngineTraining, turns: Turn, settings: Settings
 ) -> Bool[Array, " turns"]:
     """Which turns a case makes: windows shorter than the longest record, and on full
     records its own number of steps, of coefficients alone where it is staged.
     """
     room = jnp.asarray(settings.steps)
-    scored = jnp.any(jnp.asarray(ground.part.scored), axis=2)
+    scored = jnp.any(jnp.asarray(data.part.scored), axis=2)
     longest = jnp.max(jnp.sum(scored, axis=1))
-    full = (turns.last | ground.staged) & (turns.step <= room)
+    full = (turns.last | data.staged) & (turns.step <= room)
     short = turns.horizon < longest
     own = jnp.where(turns.last | (turns.horizon == FULL), full, short)
     # Windows are no use to a case without any step on full records.
-    return own & jnp.any(ground.moving) & (room > 0)
+    return own & jnp.any(data.moving) & (room > 0)
 
 
 def train(
-    ground: TrainingData, u: Float[Array, " params"], settings: Settings, turns: Turn
+    data: EngineTraining, u: Float[Array, " params"], settings: Settings, turns: Turn
 ) -> Trained:
     """Run the whole schedule from `u`, and where nothing that runs is found, once more
     with shrunk feedback.
     """
-    start = ground.validate(u)
+    start = data.validate(u)
     begin = begin_search(begin_levenberg(u), start)
     begin = jax.tree.map(jnp.asarray, begin)
-    made = active(ground, turns, settings)
+    made = active(data, turns, settings)
     # Only the turns that are made, so that the others cost nothing side by side either.
     order, count = jnp.argsort(~made, stable=True), jnp.sum(made)
 
@@ -162,7 +162,7 @@ def train(
         c = jax.lax.cond(
             c.ended & (turn.step > 0),
             lambda: c,
-            lambda: advanced(ground, c, turn, settings),
+            lambda: advanced(data, c, turn, settings),
         )
         reached = c.best.score.loss
         return c, loss.at[at].set(c.state.loss), judged.at[at].set(reached)
@@ -172,7 +172,7 @@ def train(
         factor, u, runs = jax.lax.cond(
             tried == 0,
             lambda: (jnp.ones_like(start.loss), begin.state.u, jnp.asarray(True)),
-            lambda: _shrunk(ground, begin.state.u),
+            lambda: _shrunk(data, begin.state.u),
         )
         c = eqx.tree_at(lambda c: c.state.linear.u, c, u)
         most = jnp.where(runs, count, 0)
@@ -196,7 +196,7 @@ def train(
     return Trained(best.u, start, best.score, end.steps, loss, judged, factor)
 
 
-def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
+def _shrunk(data: EngineTraining, u: Float[Array, " params"]):
     """The first factor on the feedback whose free run does not diverge, that start, and
     whether there is one.
     """
@@ -204,8 +204,8 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
 
     def smaller(carry):
         n, _, _ = carry
-        v = shrunk(ground.layout, u, factors[n])
-        return n + 1, v, ~ground.validate(v).diverged
+        v = shrunk(data.layout, u, factors[n])
+        return n + 1, v, ~data.validate(v).diverged
 
     n, v, runs = jax.lax.while_loop(
         lambda c: ~c[2] & (c[0] < len(FEEDBACK_FACTORS)),
@@ -216,7 +216,7 @@ def _shrunk(ground: TrainingData, u: Float[Array, " params"]):
 
 
 def advanced(
-    ground: TrainingData, c: SearchState, turn: Turn, settings: Settings
+    data: EngineTraining, c: SearchState, turn: Turn, settings: Settings
 ) -> SearchState:
     """One turn: the first of a stage evaluates its start, the others make a step."""
     fresh = turn.step == 0
@@ -226,5 +226,5 @@ def advanced(
     c = dataclasses.replace(c, state=select_tree(fresh, again, c.state))
     patience = jnp.where(turn.last, settings.patience, NEVER)
     rules = StoppingRules(settings.tolerance, patience)
-    problem = ground.problem(turn, jnp.asarray(settings.ridge))
-    return advance(Levenberg(problem), ground.validate, rules, c)
+    problem = data.problem(turn, jnp.asarray(settings.ridge))
+    return advance(Levenberg(problem), data.validate, rules, c)
