@@ -28,7 +28,7 @@ PLAIN = ("builtins", "numpy", "pathlib", "jaxlib", "jax")
 """Packages none of whose objects is a method."""
 
 
-def guarded(verb: F) -> F:
+def guard_arguments(verb: F) -> F:
     """`verb`, which refuses with a `SpecError` what its annotations do not allow.
 
     Held to them are arguments that take objects of this package, alone or in lists and
@@ -38,7 +38,7 @@ def guarded(verb: F) -> F:
     return typing.cast(F, _guard(verb, verb.__name__))
 
 
-def guarded_fields(noun: C) -> C:
+def guard_fields(noun: C) -> C:
     """A class whose constructor is held to the annotations of its fields likewise."""
     vars(noun)["__init__"]  # its own: one that is inherited would be guarded for others
     noun.__init__ = _guard(noun.__init__, noun.__name__)
@@ -67,7 +67,7 @@ def require_fit(called: str, name: str, value: Any, wanted: Any) -> None:
     if not is_fit(value, wanted):
         raise SpecError(
             f"{called}: {name} is {_what(value)}, but must be "
-            f"{_listed(wanted)}{_advice(value)}",
+            f"{_describe_annotation(wanted)}{_advice(value)}",
             field=name,
         )
 
@@ -203,10 +203,10 @@ def _what(value: Any) -> str:
     return f"of type {type(value).__name__}{shown[:60]}"
 
 
-def _listed(wanted: Any) -> str:
+def _describe_annotation(wanted: Any) -> str:
     """An annotation in words."""
     if typing.get_origin(wanted) in (typing.Union, types.UnionType):
-        words = [_listed(each) for each in typing.get_args(wanted)]
+        words = [_describe_annotation(each) for each in typing.get_args(wanted)]
         return " or ".join(dict.fromkeys(words))
     if wanted is type(None):
         return "None"
@@ -220,7 +220,7 @@ def _listed(wanted: Any) -> str:
     if origin is typing.Literal:
         return " or ".join(map(repr, inner))
     name = getattr(origin or wanted, "__name__", str(wanted))
-    return f"{name} of {_listed(inner[-1])}" if inner and origin else name
+    return f"{name} of {_describe_annotation(inner[-1])}" if inner and origin else name
 
 
 def _advice(value: Any) -> str:

@@ -20,7 +20,7 @@ def require(holds: bool, field: str, message: str) -> None:
         raise SpecError(message, field=field)
 
 
-def known_name(name: Any, names: Iterable[str], field: str, told: str = "") -> Any:
+def require_known(name: Any, names: Iterable[str], field: str, told: str = "") -> Any:
     """`name` if it is one of `names`; else what was `told`, and the nearest of them."""
     names = list(names)
     if not _is_among(name, names):

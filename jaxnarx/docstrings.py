@@ -33,7 +33,7 @@ def field_texts(settings: type) -> dict[str, str]:
     return found
 
 
-def documented(settings: type) -> str:
+def document_fields(settings: type) -> str:
     """The class's own words, and an `Args:` section of its fields, for `help()`."""
     node = _classes(settings.__module__).get(settings.__name__)
     # As written: what this returns may be the documentation already.
@@ -56,4 +56,4 @@ def documented(settings: type) -> str:
 def document(*settings: type) -> None:
     """Let `help()` tell what the fields are, for classes that a room offers."""
     for kind in settings:
-        kind.__doc__ = documented(kind)
+        kind.__doc__ = document_fields(kind)

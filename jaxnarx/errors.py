@@ -19,7 +19,7 @@ class JaxnarxError(ValueError):
     """
 
     def __init__(self, message: str = ""):
-        super().__init__(printable(_shortened(message)))
+        super().__init__(printable(_shorten(message)))
 
 
 class DataError(JaxnarxError):
@@ -74,13 +74,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     """`text` without the middle of words that no one reads."""
     return re.sub(r"(\S{200})\S{200,}(\S{50})", r"\1...\2", str(text))
 
 
 @contextlib.contextmanager
-def reading(
+def guard_reading(
     path: object,
     kind: str = "a data file",
     *,

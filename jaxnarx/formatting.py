@@ -21,7 +21,7 @@ def brief(self: Any) -> str:
     return f"<{kind}: {text}>"
 
 
-def aligned(
+def align_columns(
     lines: Iterable[Sequence[str]], left: Sequence[bool] | None = None
 ) -> list[str]:
     """Cells in columns; text left (by default the first column), figures right."""

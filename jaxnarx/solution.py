@@ -79,7 +79,7 @@ class Solution(eqx.Module, Generic[T]):
         """How it ended, then the value as it prints, then figures about the way."""
         if isinstance(code(self.status), Tracer):
             return repr(self)
-        parts = [_ending(self), str(self.value), _figures(self.stats)]
+        parts = [_describe_ending(self), str(self.value), _figures(self.stats)]
         return "\n".join(part for part in parts if part)
 
     _repr_html_ = page
@@ -157,7 +157,7 @@ def tell_precision(verb: F) -> F:
     return cast(F, call)
 
 
-def _ending(solution: Solution) -> str:
+def _describe_ending(solution: Solution) -> str:
     """Status and detail; of a batch, how many members have which."""
     codes = np.asarray(code(solution.status))
     if codes.ndim:

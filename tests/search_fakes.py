@@ -10,7 +10,7 @@ import numpy as np
 from jaxnarx.data import Dataset
 from jaxnarx.identification import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
-from jaxnarx.models import Network, assemble, global_model, merged
+from jaxnarx.models import Network, assemble, combine_outputs, global_model
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.solution import RESULTS, Solution
 
@@ -149,5 +149,5 @@ class FakeSearch:
         status = RESULTS.budget_spent if stopped else RESULTS.ok
         status = RESULTS.diverged if self.vetoed else status
         stats = {"leaderboard": found, "look": {o: {"memory": 9} for o in outputs}}
-        network = merged([store.network(r.number) for r in rows])
+        network = combine_outputs([store.network(r.number) for r in rows])
         return Solution(network, status, stats, "so it ended")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import JaxnarxError, SpecError
 
 ROOMS = {
@@ -170,7 +170,7 @@ def test_own_settings_and_subclasses_pass():
     def plain(data: jnx.Dataset, method: jnx.ForwardOLS | jnx.StepwiseF, k: int = 1):
         return method
 
-    verb: Any = guarded(plain)
+    verb: Any = guard_arguments(plain)
     data, own = nouns()["Dataset"], Lasso()
     assert verb(data, own) is own
     assert verb(data, jnx.StepwiseF(), k=np.int64(3))
@@ -183,7 +183,7 @@ def test_own_settings_and_subclasses_pass():
 def test_verbs_are_themselves_under_transforms_and_in_pickles():
     network = common.named("one model")
 
-    @guarded
+    @guard_arguments
     def scaled(network: jnx.Network, by: int = 2):
         return network.gain * by
 

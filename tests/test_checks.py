@@ -6,10 +6,10 @@ import pytest
 from jaxnarx.checks import (
     choice,
     finite,
-    known_name,
     not_negative,
     positive,
     require,
+    require_known,
     span,
     whole,
 )
@@ -27,7 +27,7 @@ from jaxnarx.errors import SpecError
         (not_negative(0, "x"), 0.0),
         (span((1, 1), "x"), (1.0, 1.0)),
         (choice("b", ("a", "b"), "x"), "b"),
-        (known_name("b", ["a", "b"], "x"), "b"),
+        (require_known("b", ["a", "b"], "x"), "b"),
     ],
 )
 def test_what_fits_comes_back(passed, value):
@@ -50,8 +50,11 @@ def test_what_fits_comes_back(passed, value):
         (lambda: span((2, 1), "n"), "n must be (low, high)"),
         (lambda: choice("c", ("a", "b"), "n"), "n must be one of 'a', 'b', got 'c'"),
         (lambda: choice("foward", ("forward", "b"), "n"), "Did you mean 'forward'?"),
-        (lambda: known_name("sped", ["speed"], "n"), "unknown n 'sped'. Did you mean"),
-        (lambda: known_name("x", ["a"], "n", "no x"), "no x. Known names: a."),
+        (
+            lambda: require_known("sped", ["speed"], "n"),
+            "unknown n 'sped'. Did you mean",
+        ),
+        (lambda: require_known("x", ["a"], "n", "no x"), "no x. Known names: a."),
         (lambda: require(False, "n", "so"), "so"),
     ],
 )

@@ -7,7 +7,7 @@ import tomllib
 import pyarrow as pa
 import pytest
 
-from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, ModelFileError, SpecError, guard_reading
 
 DEEP = "[" * 100_000
 
@@ -32,7 +32,7 @@ DEEP = "[" * 100_000
 @pytest.mark.parametrize("error", [DataFileError, ModelFileError])
 def test_whatever_a_parser_raises_names_the_file_and_what_to_do(parse, error):
     with pytest.raises(error) as caught:
-        with reading("a.x", "an X file", error=error, advice="Do this."):
+        with guard_reading("a.x", "an X file", error=error, advice="Do this."):
             parse()
     assert caught.value.path == "a.x" and caught.value.__cause__ is not None
     said = str(caught.value)
@@ -42,7 +42,7 @@ def test_whatever_a_parser_raises_names_the_file_and_what_to_do(parse, error):
 
 def test_a_file_that_cannot_be_opened_says_why(tmp_path):
     with pytest.raises(DataFileError, match=r"cannot be opened \(No such file"):
-        with reading(tmp_path / "a"):
+        with guard_reading(tmp_path / "a"):
             open(tmp_path / "a")
 
 
@@ -51,6 +51,6 @@ def test_a_file_that_cannot_be_opened_says_why(tmp_path):
 )
 def test_own_errors_interrupts_and_lack_of_memory_pass_as_they_are(own):
     with pytest.raises(type(own)) as caught:
-        with reading("a"):
+        with guard_reading("a"):
             raise own
     assert caught.value is own

@@ -11,7 +11,15 @@ import pytest
 from test_architecture import modules, parsed
 
 import jaxnarx as jnx
-from jaxnarx.formatting import aligned, brief, count, page, ratio_text, some, span_text
+from jaxnarx.formatting import (
+    align_columns,
+    brief,
+    count,
+    page,
+    ratio_text,
+    some,
+    span_text,
+)
 from jaxnarx.identification import Candidate, Leaderboard
 from jaxnarx.sweep import SweepTable
 
@@ -91,7 +99,7 @@ def test_huge_values_are_told_without_overflow():
 def test_long_lists_are_cut_and_say_so():
     assert some(["a", "b", "c"], 2) == ["a", "b", "c"]
     assert some(list("abcd"), 2) == ["a", "b", "  and 2 more"]
-    assert aligned([("a", "1"), ("bcd", "20")]) == ["a     1", "bcd  20"]
+    assert align_columns([("a", "1"), ("bcd", "20")]) == ["a     1", "bcd  20"]
 
 
 def test_a_solution_tells_how_it_ended():

@@ -6,7 +6,7 @@ import numpy as np
 from beds import BEDS
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import BLUE, GREY, ORANGE, canvas, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, ORANGE, canvas, plain, use_style
 
 Row = dict[str, Any]
 COLOURS = {"engine": BLUE, "noise": ORANGE, "excitation": GREY}
@@ -30,7 +30,7 @@ def draw_terms(found: dict[str, Any]) -> Figure:
     """Shares of the terms chosen most often."""
     count = len(found)
     lines, columns = -(-count // 2), min(2, count)
-    with styled():
+    with use_style():
         figure, axes = canvas(8.0, 2.3 * lines + 0.4, rows=lines, columns=columns)
         for axis, (bed, answers) in zip(axes, found.items(), strict=False):
             share = dict(list(answers["terms"]["share"].items())[:SHOWN])
@@ -53,7 +53,7 @@ def draw_terms(found: dict[str, Any]) -> Figure:
 def draw_partitions(rows: list[Row], beds: list[str]) -> Figure:
     """Refined centres, one panel for each group and bed, as many members in each."""
     shared = {"sharex": True, "sharey": True}
-    with styled():
+    with use_style():
         figure, axes = canvas(8.0, 5.6, rows=3, columns=len(beds), **shared)
         for n, (group, colour) in enumerate(COLOURS.items()):
             for axis, bed in zip(axes[n * len(beds) :], beds, strict=False):
@@ -77,7 +77,7 @@ def draw_partitions(rows: list[Row], beds: list[str]) -> Figure:
 def draw_transfer(rows: list[Row]) -> Figure:
     """Test error with another's structure over that with the own one."""
     beds = list(dict.fromkeys(r["bed"] for r in rows))
-    with styled():
+    with use_style():
         figure, axes = canvas(8.0, 3.2, columns=len(beds), sharey=True)
         for axis, bed in zip(axes, beds, strict=True):
             score = {

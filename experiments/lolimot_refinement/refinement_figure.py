@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, use_style
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
 from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -25,7 +25,7 @@ def draw(rows: list[dict[str, Any]], start: str) -> Figure:
     ways = sorted({r["how"] for r in own}, key=lambda how: (how != start, _way(how)))
     columns = min(3, len(problems))
     deep = -(-len(problems) // columns)
-    with styled():
+    with use_style():
         size = (max(4.0, 1.2 + 2.7 * columns), 0.5 + (0.6 + 0.16 * len(ways)) * deep)
         figure, axes = canvas(*size, rows=deep, columns=columns, sharey=True)
         for ax, problem in zip(axes, problems, strict=False):

@@ -16,7 +16,7 @@ from jaxnarx.shell.figures.style import (
     ORANGE,
     RED,
     canvas,
-    styled,
+    use_style,
 )
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
@@ -45,7 +45,7 @@ KINDS = ("lolimot", "tree", "scattered", "random", "cluster")
 def draw_curves(curves: list[dict[str, Any]]) -> Figure:
     """Median test free run over the number of models, a panel for every problem."""
     problems = list(dict.fromkeys(c["problem"] for c in curves))
-    with styled():
+    with use_style():
         figure, axes = _panels(problems)
         for ax, problem in zip(axes, problems, strict=False):
             for (partition, train), (color, line) in LINES.items():
@@ -78,7 +78,7 @@ def draw_starts(rows: list[dict[str, Any]], best: str) -> Figure:
     sizes = {r["models"] for r in rows if r["partition"] == "random"}
     own = [r for r in rows if r["train"] == "staged" and r["models"] in sizes]
     problems = list(dict.fromkeys(r["problem"] for r in own))
-    with styled():
+    with use_style():
         figure, axes = _panels(problems, sharey=True)
         for ax, problem in zip(axes, problems, strict=False):
             here = [r for r in own if r["problem"] == problem]

@@ -231,7 +231,7 @@ def figure(drawn, path: Path) -> None:
     found, y, measured = drawn
     shown = slice(0, 250)
     at = np.arange(len(y))[shown] * 0.1
-    with style.styled():
+    with style.use_style():
         canvas, (top, below) = style.canvas(8.5, 4.6, rows=2, sharex=True)
         low, high = found.measured_lower[0][shown, 0], found.measured_upper[0][shown, 0]
         top.fill_between(at, low, high, color=style.SKY, alpha=0.35, lw=0)

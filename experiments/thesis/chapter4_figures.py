@@ -34,7 +34,7 @@ from jaxnarx.shell.figures.style import (
     RED,
     canvas,
     plain,
-    styled,
+    use_style,
 )
 
 WINDOW = 1200
@@ -46,7 +46,7 @@ SPEED, ERROR, EVENT = "speed [rpm]", "error [rpm]", "event of 180°"
 
 def draw_data(data: jnx.Dataset) -> matplotlib.figure.Figure:
     """Duty and speed of the records to identify and to validate (4.1, 4.2)."""
-    with styled():
+    with use_style():
         shared: dict[str, Any] = {"sharex": True, "sharey": "row"}
         figure, axes = canvas(10, 4.2, rows=2, columns=2, **shared)
         for n, name in enumerate(PARTS[:2]):
@@ -71,7 +71,7 @@ def draw_coherence(
     """
     expected = check.expected_coherence
     noisy = np.logical_or.accumulate(expected < 0.5)
-    with styled():
+    with use_style():
         figure, axes = canvas(6.4, 2.8)
         ax = axes[0]
         ax.plot(found.frequency, found.coherence, color=BLUE, label="measured")
@@ -107,7 +107,7 @@ def draw_orders(search: OrderSearch) -> matplotlib.figure.Figure:
     """
     frontier = search.frontier
     count, left = search.parameters[frontier], search.unexplained[frontier]
-    with styled():
+    with use_style():
         figure, axes = canvas(6.4, 3.2)
         ax = axes[0]
         ax.bar(count, left, color="#c9d1d9", width=0.8)
@@ -149,7 +149,7 @@ def draw_runs(
 ) -> matplotlib.figure.Figure:
     """Measured speed and free runs in the first events, and their errors below."""
     shown = slice(START, START + WINDOW)
-    with styled():
+    with use_style():
         figure, (top, low) = canvas(10, 4.8, rows=2, sharex=True)
         place = PARTS.index(part)
         y = data.records[place].y[shown, 0]
@@ -173,7 +173,7 @@ def draw_algorithms(
     """How far free runs are from that of QR (4.6); no distance stands at 1e-15."""
     speed = data.records[1].y[START:, 0]
     names = list(found)
-    with styled():
+    with use_style():
         shared: dict[str, Any] = {"sharey": True, "sharex": True}
         figure, axes = canvas(10, 3.4, columns=len(names), **shared)
         for ax, name in zip(axes, names, strict=True):
@@ -221,7 +221,7 @@ def draw_residual(
     names = (STRUCTURE, SQUARES, SQUARES + REFINED)
     colours = dict(zip(names, (GREY, BLUE, GREEN), strict=True))
     speed = data.records[1].y[START:, 0]
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 5.6, rows=2, columns=2)
         for mode, time, point in zip(MODES, axes[:2], axes[2:], strict=True):
             shown = FEW if mode == "one_step" else len(speed)
@@ -264,7 +264,7 @@ def draw_fits(rows: Sequence[Mapping[str, Any]]) -> matplotlib.figure.Figure:
     """Fit ratio of every model on the unseen record, every seed a dot."""
     names = list(dict.fromkeys(row["model"] for row in rows))
     colours = {"one_step": GREY, "free_run": BLUE}
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 3.8, columns=2)
         for ax, mode in zip(axes, MODES, strict=True):
             for place, name in enumerate(names):

@@ -6,7 +6,7 @@ from chapter5_tables import MODES
 from matplotlib.axes import Axes
 
 from jaxnarx import Channel
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, ORANGE, RED, canvas, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, ORANGE, RED, canvas, use_style
 
 COLORS = {"one_step": GREY, "free_run": BLUE}
 
@@ -15,7 +15,7 @@ def draw_prediction(
     channel: Channel, models: dict[str, dict]
 ) -> matplotlib.figure.Figure:
     """Unseen output and the errors of CORR and ERR, one step ahead and free."""
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 4.8, rows=2, columns=2, sharex=True, sharey="row")
         for column, mode in enumerate(MODES):
             top, low = axes[column], axes[2 + column]
@@ -37,7 +37,7 @@ def draw_prediction(
 
 def draw_spread(outputs: dict[str, list[dict]]) -> matplotlib.figure.Figure:
     """Share of the unseen variance that is not explained, every seed a dot."""
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 3.6, columns=2, sharey=True)
         for ax, (output, seeds) in zip(axes, outputs.items(), strict=True):
             _dots(ax, seeds)

@@ -14,7 +14,7 @@ from jaxnarx.shell.figures.style import (
     PURPLE,
     RED,
     canvas,
-    styled,
+    use_style,
 )
 
 STRUCTURES = {
@@ -30,7 +30,7 @@ LOWEST = 0.0
 def draw_sizes(found: Sequence[dict]) -> Figure:
     """Median fit of the free run on validation: by regressors, by multiplications."""
     outputs = list(dict.fromkeys(row["output"] for row in found))
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 6.2, rows=2, columns=len(outputs), sharey="col")
         for column, output in enumerate(outputs):
             rows = [row for row in found if row["output"] == output]
@@ -86,7 +86,7 @@ def draw_models(found: Sequence[dict], thesis: int) -> Figure:
     """NMSE (6.8) by the number of local models, medians over seeds."""
     names = list(dict.fromkeys(row["series"] for row in found))
     modes = {"one_step": "one step ahead", "free_run": "free run"}
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 3.4, columns=len(modes))
         for ax, (mode, title) in zip(axes, modes.items(), strict=True):
             for name, color in zip(names, MODELS, strict=False):
@@ -125,7 +125,7 @@ ALONE = {
 def draw_forward(found: Sequence[dict], thesis: dict[str, dict[str, float]]) -> Figure:
     """Figure 7.6: R2 of the free run by the number of regions, medians over seeds."""
     colors = {"F": BLUE, "ERR": ORANGE}
-    with styled():
+    with use_style():
         figure, axes = canvas(10, 4.4, columns=len(thesis))
         for ax, (output, printed) in zip(axes, thesis.items(), strict=True):
             rows = [row for row in found if row["output"] == output]

@@ -61,7 +61,7 @@ from neural import Budget
 import jaxnarx as jnx
 from jaxnarx.engines import Gtdi, records
 from jaxnarx.engines.delays import lagging_speed
-from jaxnarx.engines.gtdi import scheduled
+from jaxnarx.engines.gtdi import schedule_inputs
 from jaxnarx.excitation import aprbs
 from jaxnarx.models import SigmoidTree
 from jaxnarx.shell.figures.style import save
@@ -106,7 +106,7 @@ def excite(key, length: int):
     ]
     target = aprbs(keys[3], length, hold=SPEED_HOLD, amplitude=SPEEDS)
     speed = lagging_speed(target, degrees=180.0, slowest=SPEEDS[0], lag=0.5)
-    return scheduled(Gtdi(), jnp.stack([*signals, speed], axis=1))[0]
+    return schedule_inputs(Gtdi(), jnp.stack([*signals, speed], axis=1))[0]
 
 
 def bench(seed: int, length: int) -> dict[str, jnx.Dataset]:

@@ -14,7 +14,7 @@ import numpy as np
 import jaxnarx as jnx
 from jaxnarx.engines import Gtdi
 from jaxnarx.engines.delays import lagging_speed
-from jaxnarx.engines.gtdi import scheduled
+from jaxnarx.engines.gtdi import schedule_inputs
 from jaxnarx.excitation import aprbs
 
 DOWN = 4
@@ -53,7 +53,7 @@ def excite(key: Any, length: int) -> np.ndarray:
     speed = lagging_speed(
         jnp.repeat(target, DOWN), degrees=180.0, slowest=SPEEDS[0], lag=0.5
     )
-    u = np.array(scheduled(Gtdi(), jnp.stack([*signals, speed], axis=1))[0])
+    u = np.array(schedule_inputs(Gtdi(), jnp.stack([*signals, speed], axis=1))[0])
     u[:, 1:3] = np.repeat(u[::DOWN, 1:3], DOWN, axis=0)
     return u
 

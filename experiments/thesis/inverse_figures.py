@@ -17,7 +17,7 @@ from jaxnarx.shell.figures.style import (
     RED,
     canvas,
     plain,
-    styled,
+    use_style,
 )
 
 ROW = 1.25
@@ -38,7 +38,7 @@ def traces(
     time: Float[np.ndarray, " time"], panels: Sequence[Panel], title: str = ""
 ) -> Figure:
     """Panels under each other over a common time [s], with one legend a panel."""
-    with styled():
+    with use_style():
         height = 0.5 + ROW * len(panels)
         figure, axes = canvas(9.0, height, rows=len(panels), sharex=True)
         for ax, panel in zip(axes, panels, strict=True):
@@ -72,7 +72,7 @@ def unity(found: Mapping[str, Any]) -> Figure:
     """
     values = list(found.values())
     targets = values[0].target_names
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 5.0, rows=2, columns=len(targets))
         for i, target in enumerate(targets):
             top, low = axes[i], axes[len(targets) + i]
@@ -114,7 +114,7 @@ def gain_signs(
     title: str = "",
 ) -> Figure:
     """Where gains are positive and where negative, over two channels, side by side."""
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 3.4, columns=len(gains), sharey=True)
         for ax, (name, gain) in zip(axes, gains.items(), strict=True):
             for mark, color, flag in (("o", BLUE, gain < 0), ("^", RED, gain > 0)):
@@ -142,7 +142,7 @@ def authority(
     bins = np.digitize(late, edges)
     used = [b for b in np.unique(bins) if np.sum(bins == b) >= 5]
     middle = np.array([late[bins == b].mean() for b in used])
-    with styled():
+    with use_style():
         figure, (left, right) = canvas(9.0, 3.0, columns=2)
         left.plot(late, torque, ".", ms=2, color=BLUE)
         left.axhline(0.0, color=INK, lw=0.6)

@@ -48,7 +48,7 @@ import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.metrics import scores
-from jaxnarx.shell.figures.style import BLUE, INK, canvas, save, styled, tone
+from jaxnarx.shell.figures.style import BLUE, INK, canvas, save, tone, use_style
 from jaxnarx.simulation import Trajectories
 
 NAME = "multi_model_figures"
@@ -65,7 +65,7 @@ def draw_channels(data: jnx.Dataset) -> Figure:
     """Every signal of the first record, one below the other."""
     (first,) = data.records
     values = np.concatenate([first.u, first.y], axis=1)
-    with styled():
+    with use_style():
         height = 0.9 * values.shape[1] + 0.6
         figure, axes = canvas(9.0, height, rows=values.shape[1], sharex=True)
         for ax, channel, x in zip(axes, data.channels.all, values.T, strict=True):
@@ -78,7 +78,7 @@ def draw_channels(data: jnx.Dataset) -> Figure:
 
 def draw_estimates(found: Sequence[Estimates]) -> Figure:
     """Measurement and model on unseen records, with R2, one below the other."""
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 1.7 * len(found) + 0.4, rows=len(found))
         for ax, (channel, title, y, run, counts) in zip(axes, found, strict=True):
             r2 = scores(y[:, None], run[:, None], counts[:, None])["r2"][0]
@@ -95,7 +95,7 @@ def draw_estimates(found: Sequence[Estimates]) -> Figure:
 def draw_process(stages: Sequence[jnx.Network], data: jnx.Dataset) -> Figure:
     """The model that leads at every place, after each split."""
     entries = [describe_partition(stage, data=data)["TRQ"] for stage in stages]
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 2.6, columns=len(entries), sharex=True, sharey=True)
         for n, (ax, entry) in enumerate(zip(axes, entries, strict=True)):
             weights = np.asarray(entry["after"]["weights"])

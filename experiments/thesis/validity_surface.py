@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.models import Network
-from jaxnarx.shell.figures.style import canvas, plain, styled, tone
+from jaxnarx.shell.figures.style import canvas, plain, tone, use_style
 
 FINENESS = 81
 """Points a side, at most: a surface is drawn face by face."""
@@ -20,7 +20,7 @@ def validity_surface(network: Network) -> Figure:
     """The largest weight over two scheduling variables, in the colour of its model."""
     entry = next(iter(describe_partition(network).values()))
     first, second = (plain(name) for name in entry["scheduling"])
-    with styled():
+    with use_style():
         figure, (ax,) = canvas(5.4, 4.2, subplot_kw={"projection": "3d"})
         _surface(ax, entry["ranges"], np.asarray(entry["after"]["weights"], float))
         ax.set(xlabel=first, ylabel=second, zlabel="validity")

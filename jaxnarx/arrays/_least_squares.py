@@ -92,7 +92,7 @@ def solve_least_squares(
     elif algorithm in ("qr", "svd"):
         factorise = _qr if algorithm == "qr" else _svd
         f = factorise(a, target, rest, small if cutoff is None else cutoff)
-        theta = _refined(a, target, f, refinements)
+        theta = _refine_solution(a, target, f, refinements)
         fit = LeastSquaresFit(theta, f.rank, f.condition, f.inverse)
     else:
         raise ValueError(
@@ -112,7 +112,7 @@ def _qr(a, target, rest, cut) -> Factors:
     q, r = jnp.linalg.qr(jnp.concatenate([a, target[:, None]], axis=1))
     r, moment = r[:k, :k], r[:k, k]
     u, s, vt = jnp.linalg.svd(r * rest[None], full_matrices=False)
-    keep, rank, condition = _judged(s, cut)
+    keep, rank, condition = _choose_rank(s, cut)
     shortest = rest[:, None] * (vt.T * _inverse(s, keep)[None]) @ u.T
     full = rank == k
     safe = jnp.where(full, r, jnp.eye(k, dtype=r.dtype))
@@ -132,7 +132,7 @@ def _qr(a, target, rest, cut) -> Factors:
 def _svd(a, target, rest, cut) -> Factors:
     """Singular value decomposition of the scaled columns themselves."""
     u, s, vt = jnp.linalg.svd(a * rest[None], full_matrices=False)
-    keep, rank, condition = _judged(s, cut)
+    keep, rank, condition = _choose_rank(s, cut)
     inverse = rest[:, None] * (vt.T * _inverse(s, keep)[None])
     return Factors(u, inverse, inverse @ (u.T @ target), rank, condition)
 
@@ -142,7 +142,7 @@ def _normal(a, target, rest, cut) -> LeastSquaresFit:
     gram, moment = a.T @ a, a.T @ target
     values, vectors = jnp.linalg.eigh(gram * rest[:, None] * rest[None])
     s = jnp.sqrt(jnp.maximum(values[::-1], 0.0))
-    keep, rank, condition = _judged(s, cut)
+    keep, rank, condition = _choose_rank(s, cut)
     root = rest[:, None] * vectors[:, ::-1] * _inverse(s, keep)[None]
     full = rank == len(s)
     safe = jnp.where(full, gram, jnp.diag(jnp.diagonal(gram)))
@@ -151,7 +151,7 @@ def _normal(a, target, rest, cut) -> LeastSquaresFit:
     return LeastSquaresFit(theta, rank, condition, root)
 
 
-def _judged(
+def _choose_rank(
     s: Float[Array, " terms"], cut: Float[Array, ""] | float
 ) -> tuple[Bool[Array, " terms"], Int[Array, ""], Float[Array, ""]]:
     """Singular values to keep, their number, and the condition number."""
@@ -165,7 +165,7 @@ def _inverse(s, keep):
     return jnp.where(keep, 1.0 / jnp.where(keep, s, 1.0), 0.0)
 
 
-def _refined(a, target, f: Factors, steps: int) -> Float[Array, " terms"]:
+def _refine_solution(a, target, f: Factors, steps: int) -> Float[Array, " terms"]:
     """Corrections from the residuals of r + A theta = y and A'r = 0 together.
 
     Correcting theta alone would round like the first solution, whose error grows with

@@ -95,14 +95,14 @@ def _group(variables: int, degree: int, start: int, stop: int) -> Group:
     """The product of all terms whose left (degree 2) or middle index is in a range."""
     middle, low, high = (start, stop), (0, stop), (start, variables)
     if degree == 2:
-        return Group((middle,), _widened(high, variables))
+        return Group((middle,), _widen_rows(high, variables))
     if degree == 4:
         pairs = _pairs_before(variables, variables)
         right = _pairs_before(start, variables), pairs
-        return Group((middle, low), _widened(right, pairs))
+        return Group((middle, low), _widen_rows(right, pairs))
     if stop <= variables - start:
-        return Group((middle, low), _widened(high, variables))
-    return Group((middle, high), _widened(low, variables), upper=True)
+        return Group((middle, low), _widen_rows(high, variables))
+    return Group((middle, high), _widen_rows(low, variables), upper=True)
 
 
 def _cost(group: Group) -> int:
@@ -110,7 +110,7 @@ def _cost(group: Group) -> int:
     return products + PACKING * group.width + GROUP
 
 
-def _widened(rows: Range, length: int) -> Range:
+def _widen_rows(rows: Range, length: int) -> Range:
     """`rows` made a multiple of `LANES` wide, inside `length` where there is room."""
     start, stop = rows
     width = -(-(stop - start) // LANES) * LANES
@@ -128,7 +128,7 @@ def plan(variables: int, degree: int) -> ContractionPlan:
     if not 1 <= degree <= 4:
         raise ValueError(f"degree must be 1 to 4, got {degree}")
     if degree == 1:
-        one = Group(((0, 1),), _widened((0, variables), variables))
+        one = Group(((0, 1),), _widen_rows((0, variables), variables))
         return ContractionPlan(variables, degree, (one,))
     best: list[tuple[float, tuple[Group, ...]]] = [(0.0, ())]
     for stop in range(1, variables + 1):

@@ -158,7 +158,7 @@ def begin_anew(s: LevenbergState, u: Vector) -> LevenbergState:
 
 def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
     fresh = s.status == NOT_RUN
-    found = _descended(problem, s, fresh)
+    found = _descend(problem, s, fresh)
 
     def accept() -> LevenbergState:
         linear = problem.linear(found.u)
@@ -195,7 +195,7 @@ def _outlook(linear: Linear) -> Int[Array, ""]:
     return jnp.where(jnp.all(jnp.isfinite(linear.gram)), status, DIVERGED)
 
 
-def _descended(
+def _descend(
     problem: AbstractProblem, s: LevenbergState, fresh: Bool[Array, ""]
 ) -> Trial:
     """Raise the damping until a trial is lower; a fresh start is taken as it is."""

@@ -51,16 +51,16 @@ def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...
     pairs = list(zip(leaves, flags, strict=True))
     static = tuple(ARRAY if flag else leaf for leaf, flag in pairs)
     # 1, 1.0 and True are equal, but make different programs.
-    compiled = _compiled(function, tree, static, tuple(map(type, static)))
+    compiled = _compile(function, tree, static, tuple(map(type, static)))
     return functools.partial(compiled, [leaf for leaf, flag in pairs if flag])
 
 
 @functools.lru_cache(maxsize=4096)
-def _compiled(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
+def _compile(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
     """The program of a function whose arrays are arguments, in one list."""
     del kinds
-    if next(_made) % LOOK == 0 and crowded():
-        _compiled.cache_clear()
+    if next(_made) % LOOK == 0 and is_crowded():
+        _compile.cache_clear()
         jax.clear_caches()
 
     @jax.jit
@@ -74,7 +74,7 @@ def _compiled(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Cal
     return run
 
 
-def crowded() -> bool:
+def is_crowded() -> bool:
     """Whether so many programs are held that there is little room for others."""
     try:
         with MAPS.open("rb") as maps:

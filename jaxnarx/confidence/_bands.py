@@ -8,19 +8,19 @@ import numpy as np
 import scipy.special
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence._uncertainty import Uncertainty
 from jaxnarx.confidence.enclosure import AbstractEnclosure
 from jaxnarx.confidence.information import variances
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, reported
+from jaxnarx.models import Network, report_outputs
 from jaxnarx.refinement import Layout
 from jaxnarx.simulation import (
     Prepared,
+    ensure_prepared,
     first_anchor,
     make_masks,
-    prepared,
     simulate,
 )
 from jaxnarx.solution import Solution
@@ -40,7 +40,7 @@ class Bands(AbstractEnclosure):
     deviation: tuple[Float[np.ndarray, "_ outputs"], ...]
 
 
-@guarded
+@guard_arguments
 def bands(
     network: Network,
     uncertainty: Uncertainty,
@@ -79,7 +79,7 @@ def bands(
     if not 0 < level < 1:
         raise SpecError(f"level must lie between 0 and 1, got {level}", field="level")
     _require_same(network, uncertainty)
-    runs, origin = prepared(network, data)
+    runs, origin = ensure_prepared(network, data)
     simulated = simulate(network, runs)
     data, batch = origin.matched, origin.batch
     masks = make_masks(network, batch)
@@ -162,7 +162,7 @@ def _bands(
         inner = np.maximum(free - half, np.minimum(low, free))
         outer = np.minimum(free + half, np.maximum(high, free))
         for end in (inner, outer):
-            end[first:] = reported(network, end, u)[0][first:]
+            end[first:] = report_outputs(network, end, u)[0][first:]
         parts = (inner, outer, y - noisy, y + noisy, deviation)
         for column, part in zip(columns, parts, strict=True):
             column.append(part)

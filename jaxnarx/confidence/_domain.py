@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence.domain_fit import feature_rows, layers_of
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page, span_text
 from jaxnarx.models import LAYERS, Network
-from jaxnarx.simulation import Prepared, fitting
+from jaxnarx.simulation import Prepared, match_records
 from jaxnarx.solution import RESULTS, Solution
 
 WORST = 10
@@ -104,7 +104,7 @@ class DomainIndex:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def domain(network: Network, data: Dataset | Prepared) -> Solution[DomainIndex]:
     """How far every sample of these records is outside of the network's training.
 
@@ -129,7 +129,7 @@ def domain(network: Network, data: Dataset | Prepared) -> Solution[DomainIndex]:
             "one to the records of its training",
             field="network",
         )
-    data = fitting(network, data)
+    data = match_records(network, data)
     values, blamed = [], []
     rows = feature_rows(known.features, data, None)
     layers, at = layers_of(known, rows)

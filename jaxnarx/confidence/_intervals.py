@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence.domain_fit import feature_rows, layers_of
 from jaxnarx.confidence.enclosure import AbstractEnclosure
-from jaxnarx.confidence.error_model import told_by
+from jaxnarx.confidence.error_model import error_variables_at
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import LEVELS, Network
-from jaxnarx.simulation import Prepared, Trajectories, fitting, simulate
+from jaxnarx.simulation import Prepared, Trajectories, match_records, simulate
 from jaxnarx.solution import RESULTS, Solution
 
 
@@ -24,7 +24,7 @@ class Intervals(AbstractEnclosure):
     """
 
 
-@guarded
+@guard_arguments
 def intervals(
     network: Network,
     data: Dataset | Prepared,
@@ -71,12 +71,12 @@ def intervals(
         )
     simulated = Solution(run, RESULTS.ok, {}) if run else simulate(network, data)
     value = simulated.value
-    data = fitting(network, data)
+    data = match_records(network, data)
     rows = feature_rows(domain.features, data, None)
     index = layers_of(domain, rows)[0].max(axis=1)
     half = np.full((sum(len(r) for r in data), len(network.modelled)), np.inf)
     for o in range(len(network.modelled)):
-        z = told_by(value, rows, index, o)
+        z = error_variables_at(value, rows, index, o)
         half[rows.at_sample, o] = known.reach(o, level) * known.size(o, z)
     edges = np.cumsum([len(r) for r in data])[:-1]
     pairs = list(zip(value.outputs, np.split(half, edges), strict=True))

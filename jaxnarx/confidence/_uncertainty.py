@@ -22,13 +22,13 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import not_negative
 from jaxnarx.confidence.information import Sums, sums
 from jaxnarx.confidence.noise import OutputNoise, estimate_noise
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network, depth
 from jaxnarx.refinement import (
     Labels,
@@ -38,7 +38,7 @@ from jaxnarx.refinement import (
     make_layout,
     make_task,
 )
-from jaxnarx.simulation import Prepared, checked, has_diverged, run
+from jaxnarx.simulation import Prepared, check_records, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
 ROUNDINGS = 4096
@@ -98,7 +98,7 @@ class Uncertainty:
             ratio = f"{abs(value) / error:.1f}" if known and error > 0 else "-"
             shown = f"{error:.3g}" if known else "-"
             rows.append((name, f"{value:.6g}", shown, ratio))
-        lines = aligned(rows)
+        lines = align_columns(rows)
         pairs = zip(self.output_names, self.noise, self.freedom, strict=True)
         lines += [
             f"noise of {name}: {s:.4g} ({n:.0f} degrees of freedom)"
@@ -107,7 +107,7 @@ class Uncertainty:
         return "\n".join(lines)
 
 
-@guarded
+@guard_arguments
 def uncertainty(
     network: Network,
     data: Dataset | Prepared,
@@ -155,7 +155,7 @@ def uncertainty(
     _one_of(start, ("measured", "exact"), "start")
     ridge = not_negative(ridge, "ridge")
     network.require_measured("The uncertainty of parameters")
-    task, _ = make_task(network, checked(network, data))
+    task, _ = make_task(network, check_records(network, data))
     layout = make_layout(network, trainable, (0.5, 2.0))
     labels = label(network, layout)
 

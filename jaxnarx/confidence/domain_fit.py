@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, Groups, shortened, stack_records
@@ -14,7 +14,7 @@ from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import LAYERS, Domain, Network
 from jaxnarx.regressors import LowPass, Variables, row_columns
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import match_records, simulate
 
 POINTS = 40
 """Stored points of the training. On two outputs of virtual engines 10 to 200 of them
@@ -50,7 +50,7 @@ class InputRows:
         return InputRows(*parts, self.at_sample[some])
 
 
-@guarded
+@guard_arguments
 def fit_domain(
     network: Network,
     data: Dataset,
@@ -76,11 +76,11 @@ def fit_domain(
         print(jnx.confidence.domain(network, data).value.index[0].max())
     """
     points = whole(points, "points", 1)
-    data = fitting(network, data)
+    data = match_records(network, data)
     used = used_inputs(network)
     if not used:
         raise SpecError("a network without inputs has no domain", field="network")
-    weight, memory = followed(network, shortened(data, SOME), used)
+    weight, memory = measure_influence(network, shortened(data, SOME), used)
     features = Variables.of(
         [(s, 0, None) for s in used]
         + [(s, 0, LowPass(memory * data.sample_time)) for s in used]
@@ -92,7 +92,7 @@ def fit_domain(
             groups = None
     rows = feature_rows(features, data, groups)
     weight = np.tile(weight, 2)
-    found = _made(features, rows, weight, points)
+    found = _make_domain(features, rows, weight, points)
     border = jax.device_put(_border(found, rows))
     domain = dataclasses.replace(found, border=border)
     kind = network.gain.dtype  # a model file holds numbers of one type
@@ -135,7 +135,7 @@ def feature_rows(
     return InputRows(x, step, group.reshape(-1)[at], place[at])
 
 
-def followed(
+def measure_influence(
     network: Network, data: Dataset, used: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, " used"], float]:
     """How far the free run follows each input, the most important one, and how long
@@ -212,7 +212,7 @@ def _spread(data: Dataset, network: Network) -> Float[np.ndarray, " outputs"]:
     return np.where(spread > 0, spread, 1.0)
 
 
-def _made(
+def _make_domain(
     features: Variables,
     rows: InputRows,
     weight: Float[np.ndarray, " features"],
@@ -301,7 +301,7 @@ def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time laye
         out = rows.group == g
         train = rows.at(~out & (rows.group >= 0))
         if out.any() and len(train.group):
-            fold = _made(domain.features, train, weight, points)
+            fold = _make_domain(domain.features, train, weight, points)
             border = domain.border.astype(fold.border.dtype)
             fold = dataclasses.replace(fold, border=border)
             values[out] = layers_of(fold, rows.at(out))[0]

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.formatting import aligned, brief, page, some
+from jaxnarx.formatting import align_columns, brief, page, some
 from jaxnarx.simulation import Trajectories
 
 
@@ -29,7 +29,7 @@ class AbstractEnclosure:
         ):
             width = np.mean(high - low, axis=0).tolist()
             rows.append((record, *(f"{value:.4g}" for value in width)))
-        return "\n".join([f"{name}: {records}, mean width", *some(aligned(rows))])
+        return "\n".join([f"{name}: {records}, mean width", *some(align_columns(rows))])
 
     __repr__, _repr_html_ = brief, page
 

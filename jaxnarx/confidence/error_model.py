@@ -6,13 +6,13 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence.domain_fit import InputRows, feature_rows, fold_layers
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import GROWTH, LEVELS, ErrorModel, Network
-from jaxnarx.simulation import Trajectories, fitting, simulate
+from jaxnarx.simulation import Trajectories, match_records, simulate
 
 KNOTS = 6
 """Of every variable, at quantiles of the records."""
@@ -33,7 +33,7 @@ class ErrorRows:
     group: Int[np.ndarray, " time"]
 
 
-@guarded
+@guard_arguments
 def fit_error_model(
     network: Network,
     data: Dataset,
@@ -68,7 +68,7 @@ def fit_error_model(
             "one to the records of its training",
             field="network",
         )
-    data = fitting(network, data)
+    data = match_records(network, data)
     if groups is None:
         groups = _groups(network, data)
     run = simulate(network, data).value
@@ -100,7 +100,7 @@ def _groups(network: Network, data: Dataset) -> Groups | None:
         return None
 
 
-def told_by(
+def error_variables_at(
     run: Trajectories,
     rows: InputRows,
     index: Float[np.ndarray, " time"],
@@ -132,7 +132,7 @@ def _rows(network, data, run, rows, index, output) -> ErrorRows:
     counted = [
         s[:, output] & ~d[output] for s, d in zip(run.scored, run.diverged, strict=True)
     ]
-    z = told_by(run, rows, index, output)
+    z = error_variables_at(run, rows, index, output)
     good = np.concatenate(counted)[rows.at_sample]
     error = np.abs(error)[rows.at_sample]
     return ErrorRows(z[:, good], error[good], rows.group[good])
@@ -171,12 +171,12 @@ def _learnt(rows: ErrorRows) -> tuple:
     whole = sum(part[0] for part in parts), sum(part[1] for part in parts)
     ridge = RIDGES[-1]
     if labels:
-        ridge = min(RIDGES, key=lambda r: _judged(parts, whole, r))
-    theta = _solved(*whole, ridge)
+        ridge = min(RIDGES, key=lambda r: _cross_validate(parts, whole, r))
+    theta = _solve(*whole, ridge)
     relative, weight = [], []
     for g, (a, b, *_) in zip(labels, parts, strict=True) if labels else ():
         own = rows.group == g
-        fold = _solved(whole[0] - a, whole[1] - b, ridge)
+        fold = _solve(whole[0] - a, whole[1] - b, ridge)
         size = np.exp(fold @ hats[:, own] + _outside(rows.z[:, own]))
         relative.append(rows.error[own] / size)
         weight.append(np.full(own.sum(), 1.0 / own.sum()))
@@ -217,18 +217,18 @@ def _normal(hats, y):
     return hats @ hats.T, hats @ y, float(y @ y), len(y)
 
 
-def _solved(a, b, ridge):
+def _solve(a, b, ridge):
     """Ridge regression, its constant free; in shares of what the samples say."""
     pull = ridge * a[0, 0] * np.eye(len(a)) / KNOTS
     pull[0, 0] = 0.0
     return np.linalg.solve(a + pull + 1e-12 * a[0, 0] * np.eye(len(a)), b)
 
 
-def _judged(parts, whole, ridge) -> float:
+def _cross_validate(parts, whole, ridge) -> float:
     """Mean over groups of the squared error of the logarithm without them."""
     total = 0.0
     for a, b, square, count in parts:
-        theta = _solved(whole[0] - a, whole[1] - b, ridge)
+        theta = _solve(whole[0] - a, whole[1] - b, ridge)
         total += (square - 2 * theta @ b + theta @ a @ theta) / count
     return total
 

@@ -7,8 +7,8 @@ from jaxnarx.confidence.domain_fit import fit_domain
 from jaxnarx.confidence.error_model import fit_error_model
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.models import FLAG, LINEAR, Network, bounded, hold_to_range
-from jaxnarx.refinement import certified
+from jaxnarx.models import FLAG, LINEAR, Network, hold_to_range, set_bounds
+from jaxnarx.refinement import attach_certificate
 
 WIDE = 1e6
 """Bounds of the feedback of a network with a certificate, in widths of the range: such
@@ -26,7 +26,7 @@ def attach_domain_and_intervals(
     """The network with its domain, where it has inputs and the records can be run, with
     its certificate, where there is one, and with prediction intervals, where the errors
     of groups left out are known, or there are records apart from the training."""
-    network = certified(network)
+    network = attach_certificate(network)
     try:
         network = fit_domain(network, data, groups=groups)
     except JaxnarxError:
@@ -49,9 +49,9 @@ def apply_release_limits(network: Network) -> Network:
     """
     margin = None if network.hold is None else float(network.hold)
     for outside in (FLAG, LINEAR):
-        network = certified(hold_to_range(network, margin, outside=outside))
+        network = attach_certificate(hold_to_range(network, margin, outside=outside))
         if network.certificate is not None:
             break
     else:
         return network
-    return bounded(network, WIDE)
+    return set_bounds(network, WIDE)

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import linear_recurrence, program
-from jaxnarx.models import Network, depth, folded
-from jaxnarx.refinement import Layout, joined, stream
+from jaxnarx.models import Network, depth, fold_slopes
+from jaxnarx.refinement import Layout, join_blocks, stream
 from jaxnarx.simulation import RunInputs, states
 
 
@@ -57,14 +57,14 @@ def _stream(
 
     def direct(tangents, seen, time, record):
         a, own = seen
-        by_start = _by_start(folded(network, a), own, time - start[record])
+        by_start = _by_start(fold_slopes(network, a), own, time - start[record])
         return jnp.concatenate([tangents, by_start], axis=2)
 
     columns = layout.low.shape[0] + len(network.models) * depth(network)
     return stream(network, layout, y, drive, anchor, direct, columns, *rest)
 
 
-def coloured(shape: Float[Array, " order"], j, past):
+def colour_noise(shape: Float[Array, " order"], j, past):
     """z_t = sum_k shape[k] z_(t-1-k) + j_t for one output of one record.
 
     For noise of innovation variance one, R the matrix of its covariances, the sum of
@@ -105,7 +105,7 @@ def sums(
         by_start = carry.by_start + jnp.einsum("rtop,rtoh->rph", pulled, h)
         state, z = carry.state, pulled
         if order:
-            filtered = jax.vmap(coloured, in_axes=(0, 1, 0), out_axes=(0, 1))
+            filtered = jax.vmap(colour_noise, in_axes=(0, 1, 0), out_axes=(0, 1))
             state, z = jax.vmap(filtered, in_axes=(None, 0, 0))(shape, pulled, state)
         meat = carry.meat + jnp.einsum("rtop,rtoq->opq", z, z)
         return Sums(bread, meat, state, by_start), None
@@ -139,4 +139,4 @@ def variances(
         return carry, jnp.sum((s @ root) ** 2, axis=3)
 
     _, out = _stream(network, layout, y, drive, anchor, start, consume, None, None)
-    return joined(out, y.shape[1])
+    return join_blocks(out, y.shape[1])

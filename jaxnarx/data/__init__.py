@@ -25,7 +25,7 @@ from jaxnarx.data.align_channels import in_units as in_units
 from jaxnarx.data.align_channels import match_channels as match_channels
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
-from jaxnarx.data.channels import numbered as numbered
+from jaxnarx.data.channels import number_channels as number_channels
 from jaxnarx.data.compare_records import other_units as other_units
 from jaxnarx.data.dataset import Dataset as Dataset
 from jaxnarx.data.description import load_toml as load_toml

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.data import check_samples as samples
 from jaxnarx.data._dynamics import Answer, dynamics
@@ -13,7 +13,7 @@ from jaxnarx.data.files import fingerprint
 from jaxnarx.data.findings import Finding, Findings
 
 
-@guarded
+@guard_arguments
 def check(data: Dataset, *, max_lag: int = 20) -> Findings:
     """What a careful engineer would ask about `data` before modelling.
 

@@ -10,7 +10,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.low_order import (
     LowOrderFit,
     first_order,
-    fitted,
+    fit_systems,
     nearby,
     second_order,
 )
@@ -182,8 +182,8 @@ class _Fitting:
         # no level counts: without the pieces' own, small moves keep all their digits
         parts = [Piece(_levelled(p.u), _levelled(p.y)) for p in parts]
         self.parts, self.reach, self.times = parts, reach, times
-        self.inputs = _moving([p.u for p in parts])
-        self.outputs = _moving([p.y for p in parts])
+        self.inputs = _moving_channels([p.u for p in parts])
+        self.outputs = _moving_channels([p.y for p in parts])
         self.given = joint_response(parts, reach)
         self.left = [
             p.y - g.sum(axis=0) for p, g in zip(parts, self.given, strict=True)
@@ -230,7 +230,7 @@ class _Fitting:
         targets = [
             (e + g[i])[outputs] for e, g in zip(self.left, self.given, strict=True)
         ]
-        found = fitted(systems, inputs, targets, self.reach)
+        found = fit_systems(systems, inputs, targets, self.reach)
         return dict(zip(outputs, found, strict=True))
 
     def _put(self, i: int, fits: dict[int, LowOrderFit]) -> None:
@@ -267,7 +267,7 @@ def _levelled(x: Float[np.ndarray, "channels time"]):
     return x - x.mean(axis=1, keepdims=True)
 
 
-def _moving(channels: list[Float[np.ndarray, "channels _"]]) -> list[int]:
+def _moving_channels(channels: list[Float[np.ndarray, "channels _"]]) -> list[int]:
     """Channels that move within a piece: differences between pieces have no
     dynamics."""
     moves = np.max([np.abs(c).max(axis=1) for c in channels], axis=0)
@@ -303,7 +303,7 @@ def joint_response(
     gram = np.zeros((inputs * bins,) * 2)
     cross = np.zeros((inputs * bins, len(parts[0].y)))
     for part in parts:
-        x = _binned(part.u, edges).reshape(inputs * bins, -1)[:, reach:]
+        x = _bin_lags(part.u, edges).reshape(inputs * bins, -1)[:, reach:]
         x = x - x.mean(axis=1, keepdims=True)
         gram += x @ x.T
         cross += x @ part.y[:, reach:].T
@@ -313,7 +313,7 @@ def joint_response(
     gram = gram * scale[:, None] * scale[None] + _RIDGE * np.eye(len(gram))
     theta = scale[:, None] * np.linalg.solve(gram, scale[:, None] * cross)
     theta = theta.reshape(inputs, bins, -1)
-    return [np.einsum("ibo,ibt->iot", theta, _binned(p.u, edges)) for p in parts]
+    return [np.einsum("ibo,ibt->iot", theta, _bin_lags(p.u, edges)) for p in parts]
 
 
 def _edges(longest: int) -> list[int]:
@@ -321,7 +321,7 @@ def _edges(longest: int) -> list[int]:
     return [0, 1, *dict.fromkeys(s for s in steps if s <= max(longest, 2))]
 
 
-def _binned(
+def _bin_lags(
     u: Float[np.ndarray, "inputs time"], edges: list[int]
 ) -> Float[np.ndarray, "inputs bins time"]:
     """Means over spans of lags; before its beginning every input was at rest."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Int
 
-from jaxnarx.checks import known_name, require
+from jaxnarx.checks import require, require_known
 from jaxnarx.checks import whole as whole_number
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
@@ -103,7 +103,9 @@ class Groups:
         train = [_without(record, out) for record, out in pairs]
         seen = [r.valid[:, r.u.shape[1] :].any() for r in train]
         if whole:
-            train = [r if s else _emptied(r) for r, s in zip(train, seen, strict=True)]
+            train = [
+                r if s else _empty_record(r) for r, s in zip(train, seen, strict=True)
+            ]
         else:
             train = [r for r, s in zip(train, seen, strict=True) if s]
         pairs = zip(data, self.labels, strict=True)
@@ -169,7 +171,7 @@ def groups(
     require(len(data) > 0, "data", "the dataset has no records")
     named = _own(data) if named is None else named
     if named:
-        return _named(data, named, folds)
+        return _groups_by_name(data, named, folds)
     found = cycles(data)
     return _dealt(data, found, folds) or _blocks(data, found, folds, gap)
 
@@ -177,7 +179,11 @@ def groups(
 def whole_groups(data: Dataset, folds: int) -> Groups | None:
     """Groups of whole records, None where `groups` would cut them into blocks."""
     named = _own(data)
-    return _named(data, named, folds) if named else _dealt(data, cycles(data), folds)
+    return (
+        _groups_by_name(data, named, folds)
+        if named
+        else _dealt(data, cycles(data), folds)
+    )
 
 
 def _left_out(label: Int[np.ndarray, " time"], g: int) -> Bool[np.ndarray, " time"]:
@@ -216,7 +222,7 @@ def _valid_in(record: Record, first: int, stop: int) -> Record:
     return dataclasses.replace(record, valid=record.valid & inside[:, None])
 
 
-def _emptied(record: Record) -> Record:
+def _empty_record(record: Record) -> Record:
     """The record with nothing that counts."""
     return dataclasses.replace(record, valid=np.zeros_like(record.valid))
 
@@ -239,12 +245,16 @@ def _own(data: Dataset) -> dict[str, list[str]]:
     return found
 
 
-def _named(data: Dataset, named: Mapping[str, Sequence[str]], folds: int) -> Groups:
+def _groups_by_name(
+    data: Dataset, named: Mapping[str, Sequence[str]], folds: int
+) -> Groups:
     of: dict[str, str] = {}
     for group, names in named.items():
         require(len(names) > 0, "named", f"the group {group!r} names no record")
         for name in names:
-            known_name(name, data.names, "named", f"the group {group!r} names {name!r}")
+            require_known(
+                name, data.names, "named", f"the group {group!r} names {name!r}"
+            )
             if of.setdefault(name, group) != group:
                 raise SpecError(
                     f"{name} is in the groups {of[name]!r} and {group!r}. A record is "
@@ -257,10 +267,10 @@ def _named(data: Dataset, named: Mapping[str, Sequence[str]], folds: int) -> Gro
     if rest:
         count = max(folds - len(named), 1)
         for part in _deal(
-            [[rest[n] for n in p] for p in _tied(data[rest])], data, count
+            [[rest[n] for n in p] for p in _tie_repeats(data[rest])], data, count
         ):
             members.append(part)
-            told.append(_told(data, part))
+            told.append(_describe(data, part))
     if len(members) < 2:
         raise SpecError(
             f"the group {told[0]!r} holds every record, so that nothing is left to "
@@ -276,10 +286,10 @@ def _dealt(data: Dataset, found: list[Cycle], folds: int) -> Groups | None:
     if len(parts) < FEWEST or 2 * max(_rows(data, p) for p in parts) > data.samples:
         return None
     members = _deal(parts, data, folds)
-    return _whole(data, members, [_told(data, part) for part in members])
+    return _whole(data, members, [_describe(data, part) for part in members])
 
 
-def _tied(data: Dataset) -> list[list[int]]:
+def _tie_repeats(data: Dataset) -> list[list[int]]:
     return [list(cycle.records) for cycle in cycles(data)]
 
 
@@ -295,7 +305,7 @@ def _deal(parts: list[list[int]], data: Dataset, count: int) -> list[list[int]]:
     return sorted(map(sorted, dealt))
 
 
-def _told(data: Dataset, part: Sequence[int]) -> str:
+def _describe(data: Dataset, part: Sequence[int]) -> str:
     return ", ".join(data.records[n].name for n in part)
 
 
@@ -345,11 +355,11 @@ def _blocks(data: Dataset, found: list[Cycle], folds: int, gap: int) -> Groups:
         sizes[g] += _rows(data, part)
         labels |= {n: np.full(len(data.records[n]), g) for n in part}
     ordered = tuple(labels[n] for n in range(len(data)))
-    names = tuple(_told_blocks(data, ordered, g) for g in range(folds))
+    names = tuple(_describe_blocks(data, ordered, g) for g in range(folds))
     return Groups(names, ordered, False)
 
 
-def _told_blocks(data: Dataset, labels: tuple[np.ndarray, ...], g: int) -> str:
+def _describe_blocks(data: Dataset, labels: tuple[np.ndarray, ...], g: int) -> str:
     told = []
     for record, label in zip(data, labels, strict=True):
         at = np.flatnonzero(label == g)

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import SpecError
@@ -12,7 +12,7 @@ STEP = 1e-6
 """Sample times may differ by this share."""
 
 
-@guarded
+@guard_arguments
 def join(datasets: Sequence[Dataset]) -> Dataset:
     """The records of several datasets behind one another, with the first's channels.
 

@@ -29,7 +29,7 @@ from jaxnarx.data.roles import (
     look_at,
 )
 from jaxnarx.data.runs import Run, find_cycles, find_odd, propose_parts
-from jaxnarx.data.sampling import STATIC, sampling, time_unit_in
+from jaxnarx.data.sampling import STATIC, find_sampling, time_unit_in
 from jaxnarx.errors import DataError, DataFileError, JaxnarxError, SpecError, suggest
 
 AT_ONCE = 40
@@ -250,7 +250,7 @@ def _time(
                 t, unit_found = seconds(
                     table.columns[name], name=name, place=table.place, unit=unit
                 )
-                step, _ = sampling(
+                step, _ = find_sampling(
                     t,
                     column=name,
                     place=table.place,
@@ -303,7 +303,7 @@ def _values(
         for table, own in tables:
             for name in own:
                 try:
-                    found[name] = _thinned(table, name)
+                    found[name] = _thin(table, name)
                 except DataError as error:
                     reasons[name] = _short(error)
     return found, reasons
@@ -314,7 +314,7 @@ def _short(error: Exception) -> str:
     return str(error).split(": ", 1)[-1].split(". ")[0].rstrip(".")
 
 
-def _thinned(table: Table, name: str) -> Float[np.ndarray, " rows"]:
+def _thin(table: Table, name: str) -> Float[np.ndarray, " rows"]:
     x = numbers(table.columns[name], channel=name, place=table.place)
     x = x[:: max(1, -(-len(x) // ROWS))].astype(np.float64)
     return np.where(np.isfinite(x), x, np.nan)

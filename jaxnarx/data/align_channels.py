@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
@@ -63,7 +63,7 @@ def in_units(data: Dataset, channels: Channels) -> Dataset:
 
 def _conversion(channel: Channel, own: Channels) -> Conversion:
     """From the data's unit of a channel to the model's."""
-    known_name(
+    require_known(
         channel.name,
         own.names,
         channel.name,

@@ -5,8 +5,8 @@ import functools
 import unicodedata
 from collections.abc import Mapping, Sequence
 
-from jaxnarx.argument_checks import guarded_fields
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_fields
+from jaxnarx.checks import require_known
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 
@@ -29,7 +29,7 @@ def require_plain(text: str, what: str, *, field: str) -> None:
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
-@guarded_fields
+@guard_fields
 @dataclasses.dataclass(frozen=True)
 class Channel:
     """One measured signal. `unit` is free text; the empty string means not stated."""
@@ -43,7 +43,7 @@ class Channel:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
-@guarded_fields
+@guard_fields
 @dataclasses.dataclass(frozen=True)
 class Channels:
     """Input and output channels in the order of the arrays' columns.
@@ -111,7 +111,7 @@ class Channels:
         """Index of channel `name` in the signal table; unknown names raise
         SpecError.
         """
-        known_name(name, self.names, name, f"unknown channel {name!r}")
+        require_known(name, self.names, name, f"unknown channel {name!r}")
         return self.names.index(name)
 
 
@@ -133,7 +133,7 @@ def make_channels(
     if not channels.outputs:
         raise SpecError("outputs is empty; name at least one output", field="outputs")
     for name, unit in units.items():
-        known_name(
+        require_known(
             name,
             channels.names,
             "units",
@@ -147,7 +147,7 @@ def make_channels(
 
 
 @functools.cache
-def numbered(inputs: int, outputs: int, hidden: int = 0) -> Channels:
+def number_channels(inputs: int, outputs: int, hidden: int = 0) -> Channels:
     """Channels `u1`, `u2`, ..., `y1`, ... and hidden `x1`, ... without units."""
     return Channels(
         tuple(Channel(f"u{n + 1}") for n in range(inputs)),

@@ -205,7 +205,7 @@ def stuck(data: Dataset) -> Iterator[Finding]:
                 long = _length(pairs) >= (
                     shortest if word else max(shortest, len(record) / 10)
                 )
-                found = _measured(record, j, pairs[at & long])
+                found = _measured_runs(record, j, pairs[at & long])
                 if len(found):
                     yield _stuck(data, record, channel.name, found, word, share)
 
@@ -220,7 +220,7 @@ def _runs(x: Shaped[np.ndarray, " time"]) -> Int[np.ndarray, "runs 2"]:
     return np.stack([firsts, np.append(firsts[1:], len(x))], axis=1)
 
 
-def _measured(record, j, pairs):
+def _measured_runs(record, j, pairs):
     """The runs that were measured, rather than held over missing samples."""
     keep = [record.valid[a:b, j].mean() > 0.5 for a, b in pairs]
     return pairs[np.array(keep, bool)]

@@ -255,7 +255,7 @@ class _Beside:
             ordinary = abs(np.log(abs(says / np.median(self.they_say[:, j]))))
         if not stands_out or abs(np.log(factor)) < 1.5 * ordinary:
             return None
-        return self._mended(j, factor, 0.0, f"its unit ({_named(factor)})")
+        return self._mended(j, factor, 0.0, f"its unit ({_describe_factor(factor)})")
 
     def _negated(self, j: int) -> Suspicion | None:
         return self._mended(j, -1.0, 0.0, "its sign (factor -1)")
@@ -317,7 +317,8 @@ def _by_range(blocks: Blocks, r: int, j: int) -> Suspicion | None:
     log = float(np.median(logs))
     if abs(log) < max(np.log(FAR), _least(logs)) or min(logs * np.sign(log)) < 1:
         return None
-    told = f"{_ranges(blocks, r, j)}. Look at its unit ({_named(float(np.exp(log)))}), "
+    factor = _describe_factor(float(np.exp(log)))
+    told = f"{_ranges(blocks, r, j)}. Look at its unit ({factor}), "
     return Suspicion(r, j, 0.0, told + "unless it was run so", "note")
 
 
@@ -332,7 +333,7 @@ def _ranges(blocks: Blocks, r: int, j: int) -> str:
     )
 
 
-def _named(factor: float) -> str:
+def _describe_factor(factor: float) -> str:
     """`factor 9.2, near the 9.549 of rpm and rad/s`; of reciprocals likewise."""
     size = max(factor, 1 / factor)
     text = f"factor {factor:.2g}"

@@ -89,7 +89,7 @@ def _piece(source: Source, first: int, stop: int, name: str) -> Source:
     return Source(name, source.x[first:stop], place, cuts)
 
 
-def divided(pattern: str, field: str) -> tuple[str, Cut | None]:
+def parse_cut(pattern: str, field: str) -> tuple[str, Cut | None]:
     """The pattern of files, and what is cut from each; SpecError for what is neither
     a span nor a comparison."""
     files, mark, text = pattern.partition(_MARK)

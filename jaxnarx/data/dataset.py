@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, overload
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data.channels import Channel, Channels, make_channels
 from jaxnarx.data.construct import array_sources
 from jaxnarx.data.frames import frame_sources
@@ -68,7 +68,7 @@ class Dataset:
         return [r.name for r in self.records]
 
     @classmethod
-    @guarded
+    @guard_arguments
     def from_arrays(
         cls,
         u: Any,
@@ -119,7 +119,7 @@ class Dataset:
         return cls(assemble(sources, channels, step, missing), channels, step)
 
     @classmethod
-    @guarded
+    @guard_arguments
     def from_frame(
         cls,
         frame: Any,

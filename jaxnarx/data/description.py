@@ -15,7 +15,7 @@ from jaxnarx.data.channels import Channel, Channels, require_plain
 from jaxnarx.data.missing import require_missing
 from jaxnarx.data.readers.columns import Asked, CsvLayout
 from jaxnarx.data.sampling import STATIC, positive_sample_time, require_time_unit
-from jaxnarx.errors import DataFileError, SpecError, reading, suggest
+from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 
 PARTS = ("train", "validate", "test")
 
@@ -76,7 +76,7 @@ def load_description(path: Path) -> Description:
             "Dataset.from_frame",
             field="path",
         )
-    with reading(path, "a description", advice="Correct it."):
+    with guard_reading(path, "a description", advice="Correct it."):
         table = load_toml(path)
         try:
             return parse_description(table)
@@ -86,7 +86,7 @@ def load_description(path: Path) -> Description:
 
 def load_toml(path: Path) -> dict[str, Any]:
     """The table in a TOML file; one that is missing or no TOML is a DataFileError."""
-    with reading(path, "TOML", advice="Correct the file."):
+    with guard_reading(path, "TOML", advice="Correct the file."):
         try:
             return tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -126,7 +126,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     _require_keys(table, ("data", "channels", "records"), "")
     data = _section(table, "data")
     _require_keys(data, _DATA, "data")
-    settings = {k: _typed(v, _DATA[k], f"data.{k}") for k, v in data.items()}
+    settings = {k: _require_type(v, _DATA[k], f"data.{k}") for k, v in data.items()}
     if "sample_time" in settings:
         positive_sample_time(settings["sample_time"])
     require_missing(settings.get("missing", "refuse"))
@@ -165,7 +165,7 @@ def _is_inside(name: str) -> bool:
 def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:
     if name not in table:
         raise SpecError(f"the section [{name}] is missing", field=name)
-    return _typed(table[name], dict, name)
+    return _require_type(table[name], dict, name)
 
 
 def _require_keys(table, known, section: str):
@@ -178,7 +178,7 @@ def _require_keys(table, known, section: str):
             )
 
 
-def _typed(value: Any, kind: type, field: str) -> Any:
+def _require_type(value: Any, kind: type, field: str) -> Any:
     """`value` if it has the TOML type `kind`; whole numbers serve as numbers."""
     good = type(value) is kind
     if kind is list:
@@ -198,14 +198,14 @@ def _channels(section) -> tuple[Channels, dict[str, str]]:
     groups = {"inputs": [], "outputs": []}
     for group, chosen in groups.items():
         field = f"channels.{group}"
-        for name, value in _typed(section.get(group, {}), dict, field).items():
+        for name, value in _require_type(section.get(group, {}), dict, field).items():
             if isinstance(value, dict):
                 _require_keys(value, ("column", "unit"), f"{field}.{name}")
             else:
                 value = {"unit": value}
-            unit = _typed(value.get("unit", ""), str, f"{field}.{name}")
+            unit = _require_type(value.get("unit", ""), str, f"{field}.{name}")
             column = value.get("column", name)
-            columns[name] = _typed(column, str, f"{field}.{name}.column")
+            columns[name] = _require_type(column, str, f"{field}.{name}.column")
             chosen.append(Channel(name, unit))
     channels = Channels(tuple(groups["inputs"]), tuple(groups["outputs"]))
     if not channels.outputs:
@@ -219,7 +219,7 @@ def _channels(section) -> tuple[Channels, dict[str, str]]:
 def _patterns(section) -> dict[str, tuple[str, ...]]:
     _require_keys(section, ("files", *PARTS, "groups"), "records")
     found = {
-        k: tuple(_typed(v, list, f"records.{k}"))
+        k: tuple(_require_type(v, list, f"records.{k}"))
         for k, v in section.items()
         if k != "groups"
     }
@@ -241,9 +241,11 @@ def _groups(value: Any) -> dict[str, tuple[str, ...]]:
     """Patterns by group; those of a list are called as their patterns."""
     field = "records.groups"
     if isinstance(value, dict):
-        listed = {n: _typed(v, list, f"{field}.{n}") for n, v in value.items()}
+        listed = {n: _require_type(v, list, f"{field}.{n}") for n, v in value.items()}
     elif isinstance(value, list) and all(isinstance(v, list) for v in value):
-        patterns = [_typed(v, list, f"{field}[{n}]") for n, v in enumerate(value)]
+        patterns = [
+            _require_type(v, list, f"{field}[{n}]") for n, v in enumerate(value)
+        ]
         listed = {", ".join(own): own for own in patterns}
     else:
         raise SpecError(

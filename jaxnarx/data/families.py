@@ -131,7 +131,7 @@ def read_member(
     actual = {name: name.replace(MARK, member) for name in wanted}
     table = read_table(file, list(actual.values()), asked)
     own = {n: table.columns[a] for n, a in actual.items()}
-    rows = max((_filled(c) for n, c in own.items() if MARK in n), default=0)
+    rows = max((_drop_empty_end(c) for n, c in own.items() if MARK in n), default=0)
     return dataclasses.replace(
         table,
         columns={n: c[:rows] for n, c in own.items()},
@@ -140,7 +140,7 @@ def read_member(
     )
 
 
-def _filled(column) -> int:
+def _drop_empty_end(column) -> int:
     """Rows up to the last one that is not empty."""
     empty = np.asarray(column.is_null(nan_is_null=not is_text(column.type)))
     return int(len(empty) - np.argmin(empty[::-1])) if not empty.all() else 0

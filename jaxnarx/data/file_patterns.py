@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
-from jaxnarx.data.crop import Cut, divided, require_apart
+from jaxnarx.data.crop import Cut, parse_cut, require_apart
 from jaxnarx.data.description import Description
 from jaxnarx.errors import DataFileError, SpecError
 
@@ -16,7 +16,7 @@ def find_files(
     found = [
         (file, cut, part)
         for part, patterns in description.patterns.items()
-        for file, cut in _chosen(folder, patterns, part, path)
+        for file, cut in _choose_files(folder, patterns, part, path)
     ]
     require_apart(found, path)
     return found
@@ -37,7 +37,7 @@ def find_groups(
     training = training or {file for file, *_ in found}
     groups: dict[Path, tuple[str, str]] = {}
     for name, patterns in description.groups.items():
-        own = _chosen(folder, patterns, f"groups.{name}", path, among=training)
+        own = _choose_files(folder, patterns, f"groups.{name}", path, among=training)
         for (file, _), pattern in own.items():
             other, first = groups.setdefault(file, (name, pattern))
             if other != name:
@@ -50,7 +50,7 @@ def find_groups(
     return {file: name for file, (name, _) in groups.items()}
 
 
-def _chosen(
+def _choose_files(
     folder: Path,
     patterns: Sequence[str],
     part: str,
@@ -64,10 +64,10 @@ def _chosen(
     """
     chosen: dict[tuple[Path, Cut | None], str] = {}
     for pattern in patterns:
-        bare, cut = divided(pattern.removeprefix("!"), f"records.{part}")
+        bare, cut = parse_cut(pattern.removeprefix("!"), f"records.{part}")
         files = _glob(folder, bare, part, path)
         if among is not None:
-            files = _training(files, pattern, among, part, path)
+            files = _training_files(files, pattern, among, part, path)
         if not pattern.startswith("!"):
             for file in files:
                 chosen.setdefault((file, cut), pattern)
@@ -87,7 +87,7 @@ def _chosen(
     return chosen
 
 
-def _training(
+def _training_files(
     files: list[Path], pattern: str, among: Collection[Path], part: str, path: Path
 ) -> list[Path]:
     own = [file for file in files if file in among]

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.crop import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
@@ -21,7 +21,7 @@ from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
-from jaxnarx.errors import DataFileError, SpecError, reading, suggest
+from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.formatting import brief, page
 
 MAX_BYTES = 4e9
@@ -52,7 +52,7 @@ class Split:
     __repr__, _repr_html_ = brief, page
 
 
-@guarded
+@guard_arguments
 def read(
     path: str | os.PathLike[str],
     *,
@@ -75,7 +75,7 @@ def read(
     return _read(Path(path), load_description(Path(path)), root, max_bytes)[0]
 
 
-@guarded
+@guard_arguments
 def read_split(
     path: str | os.PathLike[str],
     *,
@@ -144,14 +144,14 @@ def read_files(
     names = _record_names([f.resolve() for f in files], folder)
     chosen: list[tuple[Path, Cut | None]] = [(file, None) for file in files]
     named = dict(zip(files, names, strict=True))
-    return _assembled(chosen, named, description, max_bytes)[0]
+    return _assemble_records(chosen, named, description, max_bytes)[0]
 
 
 def file_layout(path: Path) -> CsvLayout:
     """How a CSV file is written, as far as it can be found out."""
     if path.suffix.lower() not in (".csv", ".txt"):
         return CsvLayout()
-    with reading(path, "CSV"):
+    with guard_reading(path, "CSV"):
         return find_layout(path) or CsvLayout()
 
 
@@ -160,7 +160,7 @@ def _preparation(path: Path, description: Description, root) -> Preparation | No
     if description.preparation is None:
         return None
     file = _root(path, root, description) / description.preparation
-    with reading(file, "a preparation", advice="Prepare the files anew."):
+    with guard_reading(file, "a preparation", advice="Prepare the files anew."):
         try:
             return Preparation.from_dict(json.loads(file.read_text(encoding="utf-8")))
         except (ValueError, RecursionError) as error:
@@ -173,14 +173,14 @@ def _read(
     path: Path, description: Description, root, max_bytes
 ) -> tuple[Dataset, list[str]]:
     """All records, and the part each belongs to."""
-    with reading(path, "a description", advice="Correct it."):
+    with guard_reading(path, "a description", advice="Correct it."):
         folder = _root(path, root, description)
         found = find_files(description, folder, path)
         groups = find_groups(description, folder, path, found)
     files = list(dict.fromkeys(file for file, *_ in found))
     names = dict(zip(files, _record_names(files, folder), strict=True))
     chosen = [(file, cut) for file, cut, _ in found]
-    data, origin = _assembled(chosen, names, description, max_bytes)
+    data, origin = _assemble_records(chosen, names, description, max_bytes)
     records = tuple(
         dataclasses.replace(record, group=groups.get(found[n][0], ""))
         for record, n in zip(data, origin, strict=True)
@@ -188,7 +188,7 @@ def _read(
     return dataclasses.replace(data, records=records), [found[n][2] for n in origin]
 
 
-def _assembled(
+def _assemble_records(
     chosen: list[tuple[Path, Cut | None]],
     names: dict[Path, str],
     description: Description,
@@ -210,7 +210,7 @@ def _assembled(
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}
         channels, how = _in_units(channels, units, stated_by, table.place.name)
-        with reading(file, "numbers"):
+        with guard_reading(file, "numbers"):
             source, step = table_source(
                 table,
                 channels,
@@ -224,7 +224,7 @@ def _assembled(
             pieces = [source]
             if cut is not None and not cut.members:
                 pieces = _cut(source, cut, step, table)
-        converted = [_converted(one, channels, how, units) for one in pieces]
+        converted = [_convert_units(one, channels, how, units) for one in pieces]
         notes += [(table.place.lead, note) for note in converted[0][1]]
         sources[n] += [one for one, _ in converted]
         steps.append((table.place.name, step))
@@ -334,7 +334,7 @@ def _in_units(
     return found, how
 
 
-def _converted(
+def _convert_units(
     source: Source, channels: Channels, how: dict[str, Conversion], units: dict
 ) -> tuple[Source, tuple[str, ...]]:
     """The rows in the units of the channels, and what was converted."""

@@ -81,13 +81,13 @@ class Findings:
         kinds: dict[tuple, list[Finding]] = {}
         for f in self:
             kinds.setdefault((f.severity, f.kind), []).append(f)
-        lines = [line for own in kinds.values() for line in _grouped(own)]
+        lines = [line for own in kinds.values() for line in _group_lines(own)]
         return "\n".join(lines) or "no findings"
 
     _repr_html_ = page
 
 
-def _grouped(own: list[Finding]) -> list[str]:
+def _group_lines(own: list[Finding]) -> list[str]:
     """Lines of the findings of one kind and severity."""
     if len(own) <= SHOWN + 1:
         return [str(f) for f in own]

@@ -15,7 +15,7 @@ from jaxnarx.data.channels import Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.formatting import aligned, brief, page, some
+from jaxnarx.formatting import align_columns, brief, page, some
 
 Choice = slice | int | str | Sequence[int | str]
 """Which records of every engine belong to a part: by position or by name."""
@@ -83,7 +83,7 @@ class Fleet:
             wrong = f"{self.status[n]} {self.detail[n]}".strip()
             rows.append((name, *samples, wrong))
         left = [True, *(False,) * len(self.parts), True]
-        return "\n".join([head, *some(aligned(rows, left), 24)])
+        return "\n".join([head, *some(align_columns(rows, left), 24)])
 
     __repr__, _repr_html_ = brief, page
 
@@ -114,7 +114,7 @@ class Fleet:
         choices = {"train": train, "validation": validation, "test": test}
         wanted = {k: c for k, c in choices.items() if c is not None}
         found = [_member(d, channels, step, wanted) for d in datasets.values()]
-        parts = {k: _padded([m.parts[k] for m in found], known[0]) for k in wanted}
+        parts = {k: _stack_part([m.parts[k] for m in found], known[0]) for k in wanted}
         return cls(
             tuple(str(name) for name in datasets),
             channels,
@@ -227,7 +227,7 @@ def _chosen(data: Dataset, choice: Choice) -> list[Record]:
     return [known[w] for w in places if w in known]
 
 
-def _padded(members: list[list[Record]], like: Dataset) -> Padded:
+def _stack_part(members: list[list[Record]], like: Dataset) -> Padded:
     """Stack all members' records of one part; what is not finite becomes zero."""
     records = max(1, *(len(m) for m in members))
     time = max(1, *(len(r) for m in members for r in m))

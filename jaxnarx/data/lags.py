@@ -5,8 +5,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data._dynamics import dynamics
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import DataError
@@ -22,7 +22,7 @@ def step_times(data: Dataset, output: str) -> dict[str, float]:
     out.
     """
     known = data.channels.output_names
-    known_name(output, known, "output")
+    require_known(output, known, "output")
     if not data.samples:
         raise DataError("step times need at least one record with samples")
     found, o = dynamics(data), known.index(output)
@@ -98,7 +98,7 @@ class LagSuggestion:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
     """Input and output lags for `data`: 0, 1, 2, 4, 8, ... up to the settling time.
 

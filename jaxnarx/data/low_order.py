@@ -30,7 +30,9 @@ _DAMPINGS = (0.2, 0.4, 0.7)
 _ZOOM = tuple(2.0 ** (k / 6) for k in (-2, -1, 0, 1, 2))
 
 
-def filtered(u: Float[np.ndarray, " time"], by: Filter) -> Float[np.ndarray, " time"]:
+def filter_signal(
+    u: Float[np.ndarray, " time"], by: Filter
+) -> Float[np.ndarray, " time"]:
     """One signal through one filter."""
     from scipy.signal import lfilter
 
@@ -73,7 +75,8 @@ class LowOrderFit:
         unit = np.zeros(int(20 * self.slowest) + 10)
         unit[1] = 1.0  # filters are at rest at their first input
         answer = sum(
-            g * filtered(unit, f) for g, f in zip(self.gains, self.system, strict=True)
+            g * filter_signal(unit, f)
+            for g, f in zip(self.gains, self.system, strict=True)
         )
         return np.concatenate([np.zeros(self.dead_time), np.asarray(answer)[1:]])
 
@@ -81,7 +84,7 @@ class LowOrderFit:
         """What `u` contributes to the output; before its beginning `u` was at rest."""
         late = np.concatenate([np.full(self.dead_time, u[0]), u])[: len(u)]
         parts = zip(self.gains, self.system, strict=True)
-        return np.asarray(sum(g * filtered(late, f) for g, f in parts))
+        return np.asarray(sum(g * filter_signal(late, f) for g, f in parts))
 
 
 def _decay(by: Filter) -> float:
@@ -148,7 +151,7 @@ def _parameters(system: System) -> int:
     return sum(1 + min(len(f.values), 2) for f in system)
 
 
-def fitted(
+def fit_systems(
     systems: Sequence[System],
     inputs: Sequence[Float[np.ndarray, "_"]],
     outputs: Sequence[Float[np.ndarray, "outputs _"]],
@@ -201,7 +204,7 @@ def _moments(filters, pairs, inputs, outputs, reach):
     cross = np.zeros((len(outputs[0]), len(filters), delays))
     total, rows = np.zeros(len(outputs[0])), 0
     for u, y in zip(inputs, outputs, strict=True):
-        x = np.stack([filtered(u, f) for f in filters])
+        x = np.stack([filter_signal(u, f) for f in filters])
         late = y[:, reach:] - y[:, reach:].mean(axis=1, keepdims=True)
         count = late.shape[1]
         size = next_fast_len(y.shape[1], real=True)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.record import Record
-from jaxnarx.formatting import aligned, some
+from jaxnarx.formatting import align_columns, some
 
 
 def overview(
@@ -23,7 +23,7 @@ def overview(
     lines = [
         f"Dataset: {count}, {samples} samples at {time:g} s "
         f"({_duration(samples * time)})",
-        *aligned(_ranges(records, channels), [True, True, True, *(False,) * 5]),
+        *align_columns(_ranges(records, channels), [True, True, True, *(False,) * 5]),
         *some([f"  {_sizes(one, time)}" for one in records]),
         *(f"note: {note}" for note in notes),
     ]

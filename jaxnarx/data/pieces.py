@@ -41,9 +41,9 @@ def pieces(data: Dataset, *, every: int = 1) -> list[Piece]:
         count = max(_ROWS * every * len(spans) // data.samples, 1)
         chosen = np.linspace(0, len(spans) - 1, count).round().astype(int)
         spans = [spans[i] for i in np.unique(chosen)]
-    u = [thinned(r.u[a:b].T, every) for r, a, b in spans]
-    y = [thinned(r.y[a:b].T, every) for r, a, b in spans]
-    return [Piece(a, b) for a, b in zip(standardised(u), standardised(y), strict=True)]
+    u = [average_samples(r.u[a:b].T, every) for r, a, b in spans]
+    y = [average_samples(r.y[a:b].T, every) for r, a, b in spans]
+    return [Piece(a, b) for a, b in zip(standardise(u), standardise(y), strict=True)]
 
 
 def _cut(record: Record, longest: int) -> list[tuple[Record, int, int]]:
@@ -61,7 +61,7 @@ def usual_length(lengths: Iterable[int]) -> int:
     return int(known[np.searchsorted(np.cumsum(known), 0.9 * known.sum())])
 
 
-def thinned(
+def average_samples(
     x: Float[np.ndarray, "channels time"], every: int
 ) -> Float[np.ndarray, "channels fewer"]:
     """Means of every `every` samples, in float64; incomplete ones are left out."""
@@ -74,7 +74,7 @@ def thinned(
     )
 
 
-def standardised(
+def standardise(
     parts: list[Float[np.ndarray, "channels _"]],
 ) -> list[Float[np.ndarray, "channels _"]]:
     """Channels freed of their means over all `parts`, in units of their deviations.

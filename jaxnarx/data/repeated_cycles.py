@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.pieces import standardised, thinned
+from jaxnarx.data.pieces import average_samples, standardise
 
 ROWS = 1 << 12
 """Longer records are compared by means over as many samples as bring them below."""
@@ -110,17 +110,17 @@ def _courses(data: Dataset) -> tuple[list[InputCourse], int]:
     from scipy.fft import next_fast_len
 
     every = -(-max(map(len, data), default=0) // ROWS)
-    chosen = _telling(data)
+    chosen = _comparable_inputs(data)
     if not chosen:
         return [], 1
-    parts = [thinned(r.u[:, chosen].T, min(every, len(r))) for r in data]
-    parts = standardised(parts)
+    parts = [average_samples(r.u[:, chosen].T, min(every, len(r))) for r in data]
+    parts = standardise(parts)
     longest = max(x.shape[1] for x in parts)
     size = 2 * int(next_fast_len(longest, real=True) or 0)
     return [_course(x, size) for x in parts], every
 
 
-def _telling(data: Dataset) -> list[int]:
+def _comparable_inputs(data: Dataset) -> list[int]:
     """The inputs to compare: those that are not constant; switches, which jump between
     two values within records, only if there are no others."""
     inputs = range(len(data.channels.inputs) if data.samples else 0)

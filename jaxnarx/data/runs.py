@@ -145,7 +145,7 @@ def propose_parts(
             said = said | {"test": said["validate"], "validate": ()}
         return {part: own for part, own in said.items() if own}
     if len(runs) == 1 and not runs[0].member:
-        return _divided(runs[0], rows[0], step)
+        return _divide_record(runs[0], rows[0], step)
     if len(tied) < 2:
         return {"files": runs}
     order = sorted(tied, key=lambda own: runs.index(own[0]))
@@ -157,7 +157,7 @@ def propose_parts(
     }
 
 
-def _divided(run: Run, rows: int, step: float) -> dict[str, tuple[Run, ...]]:
+def _divide_record(run: Run, rows: int, step: float) -> dict[str, tuple[Run, ...]]:
     """The beginning of a long record trains, and its end tests, a pause between them;
     a short one is not divided."""
     if rows < LONG or not step > 0:

@@ -58,7 +58,7 @@ def positive_sample_time(value: object) -> float:
     return float(value)  # type: ignore[arg-type]
 
 
-def sampling(
+def find_sampling(
     t: Float[np.ndarray, " time"],
     *,
     column: str,

@@ -7,7 +7,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.design._criteria import Criteria, criteria, objective
 from jaxnarx.design.sensitivity import (
     AbstractSensitivity,
@@ -21,7 +21,7 @@ from jaxnarx.settings import OptimalDesign
 from jaxnarx.solution import RESULTS, Solution
 
 
-@guarded
+@guard_arguments
 def adjust(
     plan: AprbsPlan,
     model: Network | AbstractSensitivity,
@@ -46,7 +46,7 @@ def adjust(
     sensitivity = network_sensitivity(model) if isinstance(model, Network) else model
     if isinstance(sensitivity, NetworkSensitivity):
         _require_inputs(plan, sensitivity.network.channels.input_names)
-    padded, reference = _begin(sensitivity, _padded(plan))
+    padded, reference = _begin(sensitivity, _pad_segments(plan))
     start = _figures(sensitivity, padded, reference)
     if not all(np.isfinite(value) for value in start):
         stats = {"start": start, "end": start, "history": [], "steps": 0}
@@ -89,7 +89,7 @@ SEGMENTS = 32
 serves plans of about the same size."""
 
 
-def _padded(plan: AprbsPlan) -> AprbsPlan:
+def _pad_segments(plan: AprbsPlan) -> AprbsPlan:
     """With segments behind the end, which have no effect. On the host."""
     hold = np.array(plan.hold)
     # The last segment lasts to the end: said outright, else a pad segment would begin.

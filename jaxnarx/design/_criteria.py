@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.settings import OptimalDesign
 
 
@@ -18,7 +18,7 @@ class Criteria(NamedTuple):
     largest: Float[Array, ""]  # prediction variance over the reference samples
 
 
-@guarded
+@guard_arguments
 def criteria(
     slope: Float[Array, "time outputs params"],
     reference: Float[Array, "samples outputs params"],

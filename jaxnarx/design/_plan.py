@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import Number, Pair, positive, require, span, whole
 from jaxnarx.confidence import error_variables
 from jaxnarx.data import Dataset, Record
@@ -73,7 +73,7 @@ class TestPlan:
         return self.data.records[0].u
 
 
-@guarded
+@guard_arguments
 def plan(
     network: Network,
     *,
@@ -210,7 +210,7 @@ class Maker:
     def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
         """What the network shows of tests, on the host; always of as many."""
         count = CANDIDATES * SCREENED if len(tests) > CANDIDATES else CANDIDATES
-        seen = watch(self.view, jax.device_put(_filled(tests, count)))
+        seen = watch(self.view, jax.device_put(_fill_up(tests, count)))
         return Seen(*(np.asarray(a)[: len(tests)] for a in seen))
 
     def choose(
@@ -223,7 +223,7 @@ class Maker:
         last = self.lead + self.size
         at = np.unique(np.linspace(self.lead, last - 1, ROWS).astype(int))
         lower = tuple(map(np.linalg.cholesky, information))
-        u = _filled(tests[:, :last], CANDIDATES)
+        u = _fill_up(tests[:, :last], CANDIDATES)
         added, rows = gains(self.view, *jax.device_put((lower, u, at)))
         gain = np.sum(added, axis=0)[: len(tests)]
         gain = np.where(np.isfinite(gain), gain, -math.inf)
@@ -303,7 +303,7 @@ def _make(
     """Sizes, spaces, and what the network is asked through."""
     binary = two_levels(network)
     space = Space(limits.low, limits.high, limits.rate, binary, limits.allows)
-    low, high = (np.clip(a, limits.low, limits.high) for a in _trained(network))
+    low, high = (np.clip(a, limits.low, limits.high) for a in _training_range(network))
     known = dataclasses.replace(space, low=low, high=high)
     size = min(max(2, round(STRETCH * hold[1])), max(length, 2))
     lead = math.ceil(LEAD * memory_of(network)) + network.history
@@ -336,7 +336,7 @@ def two_levels(network: Network) -> Bool[np.ndarray, " inputs"]:
     return out
 
 
-def _trained(network: Network) -> tuple[Float[np.ndarray, " inputs"], ...]:
+def _training_range(network: Network) -> tuple[Float[np.ndarray, " inputs"], ...]:
     """Lowest and highest value of every input in training."""
     inputs = len(network.channels.inputs)
     return tuple(np.asarray(a, float)[:inputs] for a in (network.low, network.high))
@@ -352,7 +352,7 @@ def _between(known: Space, space: Space, share: float) -> Space:
     return dataclasses.replace(space, low=low, high=high)
 
 
-def _filled(tests: Float[np.ndarray, "tests time inputs"], count: int) -> np.ndarray:
+def _fill_up(tests: Float[np.ndarray, "tests time inputs"], count: int) -> np.ndarray:
     """So many tests, the first in the place of those that are missing."""
     return np.concatenate([tests, np.repeat(tests[:1], count - len(tests), axis=0)])
 
@@ -368,7 +368,9 @@ def _solution(
     seen = Seen(
         *(
             np.asarray(a)
-            for a in watch(maker.view, jax.device_put(_led(u, maker.lead)[None]))
+            for a in watch(
+                maker.view, jax.device_put(_prepend_history(u, maker.lead)[None])
+            )
         )
     )
     margin = margins(network, seen) if limits.bounds_outputs else np.zeros(seen.y.shape)
@@ -392,14 +394,14 @@ def _solution(
         },
     }
     status = RESULTS.stalled if stats["still"] > 0.5 else RESULTS.ok
-    return Solution(value, status, stats, _told(stats, maker))
+    return Solution(value, status, stats, _describe(stats, maker))
 
 
-def _led(u: Float[np.ndarray, "time inputs"], lead: int) -> np.ndarray:
+def _prepend_history(u: Float[np.ndarray, "time inputs"], lead: int) -> np.ndarray:
     return np.concatenate([np.repeat(u[:1], lead, axis=0), u])
 
 
-def _told(stats: dict, maker: Maker) -> str:
+def _describe(stats: dict, maker: Maker) -> str:
     """One sentence for people."""
     told = (
         f"information {stats['information']:.4g} ({stats['random']:.4g} by random "

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.checks import Number, Pair, known_name, positive, require, span
+from jaxnarx.checks import Number, Pair, positive, require, require_known, span
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 
@@ -107,7 +107,7 @@ def limits_for(
 
 def _input(name: str, names: list[str], field: str) -> int:
     told = f"{field} names {name!r}, which is no input of the network"
-    return names.index(known_name(name, names, field, told))
+    return names.index(require_known(name, names, field, told))
 
 
 def _combination(text: str, names: list[str]) -> tuple[InputComparison, ...]:
@@ -142,7 +142,7 @@ def _bounds(
     lowest, highest = (np.full(len(names), x) for x in (-np.inf, np.inf))
     for name, given in limits.items():
         told = f"limits names {name!r}, which the network does not compute"
-        o = names.index(known_name(name, names, "limits", told))
+        o = names.index(require_known(name, names, "limits", told))
         low, high = given if isinstance(given, tuple | list) else (-math.inf, given)
         if not low < high:
             raise SpecError(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, run_record, scheduling_values
@@ -101,7 +101,7 @@ class NetworkSensitivity(AbstractSensitivity):
 
     def _run(self, network: Network, inputs: Float[Array, "time inputs"]):
         """Lagged and scheduling variables and scaled outputs of the run."""
-        u = _led(network, inputs, self.lead)
+        u = _prepend_inputs(network, inputs, self.lead)
         y = _from_rest(network, u)
         at = jnp.array(network.modelled)
         gain = network.gain[jnp.array(network.signals)][None]
@@ -131,11 +131,11 @@ def rest_run(
 
     `lead` samples of the first inputs bring it to rest before.
     """
-    y = _from_rest(network, _led(network, inputs, lead))
+    y = _from_rest(network, _prepend_inputs(network, inputs, lead))
     return y[-inputs.shape[0] :, : len(network.modelled)]
 
 
-def _led(
+def _prepend_inputs(
     network: Network, inputs: Float[Array, "time inputs"], lead: int
 ) -> Float[Array, "samples inputs"]:
     """With the first inputs before them."""
@@ -154,7 +154,7 @@ def _from_rest(
     return run_record(network, v, x, jnp.tile(middle, (u.shape[0], 1)), anchor)
 
 
-@guarded
+@guard_arguments
 def network_sensitivity(
     network: Network,
     *,

@@ -14,7 +14,7 @@ Allows = Callable[[Float[np.ndarray, "*rows inputs"]], Bool[np.ndarray, "*rows"]
 """Of levels of all inputs, whether they may be together."""
 
 
-def everything(u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "*rows"]:
+def all_combinations(u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "*rows"]:
     """All combinations."""
     return np.ones(u.shape[:-1], bool)
 
@@ -32,7 +32,7 @@ class Space:
     high: Float[np.ndarray, " inputs"]
     rate: Float[np.ndarray, " inputs"]
     binary: Bool[np.ndarray, " inputs"]
-    allows: Allows = everything
+    allows: Allows = all_combinations
 
     def points(
         self, random: np.random.Generator, *shape: int
@@ -91,11 +91,11 @@ def stretches(
     # One sample more: the plan begins with the last of what is there.
     leaves = level, held, space.low, space.high, space.rate
     level, held, low, high, rate = jax.device_put(leaves)
-    return np.array(_rendered(level, held, low, high, rate, length + 1))[:, 1:]
+    return np.array(_render(level, held, low, high, rate, length + 1))[:, 1:]
 
 
 @eqx.filter_jit
-def _rendered(
+def _render(
     level: Float[Array, "tests segments inputs"],
     hold: Int[Array, "tests segments inputs"],
     low: Float[Array, " inputs"],

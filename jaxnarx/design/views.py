@@ -188,12 +188,12 @@ def gains(
 
     def one(u):
         rows = view.slopes(u, at), view.errors(u, at)
-        return tuple(map(told, lower, rows)), rows
+        return tuple(map(information_gain, lower, rows)), rows
 
     return jax.lax.map(one, u, batch_size=16)
 
 
-def told(
+def information_gain(
     lower: Float[Array, "unknowns unknowns"], rows: Float[Array, "rows unknowns"]
 ) -> Float[Array, ""]:
     """log det(1 + R (L L')^-1 R'): what rows add to log det L L'."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from jaxnarx.checks import known_name, not_negative
+from jaxnarx.checks import not_negative, require_known
 from jaxnarx.errors import DataError, SpecError
 
 # `engine` is an `AbstractEngine` throughout; not named, to keep imports one-way.
@@ -22,7 +22,7 @@ class Noise(NamedTuple):
     relative: float = 0.0
 
 
-def checked(engine: Any, inputs: ArrayLike) -> Float[np.ndarray, "time inputs"]:
+def check_record(engine: Any, inputs: ArrayLike) -> Float[np.ndarray, "time inputs"]:
     """One record's inputs as a finite matrix with the columns of `engine`.
 
     Raises `SpecError` where the shape is not that, or a value is not finite.
@@ -47,12 +47,12 @@ def checked(engine: Any, inputs: ArrayLike) -> Float[np.ndarray, "time inputs"]:
     return u
 
 
-def kept(engine: Any, outputs: Sequence[str] | None) -> list[int]:
+def choose_outputs(engine: Any, outputs: Sequence[str] | None) -> list[int]:
     """Columns of the chosen outputs; all for `None`. `SpecError` for an unknown one."""
     known = engine.channels.output_names
     chosen = known if outputs is None else list(outputs)
     for name in chosen:
-        known_name(
+        require_known(
             name,
             known,
             "outputs",
@@ -130,7 +130,7 @@ def refuse_faults(
     )
 
 
-def padded(
+def pad_records(
     rows: list[Float[np.ndarray, "_ inputs"]],
 ) -> Float[np.ndarray, "records time inputs"]:
     """One array of all records, each held at its last row up to the longest."""
@@ -140,7 +140,7 @@ def padded(
     )
 
 
-def numbered(count: int) -> list[str]:
+def number_records(count: int) -> list[str]:
     """Names for records that have none."""
     return [f"record {i + 1}" for i in range(count)]
 

@@ -13,7 +13,7 @@ from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, shift
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
-from jaxnarx.engines.integration import held, settled
+from jaxnarx.engines.integration import find_rest, hold_inputs
 from jaxnarx.excitation import aprbs
 
 RPM = math.pi / 30  # rad/s per rpm
@@ -144,7 +144,7 @@ class CrossleyCook(AbstractEngine):
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """The state that does not change under `inputs`; NaN where there is none.
 
-        Found by `settled` from 0.543 bar and 209 rad/s, where the published example
+        Found by `find_rest` from 0.543 bar and 209 rad/s, where the published example
         starts.
         """
 
@@ -153,7 +153,7 @@ class CrossleyCook(AbstractEngine):
             return engine.quantities(state, inputs).derivative
 
         start = jnp.asarray([0.543, 209.0], self.inertia.dtype)
-        return settled(rate, start, (self, inputs))
+        return find_rest(rate, start, (self, inputs))
 
     def rest(self, inputs: Float[Array, " inputs"]):
         """Steady state, and the charge on its way to the power stroke."""
@@ -167,7 +167,7 @@ class CrossleyCook(AbstractEngine):
         now = self.quantities(state, inputs)
         charges, burning = shift(charges, now.charge)
         duration = event_duration(EVENT, now.speed, slowest=STALL)
-        state = held(
+        state = hold_inputs(
             lambda y: self.quantities(y, inputs, burning).derivative,
             *(state, duration),
             steps=SUBSTEPS,

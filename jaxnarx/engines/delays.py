@@ -43,7 +43,7 @@ def lagging_speed(
     return jax.lax.scan(follow, target[0], target)[1]
 
 
-def delayed_lag(
+def lag_and_delay(
     start: Float[Array, ""],
     commands: Float[Array, " held"],
     delay: Float[Array, ""],
@@ -72,7 +72,7 @@ def delayed_lag(
     return held + (start - held) * jnp.exp(-times / lag) + jnp.sum(late, axis=1)
 
 
-def delayed(
+def delay_staircase(
     levels: Float[Array, " levels"],
     durations: Float[Array, " past"],
     step: Float[Array, ""],

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
-from jaxnarx.engines.delays import delayed_lag
+from jaxnarx.engines.delays import lag_and_delay
 from jaxnarx.engines.diesel_parts import (
     brake_torque,
     compressor_side,
@@ -22,7 +22,7 @@ from jaxnarx.engines.diesel_parts import (
 )
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
-from jaxnarx.engines.integration import rk4, settled
+from jaxnarx.engines.integration import find_rest, rk4
 
 RPM = math.pi / 30  # rad/s per rpm
 SUBSTEP = 0.01  # s; 20 ms is unstable near idle, where the fastest rate is -154 1/s
@@ -305,8 +305,9 @@ class Diesel(AbstractEngine):
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """The state that does not change under `inputs`.
 
-        Found by `settled` from p_im = 1.5e5, p_em = 1.7e5 Pa, X_im = 0.20, X_em = 0.12,
-        w_t = 5000 rad/s. NaN where it finds none. First derivatives are exact.
+        Found by `find_rest` from p_im = 1.5e5, p_em = 1.7e5 Pa, X_im = 0.20,
+        X_em = 0.12, w_t = 5000 rad/s. NaN where it finds none. First derivatives are
+        exact.
         """
         still = inputs[jnp.asarray([1, 1, 2])]
         start = jnp.asarray([1.5e5, 1.7e5, 0.20, 0.12, 5000.0], still.dtype)
@@ -316,7 +317,7 @@ class Diesel(AbstractEngine):
             state = jnp.concatenate([gas, row[jnp.asarray([1, 1, 2])]])
             return engine.derivative(state, row)[:5]
 
-        return jnp.concatenate([settled(rate, start, (self, inputs)), still])
+        return jnp.concatenate([find_rest(rate, start, (self, inputs)), still])
 
     def rest(self, inputs: Float[Array, " inputs"]):
         """Steady state, and the inputs of the last `LONGEST_DELAY` seconds."""
@@ -337,7 +338,7 @@ class Diesel(AbstractEngine):
         times = times * (self.interval / (2 * steps))
         actuators = jnp.stack(
             [
-                delayed_lag(start, line[:, j], delay, lag, self.interval, times)
+                lag_and_delay(start, line[:, j], delay, lag, self.interval, times)
                 for start, j, delay, lag in (
                     (state[5], 1, self.egr_delay, self.egr_time),
                     (state[6], 1, self.egr_delay, self.egr_slow_time),

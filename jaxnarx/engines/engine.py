@@ -122,7 +122,9 @@ class AbstractEngine(eqx.Module):
         smoke, is simulated all the same: its samples can be masked with these flags. A
         stall, or a value that is not finite, breaks limits from then on.
         """
-        rows = jnp.asarray(bench.checked(self, inputs), jax.tree.leaves(self)[0].dtype)
+        rows = jnp.asarray(
+            bench.check_record(self, inputs), jax.tree.leaves(self)[0].dtype
+        )
         return {
             name: ~(np.asarray(margin) >= 0)
             for name, margin in _margins(self, rows).items()
@@ -153,13 +155,13 @@ class AbstractEngine(eqx.Module):
         returned record is finite. Soft limits are not enforced, see `flags`.
         """
         several = isinstance(inputs, Sequence)
-        rows = [bench.checked(self, u) for u in (inputs if several else [inputs])]
-        names = bench.numbered(len(rows)) if names is None else list(names)
+        rows = [bench.check_record(self, u) for u in (inputs if several else [inputs])]
+        names = bench.number_records(len(rows)) if names is None else list(names)
         bench.require(rows, names, noise)
-        keep = bench.kept(self, outputs)
+        keep = bench.choose_outputs(self, outputs)
         for u, name in zip(rows, names, strict=True):
             bench.refuse_outside(self, u, name)
-        padded = jnp.asarray(bench.padded(rows), jax.tree.leaves(self)[0].dtype)
+        padded = jnp.asarray(bench.pad_records(rows), jax.tree.leaves(self)[0].dtype)
         clean, error = map(np.asarray, _run_all(self, padded, key))
         records = []
         for u, y, e, name in zip(rows, clean, error, names, strict=True):

@@ -57,7 +57,7 @@ def rk4(
     return jax.lax.scan(perhaps, state, rows)[0]
 
 
-def held(
+def hold_inputs(
     derivative: Callable[[Float[Array, " states"]], Float[Array, " states"]],
     state: Float[Array, " states"],
     duration: Float[Array, ""],
@@ -104,7 +104,7 @@ def solve(
     return jnp.where(okay, solution.ys, jnp.nan)
 
 
-def settled(
+def find_rest(
     rate: Callable[[Float[Array, " states"], Any], Float[Array, " states"]],
     start: Float[Array, " states"],
     given: PyTree[Float[Array, "..."]],

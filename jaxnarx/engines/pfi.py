@@ -13,7 +13,7 @@ from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, shift
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import throttle_share
-from jaxnarx.engines.integration import held, settled
+from jaxnarx.engines.integration import find_rest, hold_inputs
 from jaxnarx.excitation import aprbs
 
 
@@ -272,18 +272,18 @@ class Pfi(AbstractEngine):
     def balance(self, drive: Drive) -> Float[Array, " states"]:
         """The state that does not change under `drive`, at free or held speed.
 
-        Found by `settled` from p_m = 0.35e5 Pa, m_ff = 1.2e-4 kg, W_v = 2e-3 kg/s,
+        Found by `find_rest` from p_m = 0.35e5 Pa, m_ff = 1.2e-4 kg, W_v = 2e-3 kg/s,
         omega = 100 rad/s. NaN where it finds no steady state.
         """
         start = jnp.asarray([0.35e5, 1.2e-4, 2e-3, 100.0], self.displacement.dtype)
         drive = jax.tree.map(lambda value: jnp.asarray(value, start.dtype), drive)
         if drive.speed is None:
-            return settled(_rate, start, (self, drive))
+            return find_rest(_rate, start, (self, drive))
 
         def rate(part: Float[Array, " unknowns"], given) -> Float[Array, " unknowns"]:
             return _rate(jnp.append(part, start[3]), given)[:3]
 
-        found = settled(rate, start[:3], (self, drive))
+        found = find_rest(rate, start[:3], (self, drive))
         return jnp.append(found, drive.speed * RPM)
 
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
@@ -308,7 +308,7 @@ class Pfi(AbstractEngine):
         torques, indicated = shift(torques, now.indicated)
         drive = Drive(duty, indicated=indicated)
         duration = event_duration(EVENT, now.speed, slowest=STALL)
-        state = held(
+        state = hold_inputs(
             lambda x: self.derivative(x, drive), state, duration, steps=SUBSTEPS
         )
         return (state, duties, torques), jnp.stack([now.speed, now.pressure])

@@ -13,7 +13,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, lagging_speed, shift
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
-from jaxnarx.engines.integration import held
+from jaxnarx.engines.integration import hold_inputs
 from jaxnarx.engines.pfi import STALL, Drive, Pfi, pfi_margins
 from jaxnarx.excitation import aprbs
 
@@ -150,7 +150,7 @@ class PfiDyno(AbstractEngine):
         ratios, seen = shift(ratios, now.ratio * self.engine.stoichiometric)
         duration = event_duration(EVENT, inputs[2], slowest=STALL)
         reading = seen + (reading - seen) * jnp.exp(-duration / self.sensor_time)
-        state = held(
+        state = hold_inputs(
             lambda x: self.engine.derivative(x, drive), state, duration, steps=SUBSTEPS
         )
         return (state, reading, inputs[2], duties, torques, ratios), outputs

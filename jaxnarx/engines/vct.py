@@ -13,7 +13,7 @@ from jaxnarx.engines.bench import Noise
 from jaxnarx.engines.delays import event_duration, lagging_speed, shift
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import root
-from jaxnarx.engines.integration import held, settled
+from jaxnarx.engines.integration import find_rest, hold_inputs
 from jaxnarx.excitation import aprbs
 
 EVENT = 180.0  # degrees crank angle
@@ -263,7 +263,7 @@ class Vct(AbstractEngine):
     def balance(self, drive: VctDrive) -> Float[Array, " states"]:
         """The state that does not change under `drive`; NaN where there is none.
 
-        Found by `settled` from P = 0.6 bar. First derivatives are exact.
+        Found by `find_rest` from P = 0.6 bar. First derivatives are exact.
         """
         one = jnp.ones_like(self.air_gain)
         start = jnp.stack([0.6 * one, 10 * one, one, 14.64 * one])
@@ -273,7 +273,7 @@ class Vct(AbstractEngine):
             return engine.derivative(state, drive)
 
         drive = jax.tree.map(lambda x: x * one, drive)
-        return settled(rate, start, (self, drive))
+        return find_rest(rate, start, (self, drive))
 
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """The state that does not change under `inputs`; NaN where there is none."""
@@ -295,7 +295,7 @@ class Vct(AbstractEngine):
         drive = _drive(inputs)._replace(measured=measured)
         duration = event_duration(EVENT, inputs[3], slowest=SLOWEST)
         outputs = [now.torque, state[3], now.nox, now.hc, now.pressure, state[1]]
-        state = held(
+        state = hold_inputs(
             lambda y: self.derivative(y, drive), state, duration, steps=SUBSTEPS
         )
         return (state, ratios, inputs), jnp.stack(outputs)

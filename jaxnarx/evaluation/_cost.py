@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.exporters import (
     BLEND,
     FILTERS,
@@ -18,7 +18,7 @@ from jaxnarx.exporters import (
     lower,
     stored_for_weights,
 )
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 
 NAMES = {
@@ -91,7 +91,7 @@ class Cost:
         """`to_dict` as aligned text."""
         lines = [("", *(title for title, _ in COLUMNS))]
         lines += [(n, *map(str, row.values())) for n, row in self.to_dict().items()]
-        return "\n".join(aligned(lines))
+        return "\n".join(align_columns(lines))
 
     @property
     def total(self) -> Operations:
@@ -120,7 +120,7 @@ COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
 """Sizes, and operations of one sample, as they are shown."""
 
 
-@guarded
+@guard_arguments
 def cost(network: Network) -> Cost:
     """Operations a control unit does at one sample, output by output and in total.
 
@@ -199,7 +199,7 @@ def _sizes(network: Network, output: int) -> tuple[int, int, int]:
     return coefficients + stored, len(active), coefficients - constants
 
 
-@guarded
+@guard_arguments
 def pareto(
     points: Float[np.ndarray, "points objectives"],
 ) -> Bool[np.ndarray, " points"]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import usable
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples, collect
@@ -17,7 +17,7 @@ from jaxnarx.formatting import page
 from jaxnarx.metrics import pooled_rms
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.simulation import Prepared, batched, prepared, simulate
+from jaxnarx.simulation import Prepared, ensure_prepared, simulate, stack_batch
 
 CELLS = 12
 """Cells along each variable."""
@@ -88,7 +88,7 @@ class ErrorMap:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def error_map(
     network: Network,
     data: Dataset | Prepared,
@@ -112,9 +112,9 @@ def error_map(
         found = jnx.evaluation.error_map(network, data, over=("a", "b"))
         print(found.rms.shape, int(found.samples.sum()))
     """
-    runs, origin = prepared(network, data)
+    runs, origin = ensure_prepared(network, data)
     name = network.output_names[0] if output is None else output
-    known_name(name, network.output_names, "output", f"no model of output {name!r}")
+    require_known(name, network.output_names, "output", f"no model of output {name!r}")
     samples = collect(
         origin.matched,
         network.output_channels,
@@ -144,8 +144,8 @@ def error_maps(
     """
     if not isinstance(network, Network):
         return ()
-    chosen = None if over is None else _named(network, over)
-    _, batch = batched(network, data)
+    chosen = None if over is None else _parse_axes(network, over)
+    _, batch = stack_batch(network, data)
     length = batch.valid.shape[1]
     maps = []
     for o, samples in enumerate(free):
@@ -177,7 +177,7 @@ def error_maps(
     return tuple(maps)
 
 
-def _named(network: Network, over: Sequence[str]) -> Variables:
+def _parse_axes(network: Network, over: Sequence[str]) -> Variables:
     """Two channels without delay, or lagged variables."""
     channels = network.channels
     if len(over) != 2 or over[0] == over[1]:

@@ -11,7 +11,7 @@ from jaxnarx.data import Batch, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network, scaled_points, weights_of
 from jaxnarx.regressors import row_columns
-from jaxnarx.simulation import Prepared, batched
+from jaxnarx.simulation import Prepared, stack_batch
 
 POINTS = 4096
 """Samples looked at, evenly spaced; always as many, so that one program serves."""
@@ -45,7 +45,7 @@ def region_errors(
     """
     if not isinstance(network, Network):
         return ()
-    (_, batch), found = batched(network, data), []
+    (_, batch), found = stack_batch(network, data), []
     length = batch.valid.shape[1]
     for o, samples in enumerate(free):
         calm = [(n, one) for n, one in enumerate(samples) if not one.diverged]
@@ -64,7 +64,7 @@ def region_errors(
     return tuple(found)
 
 
-def _divided(network: Network, output: int) -> bool:
+def _has_regions(network: Network, output: int) -> bool:
     """Whether it has several regions, told by what is measured."""
     model = network.models[output]
     several = len(model.scheduling) > 0 and np.asarray(model.active).sum() > 1
@@ -76,7 +76,7 @@ def leading_at(
 ) -> Int[np.ndarray, " points"] | None:
     """The local model of the largest weight at up to 4,096 rows of a batch; None where
     an output has one alone, or regions of hidden channels."""
-    if not _divided(network, output):
+    if not _has_regions(network, output):
         return None
     model = network.models[output]
     x = row_columns(batch, at, model.scheduling, float(network.sample_time))

@@ -6,15 +6,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import choice
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import collect
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network
-from jaxnarx.simulation import Trajectories, fitting, simulate
+from jaxnarx.simulation import Trajectories, match_records, simulate
 
 BLOCKS = 20
 """Blocks into which all samples are cut where nothing is said."""
@@ -54,7 +54,7 @@ class Relevance:
                 error = self.without[i, o]
                 told = f"{error:.4g}" if np.isfinite(error) else "diverged"
                 rows.append((self.inputs[i].name, told, f"{self.moved[i, o]:.4g}"))
-            lines += [f"  {line}" for line in aligned(rows)]
+            lines += [f"  {line}" for line in align_columns(rows)]
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -63,7 +63,7 @@ class Relevance:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def relevance(
     network: Network,
     data: Dataset,
@@ -96,7 +96,7 @@ def relevance(
     choice(how, ("mean", "permuted"), "how")
     if how == "permuted" and key is None:
         raise SpecError("a permutation needs a key: key=jax.random.key(0)", field="key")
-    data = fitting(network, data)
+    data = match_records(network, data)
     length = _block(data, block)
     base = simulate(network, data).value
     spread = _deviation(network, data)
@@ -104,7 +104,7 @@ def relevance(
     for i in range(len(network.channels.inputs)):
         places = None
         if key is not None and how == "permuted":
-            places = _permuted(data.samples, length, jax.random.fold_in(key, i))
+            places = _permute_blocks(data.samples, length, jax.random.fold_in(key, i))
         run = simulate(network, _withheld(data, i, places)).value
         without.append(_errors(network, data, run))
         moved.append(_moves(base, run) / spread)
@@ -131,7 +131,7 @@ def _block(data: Dataset, block: float | int | None) -> int:
     return round(block / data.sample_time)
 
 
-def _permuted(samples: int, length: int, key: Array) -> np.ndarray:
+def _permute_blocks(samples: int, length: int, key: Array) -> np.ndarray:
     """The places from which each sample is taken: blocks in another order."""
     starts = np.arange(0, samples, length)
     order = np.asarray(jax.random.permutation(key, len(starts)))

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.confidence import bands, domain, intervals
 from jaxnarx.data import Channel, Dataset, Record
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.simulation import Trajectories, fitting, simulate
+from jaxnarx.simulation import Trajectories, match_records, simulate
 
 SHORTEST, LONGEST, GROWTH = 512, 8192, 4
 """Samples of a run to rest: so many at first, and longer while something moves."""
@@ -85,7 +85,7 @@ class ResponseSurface:
     index: Float[np.ndarray, "first second"] | None
 
 
-@guarded
+@guard_arguments
 def steady_states(
     network: Network,
     inputs: Float[np.ndarray, "points inputs"],
@@ -162,7 +162,7 @@ def _index(network: Network, data: Dataset) -> Float[np.ndarray, " points"] | No
     return np.array([one[-1] for one in domain(network, data).value.index])
 
 
-@guarded
+@guard_arguments
 def intersections(
     network: Network,
     data: Dataset,
@@ -231,7 +231,7 @@ def intersections(
     return tuple(cuts)
 
 
-@guarded
+@guard_arguments
 def response_surface(
     network: Network,
     data: Dataset,
@@ -262,7 +262,7 @@ def response_surface(
         raise SpecError(f"over must name two inputs, got {list(over)}", field="over")
     names = network.output_names
     name = names[0] if output is None else output
-    known_name(name, names, "output", f"no model of output {name!r}")
+    require_known(name, names, "output", f"no model of output {name!r}")
     i, j = (_input(network, one) for one in over)
     point, start = operating_point(network, data, at)
     x, y = _grid(network, i, cells), _grid(network, j, cells)
@@ -289,7 +289,7 @@ def operating_point(
     Inputs that `at` names are those instead, and the nearest sample is sought there.
     Distances are in shares of the trained ranges.
     """
-    data = fitting(network, data)
+    data = match_records(network, data)
     rows = np.concatenate([r.signals[r.valid.all(axis=1)] for r in data])
     if not len(rows):
         raise SpecError("no sample of the data is complete", field="data")
@@ -310,7 +310,7 @@ def operating_point(
 
 def _input(network: Network, name: str, field: str = "over") -> int:
     names = network.channels.input_names
-    known_name(name, names, field, f"{name!r} is no input of the network")
+    require_known(name, names, field, f"{name!r} is no input of the network")
     return names.index(name)
 
 

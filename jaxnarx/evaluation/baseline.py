@@ -10,7 +10,7 @@ from jaxnarx.data import Batch, Dataset, stack_records
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns
-from jaxnarx.simulation import fitting, has_diverged, tables
+from jaxnarx.simulation import has_diverged, match_records, tables
 
 NAME = "linear, same lags"
 
@@ -25,7 +25,7 @@ def linear_runs(
     whose samples are scored and whose bounds hold. A linear free run is a filter,
     A(q) y = B(q) u + c, so that this costs no compiled program.
     """
-    train, data = fitting(network, train), fitting(network, data)
+    train, data = match_records(network, train), match_records(network, data)
     sources, targets = stack_records(train), stack_records(data)
     return [
         _runs(network, signal, sources, targets, bounds, one)

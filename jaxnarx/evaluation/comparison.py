@@ -6,12 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import FREE_RUN, Row, ScoredSamples, collect, score
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
 
@@ -63,7 +63,7 @@ class ModelComparison:
             errors = [scored[part] for part in self.parts]
             told = [r.status if r.nrmse is None else f"{r.nrmse:.4g}" for r in errors]
             rows.append((model, *told))
-        return "\n".join(aligned(rows))
+        return "\n".join(align_columns(rows))
 
     def __str__(self) -> str:
         return self.table
@@ -71,7 +71,7 @@ class ModelComparison:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def compare(
     models: Network | Mapping[str, Network],
     data: Dataset | Mapping[str, Dataset],
@@ -102,7 +102,7 @@ def compare(
     name = first.output_names[0] if output is None else output
     for title, network in networks.items():
         told = f"the model {title!r} has no output {name!r}"
-        known_name(name, network.output_names, "output", told)
+        require_known(name, network.output_names, "output", told)
     channel = first.output_channels[first.output_names.index(name)]
     runs = {
         (title, part): _samples(network, part_data, channel)

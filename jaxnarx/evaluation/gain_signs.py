@@ -13,13 +13,13 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
 from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import match_records
 
 RUNS = 160
 """Runs to rest, of all points and inputs together."""
@@ -77,7 +77,7 @@ class GainFinding:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
     """Inputs whose steady-state gain changes sign over the domain, or jumps.
 
@@ -136,7 +136,7 @@ def _points(
     """Inputs of measured samples within the trained ranges, evenly spread."""
     inputs = len(network.channels.inputs)
     try:
-        data = fitting(network, data)
+        data = match_records(network, data)
     except SpecError:
         return np.zeros((0, inputs))
     rows = np.concatenate([r.signals[r.valid.all(axis=1)] for r in data])[:, :inputs]

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
@@ -23,7 +23,7 @@ from jaxnarx.regressors import (
     row_columns,
     variable_names,
 )
-from jaxnarx.simulation import fitting, tables
+from jaxnarx.simulation import match_records, tables
 
 POINTS = 600
 """Samples looked at, evenly spaced."""
@@ -49,7 +49,7 @@ class LocalBehaviour:
     time_constant: Float[np.ndarray, " points"]
 
 
-@guarded
+@guard_arguments
 def local_behaviour(
     network: Network,
     data: Dataset,
@@ -69,7 +69,7 @@ def local_behaviour(
     network.require_measured("The behaviour of local models")
     o = _position(network, output)
     model = network.models[o]
-    data = fitting(network, data)
+    data = match_records(network, data)
     batch = held_inputs(network, stack_records(data))
     at = even_places(
         batch, tables(network), network.history, points, "local models need"
@@ -98,7 +98,7 @@ def _position(network: Network, output: str | None) -> int:
     names = network.output_names
     if output is None:
         return 0
-    known_name(output, names, "output", f"no model of output {output!r}")
+    require_known(output, names, "output", f"no model of output {output!r}")
     return names.index(output)
 
 

@@ -11,7 +11,7 @@ from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
-from jaxnarx.simulation import Prepared, dataset_of, prepared
+from jaxnarx.simulation import Prepared, dataset_of, ensure_prepared
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def _begins(
     if not isinstance(network, Network):
         known = dataset_of(data)
         return [0] * len(known), [None] * len(known)
-    _, origin = prepared(network, data)
+    _, origin = ensure_prepared(network, data)
     own, starts = origin.matched, origin.masks.start.tolist()
     starts = [min(s, len(record)) for s, record in zip(starts, own, strict=True)]
     begins = []

@@ -5,7 +5,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive, require
 from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset, in_units
@@ -69,7 +69,7 @@ class Reportable(Protocol):
     def equations(self) -> Any: ...
 
 
-@guarded
+@guard_arguments
 def report(
     network: Reportable,
     data: Dataset | Mapping[str, Dataset],
@@ -171,8 +171,8 @@ def report(
     notes += [f"One-step residuals on {main}: {text}" for text in sentences]
     if partition is None:
         partition = describe_partition(network, data=parts[main])
-    others = _beside(network, parts, main, runs[main][FREE_RUN], beside or {})
-    scored_beside = {name: _pooled(main, run) for name, run in others.items()}
+    others = _free_runs_beside(network, parts, main, runs[main][FREE_RUN], beside or {})
+    scored_beside = {name: _pooled_rows(main, run) for name, run in others.items()}
     return Report(
         outputs=outputs,
         main=main,
@@ -207,13 +207,13 @@ def report(
         gains=_gains(network, parts[main], diagnostics, tested),
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
         network=network,
-        records=_shown(
+        records=_records_to_show(
             network, ready, main, outputs, runs, free, bounded, index, others
         ),
     )
 
 
-def _shown(
+def _records_to_show(
     network: Any,
     parts: Mapping[str, Dataset | Prepared],
     main: str,
@@ -343,7 +343,7 @@ def _runs(
     }
 
 
-def _beside(
+def _free_runs_beside(
     network: Any,
     parts: Mapping[str, Dataset],
     main: str,
@@ -364,7 +364,7 @@ def _beside(
     return runs
 
 
-def _pooled(main: str, run: OtherRuns) -> tuple[Row, ...]:
+def _pooled_rows(main: str, run: OtherRuns) -> tuple[Row, ...]:
     """Its rows of all records together."""
     return tuple(score(main, FREE_RUN, channel, found)[0] for channel, found in run)
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx import metrics
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 
@@ -142,7 +142,7 @@ def score(
 
 def _column(data: Dataset, name: str) -> int:
     names = data.channels.output_names
-    known_name(
+    require_known(
         name,
         names,
         "data",

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation.rows import collect, score
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 from jaxnarx.regressors import term_name
 from jaxnarx.simulation import predict, simulate
@@ -47,12 +47,12 @@ class SizeErrors:
             errors = [f"{values[n]:.4g}" for values in self.free_run.values()]
             mark = f"{size} *" if size == self.chosen else str(size)
             rows.append((mark, str(int(self.operations[n])), *errors))
-        return "\n".join([f"{self.output.name}: NRMSE by size", *aligned(rows)])
+        return "\n".join([f"{self.output.name}: NRMSE by size", *align_columns(rows)])
 
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def errors_by_size(
     selection: Any, data: Dataset | Mapping[str, Dataset]
 ) -> tuple[SizeErrors, ...]:

@@ -49,11 +49,12 @@ def text_table(rows: Iterable[Row], main: str) -> str:
         blocks.setdefault((row.part, row.output), []).append(row)
     order = sorted(blocks, key=lambda key: key[0] != main)
     return "\n\n".join(
-        _block(_shown(blocks[key], WORST if key[0] == main else 0)) for key in order
+        _block(_rows_to_show(blocks[key], WORST if key[0] == main else 0))
+        for key in order
     )
 
 
-def _shown(rows: list[Row], most: int) -> list[Row]:
+def _rows_to_show(rows: list[Row], most: int) -> list[Row]:
     """Pooled rows, then the records with the largest errors in free run."""
     pooled = [r for r in rows if r.record == POOLED]
     single = [r for r in rows if r.record != POOLED]
@@ -122,7 +123,7 @@ def _block(rows: list[Row]) -> str:
     for record, group in by_record.items():
         for i, row in enumerate(group):
             lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
-    return f"{label}, {data_of(first.part)}\n" + _aligned(lines)
+    return f"{label}, {data_of(first.part)}\n" + _align(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -138,7 +139,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     )
 
 
-def _aligned(lines: list[tuple[str, ...]]) -> str:
+def _align(lines: list[tuple[str, ...]]) -> str:
     """Text left, figures right; a status may run over the empty cells beside it."""
     spilling = [cells[3:7] == MISSING for cells in lines]
     widths = [

@@ -177,7 +177,7 @@ def judge(report: Scored) -> Verdict:
     """The verdict by the rules above."""
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     findings = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
-    findings += [*_beside(report), *_memory(report), *_data(report, rows)]
+    findings += [*_compare_with_linear(report), *_memory(report), *_data(report, rows)]
     findings += [*_left_out(report, rows), *_intervals(report)]
     findings.sort(key=lambda f: f.level != UNUSABLE)
     level = findings[0].level if findings else GOOD
@@ -245,7 +245,7 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
             text = f"the free run of {where} is no better than the mean"
             yield Reason(UNUSABLE, f"{text} ({_nrmse(row.nrmse)})", "richer")
         elif row.nrmse > ACCURATE:
-            yield Reason(LIMITED, _unexplained(where, row.nrmse), "richer")
+            yield Reason(LIMITED, _unexplained_share(where, row.nrmse), "richer")
         inside = within.get((row.output, row.part), 0.0)
         if inside >= WORTHLESS > row.nrmse and not learned:
             text = f"within a record the free run of {where} is no better than its mean"
@@ -256,7 +256,7 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         yield Reason(LIMITED, text, "simpler")
 
 
-def _unexplained(where: str, nrmse: float) -> str:
+def _unexplained_share(where: str, nrmse: float) -> str:
     """What the free run leaves of the variance; of more than all no share is told."""
     text = f"the free run of {where} is worse than the mean"
     if nrmse < WORTHLESS:
@@ -298,7 +298,7 @@ def _records(rows: list[Row]) -> Iterator[Reason]:
             yield Reason(LIMITED, text, "records")
 
 
-def _beside(report: Scored) -> Iterator[Reason]:
+def _compare_with_linear(report: Scored) -> Iterator[Reason]:
     """A linear model that does better."""
     for row in report.beside.get(NAME, ()):
         own = report.pooled(row.output).nrmse
@@ -338,7 +338,7 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
         yield Reason(LIMITED, text, "test")
     elif report.main in ("train", "validate"):
         text = f"there are no test data: {report.main} took part in making it"
-        yield Reason(LIMITED, text + _promised(report), "test")
+        yield Reason(LIMITED, text + _held_out_error(report), "test")
     main = [r for r in _pooled(rows) if r.part == report.main]
     share = max((r.share_outside for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
@@ -386,7 +386,7 @@ def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
                 yield output, row
 
 
-def _promised(report: Scored) -> str:
+def _held_out_error(report: Scored) -> str:
     """What the records left out say where there are no test data."""
     told = [
         f"{output} {row['free_run']:.3g}"

@@ -13,7 +13,7 @@ from jaxnarx.evaluation._region_errors import leading_at, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.formatting import page, span_text
 from jaxnarx.models import Network
-from jaxnarx.simulation import Prepared, batched
+from jaxnarx.simulation import Prepared, stack_batch
 
 WORST = 10
 """Stretches of every output."""
@@ -111,7 +111,7 @@ def worst_stretches(
         places = _places(calm, errors, largest, window)
         regions = _regions(network, data, o, [(n, at) for n, at, _ in places])
         found += [
-            _told(channel, n, calm[n], errors[n], part, usual, known, region, data)
+            _describe(channel, n, calm[n], errors[n], part, usual, known, region, data)
             for (n, _, part), region in zip(places, regions, strict=True)
         ]
     return tuple(found)
@@ -160,7 +160,7 @@ def _regions(
     nothing = [""] * len(peaks)
     if not isinstance(network, Network) or not peaks:
         return nothing
-    _, batch = batched(network, data)
+    _, batch = stack_batch(network, data)
     length = batch.valid.shape[1]
     lead = leading_at(network, batch, o, np.array([n * length + t for n, t in peaks]))
     if lead is None:
@@ -169,7 +169,9 @@ def _regions(
     return [region_text(regions[m]) for m in lead]
 
 
-def _told(channel, n, samples, error, part, usual, known, region, data) -> ErrorStretch:
+def _describe(
+    channel, n, samples, error, part, usual, known, region, data
+) -> ErrorStretch:
     scored = samples.scored[part, 0]
     own = error[part][scored]
     scale = float(np.abs(own).max()) or 1.0

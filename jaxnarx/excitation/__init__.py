@@ -14,9 +14,9 @@ from jaxnarx.excitation._assess import bandwidth as bandwidth
 from jaxnarx.excitation._assess import cells as cells
 from jaxnarx.excitation._assess import coverage as coverage
 from jaxnarx.excitation._assess import spectrum as spectrum
-from jaxnarx.excitation._assess import visited as visited
+from jaxnarx.excitation._assess import visited_rows as visited_rows
 from jaxnarx.excitation.courses import driving_cycle as driving_cycle
-from jaxnarx.excitation.courses import limited as limited
+from jaxnarx.excitation.courses import limit_slope as limit_slope
 from jaxnarx.excitation.courses import ramps as ramps
 from jaxnarx.excitation.courses import steps as steps
 from jaxnarx.excitation.placement import discrepancy as discrepancy

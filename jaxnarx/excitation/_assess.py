@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.checks import Number, Pair, known_name, positive, span, whole
+from jaxnarx.checks import Number, Pair, positive, require_known, span, whole
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.excitation.placement import Box, box, discrepancy
@@ -310,7 +310,7 @@ def assess(
     names = data.channels.input_names
     if not names:
         raise DataError("the data set has no inputs, so there is no excitation")
-    points = visited(data)
+    points = visited_rows(data)
     if not len(points):
         raise DataError("the data set has no sample at which all inputs are valid")
     low, high = operating_space(points, names, ranges or {})
@@ -326,7 +326,7 @@ def assess(
     )
 
 
-def visited(data: Dataset) -> Float[np.ndarray, "samples inputs"]:
+def visited_rows(data: Dataset) -> Float[np.ndarray, "samples inputs"]:
     """Rows of the inputs of all records, where all of them are valid."""
     inputs = len(data.channels.inputs)
     rows = [r.u[np.all(r.valid[:, :inputs], axis=1)] for r in data]
@@ -340,7 +340,9 @@ def operating_space(
 ) -> tuple[Float[np.ndarray, " inputs"], Float[np.ndarray, " inputs"]]:
     """The given ranges, where there are none those of the points."""
     for name in ranges:
-        known_name(name, names, "ranges", f"ranges names {name!r}, which is no input")
+        require_known(
+            name, names, "ranges", f"ranges names {name!r}, which is no input"
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     for i, name in enumerate(names):
         if name in ranges:

@@ -100,7 +100,7 @@ def driving_cycle(
     return jnp.asarray(np.interp(np.arange(count) * step, times, speeds), float)
 
 
-def limited(
+def limit_slope(
     signal: Float[Array, " time"],
     *,
     rate: Number | None = None,

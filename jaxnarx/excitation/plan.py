@@ -13,7 +13,7 @@ from jaxnarx.checks import (
     Number,
     Pair,
     choice,
-    known_name,
+    require_known,
     span,
     whole,
 )
@@ -88,7 +88,7 @@ def reachable(plan: AprbsPlan) -> AprbsPlan:
     comes back as it is. Serves a projected gradient. Pure.
     """
     level = jnp.clip(plan.level, plan.low[None], plan.high[None])
-    level = jax.vmap(_reached, (1, 1, 0), 1)(level, plan.hold, plan.rate)
+    level = jax.vmap(_end_values, (1, 1, 0), 1)(level, plan.hold, plan.rate)
     return eqx.tree_at(lambda p: p.level, plan, level)
 
 
@@ -97,7 +97,7 @@ def feasible(plan: AprbsPlan) -> Bool[Array, ""]:
 
     Up to rounding: eight units in the last place of the larger border.
     """
-    inside, in_time = _kept(plan)
+    inside, in_time = _quantise(plan)
     return jnp.all(inside & in_time)
 
 
@@ -123,7 +123,7 @@ def check_plan(plan: AprbsPlan) -> None:
     hold. Segments after the end are not looked at. Not to be traced.
     """
     check_limits(plan)
-    inside, in_time = (np.asarray(x) for x in _kept(plan))
+    inside, in_time = (np.asarray(x) for x in _quantise(plan))
     for k, i in np.argwhere(~inside):
         raise SpecError(
             f"level of input {plan.names[i]!r} in segment {k} is "
@@ -149,7 +149,7 @@ def _too_fast(plan: AprbsPlan, k: int, i: int) -> str:
 
 
 @eqx.filter_jit
-def _kept(
+def _quantise(
     plan: AprbsPlan,
 ) -> tuple[Bool[Array, "segments inputs"], Bool[Array, "segments inputs"]]:
     """Levels in range, and steps completed in their hold; what is unused counts as so.
@@ -164,7 +164,7 @@ def _kept(
     return inside | ~plan.used, (step <= reach + slack) | ~plan.used
 
 
-def _reached(
+def _end_values(
     level: Float[Array, " segments"],
     hold: Int[Array, " segments"],
     rate: Float[Array, ""],
@@ -188,7 +188,7 @@ def _render(
     rate: Float[Array, ""],
     length: int,
 ) -> Float[Array, " time"]:
-    ends = _reached(level, hold, rate)
+    ends = _end_values(level, hold, rate)
     before = jnp.concatenate([level[:1], ends[:-1]])
     time = jnp.arange(length, dtype=hold.dtype)
     start = jnp.cumsum(hold) - hold
@@ -240,7 +240,7 @@ def aprbs_plan(
     ranges = _by_name(hold, inputs, "hold")
     holds = _holds(hold_key, length, ranges, hold_distribution, together)
     used = np.sum(np.cumsum(holds, axis=0) - holds < length, axis=0)
-    unit = _placed(level_key, placement, used)
+    unit = _place_points(level_key, placement, used)
     rates = _by_name(np.inf if rate is None else rate, inputs, "rate", np.inf)
     plan = AprbsPlan(
         level=jnp.asarray(low + (high - low) * unit, float),
@@ -269,7 +269,7 @@ def _by_name(given, inputs: Mapping[str, Pair], field: str, default=None) -> lis
     if not isinstance(given, Mapping):
         return [given] * len(inputs)
     for name in given:
-        known_name(
+        require_known(
             name,
             inputs,
             field,
@@ -304,7 +304,7 @@ def _holds(
     return np.stack(columns, axis=-1)
 
 
-def _placed(
+def _place_points(
     key: PRNGKeyArray, placement: Placement, used: Int[np.ndarray, " inputs"]
 ) -> Float[np.ndarray, "segments inputs"]:
     """Points of the unit cube, as many as the input that switches most often needs."""
@@ -316,11 +316,11 @@ def _placed(
         return np.asarray(uniform(key, count, low, high))
     points = np.array(latin_hypercube(key, count, low, high))
     for i, n in enumerate(used):
-        points[:n, i] = _restratified(points[:n, i], count)
+        points[:n, i] = _restratify(points[:n, i], count)
     return points
 
 
-def _restratified(
+def _restratify(
     x: Float[np.ndarray, " points"], strata: int
 ) -> Float[np.ndarray, " points"]:
     """Points in some of `strata` strata, moved in order to as many as there are."""

@@ -236,11 +236,11 @@ def random_walk(
         )
     count = -(-length // hold)
     moves = jax.random.uniform(key, (count,), float, -step, step).at[0].set(0.0)
-    walk = _folded(start - low + jnp.cumsum(moves), high - low)
+    walk = _reflect(start - low + jnp.cumsum(moves), high - low)
     return jnp.repeat(jnp.clip(low + walk, low, high), hold)[:length]
 
 
-def _folded(x: Float[Array, " time"], width: float) -> Float[Array, " time"]:
+def _reflect(x: Float[Array, " time"], width: float) -> Float[Array, " time"]:
     """`x` reflected at 0 and at `width` until it lies between."""
     if width == 0:
         return jnp.zeros_like(x)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
@@ -108,7 +108,7 @@ class Exported:
         return {k: v for k, v in self.files.items() if isinstance(v, str)}
 
 
-@guarded
+@guard_arguments
 def export(
     network: Network,
     data: Dataset | None = None,
@@ -164,7 +164,7 @@ def export(
     choice(precision, PRECISIONS, "precision")
     program = lower(network, name, index=index, level=level)
     program = dataclasses.replace(program, precision=precision)
-    records = proof.excited(network) if data is None else data
+    records = proof.make_steps(network) if data is None else data
     cases = proof.cases_of(network, program, records)
     if not cases:
         raise SpecError(
@@ -178,7 +178,7 @@ def export(
     golden = golden_of(program, cases[0]) | axes
     found = _write_and_prove(program, golden, to, cases, verify)
     if found.failed:
-        found = _explained(found, network, records)
+        found = _explain_failures(found, network, records)
     if not found.files:
         told = "; ".join(found.failed.values())
         raise ExportError(f"{told}. Nothing was written.")
@@ -233,7 +233,7 @@ def _write_and_prove(
     return Exported(program, made, found, tuple(left_out), failed)
 
 
-def _explained(found: Exported, network: Network, data: Dataset) -> Exported:
+def _explain_failures(found: Exported, network: Network, data: Dataset) -> Exported:
     """With the cause of what failed in single precision, as far as it is known."""
     failed = {
         name: f"{text}. {cause(network, data)}" if name.endswith("single") else text

@@ -4,7 +4,7 @@ from string import Template
 
 from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
-from jaxnarx.exporters.scripts import Language, number, sources, written
+from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
 
 
@@ -16,7 +16,7 @@ def javascript_files(program: SampleProgram, golden: Golden) -> Files:
 
 def javascript(program: SampleProgram) -> str:
     """The module as text."""
-    return written(program, JAVASCRIPT)
+    return write_page(program, JAVASCRIPT)
 
 
 def _syntax(program: SampleProgram) -> Syntax:

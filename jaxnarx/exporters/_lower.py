@@ -36,7 +36,7 @@ from jaxnarx.exporters.parameters import (
     THETA,
     OutputAt,
     column_names,
-    divided,
+    has_regions,
     tables_at,
 )
 from jaxnarx.exporters.validities import Tables, weights
@@ -318,7 +318,7 @@ class _Lowering:
             return b.parameters(f"{kind}_{name}", values, about, columns=columns)
 
         with b.purpose(WEIGHTS):
-            z = self._scheduling(model, tables) if divided(at) else []
+            z = self._scheduling(model, tables) if has_regions(at) else []
             phi, total = weights(b, at, z, tables)
         factor = np.asarray(model.local.factor)
         dense, used, table = THETA.read(at), THETA.columns(at), tables("theta")

@@ -35,7 +35,7 @@ def a2l_files(program: SampleProgram, golden: Golden) -> Files:
 
 def _lines(program: SampleProgram) -> Iterable[str]:
     name = program.name
-    about = quoted(
+    about = quote(
         f"{', '.join(p.name for p in program.reported)} by jaxnarx, a sample every "
         f"{program.sample_time:g} s"
     )
@@ -56,10 +56,10 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     yield f"/begin RECORD_LAYOUT {name}_numbers"
     yield f"  FNC_VALUES 1 {_type(program)} ROW_DIR DIRECT"
     yield "/end RECORD_LAYOUT"
-    measured = list(_measured(program))
+    measured = list(_measurements(program))
     for unit in dict.fromkeys(port.unit for _, port, _ in measured):
         yield f'/begin COMPU_METHOD {_method(program, unit)} "" IDENTICAL "%12.6"'
-        yield f"  {quoted(unit)}"
+        yield f"  {quote(unit)}"
         yield "/end COMPU_METHOD"
     for table in tables:
         yield from _characteristic(name, table)
@@ -76,7 +76,7 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     yield "/end PROJECT"
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """A text in quotation marks that it cannot leave."""
     return '"' + plain(text).replace("\\", "/").replace("/*", "/ *") + '"'
 
@@ -85,7 +85,7 @@ def _type(program: SampleProgram) -> str:
     return "FLOAT64_IEEE" if program.precision == ONLY_DOUBLE else "FLOAT32_IEEE"
 
 
-def _measured(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
+def _measurements(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
     """Inputs, reported outputs and flags: name, port and symbol."""
     name = program.name
     flags = [Port(flag, "", 0.0, 0.0) for flag in program.flags]
@@ -101,14 +101,14 @@ def _measured(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
 
 
 def _method(program: SampleProgram, unit: str) -> str:
-    units = [port.unit for _, port, _ in _measured(program)]
+    units = [port.unit for _, port, _ in _measurements(program)]
     return f"{program.name}_unit_{units.index(unit)}"
 
 
 def _characteristic(name: str, table: ParameterTable) -> Iterable[str]:
     symbol = f"{name}_{table.name}"
     size = " ".join(map(str, table.values.shape[::-1]))
-    yield f"/begin CHARACTERISTIC {symbol} {quoted(table.about)} VAL_BLK 0x0"
+    yield f"/begin CHARACTERISTIC {symbol} {quote(table.about)} VAL_BLK 0x0"
     yield f"  {name}_numbers 0 NO_COMPU_METHOD {-LARGEST} {LARGEST}"
     yield f"  MATRIX_DIM {size}"
     yield f'  SYMBOL_LINK "{symbol}" 0'
@@ -122,7 +122,7 @@ def _measurement(
     wide = np.abs([port.low, port.high]).max() < LARGEST / 4
     if port.high > port.low and wide:
         low, high = 2 * port.low - port.high, 2 * port.high - port.low
-    yield f"/begin MEASUREMENT {word} {quoted(port.name)} {_type(program)}"
+    yield f"/begin MEASUREMENT {word} {quote(port.name)} {_type(program)}"
     yield f"  {_method(program, port.unit)} 0 0 {digits(low)} {digits(high)}"
     yield "  ECU_ADDRESS 0x0"
     yield f'  SYMBOL_LINK "{symbol}" 0'

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from jaxnarx.exporters.c_selftest import selftest
 from jaxnarx.exporters.c_start import starts
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits, shown, statements
+from jaxnarx.exporters.code import INFIX, Syntax, comment, digits, statements, symbol_of
 from jaxnarx.exporters.form import (
     ONLY_DOUBLE,
     ONLY_SINGLE,
@@ -14,7 +14,7 @@ from jaxnarx.exporters.form import (
     SampleProgram,
     Value,
 )
-from jaxnarx.exporters.notes import wrapped
+from jaxnarx.exporters.notes import wrap_paragraphs
 from jaxnarx.exporters.target import Files, Golden
 
 
@@ -97,8 +97,8 @@ def _header(program: SampleProgram) -> str:
         " * Physical units. Inputs, then outputs (name [unit], trained range):",
         *(f" *   u[{k}] {_port(p)}" for k, p in enumerate(program.inputs)),
         *(f" *   y[{k}] {_port(p)}" for k, p in enumerate(program.computed)),
-        *wrapped(program.notes, " * "),
-        *wrapped([_IEEE, f"{program.cost.capitalize()}."], " * "),
+        *wrap_paragraphs(program.notes, " * "),
+        *wrap_paragraphs([_IEEE, f"{program.cost.capitalize()}."], " * "),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
@@ -213,7 +213,7 @@ def _source(program: SampleProgram) -> str:
     for table in program.tables:
         lines += _table(name, table)
     for what, ports in (("input", program.inputs), ("output", program.computed)):
-        texts = ", ".join(_quoted(p) for p in ports)
+        texts = ", ".join(_quote(p) for p in ports)
         lines.append(
             f"const char *const {name}_{what}_names[{len(ports)}] = {{{texts}}};"
         )
@@ -239,7 +239,7 @@ def _source(program: SampleProgram) -> str:
         *_unused(program, program.step, ("input", "u")),
         *statements(program, program.step, syntax),
         *(
-            f"    out->{field}[{k}] = {shown(program, n, syntax)};"
+            f"    out->{field}[{k}] = {symbol_of(program, n, syntax)};"
             for field, values in (("reported", program.outputs), ("fed", program.fed))
             for k, n in enumerate(values)
         ),
@@ -248,13 +248,13 @@ def _source(program: SampleProgram) -> str:
             for k, n in enumerate(program.limited)
             for line in (
                 f"    out->limited[{k}] = 0;",
-                f"    if ({shown(program, n, syntax)} > {syntax.number(0.5)}) {{",
+                f"    if ({symbol_of(program, n, syntax)} > {syntax.number(0.5)}) {{",
                 f"        out->limited[{k}] = 1;",
                 "    }",
             )
         ),
         *(
-            f"    out->{flag} = {shown(program, n, syntax)};"
+            f"    out->{flag} = {symbol_of(program, n, syntax)};"
             for flag, n in program.flags.items()
         ),
         *_kept(program, syntax, measured=False),
@@ -281,7 +281,7 @@ def _table(name: str, table: ParameterTable) -> list[str]:
     return [*lines, "};", ""]
 
 
-def _quoted(port: Port) -> str:
+def _quote(port: Port) -> str:
     unit = f" [{port.unit}]" if port.unit else ""
     text = "".join(
         chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\?' else f"\\{byte:03o}"
@@ -302,7 +302,7 @@ def _filled(program: SampleProgram, syntax: Syntax) -> list[str]:
     if any(d.length > 1 for d in program.delays):
         lines.append("    int k;")
     for line in program.delays:
-        value = shown(program, line.start, syntax)
+        value = symbol_of(program, line.start, syntax)
         if line.length > 1:
             lines.append(f"    for (k = 0; k < {line.length}; k++) {{")
             lines.append(f"        s->{line.name}[k] = {value};")
@@ -310,7 +310,7 @@ def _filled(program: SampleProgram, syntax: Syntax) -> list[str]:
         else:
             lines.append(f"    s->{line.name}[0] = {value};")
     return lines + [
-        f"    s->{state.name} = {shown(program, state.start, syntax)};"
+        f"    s->{state.name} = {symbol_of(program, state.start, syntax)};"
         for state in program.states
     ]
 
@@ -322,7 +322,7 @@ def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str
         lines.append("    int k;")
     later = []
     for n, line in enumerate(program.delays):
-        value = shown(program, line.measured if measured else line.source, syntax)
+        value = symbol_of(program, line.measured if measured else line.source, syntax)
         lines.append(f"    const {real} d{n} = {value};")
         if line.length > 1:
             later.append(f"    for (k = {line.length - 1}; k > 0; k--) {{")
@@ -330,7 +330,9 @@ def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str
             later.append("    }")
         later.append(f"    s->{line.name}[0] = d{n};")
     for n, state in enumerate(program.states):
-        lines.append(f"    const {real} x{n} = {shown(program, state.source, syntax)};")
+        lines.append(
+            f"    const {real} x{n} = {symbol_of(program, state.source, syntax)};"
+        )
         later.append(f"    s->{state.name} = x{n};")
     return lines + later
 
@@ -351,7 +353,7 @@ def _jacobian(program: SampleProgram, syntax: Syntax) -> list[str]:
         ),
         *statements(program, needed, syntax),
         *(
-            f"    slopes[{o * columns + k}] = {shown(program, n, syntax)};"
+            f"    slopes[{o * columns + k}] = {symbol_of(program, n, syntax)};"
             for o, row in enumerate(program.jacobian)
             for k, n in enumerate(row)
         ),

@@ -47,7 +47,7 @@ FIELDS = (
 
 def read_dcm(text: str, source: str) -> list[CalibrationBlock]:
     """The blocks of a DCM file; `source` is what errors call it."""
-    lines = _written(text)
+    lines = _written_lines(text)
     number, first = next(lines, (1, ""))
     if not re.match(r"KONSERVIERUNG_FORMAT\s+2\.\d+$", first):
         raise _wrong(source, number, "a DCM file begins with KONSERVIERUNG_FORMAT 2.0")
@@ -63,7 +63,7 @@ def read_dcm(text: str, source: str) -> list[CalibrationBlock]:
     return _single(blocks, source)
 
 
-def _written(text: str) -> Iterator[tuple[int, str]]:
+def _written_lines(text: str) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, without comments and empty ones."""
     # not splitlines, which ends a line at letters of Windows-1252 as well
     lines = re.split(r"\r\n|\r|\n", text.lstrip("\ufeff"))
@@ -93,7 +93,7 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
             found = CalibrationBlock(
                 *(kind, name, size, np.array(values), begun, tuple(places))
             )
-            return _counted(found, source)
+            return _count_values(found, source)
         if field == "WERT":
             values += [number_of(w, source, number, name) for w in rest]
             places += [number] * len(rest)
@@ -104,7 +104,7 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
     raise _wrong(source, begun, f"block {name} has no END")
 
 
-def _counted(block: CalibrationBlock, source: str) -> CalibrationBlock:
+def _count_values(block: CalibrationBlock, source: str) -> CalibrationBlock:
     """A block of values with as many as it says."""
     right = math.prod(block.size)
     if block.kind in VALUES and len(block.values) != right:
@@ -170,7 +170,7 @@ def read_arrays(text: str, source: str, names: Iterable[str]) -> list[Calibratio
         block = CalibrationBlock(
             *("FESTWERTEBLOCK", name, (size,), np.array(values), line, tuple(places))
         )
-        blocks.append(_counted(block, source))
+        blocks.append(_count_values(block, source))
     return _single(blocks, source)
 
 

@@ -64,7 +64,7 @@ def statements(
     return lines
 
 
-def shown(program: SampleProgram, n: Value, syntax: Syntax) -> str:
+def symbol_of(program: SampleProgram, n: Value, syntax: Syntax) -> str:
     """What stands for value `n`."""
     return syntax.value(program.ops[n], n)
 

@@ -90,7 +90,7 @@ class Instance:
         """Start from the steady state at these inputs: where the free run comes to rest
         from the middle of the trained ranges. Returns how many samples that took,
         `LONGEST` where it did not."""
-        samples, self.delays, self.states = _settled(self.program, inputs)
+        samples, self.delays, self.states = _samples_to_rest(self.program, inputs)
         return samples
 
     def _ranges(self, inputs: Inputs):
@@ -159,10 +159,10 @@ class Instance:
                 return self.delays[name][k - 1]
             case "state":
                 return self.states[op.source]
-        return _applied(self.xp, op.kind, *args)
+        return _apply(self.xp, op.kind, *args)
 
 
-def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
+def _apply(xp: Any, kind: str, a: Any, *more: Any) -> Any:
     """An operation on values; of single ones numbers, not arrays, which could be
     changed where they are kept."""
     match kind, more:
@@ -191,7 +191,7 @@ def _applied(xp: Any, kind: str, a: Any, *more: Any) -> Any:
     raise NotImplementedError(kind)
 
 
-def _settled(program: SampleProgram, inputs: Inputs):
+def _samples_to_rest(program: SampleProgram, inputs: Inputs):
     """How many samples the free run takes to come to rest, and what it then keeps.
 
     It is one loop of jax: some thousand samples of some hundred runs take a second.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.checks import known_name, require
+from jaxnarx.checks import require, require_known
 from jaxnarx.exporters.form import Port, SampleProgram
 from jaxnarx.exporters.interpret import LONGEST, Instance
 from jaxnarx.models import Network
@@ -42,7 +42,7 @@ def axes_of(
     names = [port.name for port in program.inputs]
     count = len(program.reported)
     if over is not None:
-        chosen = [names.index(known_name(name, names, "over")) for name in over]
+        chosen = [names.index(require_known(name, names, "over")) for name in over]
         require(
             len(set(chosen)) == len(over) == min(2, len(names)),
             "over",
@@ -68,7 +68,7 @@ def rest_maps(
     inputs = program.inputs
     low, high = (np.array([getattr(p, e) for p in inputs]) for e in ("low", "high"))
     moved = np.flatnonzero(high > low)
-    chosen = _filled(program, axes, low, high, moved)
+    chosen = _fill_inputs(program, axes, low, high, moved)
     grids = [_grid(low, high, one) for one in chosen]
     if not any(one for one in chosen):
         return []
@@ -99,7 +99,7 @@ def _grid(low, high, axes: Sequence[int]) -> Float[np.ndarray, "inputs points"]:
     return grid
 
 
-def _filled(program: SampleProgram, axes, low, high, moved) -> list[list[int]]:
+def _fill_inputs(program: SampleProgram, axes, low, high, moved) -> list[list[int]]:
     """The inputs of every map, those that move most where an axis is free."""
     known = [[int(i) for i in row if i != FREE and i in moved] for row in axes]
     if all(len(one) == min(2, len(moved)) for one in known):

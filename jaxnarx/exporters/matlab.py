@@ -15,7 +15,7 @@ from jaxnarx.checks import require
 from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.interpret import MEAN, STEADY, ZEROS, Instance
-from jaxnarx.exporters.scripts import Language, number, sources, written
+from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
 
 TAKEN = frozenset(
@@ -53,7 +53,7 @@ def matlab_files(program: SampleProgram, golden: Golden) -> Files:
         "count": str(len(program.computed)),
     }
     return {
-        f"{name}.m": written(program, MATLAB, places | uses),
+        f"{name}.m": write_page(program, MATLAB, places | uses),
         f"{name}_test.m": _test(program, golden),
     }
 
@@ -114,7 +114,7 @@ def _test(program: SampleProgram, golden: Golden) -> str:
     inputs = golden["inputs"]
     matrices = [_matrix(k, golden[k]) for k in ("inputs", "measured")]
     matrices.append(_matrix("expected", golden["outputs"]))
-    settles = settling(program, inputs[0]) <= SETTLING
+    settles = samples_to_rest(program, inputs[0]) <= SETTLING
     for kind in (STEADY, MEAN, ZEROS) if settles else (MEAN, ZEROS):
         instance = Instance(program)
         instance.start(kind, inputs[0])
@@ -281,6 +281,8 @@ _STEADY = Template("clear $name\ncompare('steady', from_steady, 1e-8, inputs);\n
 _UNSETTLED = f"% 'steady' takes more than {SETTLING} samples: it is not tried here.\n"
 
 
-def settling(program: SampleProgram, inputs: Float[np.ndarray, " inputs"]) -> int:
+def samples_to_rest(
+    program: SampleProgram, inputs: Float[np.ndarray, " inputs"]
+) -> int:
     """Samples that the steady state at these inputs takes to be found."""
     return int(Instance(program).settle(inputs))

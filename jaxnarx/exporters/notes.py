@@ -31,7 +31,7 @@ def _bound(network: Network) -> str:
     )
 
 
-def wrapped(notes: Sequence[str], lead: str, width: int = 80) -> list[str]:
+def wrap_paragraphs(notes: Sequence[str], lead: str, width: int = 80) -> list[str]:
     """The paragraphs as lines of a comment, an empty one before each."""
     lines = []
     for note in notes:

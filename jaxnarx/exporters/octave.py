@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import LONGEST
-from jaxnarx.exporters.matlab import SETTLING, settling
+from jaxnarx.exporters.matlab import SETTLING, samples_to_rest
 from jaxnarx.exporters.proof import DOUBLE, Case, ExportError, Runner, worst
 from jaxnarx.exporters.target import Proof
 
@@ -77,7 +77,7 @@ def prove_matlab(program: SampleProgram, folder: Path, cases: Sequence[Case]) ->
     run = octave_runner(folder, program)
     found = worst([first, last], run, DOUBLE, "MATLAB function")
     left_out = []
-    if (count := settling(program, first.inputs[0])) > SETTLING:
+    if (count := samples_to_rest(program, first.inputs[0])) > SETTLING:
         took = f"{count} samples" if count < LONGEST else f"more than {LONGEST} samples"
         left_out.append(
             f"matlab: the start 'steady', which takes {took} at the first inputs; the "

@@ -322,14 +322,14 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
 THETA, SCHEDULING = Coefficients(), Scaling()
 
 
-def divided(at: OutputAt) -> bool:
+def has_regions(at: OutputAt) -> bool:
     """Whether the operating space is divided at all."""
     return len(at.active) > 1 or isinstance(at.model.validity, LogSigmoids)
 
 
 def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
     """The tables of an output by the first part of their names."""
-    if not divided(at):
+    if not has_regions(at):
         return {"theta": THETA}
     kind = VALIDITIES.get(type(at.model.validity), {})
     return {"scheduling": SCHEDULING, **kind, "theta": THETA}
@@ -338,7 +338,7 @@ def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
 def stored_for_weights(network: Network, output: int) -> int:
     """How many numbers the validity functions of an output are made of."""
     at = OutputAt(network, output)
-    kind = VALIDITIES.get(type(at.model.validity), {}) if divided(at) else {}
+    kind = VALIDITIES.get(type(at.model.validity), {}) if has_regions(at) else {}
     return sum(table.stored(at) for table in kind.values())
 
 

@@ -12,12 +12,12 @@ from jaxnarx.errors import JaxnarxError
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.models import Network
 from jaxnarx.simulation import (
-    begun,
-    fitting,
+    begin_hidden,
     make_drive,
     make_masks,
+    match_records,
     simulate,
-    stacked,
+    stack_fitting,
 )
 
 DOUBLE, SINGLE = 1e-10, 1e-3
@@ -42,7 +42,7 @@ class SinglePrecisionError(ExportError):
     """Code that does what the model does in double precision, but not in single."""
 
 
-def excited(network: Network, samples: int = 400, seed: int = 0) -> Dataset:
+def make_steps(network: Network, samples: int = 400, seed: int = 0) -> Dataset:
     """A record of steps within the trained ranges, for models without records."""
     rng = np.random.default_rng(seed)
     channels = network.channels
@@ -103,11 +103,11 @@ def cases_of(
 
     With `missing="hold"` inputs are NaN, inf and -inf in turn where they are missing.
     """
-    matched = fitting(network, data)
-    batch, _ = stacked(network, matched, missing)
+    matched = match_records(network, data)
+    batch, _ = stack_fitting(network, matched, missing)
     masks = make_masks(network, batch, network.window)
     drive = make_drive(network, batch)
-    drive = begun(network, drive, jax.device_put(masks.start))
+    drive = begin_hidden(network, drive, jax.device_put(masks.start))
     gain = np.asarray(network.gain, float)[list(network.signals)]
     scaled = np.asarray(drive.measured, float)
     run = simulate(network, data, missing=missing).value
@@ -140,7 +140,7 @@ def _as_measured(
 def dropouts(network: Network, data: Dataset, seed: int = 0) -> Dataset:
     """The beginning of the first record with some inputs missing, the very first and a
     long gap among them."""
-    matched = fitting(network, data)
+    matched = match_records(network, data)
     rng, record = np.random.default_rng(seed), matched.records[0]
     record = record.part(0, DROPPED + network.before)
     inputs = [s for s in network.used if s not in network.signals]

@@ -6,7 +6,7 @@ from string import Template
 from jaxnarx.checks import require
 from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
-from jaxnarx.exporters.scripts import Language, number, sources, written
+from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
 
 
@@ -15,7 +15,7 @@ def python_files(program: SampleProgram, golden: Golden) -> Files:
     del golden
     name = program.name
     require(not keyword.iskeyword(name), "name", f"name {name!r} is a word of Python")
-    return {f"{name}.py": written(program, PYTHON)}
+    return {f"{name}.py": write_page(program, PYTHON)}
 
 
 def _syntax(program: SampleProgram) -> Syntax:

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import DataFileError, suggest
 from jaxnarx.exporters._lower import lower
 from jaxnarx.exporters.calibration import (
@@ -17,11 +17,11 @@ from jaxnarx.exporters.calibration import (
 from jaxnarx.exporters.form import ParameterTable
 from jaxnarx.exporters.maps import REST
 from jaxnarx.exporters.parameters import OutputAt, tables_of
-from jaxnarx.models import LEVELS, Network, bounded, require_consistent
-from jaxnarx.refinement import certified
+from jaxnarx.models import LEVELS, Network, require_consistent, set_bounds
+from jaxnarx.refinement import attach_certificate
 
 
-@guarded
+@guard_arguments
 def read_parameters(network: Network, text: str, source: str = "the text") -> Network:
     """The network with the numbers of a DCM file, or of the C source, of its export.
 
@@ -58,8 +58,8 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
     else:
         blocks = read_arrays(text, source, [f"_{name}" for name in found])
     tables, changed = tables_of(network), network
-    for name, block in _matched(blocks, found, source).items():
-        new = _shaped(block, found[name], source)
+    for name, block in _match_blocks(blocks, found, source).items():
+        new = _shape_numbers(block, found[name], source)
         differs = new != found[name].values
         if not np.any(differs):
             continue
@@ -81,7 +81,7 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
     return network if changed is network else _as_known(changed)
 
 
-def _matched(
+def _match_blocks(
     blocks: list[CalibrationBlock], found: dict[str, ParameterTable], source: str
 ) -> dict[str, CalibrationBlock]:
     """Blocks by the table they are; DataFileError where one is no table or map."""
@@ -118,7 +118,9 @@ def _prefix(blocks, found: dict[str, ParameterTable], source: str) -> str:
     return max(fitting, key=lambda lead: (fitting[lead], -len(lead)))
 
 
-def _shaped(block: CalibrationBlock, table: ParameterTable, source: str) -> np.ndarray:
+def _shape_numbers(
+    block: CalibrationBlock, table: ParameterTable, source: str
+) -> np.ndarray:
     """The numbers in the shape of the table; a C array has but their count."""
     shape = table.values.shape
     fits = (math.prod(shape),), shape[::-1], (1, *shape), (*shape, 1)
@@ -146,5 +148,5 @@ def _as_known(changed: Network) -> Network:
     changed = dataclasses.replace(changed, errors=None)
     if changed.certificate is None:
         return changed
-    proven = certified(changed)
-    return proven if proven.certificate is not None else bounded(proven)
+    proven = attach_certificate(changed)
+    return proven if proven.certificate is not None else set_bounds(proven)

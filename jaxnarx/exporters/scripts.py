@@ -10,10 +10,10 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Template
 
-from jaxnarx.exporters.code import Syntax, comment, digits, shown, statements
+from jaxnarx.exporters.code import Syntax, comment, digits, statements, symbol_of
 from jaxnarx.exporters.form import ParameterTable, SampleProgram, Value
 from jaxnarx.exporters.interpret import LONGEST, SETTLED
-from jaxnarx.exporters.notes import wrapped
+from jaxnarx.exporters.notes import wrap_paragraphs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Language:
     {line} after {value} has entered it; `set` sets {name} to {value}, `row` is a list
     of {items}, which `between` separates. `names` writes texts, `table` a parameter
     table with its comment; `remark` leads a line of the comment at the top. `page` has
-    the places that `written` fills, `indent` is that of statements.
+    the places that `write_page` fills, `indent` is that of statements.
     """
 
     page: Template
@@ -44,7 +44,7 @@ class Language:
     remark: str = ""
 
 
-def written(
+def write_page(
     program: SampleProgram, language: Language, extra: Mapping[str, str] | None = None
 ) -> str:
     """The page of a program; `extra` are places that a language alone has."""
@@ -54,7 +54,7 @@ def written(
         return language.row.format(items=between.join(items))
 
     def values(numbers: Iterable[Value]) -> str:
-        return row(shown(program, n, syntax) for n in numbers)
+        return row(symbol_of(program, n, syntax) for n in numbers)
 
     def block(lines: Iterable[str]) -> str:
         return "\n".join(pad + line for line in lines)
@@ -76,17 +76,21 @@ def written(
     begun = [
         *(
             set_(
-                own(d.name), _line(language.filled, d, shown(program, d.start, syntax))
+                own(d.name),
+                _line(language.filled, d, symbol_of(program, d.start, syntax)),
             )
             for d in program.delays
         ),
-        *(set_(own(s.name), shown(program, s.start, syntax)) for s in program.states),
+        *(
+            set_(own(s.name), symbol_of(program, s.start, syntax))
+            for s in program.states
+        ),
     ]
     tables = [line for t in program.tables for line in language.table(t)]
     places = {
         "name": program.name,
         "about": about(program),
-        "notes": "\n".join(wrapped(program.notes, language.remark)),
+        "notes": "\n".join(wrap_paragraphs(program.notes, language.remark)),
         "sample_time": digits(program.sample_time),
         "history": str(program.history),
         "inputs": language.names([p.name for p in program.inputs]),
@@ -99,14 +103,16 @@ def written(
         "tables": "\n".join(tables),
         "fields": block(fields),
         "begin": stage(program.begin, begun),
-        "observe": stage(program.observe, _kept(program, language, measured=True)),
+        "observe": stage(
+            program.observe, _keep_states(program, language, measured=True)
+        ),
         "step": "\n".join(statements(program, program.step, syntax, pad)),
-        "keep": block(_kept(program, language, measured=False)),
+        "keep": block(_keep_states(program, language, measured=False)),
         "limited": values(program.limited),
         "fed": values(program.fed),
         "values": values(program.outputs),
         "flags": block(
-            set_(language.flag.format(name=flag), shown(program, n, syntax))
+            set_(language.flag.format(name=flag), symbol_of(program, n, syntax))
             for flag, n in program.flags.items()
         ),
         "no_flags": block(
@@ -121,19 +127,19 @@ def _line(form: str, line, value: str = "") -> str:
     return form.format(length=line.length, value=value)
 
 
-def _kept(
+def _keep_states(
     program: SampleProgram, language: Language, *, measured: bool
 ) -> Iterable[str]:
     """What is left for the next sample; all values before anything is changed."""
     syntax = language.syntax(program)
     later = []
     for n, line in enumerate(program.delays):
-        value = shown(program, line.measured if measured else line.source, syntax)
+        value = symbol_of(program, line.measured if measured else line.source, syntax)
         yield syntax.assign.format(name=f"d{n}", value=value)
         own = language.own.format(name=line.name)
         later.append(language.entered.format(line=own, value=f"d{n}"))
     for n, state in enumerate(program.states):
-        value = shown(program, state.source, syntax)
+        value = symbol_of(program, state.source, syntax)
         yield syntax.assign.format(name=f"x{n}", value=value)
         own = language.own.format(name=state.name)
         later.append(language.set.format(name=own, value=f"x{n}"))

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters.form import Builder, Value
-from jaxnarx.exporters.parameters import VALIDITIES, OutputAt, divided
+from jaxnarx.exporters.parameters import VALIDITIES, OutputAt, has_regions
 from jaxnarx.models import (
     LARGEST_ARGUMENT,
     Boxes,
@@ -25,7 +25,7 @@ def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> Weights
     """What every active local model counts at scaled scheduling variables `z`, and what
     the blend is divided by, unless weights sum to one already."""
     kind = type(at.model.validity)
-    if not divided(at):
+    if not has_regions(at):
         return [b.const(1.0)], None
     if kind not in VALIDITIES:
         raise SpecError(

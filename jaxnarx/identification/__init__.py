@@ -1,10 +1,16 @@
 """A whole identification: by a search, or by one settings tree."""
 
-from jaxnarx.identification._by_method import Events, needed
+from jaxnarx.identification._by_method import Events, drop_unneeded
 from jaxnarx.identification._by_method import by_method as by_method
 from jaxnarx.identification.candidates import CANDIDATES, CandidateFactory
 from jaxnarx.identification.candidates import CandidateSearch as CandidateSearch
-from jaxnarx.identification.explain import describe, figure, sentences, title, used
+from jaxnarx.identification.explain import (
+    candidate_in_use,
+    describe,
+    figure,
+    sentences,
+    title,
+)
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import CANDIDATES_FOLDER as CANDIDATES_FOLDER
@@ -25,11 +31,11 @@ __all__ = [
     "identify",
     "joint_pool",
     "make_pool",
-    "needed",
+    "drop_unneeded",
     "read_search",
     "sentences",
     "terms_of",
     "title",
-    "used",
+    "candidate_in_use",
     "with_group",
 ]

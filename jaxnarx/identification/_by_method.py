@@ -28,14 +28,14 @@ def by_method(
         if progress is not None:
             progress({"verb": verb} | row)
 
-    data = needed(data, method)
+    data = drop_unneeded(data, method)
     if validation is not None:
         validation = match_channels(validation, data.channels)[0]
     pool = make_pool(method.pool, data.channels)
     tell("select", {"candidates": len(pool)})
     chosen = select(pool, data, method.select, progress=lambda row: tell("select", row))
     tell("select", {"solution": chosen})
-    grown = _grown(chosen, data, validation, method)
+    grown = _grow(chosen, data, validation, method)
     tell("grow", {"solution": grown})
     fit, refined = grown, None
     if method.refine is not None:
@@ -53,7 +53,7 @@ def by_method(
     return Solution(fit.value, told.status, stats, told.detail)
 
 
-def _grown(
+def _grow(
     chosen: Solution[Selection],
     data: Dataset,
     validation: Dataset | None,
@@ -66,7 +66,7 @@ def _grown(
     return grow(chosen.value, data, method.grow, validation=validation)
 
 
-def needed(data: Dataset, method: Identification) -> Dataset:
+def drop_unneeded(data: Dataset, method: Identification) -> Dataset:
     """The data without outputs that the model neither computes nor is scheduled on.
 
     New data would otherwise have to bring them along.

@@ -132,7 +132,7 @@ class CandidateSearch:
         row = dataclasses.replace(
             row,
             free_run=None if lost else found.free_run,
-            groups=_listed(found.groups()),
+            groups=_list_errors(found.groups()),
             one_step=found.one_step(),
             diverged=lost,
             status="diverged" if lost else "ok",
@@ -146,7 +146,7 @@ class CandidateSearch:
         row = dataclasses.replace(
             row,
             free_run=found.free_run,
-            groups=_listed(np.sqrt(found.losses())),
+            groups=_list_errors(np.sqrt(found.losses())),
             one_step=found.one_step(),
         )
         return _with_error(row, found.losses()), network
@@ -216,7 +216,7 @@ class CandidateSearch:
         self, family: str, name: str, found: CrossValidation, seconds: float
     ) -> Tried:
         row = self._row(family, name, seconds, found.network, found.detail)
-        groups = _listed(np.sqrt(found.losses))
+        groups = _list_errors(np.sqrt(found.losses))
         row = dataclasses.replace(row, groups=groups, diverged=found.diverged)
         if found.diverged:
             return dataclasses.replace(row, status="diverged"), None
@@ -255,7 +255,7 @@ class CandidateSearch:
         )
 
 
-def _listed(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
+def _list_errors(errors: Float[np.ndarray, " groups"]) -> tuple[float | None, ...]:
     return tuple(float(e) if np.isfinite(e) else None for e in errors)
 
 

@@ -10,9 +10,9 @@ from jaxnarx.data import Dataset, Groups, shortened
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification._by_method import by_method
 from jaxnarx.linear import fit_states, refit_states
-from jaxnarx.models import Network, hold_to_range, ranged
+from jaxnarx.models import Network, hold_to_range, set_ranges
 from jaxnarx.settings import HiddenStates, Identification
-from jaxnarx.simulation import fitting, predict, simulate
+from jaxnarx.simulation import match_records, predict, simulate
 
 FIRST = 3.0
 """Error in training after the first steps of a start, as a multiple of the best
@@ -181,7 +181,7 @@ def fit_full(
     """
     limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
     fit = fit_states(_some(data, rows), method, hopeless=limit)
-    return _held(fit.stats["path"], data)
+    return _hold_to_range(fit.stats["path"], data)
 
 
 def refit_stages(
@@ -222,7 +222,7 @@ def refit(
         one = refit_states(network, _some(data, rows), method, pull)
     except (JaxnarxError, np.linalg.LinAlgError):
         return None
-    return _held([one], known)[0]
+    return _hold_to_range([one], known)[0]
 
 
 def _hopeless(
@@ -257,8 +257,8 @@ def fit_method(
     stage, else one alone."""
     some, known = _some(data, rows), data if known is None else known
     if isinstance(method, HiddenStates):
-        return _held(fit_states(some, method).stats["path"], known)
-    return _held([by_method(some, method, None, None).value], known)
+        return _hold_to_range(fit_states(some, method).stats["path"], known)
+    return _hold_to_range([by_method(some, method, None, None).value], known)
 
 
 def _some(data: Dataset, rows: int | None) -> Dataset:
@@ -267,11 +267,12 @@ def _some(data: Dataset, rows: int | None) -> Dataset:
     return data if rows is None or count <= rows else shortened(data, rows)
 
 
-def _held(networks: list[Network], known: Dataset) -> list[Network]:
+def _hold_to_range(networks: list[Network], known: Dataset) -> list[Network]:
     """Networks held to the range of all that is known, whatever part has trained
     them."""
     return [
-        hold_to_range(ranged(network, fitting(network, known))) for network in networks
+        hold_to_range(set_ranges(network, match_records(network, known)))
+        for network in networks
     ]
 
 

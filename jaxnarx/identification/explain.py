@@ -44,7 +44,9 @@ def figure(row: Candidate) -> str:
     return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
 
-def used(board: Leaderboard, output: str, taken: int | None = None) -> Candidate:
+def candidate_in_use(
+    board: Leaderboard, output: str, taken: int | None = None
+) -> Candidate:
     """The row of the model in use: taken by hand, else chosen, else the safest."""
     if taken is not None:
         return next(r for r in board.of(output) if r.number == taken)
@@ -76,10 +78,10 @@ def _less(row: Candidate, other: Candidate) -> bool:
 
 def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list[str]:
     """Why this one, what others would cost, and which records it serves worst."""
-    row = used(board, output, taken)
+    row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
     told += [*_best(board, row), *_others(board, row), *_linear(board, row)]
-    told += [*_vetoed(board, output), *_groups(board, row)]
+    told += [*_explain_vetoes(board, output), *_groups(board, row)]
     return told
 
 
@@ -87,7 +89,7 @@ def describe(
     board: Leaderboard, output: str, taken: int | None = None
 ) -> dict[str, Any]:
     """The rows of an output, best first, and the words, as plain values for files."""
-    row, front = used(board, output, taken), pareto(board, output)
+    row, front = candidate_in_use(board, output, taken), pareto(board, output)
     return {
         "rows": [_plain(board, n, r, r == row) for n, r in enumerate(board.of(output))],
         "rule": board.rule,
@@ -187,7 +189,7 @@ def _linear(board: Leaderboard, row: Candidate) -> list[str]:
     ]
 
 
-def _vetoed(board: Leaderboard, output: str) -> list[str]:
+def _explain_vetoes(board: Leaderboard, output: str) -> list[str]:
     rows = board.of(output)
     lost = sum(r.status == "diverged" for r in rows)
     if not lost:

@@ -11,7 +11,7 @@ from typing import Any
 from jaxnarx.argument_checks import require_fit
 from jaxnarx.errors import SpecError
 from jaxnarx.files import cell
-from jaxnarx.formatting import aligned, page, some
+from jaxnarx.formatting import align_columns, page, some
 
 LIMIT = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
@@ -114,7 +114,7 @@ class Leaderboard:
             rows = [("", output, "free run", "operations", "parameters", "family", "")]
             rows += [_line(row, row == chosen) for row in self.of(output)]
             left = [True, *(False,) * 4, True, True]
-            lines += some(aligned(rows, left), 24)
+            lines += some(align_columns(rows, left), 24)
         return "\n".join(lines)
 
     _repr_html_ = page

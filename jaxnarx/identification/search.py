@@ -25,7 +25,7 @@ from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import SearchFolder, open_search
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
-from jaxnarx.models import Network, merged
+from jaxnarx.models import Network, combine_outputs
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import PRESETS
 from jaxnarx.solution import RESULTS, Solution
@@ -256,4 +256,4 @@ def _solution(
         status = RESULTS.diverged
         detail = f"every candidate of {', '.join(vetoed)} diverges"
     stats = {"leaderboard": board, "look": facts}
-    return Solution(merged(networks), status, stats, detail)
+    return Solution(combine_outputs(networks), status, stats, detail)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.argument_checks import is_fit
-from jaxnarx.errors import DataFileError, ModelFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, ModelFileError, SpecError, guard_reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
 from jaxnarx.identification.leaderboard import LARGEST, Candidate, Leaderboard
 from jaxnarx.models import Network, load, save
@@ -141,7 +141,7 @@ def open_search(
             "--out, or begin anew with --force",
             field="folder",
         )
-    rows = tuple(r for r in old.leaderboard if not lost(old, r))
+    rows = tuple(r for r in old.leaderboard if not is_lost(old, r))
     if len(rows) < len(old.leaderboard):
         for mark in (path / CANDIDATES_FOLDER).glob("*.finished"):
             mark.unlink()
@@ -181,7 +181,7 @@ def _lock(place: Path) -> FolderLock:
     return lock
 
 
-def lost(folder: SearchFolder, row: Candidate) -> bool:
+def is_lost(folder: SearchFolder, row: Candidate) -> bool:
     """Whether the model of a candidate that had one is no longer there."""
     return row.free_run is not None and not folder.model_path(row.number).is_file()
 
@@ -200,7 +200,9 @@ def read_search(path: Path) -> SearchFolder:
             "method's settings makes one.",
             path=file,
         )
-    with reading(file, "the record of a search", advice="Begin anew with --force."):
+    with guard_reading(
+        file, "the record of a search", advice="Begin anew with --force."
+    ):
         told = json.loads(file.read_text(encoding="utf-8"))
         if told["format"] > FORMAT:
             raise ModelFileError(f"{file}: written by a newer jaxnarx", path=file)

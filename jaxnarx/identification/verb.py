@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence import attach_domain_and_intervals
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
@@ -22,7 +22,7 @@ VALIDATION = "validation"
 """The group of the records that are for validation."""
 
 
-@guarded
+@guard_arguments
 def identify(
     data: Dataset,
     method: Identification | None = None,
@@ -101,7 +101,7 @@ def identify(
     """
     asked = _Wanted(preset, budget, candidates, tuple(outputs), states, groups, folder)
     if method is None:
-        return _searched(data, asked, validation, progress)
+        return _search(data, asked, validation, progress)
     if changed := [f.name for f in dataclasses.fields(asked) if asked.asks(f.name)]:
         raise SpecError(
             f"{changed[0]} belongs to a search; with a method there is none",
@@ -158,7 +158,7 @@ class _Wanted:
                 )
 
 
-def _searched(
+def _search(
     data: Dataset,
     asked: _Wanted,
     validation: Dataset | None,

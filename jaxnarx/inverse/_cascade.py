@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.inverse.loop import Loop, connect, run
 from jaxnarx.inverse.task import CascadeTask, make_task
 from jaxnarx.metrics import nrmse
-from jaxnarx.models import Network, reported
+from jaxnarx.models import Network, report_outputs
 from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import has_diverged
 from jaxnarx.solution import NAMES, RESULTS, Solution
@@ -63,7 +63,7 @@ class Tracking:
         )
 
 
-@guarded
+@guard_arguments
 def cascade(
     inverse: Network,
     forward: Network,
@@ -120,7 +120,7 @@ def _tracking(
         u = z[n, :length, :count] * np.asarray(loop.command_gain)
         y = z[n, :length, count : count + shown]
         limited = (y <= lower) | (y >= upper)
-        y, held = reported(forward, y * np.asarray(loop.output_gain))
+        y, held = report_outputs(forward, y * np.asarray(loop.output_gain))
         u[:first] = record.u[:first, at]
         y[:first] = record.y[:first, np.array(forward.signals) - inputs]
         moved = np.abs(np.diff(u, axis=0, prepend=u[:1]))

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import (
     NEVER,
     Driver,
@@ -28,7 +28,7 @@ from jaxnarx.settings import ActuatorLimits, TrackingError
 from jaxnarx.solution import RESULTS, Solution
 
 
-@guarded
+@guard_arguments
 def compensate(
     inverse: Network,
     forward: Network,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, Finding, Findings
 from jaxnarx.formatting import brief, page
 from jaxnarx.inverse._reachable import Reach, reachable
@@ -73,7 +73,7 @@ class Invertibility:
     __repr__, _repr_html_ = brief, page
 
 
-@guarded
+@guard_arguments
 def invertible(
     forward: Network,
     data: Dataset,
@@ -114,7 +114,7 @@ def invertible(
     gain = static_gain(local, y, u)
     zero, extra = _outside(local, y, u)
     dead = dead_times(forward)[np.array(y)][:, np.array(u)]
-    needed = _needed(dead, extra, targets)
+    needed = _needed_lead(dead, extra, targets)
     given = (
         None if lead is None else leads_of(data, list(commands), list(targets), lead)
     )
@@ -172,7 +172,7 @@ def _outside(
     return largest, extra
 
 
-def _needed(
+def _needed_lead(
     dead: Float[np.ndarray, "targets commands"],
     extra: Int[np.ndarray, " points"],
     targets: Sequence[str],

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.inverse.forward import positions
@@ -18,7 +18,7 @@ from jaxnarx.inverse.linearise import require_shared
 from jaxnarx.inverse.statics import Statics, statics
 from jaxnarx.models import Network
 from jaxnarx.settings import ActuatorLimits
-from jaxnarx.simulation import fitting
+from jaxnarx.simulation import match_records
 from jaxnarx.solution import RESULTS, Solution
 
 REFINEMENTS = 12
@@ -74,7 +74,7 @@ class _Aim(eqx.Module):
         return jnp.where(found, (y - wanted) / self.span, 1e3)
 
 
-@guarded
+@guard_arguments
 def reachable(
     forward: Network,
     references: Dataset,
@@ -100,7 +100,7 @@ def reachable(
     """
     require_shared(forward)
     whole(grid, "grid", 2)
-    data = fitting(forward, references)
+    data = match_records(forward, references)
     aim = _aim(
         forward, commands, targets, ActuatorLimits() if limits is None else limits
     )
@@ -161,7 +161,7 @@ def _nearest(
 
     def one(row):
         left = jax.vmap(lambda s: jnp.sum(aim.missing(row, s) ** 2))(shares)
-        share, _ = _refined(aim, row, shares[jnp.argmin(left)])
+        share, _ = _refine(aim, row, shares[jnp.argmin(left)])
         u = aim.low + share * (aim.high - aim.low)
         rest = jnp.sqrt(jnp.mean(aim.missing(row, share) ** 2))
         return u, aim.outputs(row, share)[0], rest
@@ -169,7 +169,7 @@ def _nearest(
     return jax.lax.map(one, signals, batch_size=BLOCK)
 
 
-def _refined(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"]):
+def _refine(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"]):
     """Projected Levenberg-Marquardt: a trial is kept where it comes nearer."""
 
     def step(_, state):

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Channels, Dataset, Record, delays
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.inverse.forward import dead_times
@@ -30,7 +30,7 @@ def parse_ahead(name: str) -> tuple[str, int] | None:
     return None if match is None else (match["name"], int(match["lead"]))
 
 
-@guarded
+@guard_arguments
 def inverse_data(
     data: Dataset,
     *,
@@ -82,7 +82,7 @@ def inverse_data(
             f"{max((len(r) for r in data), default=0)} rows); give longer records or a "
             "smaller lead"
         )
-    records = tuple(_swapped(record, sources, cut, len(inputs)) for record in kept)
+    records = tuple(_swap_columns(record, sources, cut, len(inputs)) for record in kept)
     return Dataset(records, channels, data.sample_time)
 
 
@@ -95,7 +95,7 @@ def leads_of(
 ) -> list[int]:
     """The lead of every target [samples], see `inverse_data`."""
     if lead is None:
-        return [_found_lead(data, commands, name, forward) for name in targets]
+        return [_find_lead(data, commands, name, forward) for name in targets]
     if isinstance(lead, Mapping):
         missing = [name for name in targets if name not in lead]
         if missing or set(lead) - set(targets):
@@ -115,7 +115,7 @@ def leads_of(
     return leads
 
 
-def _found_lead(
+def _find_lead(
     data: Dataset, commands: Sequence[str], target: str, forward: Network | None
 ) -> int:
     """The longest dead time from any command to one target."""
@@ -139,7 +139,7 @@ def _found_lead(
     return max(known)
 
 
-def _swapped(
+def _swap_columns(
     record: Record, sources: list[tuple[int, int]], cut: int, inputs: int
 ) -> Record:
     """Columns of (signal, lead), `cut` samples shorter."""
@@ -176,6 +176,6 @@ def _require_known(
     if not names and not empty:
         raise SpecError(f"{field} is empty; name at least one", field=field)
     for name in names:
-        known_name(name, known, field, f"{field} names {name!r}, which is no {kind}")
+        require_known(name, known, field, f"{field} names {name!r}, which is no {kind}")
     if len(set(names)) < len(names):
         raise SpecError(f"{field} repeats a name: {names}", field=field)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel
 
@@ -25,7 +25,7 @@ def positions(
                 f"{field} must be a list of different names, got {names!r}", field=field
             )
         for name in names:
-            known_name(
+            require_known(
                 name,
                 there,
                 field,
@@ -37,7 +37,7 @@ def positions(
     )
 
 
-@guarded
+@guard_arguments
 def dead_times(network: Network) -> Float[np.ndarray, "outputs signals"]:
     """Samples after which each modelled output first feels each signal.
 

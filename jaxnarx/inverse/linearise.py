@@ -25,7 +25,7 @@ from jaxnarx.regressors import (
     realise,
     row_columns,
 )
-from jaxnarx.simulation import fitting, tables
+from jaxnarx.simulation import match_records, tables
 
 SMALL = 1e-8
 """Leading coefficients of a polynomial below this share of its largest are zero."""
@@ -111,7 +111,7 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
     edge.
     """
     require_shared(network)
-    data = fitting(network, data)
+    data = match_records(network, data)
     batch = held_inputs(network, stack_records(data))
     at = even_places(
         batch, tables(network), network.history, points, "the network needs"

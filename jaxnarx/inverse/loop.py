@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import free_run, program, twin
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse.wiring import Place, Wiring, wire
-from jaxnarx.models import FLAG, Network, advance, depth, widened
+from jaxnarx.models import FLAG, Network, advance, depth, widen
 from jaxnarx.settings import ActuatorLimits
 
 
@@ -86,7 +86,7 @@ class Loop(eqx.Module):
         own = past[:count]
         shown = self.output_gain.shape[0]
         outputs = past[count : count + shown] * self.output_gain[:, None]
-        v, x = _filled(self.inverse, v, x, self.wiring.states, outputs, 1)
+        v, x = _fill_variables(self.inverse, v, x, self.wiring.states, outputs, 1)
         raw = advance(self.inverse, v, x, own) * self.command_gain
         before = own[:, 0] * self.command_gain
         held = jnp.clip(raw, self.low, self.high)
@@ -104,11 +104,11 @@ class Loop(eqx.Module):
         count = now.shape[0]
         moved = jnp.concatenate([now[:, None], past[:count]], axis=1)
         moved = moved * self.command_gain[:, None]
-        v, x = _filled(self.forward, v, x, self.wiring.commands, moved, 0)
+        v, x = _fill_variables(self.forward, v, x, self.wiring.commands, moved, 0)
         return advance(self.forward, v, x, past[count:])
 
 
-def _filled(
+def _fill_variables(
     network: Network,
     v: Float[Array, " vars"],
     x: tuple[Float[Array, " _"], ...],
@@ -182,10 +182,12 @@ def connect(
 
 def _require_named(given: Mapping[str, object], names: list[str], field: str) -> None:
     for name in given:
-        known_name(name, names, field, f"{field} names {name!r}, which is no command")
+        require_known(
+            name, names, field, f"{field} names {name!r}, which is no command"
+        )
 
 
-def seen(
+def seen_by_inverse(
     loop: Loop,
     signals: Float[Array, "time signals"],
     valid: Bool[Array, "time signals"] | Bool[np.ndarray, "time signals"],
@@ -216,14 +218,14 @@ def run_record(
     """
     inverse, forward = loop.inverse, loop.forward
     f_v, f_x = forward.columns(signals, jnp.asarray(valid))
-    i_v, i_x = inverse.columns(*seen(loop, signals, valid))
+    i_v, i_x = inverse.columns(*seen_by_inverse(loop, signals, valid))
     drive = f_v.T, tuple(x.T for x in f_x), i_v.T, tuple(x.T for x in i_x)
     commands = signals[:, np.array(loop.command_signals)] / loop.command_gain[None]
     outputs = signals[:, np.array(forward.signals)] / loop.output_gain[None]
-    measured = jnp.concatenate([commands, widened(forward, outputs)], axis=1)
+    measured = jnp.concatenate([commands, widen(forward, outputs)], axis=1)
     free = jnp.full_like(loop.low, jnp.inf)
-    lower = jnp.concatenate([-free, widened(forward, forward.lower)])
-    upper = jnp.concatenate([free, widened(forward, forward.upper)])
+    lower = jnp.concatenate([-free, widen(forward, forward.lower)])
+    upper = jnp.concatenate([free, widen(forward, forward.upper)])
     moving, still = eqx.partition(loop, eqx.is_array)
 
     def step(params, drive, past):

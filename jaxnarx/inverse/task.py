@@ -11,7 +11,7 @@ from jaxnarx.arrays import usable
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.inverse.loop import Loop
-from jaxnarx.simulation import fitting, tables
+from jaxnarx.simulation import match_records, tables
 
 
 class TaskSignals(eqx.Module):
@@ -57,7 +57,7 @@ def make_task(loop: Loop, references: Dataset) -> CascadeTask:
     `DataError` where no record has enough valid samples to start from.
     """
     forward, inverse = loop.forward, loop.inverse
-    data = fitting(forward, references)
+    data = match_records(forward, references)
     batch = stack_records(data)
     sources = loop.wiring.source
     rows = set(tables(forward)) | {(s, 1) for s in loop.command_signals}

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
@@ -53,7 +53,7 @@ class UnityGain:
         return float(np.abs(self.gain[good] - unit).max()) if good.any() else np.inf
 
 
-@guarded
+@guard_arguments
 def unity_gain(
     inverse: Network,
     forward: Network,
@@ -172,11 +172,11 @@ def _value(
         frequency=frequency,
         response=np.einsum("pijt,ft->pfij", pulse, kernel),
         settled=(moved < REST).all(axis=1) & died,
-        held=_held(loop, z[:, rest]),
+        held=_at_limit(loop, z[:, rest]),
     )
 
 
-def _held(
+def _at_limit(
     loop: Loop, z: Float[np.ndarray, "points states"]
 ) -> Bool[np.ndarray, " points"]:
     """Where a command or an output rests at its limit."""

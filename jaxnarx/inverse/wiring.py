@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.inverse.dataset import parse_ahead
 from jaxnarx.models import Network
@@ -63,7 +63,7 @@ def wire(inverse: Network, forward: Network) -> Wiring:
             field="inverse",
         )
     for name in commands:
-        known_name(
+        require_known(
             name,
             forward.channels.input_names,
             "inverse",

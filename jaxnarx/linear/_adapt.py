@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import history_of
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
@@ -31,16 +31,16 @@ from jaxnarx.models import Network, depth
 from jaxnarx.settings import Recursive
 from jaxnarx.simulation import (
     first_anchor,
-    fitting,
     make_drive,
     make_masks,
+    match_records,
     run,
     run_steps,
 )
 from jaxnarx.solution import RESULTS, Solution
 
 
-@guarded
+@guard_arguments
 def adapt(
     network: Network, data: Dataset, method: Recursive | None = None
 ) -> Solution[Network]:
@@ -68,7 +68,7 @@ def adapt(
     network.require_measured("Adaptation")
     method = Recursive() if method is None else method
     plan = make_plan(network, method)
-    matched = fitting(network, data)
+    matched = match_records(network, data)
     simulated = method.regressors == "simulated"
     samples = _samples(network, matched, method.window, simulated)
     dtype = samples.v.dtype

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, match_channels, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.model import LinearModel
@@ -43,7 +43,7 @@ class Innovations:
         return np.concatenate([e[s] for e, s in pairs])
 
 
-@guarded
+@guard_arguments
 def innovations(model: LinearModel, data: Dataset) -> Innovations:
     """e(t) of (2.3) for every sample: the one-step prediction errors.
 

@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Channel, Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
@@ -86,7 +86,7 @@ class NonlinearityCheck:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def nonlinearity(
     data: Dataset,
     *,
@@ -111,7 +111,7 @@ def nonlinearity(
                 f"noise must be a number, a dataset or 'repeats', got {noise!r}",
                 field="noise",
             )
-        return _repeated(data, options, leakage, level)
+        return _against_repeats(data, options, leakage, level)
     found = spectra(data, **options)
     if isinstance(noise, Dataset):
         floor, freedom = _still(noise, data, output, segment)
@@ -163,7 +163,7 @@ def _still(noise: Dataset, data: Dataset, output: str | None, segment: int):
     return density, 2 * independent(len(x), taper, step)
 
 
-def _repeated(data: Dataset, options, leakage, level) -> NonlinearityCheck:
+def _against_repeats(data: Dataset, options, leakage, level) -> NonlinearityCheck:
     """Against the scatter of repeated records, all on their mean."""
     first, count = data.records[0], len(data)
     if count < 2:

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.orders import output_place
@@ -65,7 +65,7 @@ class Spectra:
         return float(scipy.stats.beta.ppf(0.95, inputs, self.averages - inputs))
 
 
-@guarded
+@guard_arguments
 def spectra(
     data: Dataset,
     *,
@@ -129,7 +129,7 @@ def input_places(data: Dataset, names: str | Sequence[str] | None) -> tuple[int,
     known = data.channels.input_names
     chosen = known if names is None else [names] if isinstance(names, str) else names
     for name in chosen:
-        known_name(name, known, "inputs", f"unknown input {name!r}")
+        require_known(name, known, "inputs", f"unknown input {name!r}")
     if not chosen:
         raise SpecError("spectra need at least one input", field="inputs")
     return tuple(known.index(name) for name in chosen)

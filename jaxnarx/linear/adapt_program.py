@@ -172,7 +172,7 @@ def _fresh(theta, joint: bool, start) -> Float[Array, "groups terms_and_one term
     return jnp.concatenate([root, groups[:, None]], axis=1)
 
 
-def _updated(packed, columns, target, weight, fade, least):
+def _update(packed, columns, target, weight, fade, least):
     state, _, used = update_recursion(
         Recursion(packed), columns, target, weight, fade, least
     )
@@ -204,7 +204,7 @@ def _learn(
     fade = jnp.where(full, 1.0, fade)
     least = limits.excitation * (1.0 - limits.forgetting)
     now = (packed, columns, target, weight * share, fade)
-    packed, used = jax.vmap(partial(_updated, least=least))(*now)
+    packed, used = jax.vmap(partial(_update, least=least))(*now)
     rested = (weight > 0) & ~jnp.any(used) | ~awake
     held = jnp.any(used & full & (limits.forgetting < 1))
     return Output(packed, output.good, output.first), predicted, rested, held
@@ -227,7 +227,7 @@ def _judge(
     return Output(packed, good, output.first), undone
 
 
-def _bounded(network: Network, y):
+def _bound(network: Network, y):
     return jnp.clip(y, network.lower, network.upper)
 
 
@@ -261,7 +261,7 @@ def adapt_windows(
             for o, (output, row) in enumerate(zip(outputs, rows, strict=True))
         ]
         outputs, predicted, rested, held = zip(*learnt, strict=True)
-        predicted = _bounded(network, jnp.stack(predicted))
+        predicted = _bound(network, jnp.stack(predicted))
         past = jnp.concatenate([predicted[:, None], past[:, :-1]], axis=1)
         counted = weight > 0
         figures = (

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, gains
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.fit import WORST
@@ -47,7 +47,7 @@ class ExtendedFit:
     residual: tuple[Float[np.ndarray, " _"], ...]
 
 
-@guarded
+@guard_arguments
 def extended_least_squares(
     terms: Pool | Selection,
     data: Dataset,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Batch, Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.linear.model import LinearModel
@@ -19,7 +19,7 @@ from jaxnarx.linear.starts import starts
 from jaxnarx.linear.structure import Structure, structure_of
 from jaxnarx.linear.triangle import triangle
 from jaxnarx.models import ranges
-from jaxnarx.regressors import enough
+from jaxnarx.regressors import require_samples
 from jaxnarx.settings import LinearMethod
 from jaxnarx.solution import RESULTS, Solution
 
@@ -93,7 +93,7 @@ WORST = 1 / np.sqrt(np.finfo(float).eps)
 are not told apart."""
 
 
-@guarded
+@guard_arguments
 def fit_linear(
     data: Dataset, method: LinearMethod, *, output: str | None = None
 ) -> Solution[LinearModel]:
@@ -131,7 +131,7 @@ def fit_linear(
     structure = structure_of(method, data.channels)
     if structure.is_linear:
         return _least_squares(data, structure, place)
-    return _searched(data, structure, place, method)
+    return _search_orders(data, structure, place, method)
 
 
 def _least_squares(data: Dataset, structure: Structure, output: int) -> Solution:
@@ -182,12 +182,16 @@ def _with_constant(table, fit, structure: Structure):
     return np.append(fit.theta, table.intercept(use, fit.theta)), inverse
 
 
-def _searched(data: Dataset, structure: Structure, output: int, method) -> Solution:
+def _search_orders(
+    data: Dataset, structure: Structure, output: int, method
+) -> Solution:
     batch, inputs = stack_records(data), len(data.channels.inputs)
     whole = signals(structure, batch, inputs, output)
     known = np.asarray(whole.known)
     count = structure.size + int(np.any(known, axis=1).sum()) * sum(structure.nf)
-    enough(data, known[..., None], history=window_start(structure), need=count + 1)
+    require_samples(
+        data, known[..., None], history=window_start(structure), need=count + 1
+    )
     valid = _valid(structure, batch, inputs + output)
     scale = ColumnScale.of(whole, valid, constant=structure.constant)
     scaled = scale.apply(whole)

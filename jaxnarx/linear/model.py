@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Channels
 from jaxnarx.formatting import page
 from jaxnarx.linear.structure import Polynomials, Structure
@@ -148,7 +148,9 @@ class LinearModel(eqx.Module):
         if name is None and len(self.input_names) == 1:
             return 0
         told = f"no input {name!r} in the model"
-        return self.input_names.index(known_name(name, self.input_names, "input", told))
+        return self.input_names.index(
+            require_known(name, self.input_names, "input", told)
+        )
 
     def network(self) -> Network:
         """The deterministic part as a `Network`, for `simulate`, `predict`, `report`.

@@ -18,14 +18,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear.fit import fit_linear
 from jaxnarx.linear.model import LinearModel
 from jaxnarx.models import Network
 from jaxnarx.settings import BoxJenkins
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import match_records, simulate
 from jaxnarx.solution import Solution
 
 
@@ -44,12 +44,12 @@ class NoiseModel(eqx.Module):
         errors = _errors(self.network, data)
         found = innovations(self.noise, errors)
         o = self.noise.output
-        y = [record.y[:, o] for record in fitting(self.network, data)]
+        y = [record.y[:, o] for record in match_records(self.network, data)]
         predicted = (a - e for a, e in zip(y, found.error, strict=True))
         return dataclasses.replace(found, predicted=tuple(predicted))
 
 
-@guarded
+@guard_arguments
 def fit_noise(
     network: Network,
     data: Dataset,
@@ -76,7 +76,7 @@ def _errors(network: Network, data: Dataset) -> Dataset:
 
     Outputs that the network does not model are not valid anywhere.
     """
-    data = fitting(network, data)
+    data = match_records(network, data)
     run = simulate(network, data).value
     inputs, modelled = len(data.channels.inputs), list(network.modelled)
     records = []

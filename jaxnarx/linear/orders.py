@@ -16,7 +16,7 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.order_table import OrderSearch, order_search
@@ -31,7 +31,7 @@ Lengths = Sequence[int] | Mapping[str, Sequence[int]]
 """Candidates for every input, or by input name."""
 
 
-@guarded
+@guard_arguments
 def search_orders(
     data: Dataset,
     *,

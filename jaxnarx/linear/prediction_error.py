@@ -143,7 +143,7 @@ def least_innovations(
     return PredictionErrorEnd(
         u[:count],
         u[count:].reshape(data.y.shape[0], -1),
-        eliminated(np.asarray(linear.gram), count),
+        eliminate(np.asarray(linear.gram), count),
         float(linear.loss),
         int(end.steps),
         samples,
@@ -152,7 +152,7 @@ def least_innovations(
     )
 
 
-def eliminated(
+def eliminate(
     gram: Float[np.ndarray, "all all"], count: int
 ) -> Float[np.ndarray, "count count"]:
     """Information about the first `count` parameters when the others are free."""

@@ -70,12 +70,12 @@ def record_innovations(
     time, inputs = u.shape
     start, depth = window_start(structure), structure.depth
     ahead = [
-        _convolved(b, u[:, i], nk)
+        _convolve(b, u[:, i], nk)
         for i, (b, nk) in enumerate(zip(p.b, structure.nk, strict=True))
     ]
     weight = known.astype(y.dtype)
     forced = jnp.stack([*ahead, jnp.zeros_like(y)], axis=1)
-    drive = (forced, (_convolved(p.a, y, 0) - p.constant) * weight, weight)
+    drive = (forced, (_convolve(p.a, y, 0) - p.constant) * weight, weight)
     measured = _initial(structure, initial, time, start)
     anchor = jnp.arange(time) == start
     wide = jnp.full(inputs + 2, jnp.inf, y.dtype)
@@ -85,7 +85,7 @@ def record_innovations(
     return jnp.where(known, run[:, -1], 0.0)
 
 
-def _convolved(
+def _convolve(
     polynomial: Coefficients, signal: Float[Array, " time"], delay: int
 ) -> Float[Array, " time"]:
     """sum_k p_k x(t - delay - k); before the record its first value."""

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import (
     LeastSquaresFit,
     leverage,
@@ -122,7 +122,7 @@ def regression_table(value: Regression) -> str:
 
 
 @partial(jax.jit, static_argnames=("algorithm", "scaling"))
-def _fitted(
+def _fit(
     x, y, weight, ridge, cutoff, forgetting, *, algorithm, scaling
 ) -> LeastSquaresFit:
     options = {"scaling": scaling, "ridge": ridge}
@@ -147,7 +147,7 @@ def _figures(
     return residual, leverage(x, weight * fade, fit.root), spread @ spread.T
 
 
-@guarded
+@guard_arguments
 def least_squares(
     columns: Any,
     y: Any,
@@ -177,7 +177,7 @@ def least_squares(
     # A cut-off of None is part of the program, a number is not.
     settings = (method.ridge, method.cutoff, method.forgetting)
     swept = (None if v is None else jnp.asarray(v, dtype) for v in settings)
-    fit = _fitted(*data, *swept, algorithm=method.algorithm, scaling=method.scaling)
+    fit = _fit(*data, *swept, algorithm=method.algorithm, scaling=method.scaling)
     fade = _fade(weight, method.forgetting) if recursive else np.ones_like(weight)
     parts = _figures(*data, jnp.asarray(fade), fit)
     value = _regression(labels, target, weight, fade, fit, parts, method)

@@ -33,7 +33,7 @@ def is_stable(polynomial: Float[Array, " _"]) -> Bool[Array, ""]:
     return stable
 
 
-def reflected(polynomial: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
+def reflect_roots(polynomial: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
     """The same, with every root outside the unit circle at its mirror image inside.
 
     1/(q-polynomial) then is stable, with the same amplitude at all frequencies but for

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Bool, Float
 
-from jaxnarx.linear.stability import reflected
+from jaxnarx.linear.stability import reflect_roots
 from jaxnarx.linear.structure import Polynomials, Structure
 
 LONG = 30
@@ -53,13 +53,13 @@ def solve(
     good[:, :longest] = False
     for lag in range(1, longest + 1):
         good[:, lag:] &= valid[:, : time - lag]
-    rows = [np.where(good, _shifted(x, lag), 0.0)[good] for x, lag in columns]
+    rows = [np.where(good, _shift(x, lag), 0.0)[good] for x, lag in columns]
     if not rows:
         return np.zeros(0)
     return np.linalg.lstsq(np.stack(rows, axis=1), target[good], rcond=None)[0]
 
 
-def _shifted(signal: Records, lag: int) -> Records:
+def _shift(signal: Records, lag: int) -> Records:
     """The signal `lag` samples ago; before the record its first value."""
     if lag == 0:
         return signal
@@ -81,10 +81,10 @@ class _LongModel:
         columns += [(one, 0)]
         theta = solve(y, columns, valid)
         fitted = sum(
-            t * _shifted(x, lag) for t, (x, lag) in zip(theta, columns, strict=True)
+            t * _shift(x, lag) for t, (x, lag) in zip(theta, columns, strict=True)
         )
         self.e = np.where(valid, y - fitted, 0.0)
-        a = reflected(np.concatenate([[1.0], -theta[:order]]))
+        a = reflect_roots(np.concatenate([[1.0], -theta[:order]]))
         self.w = []
         for i in range(inputs):
             b = theta[order * (1 + i) : order * (2 + i)]
@@ -117,7 +117,7 @@ def _armax(structure: Structure, u, y, valid, e) -> Polynomials:
     return Polynomials(
         _monic(-theta[0]),
         tuple(theta[1:-2]),
-        reflected(np.concatenate([[1.0], c])),
+        reflect_roots(np.concatenate([[1.0], c])),
         _monic(np.zeros(structure.nd)),
         tuple(_monic(np.zeros(n)) for n in structure.nf),
         theta[-1].sum(),
@@ -133,7 +133,7 @@ def _output_errors(structure: Structure, u, y, valid, long: _LongModel):
     found = _with_noise(structure, u, y, valid, pairs)
     if len(set(structure.nf)) == 1:
         arx = _armax(_shared(structure), u, y, valid, None)
-        f = reflected(np.asarray(arx.a))
+        f = reflect_roots(np.asarray(arx.a))
         same = [(np.asarray(b), f) for b in arx.b]
         found += _with_noise(structure, u, y, valid, same)
     for _ in range(ROUNDS):
@@ -153,7 +153,7 @@ def _with_shared_poles(structure: Structure, u, y, valid, long, plain: Polynomia
     noise = dataclasses.replace(structure, nd=structure.na)
     found = []
     for a in (armax.a, _monic(_noise(noise, v, valid)[1])):
-        a = reflected(np.asarray(a))
+        a = reflect_roots(np.asarray(a))
         ahead = settled_filter(a, np.ones(1), y)
         rest = _LongModel(structure, u, ahead, valid)
         apart = _output_errors(structure, u, ahead, valid, rest)
@@ -190,7 +190,7 @@ def _ratio(structure: Structure, i: int, u, w, valid, filter_):
     columns += [(np.ones_like(w), 0)] * structure.constant
     theta = solve(w, columns, valid)
     order = structure.nf[i]
-    f = reflected(np.concatenate([[1.0], -theta[:order]]))
+    f = reflect_roots(np.concatenate([[1.0], -theta[:order]]))
     return theta[order : order + structure.nb[i]], f
 
 
@@ -212,8 +212,8 @@ def _with_noise(structure: Structure, u, y, valid, pairs) -> list[Polynomials]:
         Polynomials(
             _monic(np.zeros(structure.na)),
             tuple(b for b, _ in pairs),
-            reflected(np.concatenate([[1.0], c])),
-            reflected(np.concatenate([[1.0], d])),
+            reflect_roots(np.concatenate([[1.0], c])),
+            reflect_roots(np.concatenate([[1.0], d])),
             tuple(f for _, f in pairs),
             np.float64(constant),
         )
@@ -226,7 +226,7 @@ def _noise(structure: Structure, v: Records, valid):
     order = min(LONG, 10 + 3 * max(structure.nc, structure.nd), v.shape[1] // 8)
     past: list[Column] = [(v, k) for k in range(1, max(order, 1) + 1)]
     theta = solve(v, past, valid)
-    e = v - sum(t * _shifted(x, lag) for t, (x, lag) in zip(theta, past, strict=True))
+    e = v - sum(t * _shift(x, lag) for t, (x, lag) in zip(theta, past, strict=True))
     columns: list[Column] = [(v, k) for k in range(1, structure.nd + 1)]
     columns += [(np.where(valid, e, 0.0), k) for k in range(1, structure.nc + 1)]
     both = solve(v, columns, valid)

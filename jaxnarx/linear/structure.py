@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import LinearMethod, Orders
@@ -151,7 +151,7 @@ def by_input(orders: Orders, names: Sequence[str], field: str) -> list[int | Non
     """An order for every input; None for those a mapping leaves out."""
     if isinstance(orders, Mapping):
         for name in orders:
-            known_name(
+            require_known(
                 name, names, field, f"{field} names {name!r}, which is not an input"
             )
         return [orders.get(name) for name in names]

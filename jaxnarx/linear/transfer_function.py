@@ -57,12 +57,12 @@ class TransferFunction:
     @property
     def poles(self) -> Complex[np.ndarray, " poles"]:
         """Roots of the denominator, slowest first; those of a pure delay left out."""
-        return _sorted(np.roots(np.trim_zeros(self.denominator, "b")))
+        return _sort_roots(np.roots(np.trim_zeros(self.denominator, "b")))
 
     @property
     def zeros(self) -> Complex[np.ndarray, " zeros"]:
         """Roots of the numerator without its delay, largest first."""
-        return _sorted(np.roots(np.trim_zeros(self.numerator)))
+        return _sort_roots(np.roots(np.trim_zeros(self.numerator)))
 
     @property
     def stable(self) -> bool:
@@ -165,7 +165,7 @@ class TransferFunction:
     _repr_html_ = page
 
 
-def _sorted(roots: np.ndarray) -> Complex[np.ndarray, " roots"]:
+def _sort_roots(roots: np.ndarray) -> Complex[np.ndarray, " roots"]:
     """Largest modulus first, pairs together."""
     roots = np.asarray(roots, complex)
     size = np.round(np.abs(roots), 12)

@@ -2,20 +2,20 @@
 
 from jaxnarx.models._assemble import OUTPUT_MARGIN as OUTPUT_MARGIN
 from jaxnarx.models._assemble import assemble as assemble
-from jaxnarx.models._assemble import bounded as bounded
 from jaxnarx.models._assemble import global_model as global_model
 from jaxnarx.models._assemble import local_models as local_models
 from jaxnarx.models._assemble import output_model as output_model
-from jaxnarx.models._assemble import ranged as ranged
 from jaxnarx.models._assemble import ranges as ranges
+from jaxnarx.models._assemble import set_bounds as set_bounds
+from jaxnarx.models._assemble import set_ranges as set_ranges
 from jaxnarx.models._assemble import training_bounds as training_bounds
 from jaxnarx.models._total import total as total
+from jaxnarx.models.combine_outputs import combine_outputs as combine_outputs
 from jaxnarx.models.combine_outputs import hidden_names as hidden_names
-from jaxnarx.models.combine_outputs import merged as merged
 from jaxnarx.models.domain import FARTHEST as FARTHEST
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain
-from jaxnarx.models.drop_channels import narrowed as narrowed
+from jaxnarx.models.drop_channels import drop_outputs as drop_outputs
 from jaxnarx.models.error_model import GROWTH as GROWTH
 from jaxnarx.models.error_model import LEVELS as LEVELS
 from jaxnarx.models.error_model import ErrorModel as ErrorModel
@@ -25,7 +25,7 @@ from jaxnarx.models.feedback import collapsed_step as collapsed_step
 from jaxnarx.models.feedback import collapses as collapses
 from jaxnarx.models.feedback import depth as depth
 from jaxnarx.models.feedback import fed_back as fed_back
-from jaxnarx.models.feedback import folded as folded
+from jaxnarx.models.feedback import fold_slopes as fold_slopes
 from jaxnarx.models.feedback import general_step as general_step
 from jaxnarx.models.feedback import group_weights as group_weights
 from jaxnarx.models.feedback import monomials as monomials
@@ -34,7 +34,7 @@ from jaxnarx.models.feedback import respond as respond
 from jaxnarx.models.feedback import shares as shares
 from jaxnarx.models.feedback import sources as sources
 from jaxnarx.models.feedback import term_values as term_values
-from jaxnarx.models.feedback import widened as widened
+from jaxnarx.models.feedback import widen as widen
 from jaxnarx.models.feedback import with_history as with_history
 from jaxnarx.models.feedback import with_own as with_own
 from jaxnarx.models.limits import fading as fading
@@ -43,7 +43,7 @@ from jaxnarx.models.limits import hold_signals as hold_signals
 from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import overshoot as overshoot
 from jaxnarx.models.limits import overshoot_rule as overshoot_rule
-from jaxnarx.models.limits import reported as reported
+from jaxnarx.models.limits import report_outputs as report_outputs
 from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.limits import within_margin as within_margin
 from jaxnarx.models.missing import Gaps as Gaps
@@ -124,7 +124,7 @@ __all__ = [
     "VALIDITIES",
     "advance",
     "assemble",
-    "bounded",
+    "set_bounds",
     "collapse",
     "collapsed_step",
     "collapses",
@@ -134,7 +134,7 @@ __all__ = [
     "driving",
     "fading",
     "fed_back",
-    "folded",
+    "fold_slopes",
     "general_step",
     "global_model",
     "group_weights",
@@ -149,17 +149,17 @@ __all__ = [
     "load_about",
     "local_models",
     "memory_of",
-    "merged",
+    "combine_outputs",
     "models_of",
-    "narrowed",
+    "drop_outputs",
     "output_model",
     "overshoot",
     "overshoot_rule",
     "places",
-    "ranged",
+    "set_ranges",
     "recursion",
     "register_validity",
-    "reported",
+    "report_outputs",
     "reported_range",
     "require_consistent",
     "respond",
@@ -178,7 +178,7 @@ __all__ = [
     "trusted_samples",
     "weights_at",
     "weights_of",
-    "widened",
+    "widen",
     "with_hidden_start",
     "with_history",
     "with_own",

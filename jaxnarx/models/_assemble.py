@@ -85,7 +85,7 @@ def assemble(
     return Network(data.channels, pool.outputs, pool.variables, tuple(models), *leaves)
 
 
-def ranged(network: Network, data: Dataset) -> Network:
+def set_ranges(network: Network, data: Dataset) -> Network:
     """The network with the ranges and feedback bounds of these data of its channels."""
     outputs, measured = len(network.modelled), len(network.channels.measured.all)
     signal = np.array(network.signals)[:outputs]
@@ -98,7 +98,7 @@ def ranged(network: Network, data: Dataset) -> Network:
     return dataclasses.replace(network, lower=lower, upper=upper, low=low, high=high)
 
 
-def bounded(network: Network, margin: float = OUTPUT_MARGIN) -> Network:
+def set_bounds(network: Network, margin: float = OUTPUT_MARGIN) -> Network:
     """The network with feedback bounds so many widths of the trained ranges beyond."""
     own = np.array(network.signals)
     ranges = network.low, network.high, network.gain

@@ -13,7 +13,7 @@ from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.regressors import Variables
 
 
-def merged(networks: Sequence[Network]) -> Network:
+def combine_outputs(networks: Sequence[Network]) -> Network:
     """All outputs of several networks of the same channels, computed side by side.
 
     A free run of the result is that of the parts, from the longest of their histories
@@ -38,12 +38,15 @@ def merged(networks: Sequence[Network]) -> Network:
     measured = len(known.all)
     ends = np.cumsum([0, *(n.hidden for n in networks)]).tolist()
     tables = [
-        _shifted(network.variables, measured, end)
+        _shift_hidden(network.variables, measured, end)
         for network, end in zip(networks, ends, strict=False)
     ]
     entries = list(dict.fromkeys(e for table in tables for e in table.entries))
     parts = [
-        tuple(_moved(model, table, entries, measured, end) for model in network.models)
+        tuple(
+            _move_terms(model, table, entries, measured, end)
+            for model in network.models
+        )
         for network, table, end in zip(networks, tables, ends, strict=False)
     ]
 
@@ -98,14 +101,14 @@ def hidden_names(known: Channels, count: int) -> list[str]:
     return [f"{stem}{n + 1}" for n in range(count)]
 
 
-def _shifted(table: Variables, measured: int, by: int) -> Variables:
+def _shift_hidden(table: Variables, measured: int, by: int) -> Variables:
     """With hidden channels so many places later."""
     return Variables.of(
         [(s + by if s >= measured else s, d, f) for s, d, f in table.entries]
     )
 
 
-def _moved(
+def _move_terms(
     model: OutputModel, table: Variables, entries: list, measured: int, by: int
 ) -> OutputModel:
     """The model with its terms' variables at their places in another table, and hidden
@@ -113,5 +116,5 @@ def _moved(
     place = np.array([0, *(entries.index(e) + 1 for e in table.entries)], np.int32)
     factor = jax.device_put(place[np.asarray(model.local.factor)])
     model = eqx.tree_at(lambda m: m.local.factor, model, factor)
-    scheduling = _shifted(model.scheduling, measured, by)
+    scheduling = _shift_hidden(model.scheduling, measured, by)
     return dataclasses.replace(model, scheduling=scheduling)

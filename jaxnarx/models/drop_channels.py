@@ -10,7 +10,7 @@ from jaxnarx.models.network import Network
 from jaxnarx.regressors import Variables
 
 
-def narrowed(network: Network) -> Network:
+def drop_outputs(network: Network) -> Network:
     """The same model for data that need not bring such outputs along."""
     inputs = len(network.channels.inputs)
     tables = (network.variables, *(m.scheduling for m in network.models))

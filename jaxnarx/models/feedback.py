@@ -228,14 +228,14 @@ def sources(network: Network) -> Int[np.ndarray, " states"]:
     return np.array([*range(len(network.models)), *itertools.chain(*own)], np.int64)
 
 
-def widened(
+def widen(
     network: Network, values: Float[Array, "*rows outputs"]
 ) -> Float[Array, "*rows states"]:
     """What holds for the outputs, for every entry of the loop's state."""
     return values[..., sources(network)] if network.parallel else values
 
 
-def folded(
+def fold_slopes(
     network: Network, a: Float[Array, "rows states states depth"]
 ) -> Float[Array, "rows states outputs depth"]:
     """Slopes by the measured past: all entries of one output start from the same."""

@@ -41,7 +41,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Batch
 from jaxnarx.models.missing import memory_of
@@ -52,7 +52,7 @@ WIDER = 0.02
 """Reported outputs may leave the training range by this share of it on either side."""
 
 
-@guarded
+@guard_arguments
 def hold_to_range(
     network: Network, margin: float | int | None = WIDER, *, outside: str | None = None
 ) -> Network:
@@ -105,7 +105,7 @@ def overshoot_rule(network: Network) -> tuple[tuple[int, ...], float]:
     return moved, fading(network)
 
 
-def reported(
+def report_outputs(
     network: Network,
     outputs: Float[np.ndarray, "*rows time outputs"],
     inputs: Float[np.ndarray, "*rows time inputs"] | None = None,

@@ -27,7 +27,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive
 from jaxnarx.data import Batch
 from jaxnarx.models.domain import FARTHEST
@@ -43,7 +43,7 @@ HISTORIES = 10
 """Memory of a network without a domain or filters, in samples of its history."""
 
 
-@guarded
+@guard_arguments
 def set_nan_policy(
     network: Network, nan: str = HOLD, *, invalid_after: float | int | None = None
 ) -> Network:

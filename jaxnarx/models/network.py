@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxnarx.arrays import twin
 from jaxnarx.checks import whole
-from jaxnarx.data import Channel, Channels, numbered
+from jaxnarx.data import Channel, Channels, number_channels
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import count, page
 from jaxnarx.models.domain import Domain
@@ -230,7 +230,7 @@ class Network(eqx.Module):
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
         bare = dict(domain=None, certificate=None, errors=None)
         bare |= dict(nan=HOLD, invalid_after=None)
-        return twin(self, channels=numbered(*counts), **bare)
+        return twin(self, channels=number_channels(*counts), **bare)
 
     @property
     def history(self) -> int:

@@ -12,7 +12,7 @@ from jaxnarx.models.feedback import (
     depth,
     general_step,
     group_weights,
-    widened,
+    widen,
 )
 from jaxnarx.models.network import Network
 
@@ -59,6 +59,6 @@ def run_states(
 ) -> Float[Array, "time states"]:
     """All that the loop of a run carries: the outputs, and those of local models that
     have feedback of their own (`jaxnarx.models.feedback`)."""
-    bounds = widened(network, network.lower), widened(network, network.upper)
-    inputs, start = recursion(network, v, x), widened(network, measured)
+    bounds = widen(network, network.lower), widen(network, network.upper)
+    inputs, start = recursion(network, v, x), widen(network, measured)
     return free_run(*inputs, start, anchor, *bounds, depth=depth(network))

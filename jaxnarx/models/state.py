@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.errors import SpecError
-from jaxnarx.models.feedback import advance, depth, sources, widened
+from jaxnarx.models.feedback import advance, depth, sources, widen
 from jaxnarx.models.limits import beyond_range, fading, within_margin
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD, LINEAR
@@ -165,7 +165,7 @@ def rate_of(network: Network) -> Float[Arrays, ""]:
     return jnp.asarray(value, network.gain.dtype)
 
 
-def advanced(
+def advance_memory(
     network: Network,
     past: Past,
     u: Float[Array, " driving"],
@@ -177,10 +177,10 @@ def advanced(
     With `measured` (physical) these are remembered in place of what is computed.
     """
     found, held, systems = memory(network), _hold_inputs(network, u), fixed.systems
-    filters, values = _filtered(found, systems, past.filters, held)
+    filters, values = _advance_filters(found, systems, past.filters, held)
     far, beyond = past.far, {}
     if network.outside == LINEAR:
-        far, beyond = _filtered(found, systems, past.far, u - held)
+        far, beyond = _advance_filters(found, systems, past.far, u - held)
     for n, (s, _) in enumerate(found.raw):
         line = jnp.concatenate([u[n : n + 1], past.raw[n]])
         kept = network.within(line[:, None], np.array([s]))[:, 0]
@@ -200,7 +200,7 @@ def advanced(
     x = tuple(table(m.scheduling, values) for m in network.models)
     size = loop_gain(network)
     y = advance(network, jnp.concatenate(v), x, past.loop / size[:, None])
-    lower, upper = (widened(network, b) for b in (network.lower, network.upper))
+    lower, upper = (widen(network, b) for b in (network.lower, network.upper))
     y = jnp.clip(y, lower, upper) * size
     now = y if measured is None else measured
     over = jnp.maximum(_overshoot_at(network, u), fixed.rate * past.overshoot)
@@ -215,7 +215,7 @@ def advanced(
     return Past(raw, filters, far, loop, over), outputs
 
 
-def _filtered(
+def _advance_filters(
     found: LookedBack, systems: list[FilterSystem], bank: tuple, values: Array
 ) -> tuple[tuple, dict]:
     """Filters with these values taken in; their outputs by (signal, lag, filter)."""
@@ -262,7 +262,7 @@ def split(network: Network, x: Float[Array, " states"]) -> Past:
     return Past(raw, filters, far, loop, over)
 
 
-def joined(past: Past) -> Float[Array, " states"]:
+def join_state(past: Past) -> Float[Array, " states"]:
     """A state as one vector."""
     return jnp.concatenate([leaf.reshape(-1) for leaf in jax.tree.leaves(past)])
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
 from jaxnarx.models.feedback import sources
@@ -22,12 +22,12 @@ from jaxnarx.models.network import Network
 from jaxnarx.models.observer import with_hidden_start
 from jaxnarx.models.record_run import run_record
 from jaxnarx.models.state import (
-    advanced,
+    advance_memory,
     at_rest,
     driving,
     fixed_of,
     has_overshoot,
-    joined,
+    join_state,
     loop_gain,
     rate_of,
     split,
@@ -55,8 +55,8 @@ def step(
 
 @program
 def _step(network: Network, x: Array, u: Array, rate: Array) -> tuple[Array, Array]:
-    past, y = advanced(network, split(network, x), u, fixed_of(network, rate))
-    return joined(past), y
+    past, y = advance_memory(network, split(network, x), u, fixed_of(network, rate))
+    return join_state(past), y
 
 
 def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
@@ -88,7 +88,9 @@ def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
 
 @program
 def _at_zero(network: Network, row: Array) -> Array:
-    return joined(at_rest(network, row, jnp.zeros(len(sources(network)), row.dtype)))
+    return join_state(
+        at_rest(network, row, jnp.zeros(len(sources(network)), row.dtype))
+    )
 
 
 @program
@@ -105,14 +107,14 @@ def _behind(network: Network, start: Array, u: Array, rate: Array) -> Array:
     loop = y[:, sources(network)]
 
     def measured(past, row):
-        return advanced(network, past, row[0], fixed, row[1])[0], None
+        return advance_memory(network, past, row[0], fixed, row[1])[0], None
 
     def free(past, row):
-        return advanced(network, past, row, fixed)[0], None
+        return advance_memory(network, past, row, fixed)[0], None
 
     past = at_rest(network, u[0], loop[0])
     past = jax.lax.scan(measured, past, (u[:at], loop[:at]))[0]
-    return joined(jax.lax.scan(free, past, u[at:])[0])
+    return join_state(jax.lax.scan(free, past, u[at:])[0])
 
 
 def run(
@@ -133,7 +135,7 @@ def _run_on(network: Network, x: Array, u: Array, rate: Array) -> Array:
     fixed = fixed_of(network, rate)
 
     def take(past, row):
-        return advanced(network, past, row, fixed)
+        return advance_memory(network, past, row, fixed)
 
     return jax.lax.scan(take, split(network, x), u)[1]
 
@@ -203,14 +205,14 @@ def _rest(
 
     def find_motion(z, _):
         past = at_rest(network, row, z * size)
-        return advanced(network, past, row, fixed)[0].loop[:, 0] / size - z
+        return advance_memory(network, past, row, fixed)[0].loop[:, 0] / size - z
 
     solver = optimistix.Newton(rtol=REST_TOLERANCE, atol=REST_TOLERANCE)
     found = optimistix.root_find(
         find_motion, solver, begin / size, max_steps=REST_STEPS, throw=False
     )
     good = found.result == optimistix.RESULTS.successful
-    return joined(at_rest(network, row, found.value * size)), good
+    return join_state(at_rest(network, row, found.value * size)), good
 
 
 @program
@@ -287,7 +289,7 @@ class StateForm(eqx.Module):
         return equilibrium(self.network, u, start)
 
 
-@guarded
+@guard_arguments
 def state_space(network: Network) -> StateForm:
     """The network as a state-space model with named states.
 

@@ -32,7 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Channels, check_precision
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.files import write_whole
@@ -70,10 +70,10 @@ def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
         "modelled": list(network.modelled),
         **_hidden(network),
         **_edge(network),
-        **_described("variables", network.variables),
+        **_describe_rows("variables", network.variables),
         "models": [
             {
-                **_described("scheduling", m.scheduling),
+                **_describe_rows("scheduling", m.scheduling),
                 "validity": type(m.validity).__name__,
             }
             for m in network.models
@@ -92,15 +92,15 @@ def _hidden(network: Network) -> dict[str, Any]:
 
 def _edge(network: Network) -> dict[str, Any]:
     """What inputs do beyond their ranges, and the features of the domain."""
-    out: dict[str, Any] = _missing(network)
+    out: dict[str, Any] = _missing_policy(network)
     if network.outside != _usual(network.hold):
         out["outside"] = network.outside
     if network.domain is not None:
-        out["domain"] = _described("features", network.domain.features)
+        out["domain"] = _describe_rows("features", network.domain.features)
     return out
 
 
-def _missing(network: Network) -> dict[str, Any]:
+def _missing_policy(network: Network) -> dict[str, Any]:
     """What outputs are where an input is missing, if it is not as usual."""
     out: dict[str, Any] = {}
     if network.nan != HOLD:
@@ -118,7 +118,7 @@ def _usual(hold: object) -> str:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
-    if _missing(network):
+    if _missing_policy(network):
         return 10
     if network.errors is not None or network.outside == NAN:
         return 9
@@ -136,7 +136,7 @@ def _format(network: Network) -> int:
     return 2 if any(t.filters for t in tables) else 1
 
 
-def _described(name: str, table: Variables) -> dict[str, Any]:
+def _describe_rows(name: str, table: Variables) -> dict[str, Any]:
     """The rows of a table, and its filters if it has any."""
     out: dict[str, Any] = {name: [list(r) for r in table]}
     if table.filters:
@@ -154,7 +154,7 @@ def _tensors(network: Network) -> dict[str, np.ndarray]:
     }
 
 
-@guarded
+@guard_arguments
 def save(
     network: Network,
     path: str | os.PathLike[str],
@@ -249,7 +249,7 @@ def _require_known(network: Network) -> None:
                 )
 
 
-@guarded
+@guard_arguments
 def load(path: str | os.PathLike[str]) -> Network:
     """Read what `save` wrote. Any defect of the file is a `ModelFileError`.
 

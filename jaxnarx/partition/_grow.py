@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import least_squares
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError
@@ -16,12 +16,12 @@ from jaxnarx.models import (
     assemble,
     global_model,
 )
-from jaxnarx.partition.clusters import placed_output
-from jaxnarx.partition.fixed import Regions, given_output, given_regions
+from jaxnarx.partition.clusters import place_output
+from jaxnarx.partition.fixed import Regions, fit_given, regions_of_method
 from jaxnarx.partition.grid import grid_output
 from jaxnarx.partition.iterative import grow_output
 from jaxnarx.partition.own_feedback import with_feedback
-from jaxnarx.partition.scaffold import chosen_terms, scheduling_table
+from jaxnarx.partition.scaffold import scheduling_table, terms_to_use
 from jaxnarx.partition.training_rows import TrainingRows, make_training_rows
 from jaxnarx.regressors import Pool, variable_names
 from jaxnarx.selection import Selection
@@ -33,7 +33,7 @@ _least_squares = jax.jit(least_squares)
 Method = Given | Global | Grid | Lolimot | Placed | SigmoidTree
 
 
-@guarded
+@guard_arguments
 @tell_precision
 def grow(
     source: Selection | Pool,
@@ -80,10 +80,10 @@ def grow(
         selection = jnx.select(pool, data, jnx.ForwardOLS(max_terms=2))
         print(jnx.grow(selection.value, data, jnx.Global()).value)
     """
-    pool, factors = chosen_terms(source)
+    pool, factors = terms_to_use(source)
     data, _ = match_channels(data, pool.channels)
     given = method if isinstance(method, Given) else _start(method, start)
-    regions = [] if given is None else given_regions(pool, given)
+    regions = [] if given is None else regions_of_method(pool, given)
     training = make_training_rows(
         pool,
         factors,
@@ -98,10 +98,10 @@ def grow(
         made = [grid_output(training, o, method) for o in range(len(factors))]
         return _as_told(training, made, method, validation)
     if isinstance(method, Placed):
-        made = [(placed_output(training, o, method), []) for o in range(len(factors))]
+        made = [(place_output(training, o, method), []) for o in range(len(factors))]
         return _as_told(training, made, method, validation)
     if isinstance(method, Given):
-        made = [given_output(training, *own, method) for own in enumerate(regions)]
+        made = [fit_given(training, *own, method) for own in enumerate(regions)]
         return _as_told(training, made, method, validation)
     if method.criterion == "validation" and validation is None:
         raise SpecError(
@@ -127,7 +127,7 @@ def _start(method: Method, start: Any) -> Given | None:
     return Given(start, scheduling=own)
 
 
-def _assembled(training: TrainingRows, models: list[OutputModel]) -> Network:
+def _assemble(training: TrainingRows, models: list[OutputModel]) -> Network:
     return assemble(training.pool, training.data, training.rows.gain, models)
 
 
@@ -139,7 +139,7 @@ def _grow_global(training: TrainingRows) -> Solution[Network]:
         models.append(global_model(factor, training.coefficients(o, psi)))
         ranks.append(int(rank))
         conds.append(float(cond))
-    network = _assembled(training, models)
+    network = _assemble(training, models)
     stats = {"rank": np.array(ranks), "cond": np.array(conds)}
     short = [o for o, f in enumerate(factors) if ranks[o] < len(f)]
     if short:
@@ -200,7 +200,7 @@ def _as_told(
     models, poor = zip(*made, strict=True)
     outputs = range(len(models))
     network, found = with_feedback(
-        _assembled(training, list(models)),
+        _assemble(training, list(models)),
         _judges(training, validation),
         method.feedback,
     )
@@ -230,15 +230,15 @@ def _grow_stages(
         models.append(model)
         figures.append(figure)
     network, found = with_feedback(
-        _assembled(training, models), _judges(training, validation), method.feedback
+        _assemble(training, models), _judges(training, validation), method.feedback
     )
     stats = {k: [f[k] for f in figures] for k in figures[0]} | found
     if any(f["stopped"] == "criterion" for f in figures):
         return _solution(training, network, RESULTS.no_improvement, stats)
-    return _solution(training, network, RESULTS.ok, stats, _refused(network, stats))
+    return _solution(training, network, RESULTS.ok, stats, _why_stopped(network, stats))
 
 
-def _refused(network: Network, stats: dict[str, Any]) -> str:
+def _why_stopped(network: Network, stats: dict[str, Any]) -> str:
     """What ended a growth before its capacity, for people."""
     for name, stopped, models, least in zip(
         network.output_names,

@@ -24,19 +24,19 @@ NARROWEST = 0.1
 """Least extension of a cluster, as a share of one of as many equal boxes."""
 
 
-def placed_output(training: TrainingRows, output: int, method: Placed) -> OutputModel:
+def place_output(training: TrainingRows, output: int, method: Placed) -> OutputModel:
     """The model of one output."""
     p, y = training.columns(output)
     numbers = [np.asarray(x, p.dtype) for x in (method.k_sigma, method.ridge)]
     rows = p, training.z, y, training.weight(output)
     most, seed = method.max_models, np.asarray(method.seed)
-    validity, theta = _placed(*rows, *numbers, seed, most=most, at=method.at)
+    validity, theta = _place(*rows, *numbers, seed, most=most, at=method.at)
     theta = training.coefficients(output, theta)
     return training.model(output, theta, validity, most)
 
 
 @program
-def _placed(p, z, y, weight, k_sigma, ridge, seed, *, most: int, at):
+def _place(p, z, y, weight, k_sigma, ridge, seed, *, most: int, at):
     active = jnp.ones(most, bool)
     validity = place(z, weight, active, k_sigma, seed, at=at)
     theta = fit_models(p, y, validity(z, active), weight, active, ridge)
@@ -121,7 +121,7 @@ def scattered(
     return jnp.where(scatter > 0, layout.gather(placed), u)
 
 
-def moved_output(
+def move_output(
     training: TrainingRows, output: int, frame: Network, method: Lolimot | SigmoidTree
 ) -> OutputModel:
     """The model of one output, that of `frame`, with its partition moved at random."""
@@ -129,10 +129,10 @@ def moved_output(
     p = evaluate(training.factors[output], training.rows.v)
     rows = p, training.z, training.rows.y[output], training.weight(output)
     numbers = [np.asarray(x, p.dtype) for x in (method.scatter, method.ridge)]
-    u = _moved(layout, frame, rows, *numbers, np.asarray(method.seed))
+    u = _move(layout, frame, rows, *numbers, np.asarray(method.seed))
     return layout.place(u).models[0]
 
 
 @program
-def _moved(layout: Layout, network: Network, rows, scatter, ridge, seed):
+def _move(layout: Layout, network: Network, rows, scatter, ridge, seed):
     return scattered(layout, network, rows, scatter=scatter, seed=seed, ridge=ridge)

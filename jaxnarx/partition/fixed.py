@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
-from jaxnarx.partition.grid import fitted
+from jaxnarx.partition.grid import fit_regions
 from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
 from jaxnarx.settings import PARTITIONS, Given, Partitioner
@@ -29,7 +29,7 @@ class Regions:
     count: int
 
 
-def given_regions(pool: Pool, method: Given) -> list[Regions]:
+def regions_of_method(pool: Pool, method: Given) -> list[Regions]:
     """The regions of every output of the pool."""
     names = [pool.channels.output_names[o] for o in pool.outputs]
     partition = method.partition
@@ -92,12 +92,12 @@ def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Reg
         )
     count = 0
     if isinstance(validity, AbstractValidity):
-        count = _checked(validity, len(method.scheduling))
+        count = _count_regions(validity, len(method.scheduling))
     ranges = np.array(method.ranges) if method.ranges else None
     return Regions(tuple(method.scheduling), ranges, validity, count)
 
 
-def _checked(validity: AbstractValidity, dims: int) -> int:
+def _count_regions(validity: AbstractValidity, dims: int) -> int:
     """The number of its regions."""
     try:
         return models_of(validity, dims)
@@ -105,19 +105,19 @@ def _checked(validity: AbstractValidity, dims: int) -> int:
         raise SpecError(str(error), field="partition") from error
 
 
-def given_output(
+def fit_given(
     training: TrainingRows, output: int, regions: Regions, method: Given
 ) -> tuple[OutputModel, list[int]]:
     """The model of one output, and which local models lack samples."""
-    own, validity, count = placed(training, output, regions)
-    return fitted(own, output, validity, count, method)
+    own, validity, count = place_regions(training, output, regions)
+    return fit_regions(own, output, validity, count, method)
 
 
-def placed(
+def place_regions(
     training: TrainingRows, output: int, regions: Regions
 ) -> tuple[TrainingRows, AbstractValidity, int]:
     """The rows of the regions, their validity functions, how many are in use."""
-    own, validity = _narrowed(training, regions), regions.validity
+    own, validity = _select_scheduling(training, regions), regions.validity
     if isinstance(validity, AbstractValidity):
         return own, validity, regions.count
     p = evaluate(own.factors[output], own.rows.v)
@@ -131,10 +131,10 @@ def placed(
             field="partition",
         )
     found = jax.tree.map(jnp.asarray, found)
-    return own, found, _checked(found, len(regions.scheduling))
+    return own, found, _count_regions(found, len(regions.scheduling))
 
 
-def _narrowed(training: TrainingRows, regions: Regions) -> TrainingRows:
+def _select_scheduling(training: TrainingRows, regions: Regions) -> TrainingRows:
     """The rows with these scheduling variables only, on the scale of the regions."""
     at = np.array([training.names.index(name) for name in regions.scheduling])
     low, span = training.offset[at], training.span[at]

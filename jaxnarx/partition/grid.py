@@ -32,13 +32,13 @@ def grid_output(
     training: TrainingRows, output: int, method: Grid
 ) -> tuple[OutputModel, list[int]]:
     """The model of one output, and which local models lack samples."""
-    validity = given_validity(training, method)
-    return fitted(
+    validity = validity_of_grid(training, method)
+    return fit_regions(
         training, output, validity, models_of(validity, len(training.z)), method
     )
 
 
-def fitted(
+def fit_regions(
     training: TrainingRows,
     output: int,
     validity: AbstractValidity,
@@ -72,7 +72,7 @@ def fitted(
     return training.model(output, theta, validity, count, sparse=sparse), poor
 
 
-def given_validity(training: TrainingRows, method: Grid) -> AbstractValidity:
+def validity_of_grid(training: TrainingRows, method: Grid) -> AbstractValidity:
     """Validity functions of a grid in scaled scheduling variables."""
     if method.validity == "log-sigmoids":
         return _log_sigmoids(training, method)

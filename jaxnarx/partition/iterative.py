@@ -21,8 +21,8 @@ from jaxnarx.models import (
 )
 from jaxnarx.models import SigmoidTree as SigmoidTreeValidity
 from jaxnarx.partition._lolimot import boxes_of_validity, lolimot, validity_of_boxes
-from jaxnarx.partition.clusters import moved_output
-from jaxnarx.partition.fixed import Regions, placed
+from jaxnarx.partition.clusters import move_output
+from jaxnarx.partition.fixed import Regions, place_regions
 from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.prune import prune
 from jaxnarx.partition.split import SplitRows
@@ -53,8 +53,8 @@ def grow_output(
     """The model of one output, and the figures of all stages, from `start` on."""
     begin = None
     if start is not None:
-        training, shape, count = placed(training, output, start)
-        begin = _beginning(method, shape, count)
+        training, shape, count = place_regions(training, output, start)
+        begin = _begin(method, shape, count)
     factor, rows = training.factors[output], training.rows
     if method.local is not None:
         advice = "choose among them first, with `select`, and grow from the selection"
@@ -92,7 +92,7 @@ def grow_output(
         score,
     )
     found["stages"] = [at(n, sparse) for n in range(len(found["models"]))]
-    found["least"] = float(_fitting(training, output, p, method)["least"])
+    found["least"] = float(_fit_settings(training, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
         tree = jax.device_put(jax.tree.map(lambda a: a[best], stages))
@@ -107,7 +107,7 @@ def grow_output(
         model = training.model(output, theta, validity(best, count), count)
         if method.scatter:
             grown = dataclasses.replace(frame, models=(model,))
-            model = moved_output(training, output, grown, method)
+            model = move_output(training, output, grown, method)
         return model, found
     shape = validity(best, count)
     phi = shape(training.z, jnp.ones(count, bool))
@@ -120,7 +120,7 @@ def _number(value: float | int, dtype: np.dtype) -> Array:
     return jax.device_put(np.asarray(value, dtype))
 
 
-def _fitting(
+def _fit_settings(
     training: TrainingRows, output: int, p: Float[Array, "terms rows"], method
 ):
     """How local models are fitted, the same for every growth."""
@@ -139,7 +139,7 @@ def _rows_of(
     training: TrainingRows, output: int, p, y, method: SigmoidTree
 ) -> SplitRows:
     smoothness = _number(method.smoothness, p.dtype)
-    fitting = _fitting(training, output, p, method)
+    fitting = _fit_settings(training, output, p, method)
     return SplitRows(p, training.z, y, training.weight(output), smoothness, **fitting)
 
 
@@ -153,7 +153,9 @@ def _run(
 ) -> tuple[Any, Callable[[int, int], AbstractValidity]]:
     """All stages, and a function from stage and slots to its validity functions."""
     number = functools.partial(_number, dtype=p.dtype)
-    common = _fitting(training, output, p, method) | {"max_models": method.max_models}
+    common = _fit_settings(training, output, p, method) | {
+        "max_models": method.max_models
+    }
     data = p, training.z, y, training.weight(output)
     if isinstance(method, SigmoidTree):
         smoothness = number(method.smoothness)
@@ -174,7 +176,7 @@ def _run(
     return boxes, validity
 
 
-def _beginning(method: Lolimot | SigmoidTree, shape: AbstractValidity, count: int):
+def _begin(method: Lolimot | SigmoidTree, shape: AbstractValidity, count: int):
     """The regions in use, in the form in which the kernel goes on from them."""
     if count > method.max_models:
         raise SpecError(

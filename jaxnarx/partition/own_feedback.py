@@ -42,10 +42,10 @@ def with_feedback(
         if not _fed_back_itself(network, o):
             own[:] = False
         elif feedback == "choose":
-            own, figure = _chosen(_part(network, o), data, own)
+            own, figure = _choose(_part(network, o), data, own)
             figures.append(figure)
         flags.append(own)
-        models.append(_turned(model, own))
+        models.append(_set_flags(model, own))
     found: dict[str, list[Any]] = {"own": flags}
     if figures:
         found["feedback_nrmse"] = figures
@@ -59,7 +59,7 @@ def _fed_back_itself(network: Network, output: int) -> bool:
     return several and any(o == output for _, o, _ in rows)
 
 
-def _turned(model, own: Own):
+def _set_flags(model, own: Own):
     """The model with these flags; without any it keeps its quicker loop."""
     return dataclasses.replace(model, own=_alone(own) if own.any() else None)
 
@@ -81,7 +81,7 @@ def _part(network: Network, output: int) -> Network:
     )
 
 
-def _chosen(network: Network, data: Dataset, every: Own) -> tuple[Own, dict]:
+def _choose(network: Network, data: Dataset, every: Own) -> tuple[Own, dict]:
     def error(own: Own) -> float:
         model = dataclasses.replace(network.models[0], own=_alone(own))
         return free_run_nrmse(dataclasses.replace(network, models=(model,)), data)

@@ -6,7 +6,7 @@ from jaxnarx.regressors import Pool, Variables, parse_variable
 from jaxnarx.selection import Selection
 
 
-def chosen_terms(source: Selection | Pool) -> tuple[Pool, list[np.ndarray]]:
+def terms_to_use(source: Selection | Pool) -> tuple[Pool, list[np.ndarray]]:
     """The pool and, per modelled output, the index rows of the terms to use."""
     if isinstance(source, Pool):
         return source, [source.factor] * len(source.outputs)

@@ -232,7 +232,7 @@ def search(
     """Move a gate downhill for at most `steps` trials; never to a worse one."""
 
     def step(s: DirectionSearch) -> DirectionSearch:
-        new = linearise(_damped(s.best, s.damping), leaf, rows)
+        new = linearise(_damped_step(s.best, s.damping), leaf, rows)
         better = new.sse < s.best.sse
         small = s.best.sse - new.sse < TOLERANCE * s.best.sse
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, s.best)
@@ -251,7 +251,7 @@ def search(
     return end.best.gate
 
 
-def _damped(at: Point, damping: Float[Array, ""]) -> Float[Array, " params"]:
+def _damped_step(at: Point, damping: Float[Array, ""]) -> Float[Array, " params"]:
     """The next gate, its direction of length one."""
     diagonal = jnp.diagonal(at.normal)
     # The length of the direction has no effect, so its row is zero.

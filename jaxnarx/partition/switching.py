@@ -14,19 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import free_run, program
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.models import Network, depth, recursion, reported
+from jaxnarx.models import Network, depth, recursion, report_outputs
 from jaxnarx.simulation import (
     RunInputs,
     Trajectories,
     first_anchor,
-    fitting,
     has_diverged,
     make_drive,
     make_masks,
+    match_records,
     tables,
 )
 from jaxnarx.solution import RESULTS, Solution
@@ -35,7 +35,7 @@ Region = Mapping[str, tuple[float | int, float | int]]
 """Lower and upper limit of some channels, in their units."""
 
 
-@guarded
+@guard_arguments
 def switch(
     networks: Sequence[Network],
     data: Dataset,
@@ -59,7 +59,7 @@ def switch(
     """
     _check(networks, regions, hold)
     regions = [None] * len(networks) if regions is None else regions
-    data = [fitting(network, data) for network in networks][0]
+    data = [match_records(network, data) for network in networks][0]
     batch = stack_records(data)
     masks = [make_masks(network, batch) for network in networks]
     start = np.max([m.start for m in masks], axis=0)
@@ -70,7 +70,7 @@ def switch(
     scored &= (np.arange(scored.shape[1])[None] >= start[:, None])[:, :, None]
     pairs = zip(networks, regions, strict=True)
     signals = np.asarray(batch.signals)
-    valid = [_held(_valid(n, r, signals), hold) for n, r in pairs]
+    valid = [_hold(_valid(n, r, signals), hold) for n, r in pairs]
     valid[-1] = np.ones_like(valid[-1])
     acting = np.argmax(valid, axis=0)
     drives = [make_drive(network, batch) for network in networks]
@@ -121,7 +121,7 @@ def _valid(network: Network, region: Region | None, signals):
     return good
 
 
-def _held(
+def _hold(
     valid: Bool[np.ndarray, "records time"], hold: int
 ) -> Bool[np.ndarray, "records time"]:
     """Where this and the last `hold` samples are valid, those before a record too."""
@@ -181,7 +181,7 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
         who = acting[n, :length].copy()
         who[:first] = -1
         bad = np.asarray(has_diverged(hold[first:].T))
-        edge, held = _reported(networks, y, record.u, who)
+        edge, held = _report(networks, y, record.u, who)
         nothing = np.zeros(length, bool)
         parts = (edge, y, scored[n, :length], hold, held, nothing, bad, who)
         for column, part in zip(columns, parts, strict=True):
@@ -200,7 +200,7 @@ def _solution(networks, data: Dataset, run, scored, start, acting) -> Solution:
     return Solution(value, RESULTS.ok, stats)
 
 
-def _reported(
+def _report(
     networks: Sequence[Network],
     y: Float[np.ndarray, "time outputs"],
     u: Float[np.ndarray, "time inputs"],
@@ -209,6 +209,6 @@ def _reported(
     """What is reported of each network's samples, and where it is held."""
     edge, held = y.copy(), np.zeros(y.shape, bool)
     for n, network in enumerate(networks):
-        own, at_edge = reported(network, y, u)
+        own, at_edge = report_outputs(network, y, u)
         edge[who == n], held[who == n] = own[who == n], at_edge[who == n]
     return edge, held

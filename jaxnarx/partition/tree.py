@@ -185,7 +185,7 @@ def _attempt(s: _Growth, rows: SplitRows, oblique: bool, steps: int) -> _Growth:
     locked = dataclasses.replace(
         s, locked=s.locked.at[worst].set(True), going=jnp.any(free)
     )
-    grown = _divided(s, worst, gate, leaf, children, rows, oblique)
+    grown = _divide(s, worst, gate, leaf, children, rows, oblique)
     allowed = jnp.any(free) & jnp.isfinite(children.sse)
     return jax.tree.map(lambda a, b: jnp.where(allowed, a, b), grown, locked)
 
@@ -214,7 +214,7 @@ def _best_axis(
     return starts[jnp.argmin(sse)]
 
 
-def _divided(
+def _divide(
     s: _Growth,
     worst: Int[Array, ""],
     gate: Float[Array, " params"],

@@ -7,8 +7,8 @@ from jaxnarx.refinement._refine import refine_task as refine_task
 from jaxnarx.refinement._stability import (
     Certificate,
     Stability,
+    attach_certificate,
     certificate,
-    certified,
     largest_local_pole,
     rate_of,
     stability,
@@ -20,8 +20,8 @@ from jaxnarx.refinement.labels import Labels as Labels
 from jaxnarx.refinement.labels import label as label
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.problem import Problem
-from jaxnarx.refinement.sensitivity import joined as joined
-from jaxnarx.refinement.sensitivity import linearised as linearised
+from jaxnarx.refinement.sensitivity import join_blocks as join_blocks
+from jaxnarx.refinement.sensitivity import linearise_run as linearise_run
 from jaxnarx.refinement.sensitivity import seen_history as seen_history
 from jaxnarx.refinement.sensitivity import stream as stream
 from jaxnarx.refinement.starts import FEEDBACK_FACTORS as FEEDBACK_FACTORS
@@ -38,7 +38,7 @@ __all__ = [
     "Stability",
     "Stage",
     "certificate",
-    "certified",
+    "attach_certificate",
     "freeze",
     "largest_local_pole",
     "make_layout",

@@ -7,14 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import Progress
 from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, bounded
+from jaxnarx.models import Network, set_bounds
 from jaxnarx.refinement._stability import first_horizon
 from jaxnarx.refinement._stages import Stage, stages
-from jaxnarx.refinement.folds import best_position, curve, divided
+from jaxnarx.refinement.folds import best_position, curve, split_folds
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
@@ -28,13 +28,13 @@ from jaxnarx.refinement.training_data import (
     require_window,
 )
 from jaxnarx.settings import PredictionError, SimulationError
-from jaxnarx.simulation import Prepared, checked, fitting
+from jaxnarx.simulation import Prepared, check_records, match_records
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
 __all__ = ["make_task", "refine", "refine_task"]
 
 
-@guarded
+@guard_arguments
 @tell_precision
 def refine(
     network: Network,
@@ -102,7 +102,7 @@ def refine(
         refined = jnx.refine(network, data, solver=bfgs)
     """
     method = SimulationError() if method is None else method
-    data = checked(network, data)
+    data = check_records(network, data)
     if isinstance(method, SimulationError) and method.stable:
         bare = dataclasses.replace(method, stable=False)
         given = {"trainable": trainable, "weights": weights, "progress": progress}
@@ -113,12 +113,12 @@ def refine(
             return refine(start, data, bare, validation=validation, **given)
 
         _require_free(deviations)
-        judge = fitting(network, data if validation is None else validation)
+        judge = match_records(network, data if validation is None else validation)
         return refine_stable(network, judge, again)
     # Of a network that changes they say nothing any more, and with the certificate goes
     # what allowed for bounds so wide that nothing is held.
     if network.certificate is not None:
-        network = bounded(network)
+        network = set_bounds(network)
     network = dataclasses.replace(network, certificate=None, errors=None)
     settings = {}
     if isinstance(method, SimulationError):
@@ -131,10 +131,10 @@ def refine(
     task = task.begun(network)
     guard = task
     if validation is not None:
-        validation = checked(network, validation)
+        validation = check_records(network, validation)
         rule = {"criterion": task.criterion, "window": network.window}
         guard, _ = make_task(network, validation, **rule)
-    trainable = _moving(network, trainable, method)
+    trainable = _trained_parameters(network, trainable, method)
     # A prior is one of the coefficients as they stand.
     plain = deviations is None
     if isinstance(method, PredictionError):
@@ -153,7 +153,9 @@ def refine(
     layout = make_layout(network, trainable, band, initial, centred=plain, every=every)
     found = None
     if method.folds:
-        found = groups(fitting(network, data), folds=method.folds, gap=network.history)
+        found = groups(
+            match_records(network, data), folds=method.folds, gap=network.history
+        )
     return refine_task(
         layout,
         task,
@@ -212,7 +214,7 @@ def refine_task(
         own = [row for row in one.log.history if row.get("start", "") == one.winner]
         return curve(one.first.score.on_host, own, one.total)
 
-    folds = divided(task, left_out, layout.base.history, guard)
+    folds = split_folds(task, left_out, layout.base.history, guard)
     limit, scores = best_position(folds, judge)
     if not np.isfinite(scores[limit]):
         limit = None
@@ -286,7 +288,7 @@ def _schedules(
     }
 
 
-def _moving(
+def _trained_parameters(
     network: Network,
     trainable: Network | None,
     method: SimulationError | PredictionError,

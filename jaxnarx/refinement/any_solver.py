@@ -59,7 +59,7 @@ class ScaledLoss(eqx.Module):
         return jnp.sum(self.pull * (u - self.origin) ** 2)
 
 
-def scaled(problem: Problem, s: LevenbergState) -> ScaledLoss:
+def scale_coordinates(problem: Problem, s: LevenbergState) -> ScaledLoss:
     """Coordinates of a stage that starts there."""
     return ScaledLoss(problem, jnp.asarray(s.u), *_units(s))
 
@@ -127,7 +127,7 @@ def begin_solver(s: Any, w: Float[Array, " params"], inner: Any) -> SolverState:
     return SolverState(*figures, *here, w, inner, jnp.asarray(False))
 
 
-def reached(scaled: ScaledLoss, s: SolverState, w, inner, done) -> SolverState:
+def end_of_step(scaled: ScaledLoss, s: SolverState, w, inner, done) -> SolverState:
     """Where a step has led, whatever it has gained; the state before it where the loss
     is not finite."""
     u = scaled.place(w)
@@ -194,7 +194,7 @@ class AnySolver(AbstractMethod):
         stalled = jnp.asarray(STALLED, s.status.dtype)
         return jax.lax.cond(
             moved,
-            lambda: reached(self.scaled, s, w, inner, done),
+            lambda: end_of_step(self.scaled, s, w, inner, done),
             lambda: dataclasses.replace(
                 s, w=w, inner=inner, done=s.done | done, status=stalled
             ),
@@ -207,7 +207,7 @@ class AnySolver(AbstractMethod):
 
 def any_solver(problem: Problem, s: LevenbergState, solver: Any):
     """The method of a solver, and where it begins."""
-    method = AnySolver(solver, scaled(problem, s))
+    method = AnySolver(solver, scale_coordinates(problem, s))
     w = jnp.zeros_like(method.scaled.origin)
     inner = _begin(method, w)
     return method, begin_solver(s, w, inner)

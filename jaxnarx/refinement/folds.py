@@ -16,7 +16,7 @@ from jaxnarx.errors import DataError
 from jaxnarx.refinement.training_data import TrainingData
 
 
-def divided(
+def split_folds(
     task: TrainingData, groups: Groups, history: int, judge: TrainingData | None = None
 ) -> list[tuple[TrainingData, TrainingData]]:
     """For every group a task without it, and one that it alone is judged by.
@@ -28,8 +28,8 @@ def divided(
     rows = task.masks.anchors.shape[1]
     found = []
     for g in range(len(groups)):
-        own = _stacked([label == g for label in groups.labels], rows)
-        out = _stacked(groups.left_out(g), rows)
+        own = _stack([label == g for label in groups.labels], rows)
+        out = _stack(groups.left_out(g), rows)
         pair = task.without(out, history), (judge or task).only(own)
         if all(np.any(np.asarray(part.weight) > 0) for part in pair):
             found.append(pair)
@@ -42,7 +42,7 @@ def divided(
     return found
 
 
-def _stacked(
+def _stack(
     masks: Sequence[Bool[np.ndarray, " _"]], rows: int
 ) -> Bool[np.ndarray, "records rows"]:
     return np.stack([np.pad(mask, (0, rows - len(mask))) for mask in masks])

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import gram, program
-from jaxnarx.models import folded
+from jaxnarx.models import fold_slopes
 from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import stream
@@ -26,7 +26,7 @@ def loss(
     criterion: Criterion | None = None,
 ) -> Float[Array, ""]:
     """Weighted errors of the run restarted at anchors; by default their squares."""
-    started = _started(layout, u, drive)
+    started = _start(layout, u, drive)
     y = run(layout.place(u), started, anchor)
     rule = _rule(criterion, y)
     return rule(y, drive.measured, weight) + _initial_loss(layout, u)
@@ -36,7 +36,7 @@ def _rule(criterion: Criterion | None, y) -> Criterion:
     return squares(y.shape[-1], y.dtype) if criterion is None else criterion
 
 
-def _started(layout: Layout, u, drive: RunInputs) -> RunInputs:
+def _start(layout: Layout, u, drive: RunInputs) -> RunInputs:
     measured = layout.begin(u, drive.measured)
     return eqx.tree_at(lambda d: d.measured, drive, measured)
 
@@ -59,7 +59,7 @@ def roots(
     criterion: Criterion,
 ) -> Float[Array, " errors"]:
     """What the loss is the sum of squares of, for solvers that ask for that."""
-    y = run(layout.place(u), _started(layout, u, drive), anchor)
+    y = run(layout.place(u), _start(layout, u, drive), anchor)
     found = criterion.roots(y, drive.measured, weight).reshape(-1)
     if layout.initial is None:
         return found
@@ -81,7 +81,7 @@ def normal_equations(
     J'r is half the gradient of the loss. Under a robust loss J'J holds the weights of
     iteratively reweighted least squares.
     """
-    network, drive_of = layout.place(u), _started(layout, u, drive)
+    network, drive_of = layout.place(u), _start(layout, u, drive)
     every = states(network, drive_of, anchor)
     y = every[..., : len(network.models)]
     rule = _rule(criterion, y)
@@ -93,7 +93,7 @@ def normal_equations(
         if layout.initial is None:
             return tangents
         (a, own), at = seen, layout.parameters
-        by_start = layout.initial.direct(folded(network, a), own, time, record)
+        by_start = layout.initial.direct(fold_slopes(network, a), own, time, record)
         return tangents.at[..., at:].add(by_start)
 
     def consume(carry, s, block):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program, twin
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel
@@ -21,7 +21,7 @@ from jaxnarx.refinement.initial import Initial
 from jaxnarx.regressors import Centring
 
 
-@guarded
+@guard_arguments
 def freeze(
     network: Network, *, coefficients: bool = True, partition: bool = True
 ) -> Network:

@@ -45,7 +45,7 @@ def refine_prediction(
     log = SearchLog(loss, progress)
     problem = make_problem(layout, task, 1, ridge=method.ridge, prior=prior)
     search = begin_search(begin_levenberg(start), loss)
-    search, status = _minimised(search, log, layout, problem, validate, method)
+    search, status = _minimise(search, log, layout, problem, validate, method)
     best = search.best
     detail = f"one-step loss {log.start_loss:.4g} -> {float(best.score.loss):.4g}"
     network = layout.place(np.asarray(best.u))
@@ -53,7 +53,7 @@ def refine_prediction(
     return Solution(network, status, stats, detail)
 
 
-def _minimised(
+def _minimise(
     search: SearchState,
     log: SearchLog,
     layout: Layout,

@@ -23,8 +23,8 @@ from jaxnarx.refinement.any_solver import (
     ScaledLoss,
     SolverState,
     begin_solver,
-    reached,
-    scaled,
+    end_of_step,
+    scale_coordinates,
 )
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.simulation import RunInputs, run
@@ -70,7 +70,9 @@ def batch_loss(
     return value / s.height
 
 
-def clipped(optimiser: optax.GradientTransformation) -> optax.GradientTransformation:
+def clip_gradients(
+    optimiser: optax.GradientTransformation,
+) -> optax.GradientTransformation:
     """With gradients of bounded size. Made where it is used: two are never equal."""
     return optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
 
@@ -110,12 +112,14 @@ class RandomWindows(AbstractMethod):
             at = jax.random.choice(key, self.windows, (self.batch,), axis=0)
             gradient = jax.grad(batch_loss)(w, self.scaled, at, self.share, self.length)
             with jax.numpy_dtype_promotion("standard"):
-                step, moments = clipped(self.optimiser).update(gradient, moments, w)
+                step, moments = clip_gradients(self.optimiser).update(
+                    gradient, moments, w
+                )
             return (w + step, moments), None
 
         start, keys = (s.w, s.inner.optimiser), jax.random.split(now, UPDATES)
         (w, moments), _ = jax.lax.scan(update, start, keys)
-        return reached(self.scaled, s, w, Moments(moments, key), s.done)
+        return end_of_step(self.scaled, s, w, Moments(moments, key), s.done)
 
     def has_arrived(self, s: SolverState) -> Bool[Array, ""]:
         """Never: the noise of the batches has no end."""
@@ -140,9 +144,9 @@ def random_windows(
     counted = np.any(np.asarray(problem.weight) > 0, axis=2)[record, start]
     at = np.stack([record, start], axis=1)[inside & counted]
     share = jnp.asarray(len(at) / batch, problem.weight.dtype)
-    own = scaled(problem, s)
+    own = scale_coordinates(problem, s)
     method = RandomWindows(optimiser, own, jnp.asarray(at), share, length, batch)
     w = jnp.zeros_like(own.origin)
     return method, begin_solver(
-        s, w, Moments(clipped(optimiser).init(w), jax.random.key(seed))
+        s, w, Moments(clip_gradients(optimiser).init(w), jax.random.key(seed))
     )

@@ -29,7 +29,7 @@ from jaxnarx.models import (
     scheduling_values,
     shares,
     term_values,
-    widened,
+    widen,
     with_history,
     with_own,
 )
@@ -135,11 +135,11 @@ def slopes(
     history: Float[Array, "time states depth"],
 ) -> tuple[Float[Array, "time states states depth"], Bool[Array, "time states"]]:
     """Derivative of every sample by its whole history, and where it is limited."""
-    bounds = widened(network, network.lower), widened(network, network.upper)
+    bounds = widen(network, network.lower), widen(network, network.upper)
     return sensitivities(*recursion(network, v, x), history, *bounds)
 
 
-def linearised(
+def linearise_run(
     network: Network,
     v: Float[Array, "vars time"],
     x: tuple[Float[Array, "_ time"], ...],
@@ -168,7 +168,7 @@ def seen_history(
 
     `y` is all that its loop carried, see `jaxnarx.models.run_states`.
     """
-    lags, measured = depth(network), widened(network, measured)
+    lags, measured = depth(network), widen(network, measured)
 
     def one(y, measured, anchor):
         past = run_history(y, history_of(measured, lags), anchor)
@@ -245,7 +245,7 @@ def stream(
     return carry, out
 
 
-def joined(
+def join_blocks(
     out: Float[Array, "blocks records rows outputs"], time: int
 ) -> Float[Array, "records time outputs"]:
     """Blocks of `stream` behind one another, the padding cut off."""

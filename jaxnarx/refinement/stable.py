@@ -18,7 +18,7 @@ from jaxtyping import Bool
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, fed_back
-from jaxnarx.refinement._stability import certificate, certified
+from jaxnarx.refinement._stability import attach_certificate, certificate
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 
@@ -48,11 +48,11 @@ def refine_stable(
     bounds = {"lower": network.lower, "upper": network.upper}
     found = refine(network, None)
     if certificate(found.value) is not None:
-        value = dataclasses.replace(certified(found.value), **bounds)
+        value = dataclasses.replace(attach_certificate(found.value), **bounds)
         return dataclasses.replace(found, value=value)
-    back = _pulled(network, found.value)
+    back = _pull_towards(network, found.value)
     again = refine(back, _only_feedback_still(back))
-    every = [network, back, _pulled(back, again.value)]
+    every = [network, back, _pull_towards(back, again.value)]
     errors = [_error(one, judge) for one in every]
     best = int(np.argmin(errors))
     detail = (
@@ -60,11 +60,11 @@ def refine_stable(
         f"({np.sqrt(_error(found.value, judge)):.4g} without)"
     )
     status = again.status if best else RESULTS.no_improvement
-    value = dataclasses.replace(certified(every[best]), **bounds)
+    value = dataclasses.replace(attach_certificate(every[best]), **bounds)
     return dataclasses.replace(again, value=value, status=status, detail=detail)
 
 
-def _pulled(start: Network, end: Network) -> Network:
+def _pull_towards(start: Network, end: Network) -> Network:
     """The end, with past outputs' coefficients as near to it as has a certificate."""
 
     def between(share: float) -> Network:

@@ -37,11 +37,11 @@ def one_step_least_squares(
     inner = layout.coefficients()
     if not inner.size:
         return u
-    return np.asarray(_solved(make_problem(layout, task, 1), inner, u))
+    return np.asarray(_solve(make_problem(layout, task, 1), inner, u))
 
 
 @program
-def _solved(problem: Problem, inner: Int[np.ndarray | Array, " inner"], u):
+def _solve(problem: Problem, inner: Int[np.ndarray | Array, " inner"], u):
     def solve(_, u):
         return solve_coefficients(problem.linear(u), inner)
 

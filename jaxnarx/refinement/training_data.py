@@ -15,12 +15,12 @@ from jaxnarx.simulation import (
     Masks,
     Prepared,
     RunInputs,
-    batched,
-    begun,
+    begin_hidden,
+    ensure_prepared,
     first_anchor,
     make_drive,
     make_masks,
-    prepared,
+    stack_batch,
     window_anchors,
 )
 
@@ -87,7 +87,7 @@ class TrainingData:
     def begun(self, network: Network) -> "TrainingData":
         """The same task with what hidden channels of `network` best start from."""
         start = jax.device_put(self.masks.start)
-        return dataclasses.replace(self, drive=begun(network, self.drive, start))
+        return dataclasses.replace(self, drive=begin_hidden(network, self.drive, start))
 
     def one_step(self) -> "TrainingData":
         """The same task, counting samples with a complete measured history alone."""
@@ -123,7 +123,7 @@ def make_task(
     the `window` has, see `Masks`.
     """
     if isinstance(data, Prepared):
-        runs, origin = prepared(network, data)
+        runs, origin = ensure_prepared(network, data)
         data, batch, drive = origin.matched, origin.batch, runs.drive
     else:
         batch = stack_records(data)
@@ -155,7 +155,7 @@ def require_window(network: Network, data: Dataset | Prepared) -> None:
     """`DataError` where no record is long enough to be run as the network is used, with
     a window to estimate hidden channels from."""
     if network.hidden:
-        masks = make_masks(network, batched(network, data)[1], network.window)
+        masks = make_masks(network, stack_batch(network, data)[1], network.window)
         _require_scored(masks, network.history + network.window)
 
 

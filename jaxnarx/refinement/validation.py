@@ -9,7 +9,7 @@ from jaxnarx.arrays import ValidationScore, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.training_data import TrainingData
-from jaxnarx.simulation import RunInputs, begun, has_diverged, limited, run
+from jaxnarx.simulation import RunInputs, begin_hidden, has_diverged, run, where_limited
 
 
 class Validator(eqx.Module):
@@ -44,10 +44,10 @@ class Validator(eqx.Module):
             measured = self.layout.begin(u, jnp.asarray(drive.measured))
             drive = eqx.tree_at(lambda d: d.measured, drive, measured)
         else:
-            drive = begun(network, drive, jnp.asarray(self.start))
+            drive = begin_hidden(network, drive, jnp.asarray(self.start))
         y = run(network, drive, self.anchor)
         value = self.criterion(y, drive.measured, self.weight)
-        held = jnp.moveaxis(limited(network, y), 2, 0)
+        held = jnp.moveaxis(where_limited(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
         lost = jnp.any(has_diverged(held, counted))
         lost &= not self.trained

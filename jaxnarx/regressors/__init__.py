@@ -27,8 +27,8 @@ from jaxnarx.regressors.pool import Pool as Pool
 from jaxnarx.regressors.pool import evaluate as evaluate
 from jaxnarx.regressors.pool import polynomial_pool as polynomial_pool
 from jaxnarx.regressors.rows import Rows as Rows
-from jaxnarx.regressors.rows import enough as enough
 from jaxnarx.regressors.rows import regression_rows as regression_rows
+from jaxnarx.regressors.rows import require_samples as require_samples
 from jaxnarx.regressors.rows import row_places as row_places
 from jaxnarx.regressors.text import equation as equation
 from jaxnarx.regressors.text import parse_variable as parse_variable

@@ -5,9 +5,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import triangle
-from jaxnarx.checks import choice, known_name
+from jaxnarx.checks import choice, require_known
 from jaxnarx.data import Dataset, bank_times, step_times
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.regressors.filters import low_pass_bank
@@ -21,7 +21,7 @@ SWEEPS = 2
 """How often every chosen one may be exchanged for a better one."""
 
 
-@guarded
+@guard_arguments
 def time_constants(
     data: Dataset,
     output: str,
@@ -46,7 +46,7 @@ def time_constants(
     `DataError`.
     """
     known = data.channels.output_names
-    known_name(output, known, "output")
+    require_known(output, known, "output")
     choice(method, ("step", "search"), "method")
     most = GRID if method == "search" else 30
     if not 1 <= count <= most:

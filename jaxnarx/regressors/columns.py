@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays import lagged, usable
 from jaxnarx.data import Batch
 from jaxnarx.errors import DataError
-from jaxnarx.regressors.filtering import FilterTable, filter_table, filtered
+from jaxnarx.regressors.filtering import FilterTable, filter_input, filter_table
 from jaxnarx.regressors.filters import AbstractFilter, require_sampled
 from jaxnarx.regressors.variables import Variables
 
@@ -39,14 +39,14 @@ def record_columns(
     def one(row):
         signal, table = row
         mask = None if valid is None else jnp.asarray(valid)[:, signal]
-        return filtered(table, signals[:, signal], mask, sample_time)
+        return filter_input(table, signals[:, signal], mask, sample_time)
 
     bank = jax.lax.map(one, (jnp.asarray(source), table))
     signals = jnp.concatenate([signals, bank.T], axis=1)
-    return lagged(signals, at, _extended(variables, signals.shape[1] - len(pairs)))
+    return lagged(signals, at, _extend_rows(variables, signals.shape[1] - len(pairs)))
 
 
-def _extended(variables: Variables, signals: int) -> tuple[tuple[int, int], ...]:
+def _extend_rows(variables: Variables, signals: int) -> tuple[tuple[int, int], ...]:
     """Rows into the signal table with the filtered signals behind it."""
     place = {pair: signals + n for n, pair in enumerate(variables.filtered)}
     return tuple((s if f is None else place[s, f], d) for s, d, f in variables.entries)
@@ -59,7 +59,7 @@ def _filtered_records(
     valid: Bool[Array, "records time"],
     sample_time: Float[Array, ""],
 ) -> Float[Array, "records time"]:
-    one = jax.vmap(filtered, in_axes=(None, 0, 0, None))
+    one = jax.vmap(filter_input, in_axes=(None, 0, 0, None))
     return one(table, u, valid, sample_time)
 
 
@@ -101,7 +101,7 @@ def row_columns(
     """
     signals = np.asarray(batch.signals)
     flat = signals.reshape(-1, signals.shape[-1])
-    out = _aligned((ones + len(variables), len(at)), flat.dtype)
+    out = _aligned_empty((ones + len(variables), len(at)), flat.dtype)
     out[:ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
         given = signals[..., signal], batch.valid[..., signal], filter_
@@ -126,7 +126,7 @@ def batch_columns(
     Nothing is compiled for it but a program for each order of filters.
     """
     records, time, _ = signals.shape
-    out = _aligned((records, ones + len(variables), time), signals.dtype)
+    out = _aligned_empty((records, ones + len(variables), time), signals.dtype)
     out[:, :ones] = 1
     for (signal, filter_), users in _by_source(variables).items():
         given = signals[..., signal], valid[..., signal], filter_
@@ -161,7 +161,7 @@ def _by_source(variables: Variables) -> dict:
     return out
 
 
-def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def _aligned_empty(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """An empty array that jax on a CPU can take over without a copy."""
     size = int(np.prod(shape)) * dtype.itemsize
     space = np.empty(size + 64, np.uint8)

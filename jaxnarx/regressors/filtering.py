@@ -204,7 +204,7 @@ def hold(
     return u[jnp.where(last >= 0, last, jnp.argmax(valid))]
 
 
-def filtered(
+def filter_input(
     table: FilterTable,
     u: Float[Array, " time"],
     valid: Bool[Array, " time"] | None,

@@ -21,7 +21,7 @@ import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
-from jaxnarx.argument_checks import guarded, guarded_fields
+from jaxnarx.argument_checks import guard_arguments, guard_fields
 from jaxnarx.checks import positive, require, whole
 from jaxnarx.errors import SpecError
 
@@ -160,7 +160,7 @@ class Kautz(AbstractFilter):
         return self.order
 
 
-@guarded_fields
+@guard_fields
 @dataclasses.dataclass(frozen=True)
 class Orthonormal(AbstractFilter):
     """Takenaka-Malmquist function number `order` of the cascade with given poles.
@@ -218,20 +218,20 @@ def _pole(value: object) -> complex:
     return pole
 
 
-@guarded
+@guard_arguments
 def low_pass_bank(time_constants: Iterable[float | int]) -> tuple[LowPass, ...]:
     """A first-order lag for each time constant [s]."""
     return tuple(LowPass(t) for t in time_constants)
 
 
-@guarded
+@guard_arguments
 def laguerre_bank(time_constant: float | int, orders: int) -> tuple[Laguerre, ...]:
     """Laguerre functions 1 to `orders` with one time constant [s]."""
     orders = whole(orders, "orders", 0, LARGEST_ORDER)
     return tuple(Laguerre(time_constant, k + 1) for k in range(orders))
 
 
-@guarded
+@guard_arguments
 def kautz_bank(
     frequency: float | int, damping: float | int, orders: int
 ) -> tuple[Kautz, ...]:
@@ -240,7 +240,7 @@ def kautz_bank(
     return tuple(Kautz(frequency, damping, k + 1) for k in range(orders))
 
 
-@guarded
+@guard_arguments
 def orthonormal_bank(
     poles: Sequence[float | int | complex], orders: int | None = None
 ) -> tuple[Orthonormal, ...]:

@@ -12,8 +12,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
@@ -100,7 +100,7 @@ def _lags(
     field = f"{kind}_lags"
     if isinstance(lags, Mapping):
         for name in lags:
-            known_name(
+            require_known(
                 name,
                 names,
                 field,
@@ -133,7 +133,7 @@ def _filtered(
         filters = {name: filters for name in inputs}
     by_name: dict[str, list[AbstractFilter]] = {}
     for name, bank in filters.items():
-        known_name(
+        require_known(
             name, inputs, "filters", f"filters names {name!r}, which is not an input"
         )
         by_name[name] = [_filter(each) for each in bank]
@@ -155,7 +155,7 @@ def _filter(value: object) -> AbstractFilter:
     return require_filter(value)
 
 
-@guarded
+@guard_arguments
 def polynomial_pool(
     channels: Channels,
     *,
@@ -199,7 +199,9 @@ def polynomial_pool(
         outputs = [outputs]
     chosen = list(outputs) if outputs is not None else channels.output_names
     for name in chosen:
-        known_name(name, channels.output_names, "outputs", f"unknown output {name!r}")
+        require_known(
+            name, channels.output_names, "outputs", f"unknown output {name!r}"
+        )
     if not 1 <= degree <= 4:
         raise SpecError(f"degree must be 1 to 4, got {degree}", field="degree")
     rows: list[Entry] = []

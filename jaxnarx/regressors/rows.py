@@ -110,7 +110,7 @@ def row_places(
     if weights is not None:
         positive = flat_weights(weights, data, good.shape[1]) > 0
         counted &= positive.reshape(good.shape)[:, :, None]
-    enough(data, counted, history=history, need=need)
+    require_samples(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
     rows = len(at)
     size = data.samples if data.samples <= MOST * rows else rows
@@ -145,7 +145,7 @@ def flat_weights(weights, data: Dataset, longest: int) -> Float[np.ndarray, " sa
     return flat.reshape(-1)
 
 
-def enough(
+def require_samples(
     data: Dataset,
     counted: Bool[np.ndarray, "records time outputs"],
     *,

@@ -38,7 +38,7 @@ from jaxnarx.selection.basis import (
     leave,
     partial_f,
     project,
-    recorded,
+    record_direction,
     remaining,
     squared_error,
     swaps,
@@ -161,7 +161,7 @@ def search(
         # After the last entry of a forward search nobody asks for the coordinates.
         read = jnp.any(entered) & jnp.any(s.phase != DONE)
         c = jax.lax.cond(read, products, lambda q: jnp.zeros_like(lanes.norm), q)
-        basis = jax.vmap(recorded)(s.basis, c, entered)
+        basis = jax.vmap(record_direction)(s.basis, c, entered)
         s = dataclasses.replace(s, basis=basis)
         return _tidy(program, lanes, s, entered, rounds) if removes else s
 
@@ -183,7 +183,7 @@ def _enough_left(program: Program, lane: Lane, d: Float[Array, " terms"]):
     return (d > program.tau * lane.norm) & (d > program.tau_absolute)
 
 
-def _admitted(
+def _admissible(
     program: Program, s: LaneState, *, joining: bool = False
 ) -> Bool[Array, " terms"] | bool:
     """Terms of which every part is in the model, or may join it before them."""
@@ -203,13 +203,13 @@ def _first_part(program: Program, s: LaneState, term: Int[Array, ""]):
     return parts[jnp.argmax(~there[parts] | (parts == term))]
 
 
-def _awaited(s: LaneState, usable: Bool[Array, " terms"], best: Int[Array, ""]):
+def _awaited_product(s: LaneState, usable: Bool[Array, " terms"], best: Int[Array, ""]):
     """The product for which a part made way, or else the best candidate."""
     term = jnp.minimum(s.awaited, usable.shape[0] - 1).astype(best.dtype)
     return jnp.where((s.awaited < usable.shape[0]) & usable[term], term, best)
 
 
-def _held(program: Program, s: LaneState) -> Bool[Array, " slots"]:
+def _terms_that_stay(program: Program, s: LaneState) -> Bool[Array, " slots"]:
     """Terms that stay: kept ones, and parts of chosen or awaited terms."""
     index = s.basis.index
     keep = program.keep[index]
@@ -245,14 +245,14 @@ def _candidate(program: Program, lane: Lane, s: LaneState):
     """
     b, d = remaining(s.basis, lane)
     usable = s.alive & program.stages[s.stage]
-    usable &= _admitted(program, s, joining=True)
+    usable &= _admissible(program, s, joining=True)
     usable &= _enough_left(program, lane, d)
     score = jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf)
     # Of copies the first, whatever rounding says; in a pool that is the simplest one.
     best = jnp.argmax(score >= (1.0 - TIE) * jnp.max(score))
     found, asked = jnp.any(usable), jnp.asarray(False)
     if program.parents is not None:
-        best = _awaited(s, usable, best)
+        best = _awaited_product(s, usable, best)
     wanted, promised = best, score[best]
     best = _first_part(program, s, best)
     if lane.start.shape[0]:
@@ -365,10 +365,10 @@ def _exchange(program: Program, lanes: Lane, s: LaneState, exchanges: bool):
 
 def _best_exchange(program: Program, lane: Lane, s: LaneState, active):
     basis = s.basis
-    usable = jnp.any(program.stages, axis=0) & (lane.norm > 0) & _admitted(program, s)
+    usable = jnp.any(program.stages, axis=0) & (lane.norm > 0) & _admissible(program, s)
     usable &= ~inside(basis, lane.norm.shape[0])
     saved, term = swaps(basis, lane, usable, program.tau, program.parents)
-    saved = jnp.where(_held(program, s), -jnp.inf, saved)
+    saved = jnp.where(_terms_that_stay(program, s), -jnp.inf, saved)
     slot = jnp.argmax(saved)
     least = WORTH * squared_error(basis, lane) + FEIGNED * lane.power
     worth = active & (saved[slot] > least)
@@ -386,7 +386,7 @@ def _tidy(
 
     def weakest(s: LaneState):
         f = jax.vmap(partial_f)(s.basis, lanes)
-        free = jnp.where(jax.vmap(partial(_held, program))(s), jnp.inf, f)
+        free = jnp.where(jax.vmap(partial(_terms_that_stay, program))(s), jnp.inf, f)
         slot = jnp.argmin(free, axis=1)
         level = jnp.where(s.phase == ENTERING, program.f_out, program.f_last)
         level = jnp.where(s.started < lanes.starts, 0.0, level)

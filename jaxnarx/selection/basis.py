@@ -133,7 +133,7 @@ def enter(
     return grown, q
 
 
-def recorded(
+def record_direction(
     basis: Basis, products: Float[Array, " terms"], wanted: Bool[Array, ""]
 ) -> Basis:
     """Keep the coordinates of the pool on the direction that entered last."""

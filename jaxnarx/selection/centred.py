@@ -54,7 +54,7 @@ def backs(pool: Pool, centre: Centring, basis: Basis):
     return jnp.asarray(out, basis.gain.dtype)
 
 
-def given_back(pool: Pool, path: Path, target: Float[Array, "lanes 1"]) -> Path:
+def give_back_offsets(pool: Pool, path: Path, target: Float[Array, "lanes 1"]) -> Path:
     """The outputs' offsets added to the coefficients of the constant."""
     at = path.index == (-1 if (c := constant_term(pool)) is None else c)
     slot = jnp.arange(at.shape[1])

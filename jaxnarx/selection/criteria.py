@@ -43,11 +43,11 @@ def criteria(
     if press is not None:
         table["press"] = press
     if total is not None:
-        table |= _explained(positive, n, samples, max(total, tiny))
+        table |= _explained_share(positive, n, samples, max(total, tiny))
     return table
 
 
-def _explained(sse, n, samples: int, total: float) -> dict:
+def _explained_share(sse, n, samples: int, total: float) -> dict:
     spare = np.maximum(samples - n, 1)
     gained = np.maximum(total - sse, 0.0) / np.maximum(n - 1, 1)
     with np.errstate(over="ignore"):

@@ -135,7 +135,7 @@ def _nested_errors(basis: Basis, lane: Lane, small, gain):
     )[1]
 
 
-def resized(path: Path, slots: int) -> Path:
+def resize(path: Path, slots: int) -> Path:
     """With room for `slots` terms, at least those that are chosen."""
 
     def fit(

@@ -126,7 +126,7 @@ def plan(
     """
     allowed = allowed_terms(pool, method, usable)
     constant = constant_term(pool)
-    keep = _kept(pool, method, allowed, constant, parents is not None)
+    keep = _forced_terms(pool, method, allowed, constant, parents is not None)
     if parents is not None:
         keep = _with_parents(keep, parents)
         chosen = [_with_parents(terms, parents) for terms in chosen]
@@ -177,7 +177,7 @@ def _enters_anew(method: Method) -> bool:
     return isinstance(method, StepwiseF) and method.stages is None
 
 
-def _kept(
+def _forced_terms(
     pool: Pool, method: Method, allowed, constant: int | None, far: bool
 ) -> list[int]:
     """Terms that enter first, in order, and never leave.

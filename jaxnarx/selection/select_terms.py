@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import positions
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
@@ -17,9 +17,14 @@ from jaxnarx.regressors import Centring, Pool, Rows, evaluate, regression_rows
 from jaxnarx.selection._search import Program, make_lanes, search
 from jaxnarx.selection.anova import anova, significant_terms
 from jaxnarx.selection.basis import Basis, Lane
-from jaxnarx.selection.centred import backs, centred_search, given_back, target_of
+from jaxnarx.selection.centred import (
+    backs,
+    centred_search,
+    give_back_offsets,
+    target_of,
+)
 from jaxnarx.selection.custom_selector import own_choice
-from jaxnarx.selection.path import PartialFHistory, Path, path_of, resized
+from jaxnarx.selection.path import PartialFHistory, Path, path_of, resize
 from jaxnarx.selection.program import (
     Method,
     SearchPlan,
@@ -53,7 +58,7 @@ _search = jax.jit(search, static_argnames=("max_terms", "removes", "exchanges"))
 _path = jax.jit(jax.vmap(path_of))
 
 
-@guarded
+@guard_arguments
 @tell_precision
 def select(
     source: Pool | Selection,
@@ -247,7 +252,7 @@ def choose_terms(
     back = None if centre is None else backs(pool, centre, basis)
     path = jax.block_until_ready(_path(basis, lanes, history, back))
     if target is not None:
-        path = given_back(pool, path, target)
+        path = give_back_offsets(pool, path, target)
     if adds_constant(method):
         path = _with_constant(pool, rows, path)
     return Choice(path, made, np.asarray(collinear), centre)
@@ -297,7 +302,7 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
     """
     slots = max(len(terms) for terms in chosen)
     paths = [
-        resized(_refit_one(pool, rows, o, terms), slots)
+        resize(_refit_one(pool, rows, o, terms), slots)
         for o, terms in enumerate(chosen)
     ]
     return jax.tree.map(lambda *lanes: jnp.concatenate(lanes), *paths)
@@ -351,13 +356,13 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
     if centre is not None and int(basis.count[0]) < size:
         # Columns made without the terms that are left out.
         kept = np.asarray(basis.index)[0, : int(basis.count[0])]
-        return resized(_refit_one(pool, rows, lane, index[kept].tolist()), size)
+        return resize(_refit_one(pool, rows, lane, index[kept].tolist()), size)
     path = jax.block_until_ready(_path(basis, lanes, history, back))
-    path = resized(path, size)
+    path = resize(path, size)
     own_index = index[np.asarray(path.index)]
     path = dataclasses.replace(path, index=jax.device_put(own_index))
     if target is not None:
-        path = given_back(pool, path, target)
+        path = give_back_offsets(pool, path, target)
     return path
 
 

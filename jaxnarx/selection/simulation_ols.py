@@ -35,7 +35,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.models import Network, assemble, depth, global_model
 from jaxnarx.refinement import (
     Layout,
-    linearised,
+    linearise_run,
     make_layout,
     make_task,
     normal_equations,
@@ -72,7 +72,7 @@ def pool_derivatives(
     residual = jnp.where(weight > 0, weight * (y - drive.measured), 0.0)
 
     def one(v, x, past, own, residual):
-        a, limited, v, _ = linearised(network, v, x, past, own)
+        a, limited, v, _ = linearise_run(network, v, x, past, own)
         start = jnp.zeros((depth(network), y.shape[2]), y.dtype)
         _, pull = jax.vjp(lambda d: linear_recurrence(a, d, start)[1], residual)
         return v, jnp.where(limited, 0.0, pull(residual)[0])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, match_channels
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.metrics import nrmse
@@ -70,7 +70,7 @@ def largest_variance(
     return float(np.sum((y - columns @ theta) ** 2) / (samples - rank))
 
 
-@guarded
+@guard_arguments
 def choose(
     selection: Selection,
     criterion: str = "bic",

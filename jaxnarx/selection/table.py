@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.special
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.selection.selection import Selection
 
@@ -21,7 +21,7 @@ STYLES = (
 """Factor, form and width of ERR, coefficient, standard error, t and p."""
 
 
-@guarded
+@guard_arguments
 def coefficient_table(selection: Selection, output: int = 0) -> str:
     """Terms in order of choice with ERR, coefficient, standard error, t and p.
 

@@ -8,7 +8,7 @@ from jaxnarx.errors import DataError
 from jaxnarx.regressors import Pool
 
 
-def _stacked(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+def _stack(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     columns = np.concatenate([np.concatenate([r.u, r.y], axis=1) for r in data])
     return columns, np.concatenate([r.valid for r in data])
 
@@ -20,7 +20,7 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
     output that is constant raises `DataError`, and so does a pool without any excited
     input.
     """
-    columns, valid = _stacked(data)
+    columns, valid = _stack(data)
     names = data.channels.names
     inputs = len(data.channels.inputs)
     signals = sorted({s for s, _ in pool.variables})

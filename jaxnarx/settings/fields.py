@@ -72,7 +72,7 @@ def _settings(kind: Any, *, eq: bool) -> Any:
 
     def __post_init__(self: Any) -> None:
         for name, hint in fields_of(type(self)).items():
-            value = _listed(hint, getattr(self, name))
+            value = _as_tuples(hint, getattr(self, name))
             object.__setattr__(self, name, value)
             hold(hint, value, name)
         if after is not None:
@@ -193,7 +193,7 @@ def words(hint: Any) -> str:
     return _WORDS.get(kind, none)
 
 
-def _listed(hint: Any, value: Any) -> Any:
+def _as_tuples(hint: Any, value: Any) -> Any:
     """A value as its field keeps it: lists as tuples, one alone as a list of one."""
     kinds = kinds_of(hint)
     lists = [k for k in kinds if get_origin(k) in (Sequence, tuple)]
@@ -206,4 +206,4 @@ def _listed(hint: Any, value: Any) -> Any:
         return (value,) if single else value
     if not isinstance(value, Iterable) or getattr(value, "shape", None) == ():
         return value
-    return tuple(_listed(of, item) for item in value)
+    return tuple(_as_tuples(of, item) for item in value)

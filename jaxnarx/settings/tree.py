@@ -59,7 +59,7 @@ def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
                 f"{suggest(name, hints)}",
                 field=_join(where, name),
             )
-        value = _completed(value, usual[name])
+        value = _complete(value, usual[name])
         values[name] = _value(hints[name], value, _join(where, name))
     missing = [f.name for f in dataclasses.fields(kind) if _needed(f, values)]
     if missing:
@@ -68,7 +68,7 @@ def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
     try:
         return kind(**values)
     except SpecError as error:
-        raise _placed(error, where) from error
+        raise _with_path(error, where) from error
 
 
 def to_dict(tree: Any) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def plain_value(value: Any) -> Any:
     return float(value) if isinstance(value, Real) else value
 
 
-def _completed(value: Any, usual: Any) -> Any:
+def _complete(value: Any, usual: Any) -> Any:
     """A table that names no kind is of the usual one, if that has all its settings."""
     if not isinstance(value, Mapping) or KIND_KEY in value or not _is_tree(usual):
         return value
@@ -160,7 +160,7 @@ def _completed(value: Any, usual: Any) -> Any:
     return to_dict(usual) | dict(value) if all(k in known for k in value) else value
 
 
-def _placed(error: SpecError, where: str) -> SpecError:
+def _with_path(error: SpecError, where: str) -> SpecError:
     """The error with the path of the setting in place of its name."""
     text, name = str(error), error.field or ""
     if not where or not name:
@@ -197,7 +197,7 @@ def _put(kind: type, table: dict[str, Any], way: list[str], value: Any, path: st
     hint, old = fields_of(kind)[name], table.get(name)
     if not rest:
         choice = isinstance(value, str) and value in names_of(hint)
-        table[name] = _renamed(hint, old, value) if choice else value
+        table[name] = _rename_kind(hint, old, value) if choice else value
         return
     if isinstance(old, str) or old is None:
         first = names_of(hint)[:1]
@@ -213,7 +213,7 @@ def _put(kind: type, table: dict[str, Any], way: list[str], value: Any, path: st
     _put(inner, table[name], rest, value, path)
 
 
-def _renamed(hint: Any, old: Any, name: str) -> Any:
+def _rename_kind(hint: Any, old: Any, name: str) -> Any:
     """The table of another kind, with what both have."""
     if name == "none" or not isinstance(old, Mapping):
         return name

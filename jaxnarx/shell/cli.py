@@ -54,7 +54,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (Exception, KeyboardInterrupt) as error:
         with contextlib.suppress(DataFileError):
             say(end="")  # if it is standard output that fails, it goes silent here
-        return _told(error)
+        return _tell(error)
 
 
 def _run(arguments: list[str]) -> int:
@@ -74,13 +74,13 @@ def _run(arguments: list[str]) -> int:
     return dispatch.run(command, typed=shlex.join(["jaxnarx", *arguments]))
 
 
-def _told(error: BaseException) -> int:
+def _tell(error: BaseException) -> int:
     """Tell what went wrong; returns the exit code.
 
     Whatever comes after an interrupt comes of it.
     """
-    if isinstance(error, KeyboardInterrupt) or interrupt.asked():
-        code = interrupt.asked() or INTERRUPTED
+    if isinstance(error, KeyboardInterrupt) or interrupt.exit_code_asked():
+        code = interrupt.exit_code_asked() or INTERRUPTED
         return _fail("interrupted; nothing half-written is left", code)
     if isinstance(error, BrokenPipeError):  # `jaxnarx --help | head`
         return OK

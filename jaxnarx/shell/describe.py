@@ -16,7 +16,7 @@ from jaxnarx.data import (
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe
-from jaxnarx.shell.messages import count, next_command, quoted, say, size, warn
+from jaxnarx.shell.messages import count, next_command, quote_command, say, size, warn
 
 
 def describe(command: Describe) -> int:
@@ -32,7 +32,7 @@ def describe(command: Describe) -> int:
         )
     files = measurement_files([Path(path) for path in command.files])
     root = _root(files)
-    say(f"Looking into {count(len(files), 'file')} in {_seen(root)}")
+    say(f"Looking into {count(len(files), 'file')} in {_relative_path(root)}")
     found = survey(
         files,
         columns=command.columns,
@@ -72,7 +72,7 @@ def _root(files: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([file.resolve().parent for file in files]))
 
 
-def _seen(folder: Path) -> Path:
+def _relative_path(folder: Path) -> Path:
     """As seen from where the command runs, if it lies there."""
     here = Path.cwd()
     return folder.relative_to(here) if folder.is_relative_to(here) else folder
@@ -103,17 +103,17 @@ def summary(found: Survey) -> str:
         some, rest = list(found.only_in)[:8], len(found.only_in) - 8
         more = f" and {rest} more" if rest > 0 else ""
         lines.append(f"not in all files: {', '.join(some)}{more}")
-    return "\n".join([*lines, *_added(found)])
+    return "\n".join([*lines, *_options_to_add(found)])
 
 
-def _added(found: Survey) -> list[str]:
+def _options_to_add(found: Survey) -> list[str]:
     """What is left out, and the options that add the first of it."""
     left = [one.name for one in found.of("left out")]
     if not left:
         return []
     inputs = [one.name for one in found.of("input")]
     outputs = [one.name for one in found.of("output")]
-    options = quoted(["--outputs", *outputs, "--inputs", *inputs, left[0]])
+    options = quote_command(["--outputs", *outputs, "--inputs", *inputs, left[0]])
     return [f"left out: {', '.join(left)}; to add {left[0]}: {options}"]
 
 

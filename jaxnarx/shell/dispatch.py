@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
-from jaxnarx.shell.exit_code import judged, require_finite
-from jaxnarx.shell.messages import about, next_command, quoted, say, size, warn
-from jaxnarx.shell.reading import reading_told
+from jaxnarx.shell.exit_code import exit_code_of, require_finite
+from jaxnarx.shell.messages import about, next_command, quote_command, say, size, warn
+from jaxnarx.shell.reading import tell_reading
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset, LagSuggestion, Split
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def run(command: commands.Command, *, typed: str) -> int:
     """Run one command; returns the exit code. `typed` is what the user wrote."""
-    with reading_told():
+    with tell_reading():
         return _run(command, typed)
 
 
@@ -210,7 +210,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
         words = ["jaxnarx", "check", "engine.toml"]
         then = words, "  (a description of your records)"
         result = identify(task, parts, folder, follow=lambda _: then)
-    return judged(result)
+    return exit_code_of(result)
 
 
 def _leaderboard(command: commands.Leaderboard) -> int:
@@ -234,7 +234,12 @@ def _identify(command: commands.Identify, typed: str) -> int:
 
 
 def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
-    from jaxnarx.shell.identify import OneMethod, checked, identify, prepared_by
+    from jaxnarx.shell.identify import (
+        OneMethod,
+        check_method,
+        identify,
+        preparation_task,
+    )
     from jaxnarx.shell.next_command import next_words
     from jaxnarx.shell.output import RUN, run_folder
 
@@ -242,8 +247,8 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     share = 0.2 if command.hold_out is None else command.hold_out
     _require_share(share)
     split = read_description(command.description, command.root)
-    method = checked(asked, split.all.channels)
-    task = prepared_by(split.preparation, OneMethod(method, typed))
+    method = check_method(asked, split.all.channels)
+    task = preparation_task(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
@@ -257,7 +262,7 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
             sample_time=parts["train"].sample_time,
         )
         result = identify(task, parts, folder, follow=follow)
-    return judged(result, command.require_fit)
+    return exit_code_of(result, command.require_fit)
 
 
 def _parts(split: "Split", share: float) -> "dict[str, Dataset]":
@@ -342,12 +347,12 @@ def _report(command: commands.Report, typed: str) -> int:
 
     from jaxnarx.evaluation import report
     from jaxnarx.shell.identify import require_rows
-    from jaxnarx.shell.model_file import loaded
-    from jaxnarx.shell.output import RUN, run_folder, write_report, written_together
+    from jaxnarx.shell.model_file import load_model
+    from jaxnarx.shell.output import RUN, run_folder, write_report, write_together
 
     require_finite("require_fit", command.require_fit)
     bare = command.no_limits
-    network = loaded(command.model, no_limits=bare, outside=command.outside)
+    network = load_model(command.model, no_limits=bare, outside=command.outside)
     split = read_description(command.description, command.root)
     named = {"train": split.train, "validate": split.validate, "test": split.test}
     parts = {k: v for k, v in named.items() if v is not None} or {"data": split.all}
@@ -362,7 +367,7 @@ def _report(command: commands.Report, typed: str) -> int:
             told = {"command": typed}
             if split.preparation is not None:
                 told["preparation"] = split.preparation.describe()
-            others = {path: loaded(path, no_limits=bare) for path in command.beside}
+            others = {path: load_model(path, no_limits=bare) for path in command.beside}
             over = command.over or None
             result = report(
                 network,
@@ -373,10 +378,10 @@ def _report(command: commands.Report, typed: str) -> int:
                 provenance=told,
             )
             following = ["jaxnarx", "simulate", command.model, "new_run.csv"]
-            result = replace(result, next_command=quoted(following))
+            result = replace(result, next_command=quote_command(following))
         say(str(result))
         if folder is not None:
-            with written_together(folder) as place:
+            with write_together(folder) as place:
                 write_report(result, place)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
@@ -386,4 +391,4 @@ def _report(command: commands.Report, typed: str) -> int:
         words += [] if command.root is None else ["--root", command.root]
         words += ["--no-limits"] if bare else []
         next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
-    return judged(result, command.require_fit)
+    return exit_code_of(result, command.require_fit)

@@ -16,7 +16,7 @@ def require_finite(option: str, value: float | None) -> None:
         raise SpecError(f"--{option.replace('_', '-')} must be a number, got {value}")
 
 
-def judged(report: "Report", required: float | None = None) -> int:
+def exit_code_of(report: "Report", required: float | None = None) -> int:
     """The exit code: 1 for a model that is not usable, or below the required fit."""
     status = 0
     if not report.verdict.usable:

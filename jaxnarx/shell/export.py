@@ -45,7 +45,7 @@ def export_model(command: Export, typed: str) -> int:
     files = {**found.files, README: readme(found, typed, data)}
     marks = list(files)
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
-        with output.written_together(folder) as place:
+        with output.write_together(folder) as place:
             write_files(place, files)
     for what, difference in found.difference.items():
         say(f"{what}: differs from the model by {difference:.2g} of the largest value")

@@ -12,8 +12,8 @@ import numpy as np
 from jaxnarx.data import Channels, Dataset, Preparation
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.evaluation import Report, Verdict, describe_partition, report
+from jaxnarx.identification import drop_unneeded, make_pool
 from jaxnarx.identification import identify as verb
-from jaxnarx.identification import make_pool, needed
 from jaxnarx.models import Network, save
 from jaxnarx.selection import Selection
 from jaxnarx.settings import (
@@ -24,8 +24,8 @@ from jaxnarx.settings import (
     replace_at,
 )
 from jaxnarx.shell.description import tell_findings
-from jaxnarx.shell.messages import count, first_lines, quoted, say
-from jaxnarx.shell.output import write_report, written_together
+from jaxnarx.shell.messages import count, first_lines, quote_command, say
+from jaxnarx.shell.output import write_report, write_together
 from jaxnarx.shell.progress import (
     refinement_progress,
     selection_progress,
@@ -45,7 +45,7 @@ class OneMethod:
     """The same in words, for the report."""
 
 
-def checked(method: Identification, channels: Channels) -> Identification:
+def check_method(method: Identification, channels: Channels) -> Identification:
     """The method for data with these channels, its outputs by name; `SpecError` where a
     name is wrong, before any work is done.
     """
@@ -70,7 +70,7 @@ def checked(method: Identification, channels: Channels) -> Identification:
     return replace_at(method, {"pool.outputs": outputs})
 
 
-def prepared_by(preparation: Preparation | None, task: OneMethod) -> OneMethod:
+def preparation_task(preparation: Preparation | None, task: OneMethod) -> OneMethod:
     """The task for records that were prepared so, which the model will tell."""
     if preparation is None:
         return task
@@ -94,7 +94,7 @@ def identify(
     """
     begin = time.perf_counter()
     method = task.method
-    parts = {name: needed(data, method) for name, data in parts.items()}
+    parts = {name: drop_unneeded(data, method) for name, data in parts.items()}
     history = make_pool(method.pool, parts["train"].channels).variables.longest
     require_rows(parts, history)
     tell_findings(parts["train"])
@@ -103,8 +103,10 @@ def identify(
         fit = verb(train, method, validation=judges, progress=tell)
     grown = fit.stats["grown"].value
     result = _report(task, parts, fit)
-    result = dataclasses.replace(result, next_command=quoted(*follow(result.verdict)))
-    with written_together(folder) as place:
+    result = dataclasses.replace(
+        result, next_command=quote_command(*follow(result.verdict))
+    )
+    with write_together(folder) as place:
         about: dict[str, Any] = {"command": task.command}
         if task.preparation is not None:
             about["preparation"] = task.preparation
@@ -136,7 +138,7 @@ class Teller(ExitStack):
             self.progress(row)
         elif verb == "refine":
             self.close()  # the bar, or its last line
-            say(f"  {_refined(ended, self.method)}")
+            say(f"  {_describe_refinement(ended, self.method)}")
         else:
             _tell(ended)
             if verb == "grow":
@@ -179,7 +181,7 @@ STOPPED = {
 """Usual ends of a refinement in words."""
 
 
-def _refined(fit: Solution[Network], method: Identification) -> str:
+def _describe_refinement(fit: Solution[Network], method: Identification) -> str:
     """Why the refinement ended, and what it did to the records that judge."""
     refine = method.refine
     squared = getattr(refine, "loss", "squares") == "squares"
@@ -226,7 +228,7 @@ def _report(
     refined, grown = fit.stats["refined"], fit.stats["grown"]
     told = {"command": task.command}
     if refined is not None:
-        told["refinement"] = _refined(refined, task.method)
+        told["refinement"] = _describe_refinement(refined, task.method)
     if task.prepared is not None:
         told["preparation"] = task.prepared
     steps = [

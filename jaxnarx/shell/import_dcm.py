@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.errors import DataFileError, reading
+from jaxnarx.errors import DataFileError, guard_reading
 from jaxnarx.exporters import lower, read_parameters
 from jaxnarx.models import Network, load, load_about, save
 from jaxnarx.shell import output
@@ -29,7 +29,7 @@ def import_dcm(command: ImportDcm) -> int:
     told = {**load_about(command.model), "parameters": command.file}
     with output.run_folder(command.out, "", force=command.force, marks=[MODEL]) as here:
         save(after, here / MODEL, about=told)
-    for line in lost(before, after):
+    for line in what_is_lost(before, after):
         say(line)
     say(f"wrote {here / MODEL}")
     next_command("jaxnarx", "report", str(here / MODEL), "DESCRIPTION")
@@ -38,7 +38,7 @@ def import_dcm(command: ImportDcm) -> int:
 
 def _text(path: str) -> str:
     """Of ISO 8859-1, in which every byte is a letter."""
-    with reading(path, "a DCM file or C source"):
+    with guard_reading(path, "a DCM file or C source"):
         if Path(path).stat().st_size > LARGEST:
             raise DataFileError(f"{path}: larger than {LARGEST >> 20} MB", path=path)
         return Path(path).read_bytes().decode("iso-8859-1")
@@ -62,7 +62,7 @@ def changes(before: Network, after: Network) -> list[str]:
     return lines
 
 
-def lost(before: Network, after: Network) -> list[str]:
+def what_is_lost(before: Network, after: Network) -> list[str]:
     """What was known of the model before and is not of what it is now."""
     lines = []
     if before.errors is not None and after.errors is None:

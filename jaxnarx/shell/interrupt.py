@@ -46,7 +46,7 @@ def listen() -> None:
         signal.signal(number, _raise)
 
 
-def asked() -> int:
+def exit_code_asked() -> int:
     """The exit code of the signal that asked this process to end; 0 if none did."""
     return 128 + _asked[0] if _asked else 0
 
@@ -108,7 +108,7 @@ def _hook(before: Callable[[Any], object]) -> Callable[[Any], object]:
 
 
 def _watch(signals: int) -> None:
-    number = _ending(signals)
+    number = _end_on_signal(signals)
     if number == signal.SIGINT and _patient:
         with contextlib.suppress(Exception):
             _patient[-1]()
@@ -127,7 +127,7 @@ def _watch(signals: int) -> None:
     os._exit(128 + number)
 
 
-def _ending(signals: int) -> int:
+def _end_on_signal(signals: int) -> int:
     """The next signal that asks the process to end."""
     while (number := os.read(signals, 1)[0]) not in ENDING:
         pass
@@ -144,7 +144,7 @@ def _second(signals: int) -> int:
             signal.raise_signal(signal.SIGINT)
         if not select.select([signals], [], [], GLANCE)[0]:
             continue
-        number = _ending(signals)
+        number = _end_on_signal(signals)
         if ours and number == signal.SIGINT:
             ours -= 1
             continue

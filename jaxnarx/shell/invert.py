@@ -32,8 +32,8 @@ from jaxnarx.shell.figures.style import save as save_figure
 from jaxnarx.shell.figures.tracking import draw_tracking
 from jaxnarx.shell.identify import Teller
 from jaxnarx.shell.messages import count, say
-from jaxnarx.shell.output import write_report, write_text, written_together
-from jaxnarx.shell.parse_ranges import assigned
+from jaxnarx.shell.output import write_report, write_text, write_together
+from jaxnarx.shell.parse_ranges import parse_assignment
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import Solution
 
@@ -45,9 +45,11 @@ def limits_of(ranges: Sequence[str], rates: Sequence[str]) -> ActuatorLimits:
     """`THR=4:90` and `THR=200` as limits."""
     found: dict[str, tuple[float, float]] = {}
     for text in ranges:
-        name, low, high = assigned(text, "--range", "NAME=LOW:HIGH", 2)
+        name, low, high = parse_assignment(text, "--range", "NAME=LOW:HIGH", 2)
         found[name] = low, high
-    speed = {n: x for n, x in (assigned(t, "--rate", "NAME=RATE", 1) for t in rates)}
+    speed = {
+        n: x for n, x in (parse_assignment(t, "--rate", "NAME=RATE", 1) for t in rates)
+    }
     return ActuatorLimits(range=found, rate=speed)
 
 
@@ -99,7 +101,7 @@ def invert(
         for name, data in parts.items()
     }
     direct = _direct(command, backwards)
-    trained = _trained(command, direct, forward, parts, limits)
+    trained = _train(command, direct, forward, parts, limits)
     last = list(parts)[-1]
     ways = {"direct": direct, "trained": trained}
     followed = {
@@ -116,7 +118,7 @@ def invert(
         "tracking": {name: _figures(s) for name, s in followed.items()},
         "static_gain_off_one": _finite(gain.value.worst()),
     }
-    with written_together(out) as place:
+    with write_together(out) as place:
         save(trained, place / MODEL, about={"command": typed})
         write_report(report(trained, backwards, provenance={"command": typed}), place)
         write_text(place / TRACKING, json.dumps(text, allow_nan=False, indent=1))
@@ -137,7 +139,7 @@ def _direct(command: Invert, data: dict[str, Dataset]) -> Network:
     return fit.value
 
 
-def _trained(
+def _train(
     command: Invert,
     direct: Network,
     forward: Network,
@@ -147,7 +149,9 @@ def _trained(
     if not command.steps:
         return direct
     say("Training the inverse through the model, on what the model itself can do")
-    own = {name: _reached(forward, parts[name]) for name in ("train", "validate")}
+    own = {
+        name: _reached_records(forward, parts[name]) for name in ("train", "validate")
+    }
     method = TrackingError(effort=command.effort, max_steps=command.steps)
     fit = compensate(
         direct,
@@ -161,7 +165,7 @@ def _trained(
     return fit.value
 
 
-def _reached(forward: Network, data: Dataset) -> Dataset:
+def _reached_records(forward: Network, data: Dataset) -> Dataset:
     """The records with the outputs that the model computes under their commands.
 
     With the measured ones the inverse would learn to make good the model's error, which

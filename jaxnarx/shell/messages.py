@@ -42,10 +42,10 @@ def warn(text: str) -> None:
 
 def next_command(*words: str, then: str = "") -> None:
     """The next sensible command, quoted for the shell."""
-    say(f"\nNext: {quoted(words, then)}")
+    say(f"\nNext: {quote_command(words, then)}")
 
 
-def quoted(words: Sequence[str], then: str = "") -> str:
+def quote_command(words: Sequence[str], then: str = "") -> str:
     """A command as it is typed, and a remark behind it."""
     return f"{shlex.join(words)}{then}"
 

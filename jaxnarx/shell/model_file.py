@@ -3,7 +3,7 @@
 from jaxnarx.models import Network, hold_to_range, load
 
 
-def loaded(path: str, *, no_limits: bool, outside: str | None = None) -> Network:
+def load_model(path: str, *, no_limits: bool, outside: str | None = None) -> Network:
     """The model of a file; with `no_limits` it is not held to its trained ranges, and
     beyond those of its inputs it goes on as `outside` says, if anything."""
     network = load(path)

@@ -17,7 +17,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.files import unwritable
 from jaxnarx.shell.formats import Values, table_csv, write_text
-from jaxnarx.shell.unfinished import PREFIX, held, unfinished
+from jaxnarx.shell.unfinished import PREFIX, folders_in_use, new_folder
 
 if TYPE_CHECKING:
     from jaxnarx.confidence import Intervals
@@ -54,7 +54,7 @@ def run_folder(
                     folder = _new(Path("runs") / slug(name), made)
                 else:
                     _make(folder := Path(out), made)
-                stack.enter_context(unfinished(folder, marks))
+                stack.enter_context(new_folder(folder, marks))
             except OSError as error:
                 raise DataFileError(
                     f"{error.filename if out is None else out}: cannot be written "
@@ -95,7 +95,7 @@ def _new(base: Path, made: list[Path]) -> Path:
     """
     _make(base.parent, made)
     for other in base.parent.iterdir():
-        if any(other.glob(PREFIX + "*")) and not held(other):
+        if any(other.glob(PREFIX + "*")) and not folders_in_use(other):
             with suppress(OSError):  # where there is more in it
                 other.rmdir()
     number = 1
@@ -111,13 +111,13 @@ def _new(base: Path, made: list[Path]) -> Path:
 
 
 @contextmanager
-def written_together(folder: Path) -> Iterator[Path]:
+def write_together(folder: Path) -> Iterator[Path]:
     """A place to write files to; they move into `folder` when all are complete.
 
     Whatever happens before that, `folder` is left as it was.
     """
     try:
-        with unfinished(folder) as place:
+        with new_folder(folder) as place:
             yield place
             for path in sorted(place.iterdir()):
                 os.replace(path, folder / path.name)

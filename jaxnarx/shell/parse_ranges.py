@@ -9,7 +9,9 @@ from jaxnarx.errors import SpecError
 SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
-def assigned(text: str, option: str, form: str, *wanted: int) -> tuple[Any, ...]:
+def parse_assignment(
+    text: str, option: str, form: str, *wanted: int
+) -> tuple[Any, ...]:
     """The name, and as many numbers as one of `wanted`."""
     name, _, values = text.rpartition("=")
     try:

@@ -9,7 +9,7 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Plan
 from jaxnarx.shell.formats import table_csv
 from jaxnarx.shell.messages import count, next_command, say, warn
-from jaxnarx.shell.parse_ranges import assigned, seconds
+from jaxnarx.shell.parse_ranges import parse_assignment, seconds
 from jaxnarx.shell.record_files import describe, record_csv
 
 PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"
@@ -25,7 +25,7 @@ FIELDS = {
 
 def plan_test(command: Plan, typed: str) -> int:
     """Plan, write, tell; returns the exit code."""
-    asked = _asked(command)
+    asked = _verb_arguments(command)
     network = load(command.model)
     marks = [PLAN, DESCRIPTION, PREDICTED]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
@@ -42,7 +42,7 @@ def plan_test(command: Plan, typed: str) -> int:
             DESCRIPTION: describe(data, {"files": [PLAN]}, by=typed),
             PREDICTED: predicted_csv(found.value),
         }
-        with output.written_together(folder) as place:
+        with output.write_together(folder) as place:
             for name, text in texts.items():
                 output.write_text(place / name, text)
     say(f"{count(len(data.records[0]), 'sample')} of {data.sample_time:g} s")
@@ -58,12 +58,12 @@ def plan_test(command: Plan, typed: str) -> int:
     return 0
 
 
-def _asked(command: Plan) -> dict:
+def _verb_arguments(command: Plan) -> dict:
     """The arguments of the verb."""
-    ranges = [assigned(t, "--range", "NAME=LOW:HIGH", 2) for t in command.range]
-    rates = [assigned(t, "--rate", "NAME=RATE", 1) for t in command.rate]
+    ranges = [parse_assignment(t, "--range", "NAME=LOW:HIGH", 2) for t in command.range]
+    rates = [parse_assignment(t, "--rate", "NAME=RATE", 1) for t in command.rate]
     form = "NAME=HIGHEST or NAME=LOWEST:HIGHEST"
-    limits = [assigned(t, "--limit", form, 1, 2) for t in command.limit]
+    limits = [parse_assignment(t, "--limit", form, 1, 2) for t in command.limit]
     return {
         "duration": seconds(command.duration, "--duration"),
         "ranges": {name: tuple(pair) for name, *pair in ranges},

@@ -147,14 +147,16 @@ def compare(
     """
     found = evaluation.compare(models, data, output=output)
     if record is None:
-        return figures.comparison.compared(found, [found.worst(p) for p in found.parts])
+        return figures.comparison.draw_comparison(
+            found, [found.worst(p) for p in found.parts]
+        )
     named = [one for one in found.records if one.record == record]
     if not named:
         names = list(dict.fromkeys(one.record for one in found.records))
         raise SpecError(
             f"no record {record!r}. {suggest(record, names)}", field="record"
         )
-    return figures.comparison.compared(found, named)
+    return figures.comparison.draw_comparison(found, named)
 
 
 def tracking(

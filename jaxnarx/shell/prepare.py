@@ -31,7 +31,7 @@ from jaxnarx.shell.output import (
     file_names,
     run_folder,
     write_text,
-    written_together,
+    write_together,
 )
 from jaxnarx.shell.record_files import describe, record_csv
 
@@ -118,7 +118,7 @@ def write_prepared(
     kept = preparation.to_dict()
     texts[PREPARATION] = json.dumps(kept, allow_nan=False, indent=1)
     with run_folder(out, "", force=force, marks=list(texts)) as folder:
-        with written_together(folder) as place:
+        with write_together(folder) as place:
             for name, text in texts.items():
                 write_text(place / name, text)
     say(
@@ -128,7 +128,7 @@ def write_prepared(
     return folder / DESCRIPTION
 
 
-def stored(model: str | os.PathLike[str]) -> Preparation | None:
+def stored_preparation(model: str | os.PathLike[str]) -> Preparation | None:
     """The preparation of a model's training records, None where there was none."""
     from jaxnarx.models import load_about
 

@@ -69,14 +69,14 @@ def describe(
         f"sample_time = {data.sample_time!r}",
         'missing = "mask"  # empty cells are masked samples',
         'delimiter = ","',
-        *(f"{key} = {_quoted(value)}" for key, value in (extra or {}).items()),
+        *(f"{key} = {_quote(value)}" for key, value in (extra or {}).items()),
     ]
     groups = {"inputs": data.channels.inputs, "outputs": data.channels.outputs}
     for group, channels in groups.items():
         lines += ["", f"[channels.{group}]"]
         for c in channels:
-            column, unit = _quoted(cell(c.name)), _quoted(c.unit)
-            lines.append(f"{_quoted(c.name)} = {{column = {column}, unit = {unit}}}")
+            column, unit = _quote(cell(c.name)), _quote(c.unit)
+            lines.append(f"{_quote(c.name)} = {{column = {column}, unit = {unit}}}")
     lines += ["", "[records]"]
     for part, names in files.items():
         lines.append(f"{part} = {_list(names)}")
@@ -90,14 +90,14 @@ def _groups(data: Dataset, files: Mapping[str, Sequence[str]]) -> list[str]:
         names = [name for part in files.values() for name in part]
         for record, name in zip(data, names, strict=True):
             of.setdefault(record.group, []).append(name)
-    told = [f"{_quoted(g)} = {_list(names)}" for g, names in of.items() if g]
+    told = [f"{_quote(g)} = {_list(names)}" for g, names in of.items() if g]
     return [f"groups = {{{', '.join(told)}}}"] if told else []
 
 
 def _list(names: Sequence[str]) -> str:
-    return f"[{', '.join(map(_quoted, names))}]"
+    return f"[{', '.join(map(_quote, names))}]"
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """A TOML string; unlike JSON's, it may not hold the delete character."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

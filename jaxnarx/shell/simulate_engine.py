@@ -15,7 +15,7 @@ from jaxnarx.engines import BEDS, AbstractEngine
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import SimulateEngine
 from jaxnarx.shell.messages import count, say
-from jaxnarx.shell.output import run_folder, write_text, written_together
+from jaxnarx.shell.output import run_folder, write_text, write_together
 from jaxnarx.shell.record_files import describe, record_csv
 
 DESCRIPTION, FIGURE = "engine.toml", "excitation.png"
@@ -42,7 +42,7 @@ def simulate_engine(command: SimulateEngine, typed: str) -> Path:
     names = [f"{name}.csv" for part in parts.values() for name in part]
     marks = [*names, DESCRIPTION, FIGURE]
     with run_folder(command.out, "", force=command.force, marks=marks) as folder:
-        data, flags = _simulated(engine, command, [n[:-4] for n in names])
+        data, flags = _simulate(engine, command, [n[:-4] for n in names])
         by_event = engine.event is not None and command.sample_time is None
         say(f"\n{signals.assess(data, ranges=engine.ranges)}")
         texts = {
@@ -52,7 +52,7 @@ def simulate_engine(command: SimulateEngine, typed: str) -> Path:
         files = {part: [f"{n}.csv" for n in group] for part, group in parts.items()}
         remarks = _remarks(engine, by_event)
         texts[DESCRIPTION] = describe(data, files, by=typed, remarks=remarks)
-        with written_together(folder) as place:
+        with write_together(folder) as place:
             for name, text in texts.items():
                 write_text(place / name, text)
             _draw(engine, data, place / FIGURE)
@@ -61,7 +61,7 @@ def simulate_engine(command: SimulateEngine, typed: str) -> Path:
     return folder / DESCRIPTION
 
 
-def _simulated(
+def _simulate(
     engine: AbstractEngine, command: SimulateEngine, names: list[str]
 ) -> tuple[Dataset, list[dict[str, Any]]]:
     """The records, and which samples of each break a limit."""

@@ -16,8 +16,8 @@ from jaxnarx.shell.commands import Simulate
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.formats import plain_names, write_columns
 from jaxnarx.shell.messages import about, count, next_command, say, size, warn
-from jaxnarx.shell.model_file import loaded
-from jaxnarx.shell.prepare import as_trained, raw_channels, stored
+from jaxnarx.shell.model_file import load_model
+from jaxnarx.shell.prepare import as_trained, raw_channels, stored_preparation
 from jaxnarx.simulation import Trajectories, predict, simulate
 
 
@@ -30,7 +30,7 @@ def simulate_files(command: Simulate) -> int:
         raise SpecError(f"--steps must be at least 1, got {steps}")
     if steps is not None and command.level is not None:
         raise SpecError("--level is for free runs; leave out --steps")
-    network = loaded(
+    network = load_model(
         command.model, no_limits=command.no_limits, outside=command.outside
     )
     data = _new_data(command, network)
@@ -52,7 +52,7 @@ def simulate_files(command: Simulate) -> int:
         if command.level is not None:
             level, run = command.level, solution.value
             bounds = intervals(network, data, level=level, run=run).value
-        with output.written_together(folder) as place:
+        with output.write_together(folder) as place:
             for n, file in enumerate(files):
                 index = None if known is None else known.index[n]
                 columns = output.trajectory_columns(
@@ -94,7 +94,7 @@ def follow(command: Simulate, through: str) -> int:
             raise SpecError(f"{option} and --through do not go together")
     models = command.model, through
     inverse, forward = (
-        loaded(path, no_limits=command.no_limits, outside=command.outside)
+        load_model(path, no_limits=command.no_limits, outside=command.outside)
         for path in models
     )
     data = _records(command, forward.channels, float(forward.sample_time), inverse)
@@ -102,7 +102,7 @@ def follow(command: Simulate, through: str) -> int:
     with output.run_folder(command.out, "", force=command.force, marks=files) as folder:
         with about(command.model):
             solution = cascade(inverse, forward, data)
-        with output.written_together(folder) as place:
+        with output.write_together(folder) as place:
             for n, file in enumerate(files):
                 text = output.tracking_csv(solution.value, data.sample_time, n)
                 output.write_text(place / file, text)
@@ -150,7 +150,7 @@ def _tell_held(value: Trajectories | Tracking) -> None:
 
 def _new_data(command: Simulate, network: Network) -> Dataset:
     """The records, with the model's channels in its order; prepared if asked to be."""
-    known = stored(command.model)
+    known = stored_preparation(command.model)
     if not command.prepare:
         if known is not None:
             say(

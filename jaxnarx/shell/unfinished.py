@@ -18,7 +18,7 @@ PREFIX = ".unfinished-"
 
 
 @contextmanager
-def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
+def new_folder(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
     """A new folder inside `folder`, which goes when this ends.
 
     The files `names` are reserved: SpecError where another process is making one.
@@ -27,7 +27,7 @@ def unfinished(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
     place, handle = folder / f"{PREFIX}{secrets.token_hex(8)}", None
     try:
         with alone(folder):
-            for other in held(folder):
+            for other in folders_in_use(folder):
                 if both := sorted(set(names) & {path.name for path in other.glob("*")}):
                     raise SpecError(
                         f"another run is writing {both[0]} to {folder}; wait until it "
@@ -54,7 +54,7 @@ def _remove(place: Path) -> None:
         raise
 
 
-def held(folder: Path) -> list[Path]:
+def folders_in_use(folder: Path) -> list[Path]:
     """Where living processes write in `folder`; what dead ones have left is removed."""
     living = []
     for place in folder.glob(PREFIX + "*"):

@@ -1,20 +1,20 @@
 """Runs of a network: k steps ahead from measured history, or freely."""
 
 from jaxnarx.simulation._prepared import Prepared as Prepared
-from jaxnarx.simulation._prepared import batched as batched
-from jaxnarx.simulation._prepared import checked as checked
+from jaxnarx.simulation._prepared import check_records as check_records
 from jaxnarx.simulation._prepared import dataset_of as dataset_of
-from jaxnarx.simulation._prepared import fitting as fitting
+from jaxnarx.simulation._prepared import ensure_prepared as ensure_prepared
+from jaxnarx.simulation._prepared import match_records as match_records
 from jaxnarx.simulation._prepared import prepare as prepare
-from jaxnarx.simulation._prepared import prepared as prepared
-from jaxnarx.simulation._prepared import stacked as stacked
+from jaxnarx.simulation._prepared import stack_batch as stack_batch
+from jaxnarx.simulation._prepared import stack_fitting as stack_fitting
 from jaxnarx.simulation.masks import Masks as Masks
 from jaxnarx.simulation.masks import first_anchor as first_anchor
 from jaxnarx.simulation.masks import make_masks as make_masks
 from jaxnarx.simulation.masks import tables as tables
 from jaxnarx.simulation.masks import window_anchors as window_anchors
-from jaxnarx.simulation.observer import begun as begun
-from jaxnarx.simulation.observer import observed as observed
+from jaxnarx.simulation.observer import begin_hidden as begin_hidden
+from jaxnarx.simulation.observer import observe_hidden as observe_hidden
 from jaxnarx.simulation.outputs import free_run as free_run
 from jaxnarx.simulation.outputs import predict_ahead as predict_ahead
 from jaxnarx.simulation.outputs import ready as ready
@@ -22,7 +22,7 @@ from jaxnarx.simulation.outputs import residual as residual
 from jaxnarx.simulation.outputs import run_status as run_status
 from jaxnarx.simulation.outputs import scaled_run as scaled_run
 from jaxnarx.simulation.outputs import stack as stack
-from jaxnarx.simulation.outputs import started as started
+from jaxnarx.simulation.outputs import start_hidden as start_hidden
 from jaxnarx.simulation.outputs import unstack as unstack
 from jaxnarx.simulation.runs import RunInputs as RunInputs
 from jaxnarx.simulation.runs import drive_of as drive_of
@@ -33,7 +33,7 @@ from jaxnarx.simulation.runs import states as states
 from jaxnarx.simulation.trajectories import IN_A_ROW as IN_A_ROW
 from jaxnarx.simulation.trajectories import Trajectories as Trajectories
 from jaxnarx.simulation.trajectories import has_diverged as has_diverged
-from jaxnarx.simulation.trajectories import limited as limited
+from jaxnarx.simulation.trajectories import where_limited as where_limited
 from jaxnarx.simulation.verbs import predict as predict
 from jaxnarx.simulation.verbs import simulate as simulate
 

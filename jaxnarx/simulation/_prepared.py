@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import choice
 from jaxnarx.data import (
@@ -141,7 +141,7 @@ class PreparedFrom:
     scales: tuple[np.ndarray, ...]
 
 
-@guarded
+@guard_arguments
 def prepare(
     network: Network, data: Dataset | Fleet, *, part: str = "train"
 ) -> Prepared:
@@ -178,8 +178,8 @@ def prepare(
     """
     if isinstance(data, Fleet):
         return _of_fleet(network, data, part)
-    matched = fitting(network, data)
-    return made_of(network, data, matched, stack_records(matched))
+    matched = match_records(network, data)
+    return prepare_stacked(network, data, matched, stack_records(matched))
 
 
 def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
@@ -239,7 +239,7 @@ def _host_arrays(network: Network, batch: Batch, masks: Masks) -> dict[str, np.n
     return {"valid": batch.valid, "scored": scored, **own}
 
 
-def made_of(
+def prepare_stacked(
     network: Network, data: Dataset, matched: Dataset, batch: Batch
 ) -> Prepared:
     """`prepare` of records that are stacked already."""
@@ -263,7 +263,7 @@ def made_of(
     )
 
 
-def stacked(
+def stack_fitting(
     network: Network, data: Dataset, missing: str | None
 ) -> tuple[Batch, Gaps | None]:
     """The records side by side; with `missing="hold"` inputs held where they are
@@ -274,7 +274,7 @@ def stacked(
     return hold_missing(network, stack_records(data), [len(record) for record in data])
 
 
-def prepared(
+def ensure_prepared(
     network: Network, data: Dataset | Prepared
 ) -> tuple[Prepared, PreparedFrom]:
     """The records prepared, unless they are already, and what they were made of.
@@ -326,32 +326,32 @@ def _scales(network: Network) -> tuple[np.ndarray, ...]:
     return tuple(map(np.asarray, (network.gain, network.sample_time, *ranges)))
 
 
-def batched(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Batch]:
+def stack_batch(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Batch]:
     """`fitting` records, and side by side: at hand where they are prepared."""
     if isinstance(data, Prepared):
-        _, origin = prepared(network, data)
+        _, origin = ensure_prepared(network, data)
         return origin.matched, origin.batch
-    matched = fitting(network, data)
+    matched = match_records(network, data)
     return matched, stack_records(matched)
 
 
-def checked(network: Network, data: Dataset | Prepared) -> Dataset | Prepared:
+def check_records(network: Network, data: Dataset | Prepared) -> Dataset | Prepared:
     """`fitting` records; such as are prepared already stay so."""
     return (
-        prepared(network, data)[0]
+        ensure_prepared(network, data)[0]
         if isinstance(data, Prepared)
-        else fitting(network, data)
+        else match_records(network, data)
     )
 
 
-def fitting(network: Network, data: Dataset | Prepared) -> Dataset:
+def match_records(network: Network, data: Dataset | Prepared) -> Dataset:
     """`data` with the network's channels, in its order.
 
     `SpecError` where the sample time is another, or where the network's parameters are
     not finite: it could not be told from one that runs away.
     """
     if isinstance(data, Prepared):
-        return prepared(network, data)[1].matched
+        return ensure_prepared(network, data)[1].matched
     data, _ = match_channels(data, network.channels)
     _require_same_sample_time(network, data.sample_time)
     require_finite(network)

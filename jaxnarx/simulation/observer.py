@@ -13,7 +13,7 @@ BATCH = 256
 """Windows estimated together."""
 
 
-def begun(
+def begin_hidden(
     network: Network, drive: RunInputs, start: Int[Array, " records"]
 ) -> RunInputs:
     """With the hidden channels' values before the sample at which each record begins.
@@ -22,21 +22,21 @@ def begun(
     """
     if not network.hidden:
         return drive
-    measured = _begun(network, drive, start)
+    measured = _begin(network, drive, start)
     return eqx.tree_at(lambda d: d.measured, drive, measured)
 
 
-def observed(network: Network, drive: RunInputs) -> RunInputs:
+def observe_hidden(network: Network, drive: RunInputs) -> RunInputs:
     """With the hidden channels' values at every sample, from the window that ends
     there."""
     if not network.hidden:
         return drive
-    measured = _observed(network, drive)
+    measured = _observe(network, drive)
     return eqx.tree_at(lambda d: d.measured, drive, measured)
 
 
 @program
-def _begun(
+def _begin(
     network: Network, drive: RunInputs, start: Int[Array, " records"]
 ) -> Float[Array, "records time outputs"]:
     def one(record):
@@ -47,7 +47,7 @@ def _begun(
 
 
 @program
-def _observed(
+def _observe(
     network: Network, drive: RunInputs
 ) -> Float[Array, "records time outputs"]:
     time, count = drive.measured.shape[1], len(network.modelled)

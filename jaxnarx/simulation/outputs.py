@@ -15,21 +15,21 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
 from jaxnarx.models import HOLD, Network, fading, overshoot, within_margin
 from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
-from jaxnarx.simulation.observer import begun, observed
+from jaxnarx.simulation.observer import begin_hidden, observe_hidden
 from jaxnarx.simulation.runs import run, run_steps
-from jaxnarx.simulation.trajectories import has_diverged, limited
+from jaxnarx.simulation.trajectories import has_diverged, where_limited
 from jaxnarx.solution import NAMES
 
 OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short"))
 
 
-@guarded
+@guard_arguments
 def free_run(network: Network, runs: Prepared) -> Float[Array, "records time outputs"]:
     """The free run of every record on the network's own outputs, physical units.
 
@@ -62,18 +62,20 @@ def scaled_run(
     network: Network, runs: Prepared
 ) -> Float[Array, "records time computed"]:
     """All that the free run computes, hidden channels too, scaled by their gains."""
-    return run(network, started(network, runs).drive, first_anchor(runs))
+    return run(network, start_hidden(network, runs).drive, first_anchor(runs))
 
 
-def started(network: Network, runs: Prepared) -> Prepared:
+def start_hidden(network: Network, runs: Prepared) -> Prepared:
     """With the values that hidden channels best start from, see
     `jaxnarx.models.observer`."""
     if not network.hidden:
         return runs
-    return dataclasses.replace(runs, drive=begun(network, runs.drive, runs.start))
+    return dataclasses.replace(
+        runs, drive=begin_hidden(network, runs.drive, runs.start)
+    )
 
 
-@guarded
+@guard_arguments
 def predict_ahead(
     network: Network, runs: Prepared, k: int | Int[Array, ""]
 ) -> Float[Array, "records time outputs"]:
@@ -94,7 +96,7 @@ def predict_ahead(
     Example:
         y = jnx.predict_ahead(network, runs, 10)
     """
-    scaled, _ = run_steps(network, observed(network, runs.drive), jnp.asarray(k))
+    scaled, _ = run_steps(network, observe_hidden(network, runs.drive), jnp.asarray(k))
     return _physical(network, runs, scaled, runs.first + k - 1)
 
 
@@ -108,7 +110,7 @@ def ready(
     return runs.scored & before[:, :, None]
 
 
-@guarded
+@guard_arguments
 def residual(network: Network, runs: Prepared) -> Float[Array, " samples"]:
     """Errors of the free run for a least-squares solver: a vector whose sum of squares
     is the mean over the outputs of their squared NRMSE, the loss of `refine`.
@@ -147,7 +149,7 @@ def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
         fine = jnx.simulation.run_status(network, runs) == 0
     """
     scaled = scaled_run(network, runs)
-    held = limited(network, scaled)
+    held = where_limited(network, scaled)
     held |= ~jnp.isfinite(scaled)
     at = jnp.arange(scaled.shape[1])[None]
     counted = (at >= runs.first[:, None]) & (at < runs.end[:, None])
@@ -156,7 +158,7 @@ def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
     return jnp.where(runs.first >= runs.end, TOO_SHORT, code)
 
 
-@guarded
+@guard_arguments
 def stack(networks: Sequence[Network]) -> Network:
     """Networks of one structure as one whose arrays have a leading axis, for `vmap`.
 
@@ -177,17 +179,17 @@ def stack(networks: Sequence[Network]) -> Network:
                 "numbers of terms and models, channels and policies must be the same",
                 field="networks",
             )
-    return jax.tree.map(lambda *leaves: _stacked(leaves), *networks)
+    return jax.tree.map(lambda *leaves: _stack(leaves), *networks)
 
 
-def _stacked(leaves: Sequence[Array]) -> Array:
+def _stack(leaves: Sequence[Array]) -> Array:
     """Without a program of its own, unless they are traced."""
     if any(isinstance(leaf, Tracer) for leaf in leaves):
         return jnp.stack(leaves)
     return jax.device_put(np.stack(leaves))
 
 
-@guarded
+@guard_arguments
 def unstack(network: Network) -> list[Network]:
     """The networks that were stacked, see `stack`; `SpecError` where none were.
 

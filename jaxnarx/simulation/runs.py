@@ -18,7 +18,7 @@ from jaxnarx.models import (
     hold_signals,
     run_record,
     run_states,
-    widened,
+    widen,
 )
 from jaxnarx.regressors import batch_columns
 
@@ -110,10 +110,10 @@ def run_steps(
     predictions on the way, and says where it did, but not the last one, which nothing
     is computed from.
     """
-    lower, upper = (widened(network, b) for b in (network.lower, network.upper))
+    lower, upper = (widen(network, b) for b in (network.lower, network.upper))
 
     def one(v, x, measured):
-        measured = widened(network, measured)
+        measured = widen(network, measured)
         past = jnp.moveaxis(history_of(measured, depth(network)), 0, -1)
         past = jnp.roll(past, k - 1, axis=-1)
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.data import Batch
-from jaxnarx.formatting import aligned, brief, page, some
-from jaxnarx.models import NAN, Network, reported
+from jaxnarx.formatting import align_columns, brief, page, some
+from jaxnarx.models import NAN, Network, report_outputs
 from jaxnarx.simulation.masks import tables
 
 SHARE = 0.05
@@ -67,7 +67,7 @@ class Trajectories:
                 lost = "diverged" if self.diverged[n][o] else ""
                 shown = [f"{end:.4g}" for end in ends]
                 rows.append((record, name, *counts, *shown, lost))
-        lines = aligned(rows, [True, True, *(False,) * 5, True])
+        lines = align_columns(rows, [True, True, *(False,) * 5, True])
         return "\n".join([head, *some(lines, 24)])
 
     __repr__, _repr_html_ = brief, page
@@ -79,7 +79,7 @@ class Trajectories:
         return self.outputs[record]
 
 
-def limited(
+def where_limited(
     network: Network, y: Float[Array, "records time outputs"]
 ) -> Bool[Array, "records time outputs"]:
     """Where the feedback bound holds the scaled outputs of a run."""
@@ -162,7 +162,7 @@ def make_trajectories(
         scored[..., :count],
     )
     inputs = np.asarray(batch.signals)[..., : len(network.channels.inputs)]
-    edge, at_edge = reported(network, outputs, inputs)
+    edge, at_edge = report_outputs(network, outputs, inputs)
     edge = np.where(silent[..., None], np.nan, edge)
     scored = np.asarray(scored) & ~silent[..., None]
     columns: tuple[list, ...] = ([], [], [], [], [], [], [])

@@ -3,26 +3,26 @@
 import jax
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 from jaxnarx.simulation._prepared import (
     Prepared,
     dataset_of,
-    fitting,
-    made_of,
-    prepared,
-    stacked,
+    ensure_prepared,
+    match_records,
+    prepare_stacked,
+    stack_fitting,
 )
-from jaxnarx.simulation.observer import observed
+from jaxnarx.simulation.observer import observe_hidden
 from jaxnarx.simulation.outputs import scaled_run
 from jaxnarx.simulation.runs import run_steps
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
 from jaxnarx.solution import NAMES, RESULTS, Solution
 
 
-def _ignored(network: Network, data: Dataset) -> list[str]:
+def _ignored_channels(network: Network, data: Dataset) -> list[str]:
     """Channels of the data that the model does not know."""
     return [n for n in data.channels.names if n not in network.channels.names]
 
@@ -86,7 +86,7 @@ def _solution(
     return Solution(value, status, stats, detail)
 
 
-@guarded
+@guard_arguments
 def simulate(
     network: Network,
     data: Dataset | Prepared,
@@ -127,22 +127,24 @@ def simulate(
         print(run.status_name, run.value[0].shape)
     """
     if missing is None:
-        (runs, origin), gaps = prepared(network, data), None
+        (runs, origin), gaps = ensure_prepared(network, data), None
     else:
         records = dataset_of(data)
-        matched = fitting(network, records)
-        batch, gaps = stacked(network, matched, missing)
-        runs, origin = prepared(network, made_of(network, records, matched, batch))
+        matched = match_records(network, records)
+        batch, gaps = stack_fitting(network, matched, missing)
+        runs, origin = ensure_prepared(
+            network, prepare_stacked(network, records, matched, batch)
+        )
     scaled, masks = scaled_run(network, runs), origin.masks
     matched = origin.matched
     value = make_trajectories(
         network, matched, origin.batch, scaled, masks.scored, masks.first, gaps=gaps
     )
-    ignored = _ignored(network, origin.data)
+    ignored = _ignored_channels(network, origin.data)
     return _solution(network, matched, value, masks.first, ignored)
 
 
-@guarded
+@guard_arguments
 def predict(
     network: Network, data: Dataset | Prepared, k: int = 1
 ) -> Solution[Trajectories]:
@@ -169,9 +171,9 @@ def predict(
     """
     if k < 1:
         raise SpecError(f"k must be at least 1, got {k}", field="k")
-    runs, origin = prepared(network, data)
+    runs, origin = ensure_prepared(network, data)
     matched, masks = origin.matched, origin.masks
-    drive = observed(network, runs.drive)
+    drive = observe_hidden(network, runs.drive)
     scaled, held = run_steps(network, drive, jax.device_put(np.asarray(k)))
     ready = np.zeros_like(masks.anchors)
     ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
@@ -180,4 +182,6 @@ def predict(
     value = make_trajectories(
         network, matched, origin.batch, scaled, scored, start, (k, held)
     )
-    return _solution(network, matched, value, start, _ignored(network, origin.data), k)
+    return _solution(
+        network, matched, value, start, _ignored_channels(network, origin.data), k
+    )

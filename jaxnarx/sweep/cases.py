@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import Identification, hint_at, plain_value, value_at
@@ -19,7 +19,7 @@ SCALES = ("log", "uniform", "integer")
 Case = Mapping[str, Any]
 
 
-@guarded
+@guard_arguments
 def grid_cases(values: Mapping[str, Any]) -> list[Case]:
     """Cases of all combinations of values by path; the last path varies fastest.
 
@@ -33,7 +33,7 @@ def grid_cases(values: Mapping[str, Any]) -> list[Case]:
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*rows)]
 
 
-@guarded
+@guard_arguments
 def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]:
     """`count` cases with settings drawn at random, the same for the same `seed`.
 
@@ -42,7 +42,7 @@ def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]
     """
     count = whole(count, "count")
     rng = np.random.default_rng(whole(seed, "seed", 0))
-    columns = {path: _drawn(path, r, count, rng) for path, r in ranges.items()}
+    columns = {path: _draw(path, r, count, rng) for path, r in ranges.items()}
     return [{path: column[n] for path, column in columns.items()} for n in range(count)]
 
 
@@ -60,7 +60,7 @@ def label_of(method: Identification, path: str) -> str | int | float | bool | No
     return getattr(value, "__qualname__", type(value).__qualname__)
 
 
-def _drawn(path: str, values: Any, count: int, rng: np.random.Generator) -> list:
+def _draw(path: str, values: Any, count: int, rng: np.random.Generator) -> list:
     hint_at(Identification, path)
     if isinstance(values, str) or not len(values):
         raise SpecError(f"{path} has no range: {values!r}", field=path)

@@ -39,7 +39,7 @@ def compute_on_cluster(
             f"client must be a dask.distributed Client, got {type(client).__name__}",
             field="client",
         )
-    with _answering(run, client), Claims(run.claims) as claims:
+    with _explain_silence(run, client), Claims(run.claims) as claims:
         crew = _Crew(run, work, client)
         try:
             while run.unfinished():
@@ -58,7 +58,7 @@ def compute_on_cluster(
 
 
 @contextlib.contextmanager
-def _answering(run: RunFolder, client: Client) -> Iterator[None]:
+def _explain_silence(run: RunFolder, client: Client) -> Iterator[None]:
     """JaxnarxError, with how to go on, where the scheduler is gone."""
     try:
         yield
@@ -149,7 +149,7 @@ class _Crew:
         except KilledWorker:
             self.lost += 1
             if self.on_trial and len(members) == 1:
-                rows.append(_killed(members[0], self.labels[members[0]]))
+                rows.append(_killed_row(members[0], self.labels[members[0]]))
                 return
             half = len(members) // 2 if self.on_trial else 0
             parts = [part for part in (members[:half], members[half:]) if part]
@@ -166,7 +166,7 @@ def _same(load: bytes) -> bytes:
     return load
 
 
-def _killed(index: int, label: dict[str, Any]) -> Row:
+def _killed_row(index: int, label: dict[str, Any]) -> Row:
     message = (
         "it killed the workers that computed it; often the system does so for want of "
         "memory"

@@ -4,7 +4,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import SpecError
 from jaxnarx.solution import RESULTS, Solution
 from jaxnarx.sweep.analysis.table import SweepTable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-@guarded
+@guard_arguments
 def run_sweep(
     work: Work,
     folder: str | Path,
@@ -89,7 +89,7 @@ def run_sweep(
     return _solution(run, redone, notes)
 
 
-@guarded
+@guard_arguments
 def read_sweep(folder: str | Path) -> SweepTable:
     """The rows of a sweep's folder: all, or those that are finished so far.
 
@@ -101,7 +101,7 @@ def read_sweep(folder: str | Path) -> SweepTable:
     return SweepTable(run.table(), run.path)
 
 
-@guarded
+@guard_arguments
 def so_far(run: RunFolder) -> str:
     """How much of a sweep is finished, and how to go on, as a sentence."""
     done = run.finished()

@@ -73,13 +73,13 @@ def _cluster(workers: int) -> Iterator[Client]:
         # This dask reads when a process is lost, the others when the cluster begins.
         stack.enter_context(dask.config.set(_WAIT))
         with _deaf(), dask.config.set(_SETTINGS):
-            cluster = _started(workers)
+            cluster = _start_cluster(workers)
             stack.callback(_end, cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
         yield client
 
 
-def _started(workers: int) -> LocalCluster:
+def _start_cluster(workers: int) -> LocalCluster:
     try:
         return LocalCluster(
             n_workers=workers,

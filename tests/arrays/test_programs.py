@@ -50,6 +50,6 @@ def test_programs_are_forgotten_and_made_again(system, made):
 
 def test_a_system_that_does_not_tell_is_never_crowded(system):
     system.write_text("one\n" * 11)
-    assert programs.crowded()
+    assert programs.is_crowded()
     system.unlink()
-    assert not programs.crowded()
+    assert not programs.is_crowded()

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
-from jaxnarx.confidence.domain_fit import feature_rows, followed, layers_of, used_inputs
+from jaxnarx.confidence.domain_fit import (
+    feature_rows,
+    layers_of,
+    measure_influence,
+    used_inputs,
+)
 from jaxnarx.data import Dataset
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.models import LAYERS
@@ -202,7 +207,7 @@ def test_units_do_not_matter(known, data):
 @pytest.mark.parametrize("pole", [0.5, 0.9])
 def test_memory_is_that_of_the_plant(pole):
     data = plant(drawn(0), pole)
-    weight, memory = followed(fitted(data), data, (0, 1))
+    weight, memory = measure_influence(fitted(data), data, (0, 1))
     # a change fades as pole^t: its sum is 1/(1 - pole) times its begin
     assert memory == pytest.approx(1 / (1 - pole), rel=0.15)
     assert weight.max() == 1 and weight.min() > 0

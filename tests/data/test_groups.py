@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_repeats import staircase
+from test_repeated_cycles import staircase
 
 from jaxnarx.data import Dataset, Groups, groups
 from jaxnarx.data._groups import block_labels

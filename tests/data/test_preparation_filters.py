@@ -18,7 +18,7 @@ from jaxnarx.data import (
 )
 from jaxnarx.data.preparation.crank_angle import crank_angles, event_times
 from jaxnarx.data.preparation.resample import LEAST, on_grid, sinc
-from jaxnarx.data.preparation.step import bridged
+from jaxnarx.data.preparation.step import bridge_gaps
 from jaxnarx.errors import DataError, SpecError
 
 STEP = 0.01
@@ -210,7 +210,7 @@ def test_bridges_are_straight():
     x = np.array([[5.0], [1.0], [9.0], [9.0], [4.0], [0.0]])
     valid = np.array([[False], [True], [False], [False], [True], [False]])
     expected = [[1.0], [1.0], [2.0], [3.0], [4.0], [4.0]]
-    np.testing.assert_allclose(bridged(x, valid), expected, rtol=1e-15)
+    np.testing.assert_allclose(bridge_gaps(x, valid), expected, rtol=1e-15)
 
 
 # crank angle ----------------------------------------------------------------------

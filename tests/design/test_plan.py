@@ -9,7 +9,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.design._plan import HOLDS, REFUSED
 from jaxnarx.design.limits import limits_for
 from jaxnarx.design.stretches import Space, stretches
-from jaxnarx.design.views import told
+from jaxnarx.design.views import information_gain
 from jaxnarx.errors import SpecError
 from jaxnarx.models import memory_of
 from jaxnarx.shell.cli import run
@@ -147,7 +147,9 @@ def test_what_rows_tell_is_the_determinant_they_add():
     for _ in range(2):
         expected = np.linalg.slogdet(m + rows.T @ rows)[1] - np.linalg.slogdet(m)[1]
         assert np.isclose(
-            told(*jax.device_put((np.linalg.cholesky(m), rows))), expected, rtol=1e-12
+            information_gain(*jax.device_put((np.linalg.cholesky(m), rows))),
+            expected,
+            rtol=1e-12,
         )
         m = m + rows.T @ rows
 

@@ -14,7 +14,7 @@ from bed_figures import assert_finite, assert_slope
 from common import reference
 
 from jaxnarx.engines.gtdi.bed import START, Gtdi
-from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, scheduled
+from jaxnarx.engines.gtdi.operation import gtdi_demands, operate, schedule_inputs
 from jaxnarx.engines.gtdi.state import GtdiDrive, gtdi_margins
 
 # Compilation of the turbocharged engine takes minutes.
@@ -310,7 +310,7 @@ def test_every_parameter_has_a_finite_gradient(slope, engine):
 
 @pytest.fixture(scope="module")
 def excited(engine):
-    return scheduled(engine, gtdi_demands(jax.random.key(3), EVENTS))
+    return schedule_inputs(engine, gtdi_demands(jax.random.key(3), EVENTS))
 
 
 def test_aprbs_run_stays_finite_and_in_the_prototype_range(excited):

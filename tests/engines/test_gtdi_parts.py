@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.engines.delays import delayed
+from jaxnarx.engines.delays import delay_staircase
 from jaxnarx.engines.flow import Gas, orifice, tail_flow
 
 
@@ -31,7 +31,11 @@ def test_tail_flow_reverses():
 
 def test_a_dead_time_is_kept_inside_events():
     levels, past = jnp.asarray([1.0, 2.0, 3.0, 4.0]), jnp.asarray([0.01, 0.01])
-    late = delayed(levels, past, jnp.asarray(0.0025), jnp.asarray(0.0125), steps=4)
+    late = delay_staircase(
+        levels, past, jnp.asarray(0.0025), jnp.asarray(0.0125), steps=4
+    )
     np.testing.assert_allclose(late, [2.0, 3.0, 3.0, 3.0], atol=1e-12)
-    late = delayed(levels, past, jnp.asarray(0.0025), jnp.asarray(0.00875), steps=4)
+    late = delay_staircase(
+        levels, past, jnp.asarray(0.0025), jnp.asarray(0.00875), steps=4
+    )
     np.testing.assert_allclose(late, [3.0, 3.0, 3.0, 3.5], atol=1e-12)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from jaxnarx.engines import CrossleyCook, Diesel, Drive, Gtdi, Pfi, Vct
-from jaxnarx.engines.delays import delayed_lag
+from jaxnarx.engines.delays import lag_and_delay
 from jaxnarx.engines.gtdi.bed import START as GTDI_START
-from jaxnarx.engines.gtdi.state import imposed
-from jaxnarx.engines.integration import held, rk4, settled, solve
+from jaxnarx.engines.gtdi.state import impose_columns
+from jaxnarx.engines.integration import find_rest, hold_inputs, rk4, solve
 from jaxnarx.engines.vct import VctDrive
 
 # A program for every bed, twice.
@@ -74,7 +74,7 @@ def test_settled_finds_the_stable_rest_with_its_slope():
         return jnp.stack([a - x[0] ** 3, 0.01 * (x[0] - x[1])])
 
     def rest(a):
-        return settled(rate, jnp.asarray([0.5, 5.0]), a)[1]
+        return find_rest(rate, jnp.asarray([0.5, 5.0]), a)[1]
 
     for derivative in (jax.grad(rest), jax.jacfwd(rest)):
         np.testing.assert_allclose(rest(jnp.asarray(8.0)), 2.0, rtol=1e-14)
@@ -82,7 +82,7 @@ def test_settled_finds_the_stable_rest_with_its_slope():
 
 
 def test_settled_says_where_there_is_no_rest():
-    found = settled(lambda x, a: a + x**2, jnp.ones(1), jnp.asarray(1.0))
+    found = find_rest(lambda x, a: a + x**2, jnp.ones(1), jnp.asarray(1.0))
     assert bool(jnp.isnan(found).all())
 
 
@@ -95,7 +95,7 @@ def test_actuator_follows_the_delayed_command(delay):
     times = jnp.linspace(0.0, interval, 5)
     for k in range(2, 12):
         line = jnp.asarray(commands[k - 2 : k + 1])
-        path = delayed_lag(
+        path = lag_and_delay(
             *(x, line, jnp.asarray(delay), jnp.asarray(lag), interval, times)
         )
         found.extend(np.asarray(path[:-1]))
@@ -127,7 +127,7 @@ def diesel():
 def gtdi():
     engine, after = Gtdi(), jnp.asarray([25.0, 24.0, 18.0, 2000.0])
     start = jnp.asarray([14.0, 0.0, *GTDI_START])
-    return start, lambda x: engine.derivative(x, imposed(after))
+    return start, lambda x: engine.derivative(x, impose_columns(after))
 
 
 def vct():
@@ -165,7 +165,7 @@ def test_fixed_steps_stay_near_those_under_error_control(name):
     @jax.jit
     def both(start):
         def move(x, _):
-            after = held(rate, x, jnp.asarray(count * step), steps=count)
+            after = hold_inputs(rate, x, jnp.asarray(count * step), steps=count)
             return after, after
 
         times = count * step * jnp.arange(1.0, 11.0)

@@ -16,7 +16,7 @@ from common import reference
 from jaxnarx.engines import Drive, Pfi, pfi_siso_records
 from jaxnarx.engines.delays import shift
 from jaxnarx.engines.flow import throttle_share
-from jaxnarx.engines.integration import held
+from jaxnarx.engines.integration import hold_inputs
 from jaxnarx.errors import DataError, SpecError
 
 FREE, HELD = reference("pfi_free"), reference("pfi_held")
@@ -159,7 +159,7 @@ def respond(engine, before, after):
     def advance(state, _):
         now = engine.quantities(state, after)
         move = lambda y: engine.derivative(y, after)  # noqa: E731
-        return held(move, state, jnp.asarray(STEP), steps=1), now
+        return hold_inputs(move, state, jnp.asarray(STEP), steps=1), now
 
     start = Pfi().balance(before)
     return Pfi().quantities(start, before), jax.lax.scan(

@@ -11,7 +11,7 @@ import pytest
 from bed_figures import assert_finite, assert_prints, assert_slope
 from common import reference
 
-from jaxnarx.engines.integration import held
+from jaxnarx.engines.integration import hold_inputs
 from jaxnarx.engines.vct import Vct, VctDrive, vct_margins
 
 # Compilation of the stiff steady states takes the better part of a minute.
@@ -101,7 +101,7 @@ def responses(engine, everywhere):
     def one(state, given):
         def sample(y, _):
             move = lambda y: engine.derivative(y, given)  # noqa: E731
-            later = held(move, y, jnp.asarray(STEP), steps=1)
+            later = hold_inputs(move, y, jnp.asarray(STEP), steps=1)
             return later, engine.quantities(y, given)
 
         return jax.lax.scan(sample, state, None, length=1500)[1]

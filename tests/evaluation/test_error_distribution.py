@@ -3,7 +3,7 @@
 import common
 import numpy as np
 import pytest
-from test_effects import OUTPUT, samples
+from test_effect_sizes import OUTPUT, samples
 from test_verdict import FINE, made
 
 import jaxnarx as jnx

@@ -12,7 +12,7 @@ from common import Part
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import relevance
-from jaxnarx.evaluation._relevance import _permuted
+from jaxnarx.evaluation._relevance import _permute_blocks
 
 network = cache(common.named)
 data = cache(lambda: common.dataset((150, 150)))
@@ -65,7 +65,7 @@ def test_an_input_that_no_term_holds_is_worth_nothing():
 
 
 def test_a_permutation_keeps_blocks_and_values():
-    places = _permuted(23, 5, jax.random.key(3))
+    places = _permute_blocks(23, 5, jax.random.key(3))
     assert sorted(places.tolist()) == list(range(23))
     starts = np.flatnonzero(np.diff(places) != 1)
     assert len(starts) <= 4 and places.tolist() != list(range(23))

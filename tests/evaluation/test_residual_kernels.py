@@ -15,8 +15,8 @@ from jaxnarx.evaluation.residual_tests.bounds import (
 from jaxnarx.evaluation.residual_tests.correlations import (
     autocorrelation,
     input_correlation,
+    normal_scores_of_squares,
     output_product,
-    squared,
 )
 from jaxnarx.evaluation.residual_tests.fits import global_fit, local_fit
 from jaxnarx.evaluation.residual_tests.lag_tests import product_test
@@ -234,7 +234,7 @@ def test_scores_of_squares_are_normal_whatever_the_noise():
     e = rng.standard_t(2, size=(2, 300))
     known = rng.uniform(size=(2, 300)) > 0.1
     residual = make_residual(e, known)
-    scores = squared(residual)
+    scores = normal_scores_of_squares(residual)
     assert np.all(scores.value[~known] == 0)
     assert abs(scipy.stats.kurtosis(scores.value[known])) < 0.2
     order = np.argsort(residual.value[known] ** 2)

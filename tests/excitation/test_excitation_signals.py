@@ -14,7 +14,7 @@ from jaxnarx.excitation import (
     chirp,
     crest_factor,
     driving_cycle,
-    limited,
+    limit_slope,
     multisine,
     prbs,
     ramps,
@@ -173,7 +173,7 @@ def followed(signal, move, low, high):
 
 @jax.jit
 def held(x):
-    return limited(x, low=-0.8, high=0.6, **RATE)
+    return limit_slope(x, low=-0.8, high=0.6, **RATE)
 
 
 @pytest.fixture(scope="module")
@@ -189,9 +189,9 @@ def test_limits_are_kept_sample_by_sample(rough):
 
 
 def test_what_does_not_limit_changes_nothing(rough):
-    np.testing.assert_array_equal(limited(rough), rough)
-    np.testing.assert_array_equal(limited(rough, rate=1e3, sample_time=0.1), rough)
-    np.testing.assert_array_equal(limited(rough, low=0.0), np.maximum(rough, 0.0))
+    np.testing.assert_array_equal(limit_slope(rough), rough)
+    np.testing.assert_array_equal(limit_slope(rough, rate=1e3, sample_time=0.1), rough)
+    np.testing.assert_array_equal(limit_slope(rough, low=0.0), np.maximum(rough, 0.0))
 
 
 def test_the_limiter_is_differentiated_as_it_acts(rough):
@@ -213,7 +213,9 @@ def test_ramps_are_limited_steps():
     found = np.asarray(ramps(levels, hold=hold, **RATE))
     moving = np.ceil(np.abs(np.diff(levels)) / 0.3 - 1e-9).clip(1) - 1
     stairs = np.repeat(levels, [hold, *(hold + moving.astype(int))])
-    np.testing.assert_allclose(found, limited(jnp.asarray(stairs), **RATE), atol=1e-14)
+    np.testing.assert_allclose(
+        found, limit_slope(jnp.asarray(stairs), **RATE), atol=1e-14
+    )
     # An exact multiple of the slope takes no sample more.
     assert len(ramps([0.0, 0.3], hold=1, **RATE)) == 2
 
@@ -268,7 +270,7 @@ def walk(**request):
 
 
 def actuator(**request):
-    return limited(jax.device_put(np.zeros(9)), **request)
+    return limit_slope(jax.device_put(np.zeros(9)), **request)
 
 
 IMPOSSIBLE: list[tuple[Callable[..., Any], dict[str, Any], dict[str, list]]] = [

@@ -19,7 +19,7 @@ from jaxnarx.exporters.dcm import dcm_files
 from jaxnarx.exporters.parameters import tables_of
 from jaxnarx.exporters.target import Files
 from jaxnarx.models import Network
-from jaxnarx.refinement import certified
+from jaxnarx.refinement import attach_certificate
 
 
 def rising() -> Network:
@@ -239,7 +239,7 @@ def test_what_is_wrong_in_a_file_is_named_with_its_line(written, what):
 def test_a_network_that_changes_is_not_known_as_it_was():
     net = rising()
     only = dataclasses.replace(net, models=net.models[:1], modelled=(0,))
-    steady = certified(
+    steady = attach_certificate(
         dataclasses.replace(only, lower=net.lower[:1], upper=net.upper[:1])
     )
     assert steady.certificate is not None
@@ -248,7 +248,7 @@ def test_a_network_that_changes_is_not_known_as_it_was():
     still = text.replace("WERT 0.1 0.5 0.0 0.6", "WERT 0.1 0.5 0.0 0.7")
     unstable = text.replace("WERT 0.1 0.5 0.0 0.6", "WERT 0.1 0.5 0.0 1.2")
     found = read_parameters(steady, still)
-    assert found.certificate is not None and same(found, certified(found))
+    assert found.certificate is not None and same(found, attach_certificate(found))
     lost = read_parameters(steady, unstable)
     assert lost.certificate is None
     assert not np.array_equal(lost.upper, steady.upper)

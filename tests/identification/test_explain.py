@@ -6,7 +6,13 @@ import json
 import pytest
 from search_fakes import board, row
 
-from jaxnarx.identification import Leaderboard, describe, figure, sentences, used
+from jaxnarx.identification import (
+    Leaderboard,
+    candidate_in_use,
+    describe,
+    figure,
+    sentences,
+)
 from jaxnarx.identification.explain import _price, pareto, safest
 from jaxnarx.identification.leaderboard import Candidate
 
@@ -50,7 +56,7 @@ def test_one_taken_by_hand_stands_beside_the_chosen():
     told = sentences(board("y"), "y", 2)
     assert "taken by hand in place of 3 (polynomial: degree 2), 0.200" in told[0]
     assert describe(board("y"), "y", 2)["used"] == 2
-    assert used(board("y"), "y", 2).family == "ARX"
+    assert candidate_in_use(board("y"), "y", 2).family == "ARX"
 
 
 def test_a_group_that_is_served_badly_is_named():

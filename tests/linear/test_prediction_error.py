@@ -25,7 +25,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem
 from jaxnarx.linear.recursion import Signals, residuals, states
-from jaxnarx.linear.stability import is_stable, radius, reflected
+from jaxnarx.linear.stability import is_stable, radius, reflect_roots
 from jaxnarx.linear.structure import structure_of
 from jaxnarx.settings.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
 from jaxnarx.solution import RESULTS
@@ -237,12 +237,12 @@ def test_units_do_not_matter(fits):
 
 def test_reflection_keeps_the_magnitude():
     p = np.poly([1.25, 0.5, 0.8 + 0.9j, 0.8 - 0.9j]).real
-    q = reflected(p)
+    q = reflect_roots(p)
     assert radius(p) > 1 > radius(q)
     w = np.exp(1j * np.linspace(0.1, 3, 7))
     ratio = np.abs(np.polyval(p, w)) / np.abs(np.polyval(q, w))
     np.testing.assert_allclose(ratio, ratio[0])
-    np.testing.assert_array_equal(reflected(q), q)
+    np.testing.assert_array_equal(reflect_roots(q), q)
 
 
 def test_unstable_polynomials_are_no_step():

@@ -22,7 +22,7 @@ from jaxnarx.models import (
     advance,
     fed_back,
     hold_to_range,
-    reported,
+    report_outputs,
     run_record,
 )
 from jaxnarx.models.limits import overshoots
@@ -169,10 +169,10 @@ def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
     net, y = hold_to_range(net, 0.1), np.tile([100.0, -100.0], (5, 1))
     width = np.array([9.0, 3.0])
     edge = np.array([5.0, -1.0]) + np.array([1, -1]) * width * (0.1 + farthest)[:, None]
-    value, mask = reported(net, y, inputs)
+    value, mask = report_outputs(net, y, inputs)
     np.testing.assert_allclose(value, edge, atol=1e-12)
     assert mask.all()
-    np.testing.assert_allclose(reported(net, y)[0], edge[:1].repeat(5, axis=0))
+    np.testing.assert_allclose(report_outputs(net, y)[0], edge[:1].repeat(5, axis=0))
 
 
 def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
@@ -185,7 +185,7 @@ def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
     assert memory == 10 * net.history and np.all(far[:100] == 0) and far[100] > 1e4
     assert np.all(far[100 + int(25 * memory) :] < 1e-5)
     y = np.full((1000, 2), 50.0)
-    edges = reported(net, y, inputs)[0]
+    edges = report_outputs(net, y, inputs)[0]
     np.testing.assert_allclose(edges[-1], edges[0], rtol=1e-9)
     assert edges[100, 0] == 50
     blind = common.network([common.Part([[((0,), 0.3)]])], variables=((A, 0),))

@@ -12,10 +12,10 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     Network,
     assemble,
+    combine_outputs,
     global_model,
     hold_to_range,
     local_models,
-    merged,
     output_model,
 )
 from jaxnarx.models.validity import Gaussians
@@ -67,7 +67,7 @@ def parts(data) -> list[Network]:
 
 
 def test_free_run_is_that_of_the_parts(data, parts):
-    both = merged(parts)
+    both = combine_outputs(parts)
     assert both.output_names == ["v", "y", "w"]
     assert both.history == max(one.history for one in parts) == 3
     run = jnx.simulate(both, data).value
@@ -87,7 +87,7 @@ def wider(table: Variables, history: int) -> Variables:
 
 
 def test_a_variable_of_several_parts_is_computed_once(parts):
-    both = merged(parts)
+    both = combine_outputs(parts)
     assert len(set(both.variables.entries)) == len(both.variables)
     assert set(both.variables.entries) == {
         entry for one in parts for entry in one.variables.entries
@@ -96,11 +96,11 @@ def test_a_variable_of_several_parts_is_computed_once(parts):
 
 def test_equations_of_the_parts_are_those_of_the_whole(parts):
     every = [one["text"] for part in parts for one in part.equations()]
-    assert [one["text"] for one in merged(parts).equations()] == every
+    assert [one["text"] for one in combine_outputs(parts).equations()] == every
 
 
 def test_one_network_is_itself(data, parts):
-    alone = merged(parts[:1])
+    alone = combine_outputs(parts[:1])
     assert alone.output_names == ["v"]
     for a, b in zip(
         jnx.simulate(alone, data).value.outputs,
@@ -113,14 +113,14 @@ def test_one_network_is_itself(data, parts):
 def test_different_limits_are_refused(parts):
     for other in (hold_to_range(parts[1], None), hold_to_range(parts[1], 0.5)):
         with pytest.raises(SpecError, match="limits"):
-            merged([parts[0], other])
+            combine_outputs([parts[0], other])
     free = [hold_to_range(one, None) for one in parts]
-    assert merged(free).hold is None
+    assert combine_outputs(free).hold is None
 
 
 def test_an_output_twice_is_refused(parts):
     with pytest.raises(SpecError, match="two networks"):
-        merged([*parts, parts[0]])
+        combine_outputs([*parts, parts[0]])
 
 
 def test_other_channels_and_sample_times_are_refused(parts):
@@ -128,4 +128,4 @@ def test_other_channels_and_sample_times_are_refused(parts):
     slower = dataclasses.replace(parts[1], sample_time=2 * parts[1].sample_time)
     for other in (dataclasses.replace(parts[1], channels=names), slower):
         with pytest.raises(SpecError, match="same channels, sample time"):
-            merged([parts[0], other])
+            combine_outputs([parts[0], other])

@@ -6,7 +6,7 @@ import pytest
 from common import A, B, Part, W
 
 from jaxnarx.data import match_channels
-from jaxnarx.models import narrowed
+from jaxnarx.models import drop_outputs
 from jaxnarx.simulation import simulate
 
 LAST = Part(
@@ -26,7 +26,7 @@ def test_the_free_run_stays_and_the_other_output_goes(kept):
     else:
         rows = ((A, 0), (B, 1), (W, 1))
         network = common.network([LAST], (1,), variables=rows)
-    small = narrowed(network)
+    small = drop_outputs(network)
     assert small.channels.output_names == small.output_names == [kept]
     data = common.dataset()
     whole = simulate(network, data).value
@@ -39,4 +39,4 @@ def test_the_free_run_stays_and_the_other_output_goes(kept):
 def test_an_output_that_is_looked_at_stays():
     by_other = common.network([common.PARTS["one"]], (1,))  # w from lags of y
     both = common.named("coupled")
-    assert narrowed(by_other) is by_other and narrowed(both) is both
+    assert drop_outputs(by_other) is by_other and drop_outputs(both) is both

@@ -17,14 +17,14 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost, local_behaviour
 from jaxnarx.linear import adapt
-from jaxnarx.models import Network, load, merged, narrowed, save
+from jaxnarx.models import Network, combine_outputs, drop_outputs, load, save
 from jaxnarx.regressors import Variables
 from jaxnarx.shell import cli
 from jaxnarx.simulation import (
     first_anchor,
-    fitting,
     make_drive,
     make_masks,
+    match_records,
     run,
     simulate,
 )
@@ -107,7 +107,7 @@ def part(output: int, **more) -> Network:
 def told_starts(net: Network):
     """Scaled free runs from the true hidden values, and the samples that are scored."""
     given = truth()
-    batch = stack_records(fitting(net, given.data))
+    batch = stack_records(match_records(net, given.data))
     drive, masks = make_drive(net, batch), make_masks(net, batch, net.window)
     measured = np.array(drive.measured)
     for n, every in enumerate(given.computed):
@@ -120,7 +120,7 @@ def told_starts(net: Network):
 
 def test_merged_networks_run_as_their_parts():
     parts = [part(0), part(1)]
-    both = merged(parts)
+    both = combine_outputs(parts)
     assert both.channels.hidden == tuple(Channel(f"x{n}") for n in (1, 2, 3, 4))
     assert both.output_names == ["y", "w"] and both.window == WINDOW
     for name in ("gain", "low", "high", "lower", "upper"):
@@ -137,7 +137,7 @@ def test_merged_networks_run_as_their_parts():
 
 def test_merged_takes_the_longest_window_and_parts_without_hidden_channels():
     longer, closed = part(1, window=WINDOW + 8), named("by inputs")
-    both = merged([longer, closed])
+    both = combine_outputs([longer, closed])
     assert (both.hidden, both.window, both.history) == (2, WINDOW + 8, 2)
     run = simulate(both, truth().data).value
     for n, every in enumerate(truth().computed):
@@ -151,26 +151,26 @@ def test_a_name_that_is_taken_is_not_given_to_a_hidden_channel():
     net = part(0)
     inputs = (Channel("x1"), Channel("b"))
     channels = Channels(inputs, net.channels.outputs, (Channel("p"), Channel("q")))
-    both = merged([dataclasses.replace(net, channels=channels)])
+    both = combine_outputs([dataclasses.replace(net, channels=channels)])
     assert [c.name for c in both.channels.hidden] == ["x_1", "x_2"]
 
 
 def test_narrowed_leaves_the_other_output_out_and_keeps_the_run():
-    small = narrowed(part(1))
+    small = drop_outputs(part(1))
     assert small.channels.names == ["a", "b", "w", "x1", "x2"]
     assert small.window == WINDOW
     assert small.equations() == part(1).equations()
     for a, b in zip(told_starts(small), told_starts(part(1)), strict=True):
         np.testing.assert_array_equal(a, b)
     whole = network()
-    assert narrowed(whole) is whole
+    assert drop_outputs(whole) is whole
 
 
 def test_ranged_keeps_what_hidden_channels_have_done():
-    from jaxnarx.models import ranged
+    from jaxnarx.models import set_ranges
 
     net = network()
-    found = ranged(net, truth().data)
+    found = set_ranges(net, truth().data)
     for name, count in (("low", 4), ("high", 4), ("lower", 2), ("upper", 2)):
         old, new = (np.asarray(getattr(n, name)) for n in (net, found))
         np.testing.assert_array_equal(new[count:], old[count:])

@@ -11,7 +11,7 @@ from common import A, B, W, Y
 
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.models import held_inputs, hold_to_range, reported, reported_range
+from jaxnarx.models import held_inputs, hold_to_range, report_outputs, reported_range
 from jaxnarx.regressors import LowPass, Variables
 
 LOW, HIGH = np.array([-1.5, -0.3, -4.0, -1.0]), np.array([1.0, 0.4, 5.0, 2.0])
@@ -91,10 +91,10 @@ def test_what_is_reported_stays_in_the_widened_range():
     low, high = np.array([-4.9, -1.3]), np.array([5.9, 2.3])
     for found, ends in zip(reported_range(ranged()), (low, high), strict=True):
         np.testing.assert_allclose(found, ends, rtol=1e-14)
-    value, mask = reported(ranged(), y)
+    value, mask = report_outputs(ranged(), y)
     np.testing.assert_allclose(value, np.clip(y, low, high), rtol=1e-14)
     np.testing.assert_array_equal(mask, (y < low) | (y > high))
-    free, nowhere = reported(ranged(margin=None), y)
+    free, nowhere = report_outputs(ranged(margin=None), y)
     assert free is y and not nowhere.any()
     assert np.all(np.isinf(reported_range(ranged(margin=None))))
 
@@ -113,7 +113,9 @@ def test_two_values_stay_and_a_constant_is_held_at_its_value():
     rows = jnp.asarray([[0.0, 2.0, 6.0, 0.0], [1.0, 5.0, 8.0, 0.0]])
     seen = network.within(rows)
     np.testing.assert_array_equal(seen[:, :2], [[0.0, 3.0], [1.0, 3.0]])
-    value, mask = reported(network, np.array([[6.0, 0.0], [7.0, 0.0], [8.0, 0.0]]))
+    value, mask = report_outputs(
+        network, np.array([[6.0, 0.0], [7.0, 0.0], [8.0, 0.0]])
+    )
     np.testing.assert_array_equal(value[:, 0], 7.0)
     np.testing.assert_array_equal(mask[:, 0], [True, False, True])
 

@@ -21,11 +21,11 @@ from jaxnarx.models import (
     NAN,
     OUTSIDE,
     OUTSIDE_WORDS,
-    bounded,
     describe_missing,
     describe_policies,
     hold_to_range,
     limits_of,
+    set_bounds,
     set_nan_policy,
 )
 from jaxnarx.models.policies import describe_bounds, describe_outputs, describe_start
@@ -198,7 +198,7 @@ def test_bounds_hold_what_is_computed_and_fed_back(kind):
         y = computed(net, INPUTS)[net.before :, o]
         assert y.max() <= top * (1 + 1e-3)
         assert o or y.max() == pytest.approx(top, rel=1e-3)
-    assert describe_bounds(bounded(net, 1e6)) == ""
+    assert describe_bounds(set_bounds(net, 1e6)) == ""
 
 
 @pytest.mark.parametrize("kind", KINDS)

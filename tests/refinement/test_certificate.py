@@ -22,7 +22,7 @@ from jaxnarx.models import (
     LogSigmoids,
     hold_to_range,
 )
-from jaxnarx.refinement import certificate, certified, rate_of
+from jaxnarx.refinement import attach_certificate, certificate, rate_of
 from jaxnarx.refinement._stability._certificate import _blocks
 
 LOW, HIGH = np.array([-1.0, -1.0, -5.0, -2.0]), np.array([1.0, 1.0, 5.0, 2.0])
@@ -86,7 +86,7 @@ def test_weights_that_are_no_average_have_none():
         model = dataclasses.replace(net.models[0], validity=validity)
         other = dataclasses.replace(net, models=(model,))
         assert (certificate(other) is not None) == known
-        assert (rate_of(certified(other)) < 1) == known
+        assert (rate_of(attach_certificate(other)) < 1) == known
 
 
 def test_borders_that_were_moved_past_one_another_have_none():
@@ -152,7 +152,7 @@ def test_past_outputs_times_inputs_are_followed_to_the_ends_of_the_range(slope, 
 
 def test_runs_meet_at_least_as_fast_whatever_the_inputs():
     product = local(0.5, 0.2, more=(((1, 3), 0.4), ((1, 1), 0.3)))
-    net = certified(network([local(1.0, -0.3), product], LINEAR))
+    net = attach_certificate(network([local(1.0, -0.3), product], LINEAR))
     rate = rate_of(net)
     assert rate < 1
     factor = np.asarray(net.certificate)
@@ -171,7 +171,7 @@ def test_runs_meet_at_least_as_fast_whatever_the_inputs():
 
 
 def test_a_file_keeps_it_and_a_merged_network_has_none(tmp_path):
-    net = certified(network([local(1.2, -0.5), local(0.4, 0.3)]))
+    net = attach_certificate(network([local(1.2, -0.5), local(0.4, 0.3)]))
     jnx.save(net, tmp_path / "model.safetensors")
     again = jnx.load(tmp_path / "model.safetensors")
     assert rate_of(again) == rate_of(net) < 1
@@ -210,7 +210,7 @@ def answered(net, noise: float = 0.0) -> Dataset:
 
 def test_refinement_keeps_a_certificate_that_it_would_lose():
     truth = network([local(1.2, -0.6), local(-1.2, -0.6)])
-    start = certified(network([local(0.5, -0.2), local(-0.5, -0.2)]))
+    start = attach_certificate(network([local(0.5, -0.2), local(-0.5, -0.2)]))
     assert start.certificate is not None and certificate(truth) is None
     data = answered(truth, noise=0.01)
     few = jnx.SimulationError(horizons=(10,), max_steps=6, window_steps=4)

@@ -39,7 +39,7 @@ from jaxnarx.data import groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.refinement import freeze, refine
 from jaxnarx.refinement.any_solver import any_solver
-from jaxnarx.refinement.folds import curve, divided
+from jaxnarx.refinement.folds import curve, split_folds
 from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import make_layout
@@ -412,7 +412,7 @@ def test_a_task_without_a_group_neither_starts_from_it_nor_scores_it(lengths):
     def stacked(masks):
         return np.stack([np.pad(m, (0, time - len(m))) for m in masks])
 
-    for g, (rest, own) in enumerate(divided(task, found, net.history)):
+    for g, (rest, own) in enumerate(split_folds(task, found, net.history)):
         out = stacked(found.left_out(g))
         label = stacked([label == g for label in found.labels])
         for part in (rest, own):
@@ -448,7 +448,7 @@ def test_a_loss_without_a_group_knows_nothing_of_it():
         task, _ = make_task(net, one)
         # The spread of the outputs stays: it is not what is asked here.
         task = dataclasses.replace(make_task(net, data)[0], drive=task.drive)
-        rest, own = divided(task, found, net.history)[1]
+        rest, own = split_folds(task, found, net.history)[1]
         for horizon in (None, 5):
             for part in (rest, own):
                 at = part.drive, part.anchors(horizon), part.weight, part.criterion
@@ -463,10 +463,10 @@ def test_groups_that_cannot_be_left_out_are_passed_over():
     found = groups(data, folds=4)
     assert len(found) == 4
     task, _ = make_task(net, data, weights=[1.0, 1.0, 1.0, 0.0])
-    assert len(divided(task, found, net.history)) == 3
+    assert len(split_folds(task, found, net.history)) == 3
     task, _ = make_task(net, data, weights=[1.0, 0.0, 0.0, 0.0])
     with pytest.raises(DataError, match="of 4 groups .* 0 can be left out"):
-        divided(task, found, net.history)
+        split_folds(task, found, net.history)
 
 
 def test_one_record_is_cross_validated_in_blocks():

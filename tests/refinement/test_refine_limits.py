@@ -11,7 +11,7 @@ from common import A, B
 
 from jaxnarx.confidence._bands import bands
 from jaxnarx.confidence._uncertainty import uncertainty
-from jaxnarx.models import hold_to_range, reported
+from jaxnarx.models import hold_to_range, report_outputs
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability import stability
 from jaxnarx.refinement.gauss_newton import normal_equations
@@ -89,7 +89,9 @@ def test_bands_are_held_as_the_run_is():
         pairs = ((found.lower, free.lower), (found.upper, free.upper))
         for a, b in pairs:
             np.testing.assert_allclose(a[n][:start], b[n][:start])
-            np.testing.assert_allclose(a[n][start:], reported(held(), b[n][start:])[0])
+            np.testing.assert_allclose(
+                a[n][start:], report_outputs(held(), b[n][start:])[0]
+            )
         assert np.all(found.lower[n] <= found.run[n])
         assert np.all(found.run[n] <= found.upper[n])
         assert np.all(found.measured_lower[n] < found.run[n])

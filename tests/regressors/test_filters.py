@@ -28,7 +28,7 @@ from jaxnarx.regressors import (
     require_sampled,
     variable_name,
 )
-from jaxnarx.regressors.filtering import filter_table, filtered
+from jaxnarx.regressors.filtering import filter_input, filter_table
 
 T = 0.1
 POLES = (-1.0, -0.5 + 2j, -2.5)
@@ -41,7 +41,7 @@ BANKS = {
 LENGTH = 600
 
 
-_run = eqx.filter_jit(filtered)
+_run = eqx.filter_jit(filter_input)
 
 
 def response(filter_, u) -> np.ndarray:

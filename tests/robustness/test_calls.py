@@ -12,7 +12,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from test_guard import FITTING, VERBS, nouns
+from test_argument_checks import FITTING, VERBS, nouns
 
 import jaxnarx as jnx
 

@@ -21,7 +21,7 @@ from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.comparison import ComparedRecord
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import style
-from jaxnarx.shell.figures.comparison import by_size, compared
+from jaxnarx.shell.figures.comparison import by_size, draw_comparison
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.relevance import relevance
 from jaxnarx.shell.figures.steady_states import intersections, response_surface
@@ -134,7 +134,7 @@ def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine(monkeypatch):
     figure, other, stream = trace(), trace(), io.StringIO()
     engine, canvas = figure.get_layout_engine(), figure.canvas
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with style.styled():
+    with style.use_style():
         other.savefig(stream, format="svg", dpi=200, metadata=nothing)
     assert style.svg(figure) == stream.getvalue()
     assert figure.get_layout_engine() is engine is not None
@@ -143,7 +143,7 @@ def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine(monkeypatch):
 
 @pytest.mark.parametrize("limits", [(1e-5, 2), (0.3, 3), (2, 7)])
 def test_powers_label_where_matplotlib_does_without_mathematics(limits):
-    with style.styled():
+    with style.use_style():
         _, (axes,) = style.canvas()
     axes.set(xscale="log", xlim=limits)
     for own, theirs, places in (
@@ -255,7 +255,7 @@ def of_models(label):
         relevance(worth),
         intersections([cut]),
         response_surface(surface),
-        compared(ModelComparison(y, {}, (record,)), [record]),
+        draw_comparison(ModelComparison(y, {}, (record,)), [record]),
         by_size(sizes),
     ]
 

@@ -23,8 +23,8 @@ from jaxnarx.evaluation import Report, ShownRecord, report
 from jaxnarx.identification import describe
 from jaxnarx.shell.report.html import render, write_report
 from jaxnarx.shell.report.page import running
-from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
-from jaxnarx.shell.report.page.records import FARTHEST, chosen
+from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, pack
+from jaxnarx.shell.report.page.records import FARTHEST, choose_records
 from jaxnarx.simulation import simulate
 
 READY = "window.jaxnarx && jaxnarx.page.tried"
@@ -134,7 +134,7 @@ def test_series_come_back_within_half_a_level():
         "same": np.full(500, 0.3),
         "none": np.full(500, np.inf),
     }
-    block = packed([(name, FINE, value) for name, value in values.items()], FINE)
+    block = pack([(name, FINE, value) for name, value in values.items()], FINE)
     found = decoded(block, 500)
     for name in ("noise", "large"):
         off = np.abs(found[name] - values[name])
@@ -162,12 +162,12 @@ def long(samples: int, seed: int) -> ShownRecord:
 def test_records_that_do_not_fit_are_reduced_and_it_is_told():
     records = [long(6000, seed) for seed in range(4)]
     for limit, levels in ((10**9, FINE), (160_000, MIDDLE), (140_000, COARSE)):
-        one = chosen(records, limit)
+        one = choose_records(records, limit)
         assert f"1/{levels:,} of" in one.told and not any(
             r["bins"] for r in one.records
         )
     assert f"1/{MIDDLE:,} in the 1 of 4" in one.told
-    few = chosen(records, 95_000)
+    few = choose_records(records, 95_000)
     assert sum(len(json.dumps(r)) for r in few.records) < 100_000
     whole = [r["name"] for r in few.records if not r["bins"]]
     assert whole == ["r3"] and "1 of 4 records" in few.told  # the largest error

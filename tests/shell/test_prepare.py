@@ -25,7 +25,7 @@ from jaxnarx.data import (
 from jaxnarx.models import load, load_about, save
 from jaxnarx.shell import commands
 from jaxnarx.shell.cli import run
-from jaxnarx.shell.prepare import make_steps, raw_channels, stored
+from jaxnarx.shell.prepare import make_steps, raw_channels, stored_preparation
 from jaxnarx.shell.record_files import describe, record_csv
 from jaxnarx.simulation import simulate
 
@@ -269,7 +269,7 @@ def test_a_missing_or_outside_preparation_is_said(capsys):
 
 
 def test_the_model_keeps_the_preparation(capsys):
-    kept = stored("model/model.safetensors")
+    kept = stored_preparation("model/model.safetensors")
     assert kept is not None
     assert kept == read_split("done/prepared.toml").preparation
     assert "preparation" in load_about("model/model.safetensors")
@@ -326,7 +326,7 @@ def test_raw_descriptions_are_prepared_too(capsys):
 
 def test_a_model_of_raw_records_has_nothing_to_prepare_by(capsys):
     save(load("model/model.safetensors"), "plain.safetensors")
-    assert stored("plain.safetensors") is None
+    assert stored_preparation("plain.safetensors") is None
     told = fails(capsys, 2, "simulate plain.safetensors r3.csv --prepare")
     assert "was not identified from prepared records" in told
 

@@ -11,7 +11,7 @@ import pytest
 
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.shell import unfinished
-from jaxnarx.shell.output import run_folder, write_text, written_together
+from jaxnarx.shell.output import run_folder, write_text, write_together
 
 BUSY = """
 import sys, time
@@ -53,7 +53,7 @@ def busy(tmp_path, monkeypatch):
 
 def write(folder, text, *, marks=("model",), force=False):
     with run_folder(folder, "engine", force=force, marks=marks) as made:
-        with written_together(made) as place:
+        with write_together(made) as place:
             for mark in marks:
                 write_text(place / mark, text)
     return made
@@ -127,6 +127,6 @@ def test_an_interrupt_at_any_moment_leaves_nothing(tmp_path, monkeypatch, when):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(*where[when], interrupted)
-    with pytest.raises(KeyboardInterrupt), unfinished.unfinished(tmp_path, ["report"]):
+    with pytest.raises(KeyboardInterrupt), unfinished.new_folder(tmp_path, ["report"]):
         pass
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(unfinished.PREFIX)]

@@ -16,10 +16,10 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.models.observer import POINTS, PRIOR, scales, spread_out
 from jaxnarx.simulation import (
-    begun,
+    begin_hidden,
     make_drive,
     make_masks,
-    observed,
+    observe_hidden,
     predict,
     simulate,
 )
@@ -51,7 +51,7 @@ def starts(net, given: Truth) -> np.ndarray:
     """Hidden values from which the runs of all records begin, (record, hidden)."""
     batch = stack_records(given.data)
     start = make_masks(net, batch, net.window).start
-    drive = begun(net, make_drive(net, batch), jax.device_put(start))
+    drive = begin_hidden(net, make_drive(net, batch), jax.device_put(start))
     return np.asarray(drive.measured)[np.arange(len(start)), start - 1, 2:] * HIDDEN
 
 
@@ -193,7 +193,7 @@ def test_no_record_with_a_window_is_an_error_with_the_number_that_is_needed():
 
 def test_hidden_values_are_those_of_the_window_that_ends_there():
     net, given = network(), truth()
-    drive = observed(net, make_drive(net, stack_records(given.data)))
+    drive = observe_hidden(net, make_drive(net, stack_records(given.data)))
     found = np.asarray(drive.measured)[..., 2:] * HIDDEN
     for n, every in enumerate(given.computed):
         np.testing.assert_array_equal(found[n, : WINDOW - 1], 0.0)

@@ -22,7 +22,7 @@ from jaxnarx.simulation import has_diverged
 from jaxnarx.simulation.trajectories import IN_A_ROW
 from jaxnarx.sweep.identify.engine_data import Part
 from jaxnarx.sweep.identify.refine_step import FULL, schedule
-from jaxnarx.sweep.identify.score import counted
+from jaxnarx.sweep.identify.score import count_samples
 from jaxnarx.sweep.identify.settings import shapes
 from jaxnarx.sweep.identify.work import IdentificationWork
 
@@ -42,7 +42,7 @@ def test_divergence_is_judged_as_of_the_record_alone():
     for share in (0.0, 0.02, 0.04, 0.049, 0.051, 0.06, 0.3):
         for start, end in ((0, 400), (7, 350), (390, 400), (400, 400), (400, 0)):
             limited = rng.uniform(size=(1, time)) < share
-            within = counted(part_of([start], [end], time))
+            within = count_samples(part_of([start], [end], time))
             ours = bool(has_diverged(jnp.asarray(limited), within)[0])
             assert ours == has_diverged(limited[0, start:end])
             found.append(ours)
@@ -50,7 +50,7 @@ def test_divergence_is_judged_as_of_the_record_alone():
     for length in (IN_A_ROW - 1, IN_A_ROW):
         limited = np.zeros((2, 2000), bool)
         limited[1, 300 : 300 + length] = True
-        within = counted(part_of([5, 5], [2000, 2000], 2000))
+        within = count_samples(part_of([5, 5], [2000, 2000], 2000))
         ours = np.asarray(has_diverged(jnp.asarray(limited), within))
         assert ours.tolist() == [False, length == IN_A_ROW]
         assert ours[1] == has_diverged(limited[1, 5:])

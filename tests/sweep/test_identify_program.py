@@ -17,7 +17,7 @@ from jaxnarx.models import Gaussians
 from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import simulate
 from jaxnarx.sweep.identify import identify_each, network_of, program
-from jaxnarx.sweep.identify.engine_data import stacked
+from jaxnarx.sweep.identify.engine_data import stack_lanes
 from jaxnarx.sweep.identify.rows import score_names
 from jaxnarx.sweep.identify.work import IdentificationWork
 
@@ -253,8 +253,8 @@ def test_work_for_the_run_folder(engines, rows):
 def test_the_program_is_lowered_for_devices_that_are_not_here(engines, platform):
     work = IdentificationWork(fleet_of(engines), METHOD, CASES, lanes=LANES)
     shape = next(iter(work.frames))
-    members = stacked([work.prepared_for(n, 0).member for n in range(LANES)])
-    settings = stacked([work.settings[0]] * LANES)
+    members = stack_lanes([work.prepared_for(n, 0).member for n in range(LANES)])
+    settings = stack_lanes([work.settings[0]] * LANES)
     given = work.frames[shape], members, settings
     arrays, fixed = eqx.partition(given, eqx.is_array)
 

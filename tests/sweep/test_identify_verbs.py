@@ -87,7 +87,7 @@ def test_what_the_program_knows_comes_out_the_same_by_the_verbs(monkeypatch):
     cases = [lags | {"refine": "none"}, {}, long | quiet, long | patient]
     found = identify_each(fleet, SMALL, cases)
     assert all(row["steps_taken"] < 9 + 4 + 4 for row in found[2:])
-    monkeypatch.setattr(settings, "fused", lambda method: False)
+    monkeypatch.setattr(settings, "is_fused", lambda method: False)
     by_verbs = identify_each(fleet, SMALL, cases)
     for ours, theirs in zip(found, by_verbs, strict=True):
         assert set(ours) == set(theirs)

@@ -12,15 +12,15 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.step import (
     AbstractLossy,
     AbstractStep,
-    bridged,
-    chosen,
-    listed,
-    measured,
+    bridge_gaps,
+    choose_channels,
+    list_channels,
     number,
     on_same_rows,
     present,
     require_valid,
     units_of,
+    valid_samples,
 )
 from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError
@@ -60,7 +60,7 @@ class LowPass(AbstractStep, AbstractLossy):
 
     def fit(self, data: Dataset) -> "LowPass":
         """This step, its channels and its cut-off checked."""
-        chosen(data.channels, self.channels)
+        choose_channels(data.channels, self.channels)
         self._require_below_nyquist(data.sample_time)
         return self
 
@@ -98,7 +98,7 @@ class LowPass(AbstractStep, AbstractLossy):
         j = present(data.channels, self.channels)
         x, valid = record.signals.astype(np.float64), record.valid.copy()
         pad = min(len(weights) // 2, len(record) - 1)
-        smooth = bridged(x, valid)[:, j]
+        smooth = bridge_gaps(x, valid)[:, j]
         x[:, j] = sosfiltfilt(sos, smooth, axis=0, padlen=pad)
         valid[:, j] &= masked_share(valid[:, j], weights) <= SHARE
         return x, valid
@@ -107,7 +107,8 @@ class LowPass(AbstractStep, AbstractLossy):
         """Cut-off [Hz], order and channels."""
         return (
             f"low-pass without phase, half amplitude at {self.cutoff:g} Hz "
-            f"(Butterworth, order {self.order}, both ways): {listed(self.channels)}"
+            f"(Butterworth, order {self.order}, both ways): "
+            f"{list_channels(self.channels)}"
         )
 
 
@@ -131,11 +132,11 @@ def masked_share(
     """
     if valid.all():
         return np.zeros(valid.shape)
-    masked = mirrored((~valid).astype(np.float64), len(weights) // 2, odd=False)
-    return convolved(masked, np.abs(weights)) / np.abs(weights).sum()
+    masked = mirror_ends((~valid).astype(np.float64), len(weights) // 2, odd=False)
+    return convolve_inside(masked, np.abs(weights)) / np.abs(weights).sum()
 
 
-def mirrored(
+def mirror_ends(
     x: Float[np.ndarray, "time signals"], pad: int, *, odd: bool
 ) -> Float[np.ndarray, "padded signals"]:
     """`x` continued at both ends by `pad` samples, mirrored there.
@@ -146,7 +147,7 @@ def mirrored(
     return np.pad(x, ((pad, pad), (0, 0)), "reflect", reflect_type=kind)
 
 
-def convolved(
+def convolve_inside(
     x: Float[np.ndarray, "padded signals"], weights: Float[np.ndarray, " taps"]
 ) -> Float[np.ndarray, "time signals"]:
     """Convolution of every column where the weights overlap `x` fully."""
@@ -191,9 +192,9 @@ class Hampel(AbstractStep):
     def fit(self, data: Dataset) -> "OutliersMasked":
         """The smallest deviations that count, from valid samples."""
         least = {}
-        indices = chosen(data.channels, self.channels)
+        indices = choose_channels(data.channels, self.channels)
         for j in indices:
-            low, high = np.percentile(measured(data, j), [0.5, 99.5])
+            low, high = np.percentile(valid_samples(data, j), [0.5, 99.5])
             least[data.channels.names[j]] = float(self.floor * (high - low))
         return OutliersMasked(
             half_width=self.half_width,

@@ -12,11 +12,11 @@ from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.preparation.step import (
     AbstractLossy,
     AbstractStep,
-    bridged,
-    mapped,
-    measured,
+    bridge_gaps,
+    map_records,
     rebuilt,
     require_valid,
+    valid_samples,
 )
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
@@ -59,7 +59,7 @@ class ToTime(AbstractStep, AbstractLossy):
             t = event_times(_speed(record, data, j), float(self.degrees))
             return _on(record, data, t, step)
 
-        return mapped(data, one, sample_time=step)
+        return map_records(data, one, sample_time=step)
 
     def describe(self) -> str:
         """Degrees, speed channel and sample time [s]."""
@@ -89,7 +89,7 @@ class ToCrankAngle(AbstractStep):
         j = _speed_signal(data, self.speed)
         for record in data:
             _speed(record, data, j)
-        nominal = float(self.degrees / (6 * measured(data, j).mean()))
+        nominal = float(self.degrees / (6 * valid_samples(data, j).mean()))
         return AtCrankAngle(
             speed=self.speed,
             degrees=self.degrees,
@@ -120,7 +120,7 @@ class AtCrankAngle(AbstractLossy):
             angle = crank_angles(_speed(record, data, j), data.sample_time)
             return _on(record, data, angle, step)
 
-        return mapped(data, one, sample_time=float(self.sample_time))
+        return map_records(data, one, sample_time=float(self.sample_time))
 
     def describe(self) -> str:
         """Degrees, speed channel and nominal sample time [s]."""
@@ -177,4 +177,4 @@ def _speed(record: Record, data: Dataset, j: int) -> Float[np.ndarray, " time"]:
             channel=name,
             row=row,
         )
-    return bridged(x, record.valid[:, j : j + 1])[:, 0]
+    return bridge_gaps(x, record.valid[:, j : j + 1])[:, 0]

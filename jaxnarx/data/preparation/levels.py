@@ -13,13 +13,13 @@ from jaxnarx.data.preparation.step import (
     AbstractFitted,
     AbstractLossy,
     AbstractStep,
-    chosen,
-    listed,
-    measured,
+    choose_channels,
+    list_channels,
     number,
     on_same_rows,
     present,
     units_of,
+    valid_samples,
     with_units,
 )
 from jaxnarx.data.record import Record
@@ -57,14 +57,14 @@ class RemoveOffset(AbstractStep):
     def fit(self, data: Dataset) -> "OffsetRemoved":
         """The levels, from valid samples only."""
         names = tuple(self.values) if self.kind == "given" else self.channels
-        indices = chosen(data.channels, names)
+        indices = choose_channels(data.channels, names)
         offset = {data.channels.names[j]: self._level(data, j) for j in indices}
         return OffsetRemoved(offset=offset, units=units_of(data.channels, indices))
 
     def _level(self, data: Dataset, j: int) -> float:
         if self.kind == "given":
             return float(self.values[data.channels.names[j]])
-        x = measured(data, j)
+        x = valid_samples(data, j)
         return float(x[0] if self.kind == "first" else x.mean())
 
 
@@ -125,8 +125,10 @@ class Scale(AbstractStep):
 
     def fit(self, data: Dataset) -> "Scaled":
         """Offsets and gains, from valid samples only."""
-        indices = chosen(data.channels, self.channels)
-        found = {data.channels.names[j]: self._of(measured(data, j)) for j in indices}
+        indices = choose_channels(data.channels, self.channels)
+        found = {
+            data.channels.names[j]: self._of(valid_samples(data, j)) for j in indices
+        }
         return Scaled(
             scaling=self.kind,
             offset={name: offset for name, (offset, _) in found.items()},
@@ -232,7 +234,7 @@ class Detrend(AbstractStep, AbstractLossy):
 
     def fit(self, data: Dataset) -> "Detrend":
         """This step, its channels checked."""
-        chosen(data.channels, self.channels)
+        choose_channels(data.channels, self.channels)
         return self
 
     def lines(self, data: Dataset) -> Lines:
@@ -278,7 +280,7 @@ class Detrend(AbstractStep, AbstractLossy):
     def describe(self) -> str:
         """Which channels, and what is subtracted."""
         what = "drift (level kept)" if self.keep_level else "line"
-        return f"linear {what} of each record removed: {listed(self.channels)}"
+        return f"linear {what} of each record removed: {list_channels(self.channels)}"
 
 
 def _add(data: Dataset, lines: Lines, sign: float) -> Dataset:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.checks import known_name
+from jaxnarx.checks import require_known
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.check_samples import spans
 from jaxnarx.data.dataset import Dataset
@@ -231,7 +231,7 @@ class Preparation:
             )
         known = {c.name: c.unit for c in self.channels.all}
         for channel in data.channels.all:
-            known_name(
+            require_known(
                 channel.name,
                 known,
                 channel.name,

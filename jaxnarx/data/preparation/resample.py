@@ -9,14 +9,19 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.checks import require
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.preparation.cleaning import SHARE, convolved, masked_share, mirrored
+from jaxnarx.data.preparation.cleaning import (
+    SHARE,
+    convolve_inside,
+    masked_share,
+    mirror_ends,
+)
 from jaxnarx.data.preparation.step import (
     AbstractFitted,
     AbstractLossy,
     AbstractStep,
-    bridged,
-    chosen,
-    mapped,
+    bridge_gaps,
+    choose_channels,
+    map_records,
     rebuilt,
     require_valid,
 )
@@ -87,11 +92,11 @@ def on_grid(
             field="sample_time",
         )
     fine = first + np.arange(count) * (step / m)
-    values, known = _between(at, bridged(x, valid), valid, fine)
+    values, known = _between(at, bridge_gaps(x, valid), valid, fine)
     if m == 1:
         return Samples(values, known)
     weights = sinc(_EDGE / m, HALF * m)
-    smooth = convolved(mirrored(values, HALF * m, odd=True), weights)
+    smooth = convolve_inside(mirror_ends(values, HALF * m, odd=True), weights)
     return Samples(smooth[::m], masked_share(known, weights)[::m] <= SHARE)
 
 
@@ -199,7 +204,7 @@ def at_sample_time(data: Dataset, sample_time: float) -> Dataset:
         )
         return rebuilt(record, x, valid, data.channels)
 
-    return mapped(data, one, sample_time=sample_time)
+    return map_records(data, one, sample_time=sample_time)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -214,7 +219,7 @@ class Shift(AbstractStep, AbstractFitted):
 
     def fit(self, data: Dataset) -> "Shift":
         """This step, its channels checked."""
-        chosen(data.channels, self.samples)
+        choose_channels(data.channels, self.samples)
         return self
 
     def apply(self, data: Dataset) -> Dataset:
@@ -245,7 +250,7 @@ class Shift(AbstractStep, AbstractFitted):
             row = record.start_row + first
             return rebuilt(record, x, valid, data.channels, start_row=row)
 
-        return mapped(data, one)
+        return map_records(data, one)
 
     def describe(self) -> str:
         """Samples by channel."""

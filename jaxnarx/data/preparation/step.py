@@ -74,7 +74,7 @@ def _plain(value: Any) -> Any:
     return dict(value) if hasattr(value, "items") else value
 
 
-def chosen(channels: Channels, names: Iterable[str] | None) -> list[int]:
+def choose_channels(channels: Channels, names: Iterable[str] | None) -> list[int]:
     """Indices of the named channels, all for None; an unknown name is a SpecError."""
     if names is None:
         return list(range(len(channels.all)))
@@ -87,7 +87,7 @@ def present(channels: Channels, names: Iterable[str] | None) -> list[int]:
     return [j for j, name in enumerate(channels.names) if name in wanted]
 
 
-def measured(data: Dataset, j: int) -> Float[np.ndarray, " samples"]:
+def valid_samples(data: Dataset, j: int) -> Float[np.ndarray, " samples"]:
     """All valid samples of signal `j`; DataError where there is none."""
     parts = [r.signal(j)[r.valid[:, j]] for r in data]
     values = np.concatenate([np.zeros(0), *parts]).astype(np.float64)
@@ -101,7 +101,7 @@ def measured(data: Dataset, j: int) -> Float[np.ndarray, " samples"]:
     return values
 
 
-def bridged(
+def bridge_gaps(
     x: Float[np.ndarray, "time signals"], valid: Bool[np.ndarray, "time signals"]
 ) -> Float[np.ndarray, "time signals"]:
     """`x` in float64 with straight lines over masked samples, held at both ends.
@@ -160,7 +160,7 @@ def rebuilt(
     )
 
 
-def mapped(
+def map_records(
     data: Dataset,
     change: Callable[[Record], Record],
     *,
@@ -188,7 +188,7 @@ def on_same_rows(
         x, valid = change(record)
         return rebuilt(record, x, valid, schema, start_row=record.start_row)
 
-    return mapped(data, one, channels=schema)
+    return map_records(data, one, channels=schema)
 
 
 def with_units(channels: Channels, units: Mapping[str, str]) -> Channels:
@@ -205,7 +205,7 @@ def units_of(channels: Channels, indices: Iterable[int]) -> dict[str, str]:
     return {channels.all[j].name: channels.all[j].unit for j in indices}
 
 
-def listed(names: Iterable[str] | None) -> str:
+def list_channels(names: Iterable[str] | None) -> str:
     """The named channels, for a description."""
     return "all channels" if names is None else ", ".join(names)
 

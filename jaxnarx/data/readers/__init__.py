@@ -16,7 +16,7 @@ from typing import Any
 from jaxnarx.data.readers.columns import Asked, Column, Table
 from jaxnarx.data.readers.columns import require_limit as require_limit
 from jaxnarx.data.record import RowSource as RowSource
-from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, SpecError, guard_reading
 from jaxnarx.extensions import Registry
 
 
@@ -120,7 +120,7 @@ def _guarded(path: Path, use: Any) -> Any:
 
 def _used(path: Path, use: Any) -> Any:
     kind = KINDS.get(path.suffix.lower())
-    with reading(path, "CSV" if kind is None else kind.name):
+    with guard_reading(path, "CSV" if kind is None else kind.name):
         _require_plain(path, kind)
         if path.suffix.lower() == ".dat" and not _begins(path, _MDF):
             kind = _CSV  # texts are called so as well

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.missing import Source
 from jaxnarx.data.record import RowSource
-from jaxnarx.data.sampling import TIME_UNITS, sampling, time_unit_in
+from jaxnarx.data.sampling import TIME_UNITS, find_sampling, time_unit_in
 from jaxnarx.errors import DataError, DataFileError
 
 
@@ -139,7 +139,7 @@ def table_source(
         unit = time_unit or time_unit_in(table.units.get(time, ""), time)
         t, unit = seconds(table.columns[time], name=time, place=table.place, unit=unit)
     if t is not None:
-        sample_time, cuts = sampling(
+        sample_time, cuts = find_sampling(
             t,
             column=time or "of the file",
             place=table.place,

@@ -30,7 +30,7 @@ def find_layout(path: Path) -> CsvLayout | None:
     """
     with path.open("rb") as file:
         raw = file.read(_HEAD)
-    encoding, text = _decoded(raw)
+    encoding, text = _decode(raw)
     lines = text.splitlines()
     if len(raw) == _HEAD:
         lines = lines[:-1]
@@ -44,7 +44,7 @@ def find_layout(path: Path) -> CsvLayout | None:
         first, width, numbers = found
         if decimal == "," and not any("," in x for row in rows[first:] for x in row):
             continue
-        layout = _headed(rows, first, width, decimal)
+        layout = _find_header(rows, first, width, decimal)
         if layout is None:
             continue
         skip, unit_row = layout
@@ -54,7 +54,7 @@ def find_layout(path: Path) -> CsvLayout | None:
     return None if best is None else best[1]
 
 
-def _decoded(raw: bytes) -> tuple[str, str]:
+def _decode(raw: bytes) -> tuple[str, str]:
     """Name of the encoding, and the text without what was cut at its end."""
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16", raw.decode("utf-16", "ignore")
@@ -100,7 +100,7 @@ def _is_number(text: str, decimal: str) -> bool:
     return is_number(text, decimal) and text.lower() not in ("nan", "inf", "-inf")
 
 
-def _headed(
+def _find_header(
     rows: Sequence[Sequence[str]], first: int, width: int, decimal: str
 ) -> tuple[int, bool] | None:
     """Lines before the header, and whether units are between it and the numbers."""

@@ -22,7 +22,7 @@ LABELS = 40
 
 def contents(path: Path, folder: Path) -> list[dict[str, Any]]:
     """Columns as keyword arguments of `Column`."""
-    with _opened(path) as mdf:
+    with _open_group(path) as mdf:
         found = list(_channels(mdf))
         names = [name for name, *_ in found]
         return [
@@ -41,7 +41,7 @@ def signals(
     path: Path, folder: Path, *, wanted: list[str], max_bytes: float
 ) -> dict[str, Any]:
     """Values, validity and stamps of the wanted channels, as files of the folder."""
-    with _opened(path) as mdf:
+    with _open_group(path) as mdf:
         known: dict[str, list[tuple[int, int]]] = {}
         for name, group, index in _channels(mdf):
             known.setdefault(name, []).append((group, index))
@@ -63,7 +63,7 @@ def signals(
                 stamped.add(group)
             x, valid = _values(path, name, signal)
             if formula:
-                x = _converted(path, name, formula, x)
+                x = _convert(path, name, formula, x)
             np.save(folder / f"x{k}.npy", x)
             if valid is not None:
                 np.save(folder / f"valid{k}.npy", valid)
@@ -79,7 +79,7 @@ def signals(
         return {"signals": found, "notes": notes}
 
 
-def _opened(path: Path) -> Any:
+def _open_group(path: Path) -> Any:
     from asammdf import MDF
 
     return MDF(path)
@@ -205,7 +205,7 @@ def _take_formula(channel: Any) -> str:
     return formula
 
 
-def _converted(path: Path, name: str, formula: str, x: np.ndarray) -> np.ndarray:
+def _convert(path: Path, name: str, formula: str, x: np.ndarray) -> np.ndarray:
     try:
         return apply_formula(formula, x)
     except ValueError as error:

@@ -221,12 +221,12 @@ def _answer(request: dict[str, Any]) -> Any:
     if "working_folder" in request:
         os.chdir(request["working_folder"])
     module = importlib.import_module(f"jaxnarx.data.readers.{request['module']}")
-    _bound(OWN + float(request["given"].get("max_bytes", 0.0)))
+    _limit_memory(OWN + float(request["given"].get("max_bytes", 0.0)))
     function = getattr(module, request["function"])
     return function(Path(request["path"]), Path(request["folder"]), **request["given"])
 
 
-def _bound(size: float) -> None:
+def _limit_memory(size: float) -> None:
     """Limit the memory of this process [bytes], where the system can.
 
     A limit that the system has set already stays, where it is lower.

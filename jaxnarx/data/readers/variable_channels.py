@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data.readers.columns import require_limit, require_size
-from jaxnarx.data.readers.variable_logs import logged
+from jaxnarx.data.readers.variable_logs import read_branch
 from jaxnarx.data.readers.variable_trees import (
     TimedColumns,
     WithUnit,
-    opened,
+    open_tree,
     since_first,
-    unfolded,
+    unfolded_size,
 )
 from jaxnarx.data.sampling import TIME_UNITS, time_unit_in
 from jaxnarx.errors import DataFileError, suggest
@@ -76,7 +76,7 @@ class Variable:
 def contents(path: Path, folder: Path, *, max_bytes: float) -> list[dict[str, Any]]:
     """Columns as keyword arguments of `Column`."""
     _require(path, max_bytes)
-    with opened(path) as tree:
+    with open_tree(path) as tree:
         found = [one for one in _channels(tree, "", None) if not _is_known_time(one)]
         names = [one.name for one in found]
         return [
@@ -97,9 +97,9 @@ def signals(
 ) -> dict[str, Any]:
     """Values and stamps of the wanted channels, as files of the folder."""
     _require(path, max_bytes)
-    with opened(path, wanted) as tree:
+    with open_tree(path, wanted) as tree:
         found = list(_channels(tree, "", None))
-        chosen = [_chosen(path, found, name, table) for name in wanted]
+        chosen = [_find_channel(path, found, name, table) for name in wanted]
         require_limit(path, 8 * sum(one.rows for one in chosen), max_bytes)
         times = _times(path, chosen)
         answer = []
@@ -117,7 +117,7 @@ def signals(
 
 
 def _require(path: Path, max_bytes: float) -> None:
-    require_size(path, unfolded(path), max_bytes)
+    require_size(path, unfolded_size(path), max_bytes)
 
 
 def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]:
@@ -128,7 +128,7 @@ def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]
                 yield from _channels(part, f"{table}({k + 1})", step)
         return
     step = _own_step(branch) or step
-    special = logged(branch)
+    special = read_branch(branch)
     if special is not None:
         yield from _of_frame(special, table, "", step)
         return
@@ -152,9 +152,9 @@ def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]
         elif _kind(value) in "biufmM":
             own += _of_array(value, table, name, names, units, unit, step)
     yield from (
-        _with_time(_renamed(own, names, units))
+        _with_time(_rename_vectors(own, names, units))
         if table
-        else _renamed(own, names, units)
+        else _rename_vectors(own, names, units)
     )
 
 
@@ -188,7 +188,7 @@ def _of_array(
     ]
 
 
-def _renamed(
+def _rename_vectors(
     own: list[Variable], names: Sequence[str], units: Sequence[str]
 ) -> list[Variable]:
     """Vectors by the names beside them, where there are as many: what a language that
@@ -299,7 +299,7 @@ def _kind(values: Any) -> str:
     return values.dtype.kind if hasattr(values, "dtype") else "text"
 
 
-def _chosen(path: Path, found: list[Variable], name: str, table: str) -> Variable:
+def _find_channel(path: Path, found: list[Variable], name: str, table: str) -> Variable:
     """The channel of a name, in `table` where one is asked for."""
     inside = [
         one

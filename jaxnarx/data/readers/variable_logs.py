@@ -8,7 +8,7 @@ import numpy as np
 from jaxnarx.data.readers.variable_trees import TimedColumns
 
 
-def logged(branch: Mapping[str, Any]) -> TimedColumns | None:
+def read_branch(branch: Mapping[str, Any]) -> TimedColumns | None:
     """What such a branch holds; `None` for any other."""
     return _simulink(branch) or _dspace(branch) or _iddata(branch)
 

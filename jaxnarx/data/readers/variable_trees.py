@@ -41,7 +41,9 @@ class WithUnit:
 
 
 @contextlib.contextmanager
-def opened(path: Path, wanted: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+def open_tree(
+    path: Path, wanted: Sequence[str] | None = None
+) -> Iterator[dict[str, Any]]:
     """What is in a file; of HDF5, arrays that are not read before they are used.
 
     Vectors that are not `wanted` may be left out.
@@ -59,7 +61,7 @@ def opened(path: Path, wanted: Sequence[str] | None = None) -> Iterator[dict[str
             yield _hdf5(path, file)
 
 
-def unfolded(path: Path) -> int:
+def unfolded_size(path: Path) -> int:
     """Bytes of a file when it is unfolded, by its own account."""
     if path.suffix.lower() == ".npz":
         with zipfile.ZipFile(path) as archive:

@@ -3,4 +3,4 @@
 from jaxnarx.engines.gtdi.bed import Gtdi as Gtdi
 from jaxnarx.engines.gtdi.operation import gtdi_demands as gtdi_demands
 from jaxnarx.engines.gtdi.operation import operate as operate
-from jaxnarx.engines.gtdi.operation import scheduled as scheduled
+from jaxnarx.engines.gtdi.operation import schedule_inputs as schedule_inputs

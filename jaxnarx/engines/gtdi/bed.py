@@ -10,11 +10,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.data import Channel, Channels
 from jaxnarx.engines.bench import Noise
-from jaxnarx.engines.delays import delayed, event_duration, shift
+from jaxnarx.engines.delays import delay_staircase, event_duration, shift
 from jaxnarx.engines.engine import AbstractEngine, Borders, parameter
 from jaxnarx.engines.flow import Gas, orifice, petrol_exhaust, tail_flow
 from jaxnarx.engines.gtdi.cylinder import Cylinders
-from jaxnarx.engines.gtdi.operation import gtdi_demands, scheduled
+from jaxnarx.engines.gtdi.operation import gtdi_demands, schedule_inputs
 from jaxnarx.engines.gtdi.state import (
     EVENT,
     SLOWEST,
@@ -22,10 +22,10 @@ from jaxnarx.engines.gtdi.state import (
     GtdiQuantities,
     given_or,
     gtdi_margins,
-    imposed,
+    impose_columns,
 )
 from jaxnarx.engines.gtdi.turbo import Compressor, Turbine
-from jaxnarx.engines.integration import rk4, settled
+from jaxnarx.engines.integration import find_rest, rk4
 
 KRPM = 1e-3 * 60 / (2 * 3.141592653589793)  # krpm per rad/s
 SUBSTEP = 1e-3  # s; explicit, so stability asks for it
@@ -47,7 +47,7 @@ class Gtdi(AbstractEngine):
     On the bench (`simulate`) fuel, spark, throttle and speed are inputs; the outputs
     are torque, air-fuel ratio and intake pressure, behind delays and sensors. The
     mixture leaves the flammable range within a few events unless fuel follows the air:
-    see `scheduled`, which `excite` uses, and `operate`.
+    see `schedule_inputs`, which `excite` uses, and `operate`.
 
     Tags: [P] published, [D] calibrated on measurements and not validated, [O] our own
     choice. A plausible plant of the right kind and size, not a model of a product.
@@ -124,7 +124,7 @@ class Gtdi(AbstractEngine):
         "THR": (4.0, 90.0),
         "speed": (SLOWEST, 5500.0),
     }
-    """Fuel and spark depend on each other and on the rest: see `scheduled`."""
+    """Fuel and spark depend on each other and on the rest: see `schedule_inputs`."""
     domain: ClassVar[Borders] = {
         "FUL": (4.0, 90.0),
         "SA": (-36.0, 62.0),
@@ -250,7 +250,7 @@ class Gtdi(AbstractEngine):
     def balance(self, drive: GtdiDrive) -> Float[Array, " states"]:
         """The state that does not change under `drive`; NaN where there is none.
 
-        Found by `settled` from a fixed start; throttle and wastegate are where the
+        Found by `find_rest` from a fixed start; throttle and wastegate are where the
         other five states put them. First derivatives are exact.
         """
         start = jnp.asarray(START, self.inertia.dtype)
@@ -260,11 +260,11 @@ class Gtdi(AbstractEngine):
             engine, drive = given
             return engine.derivative(engine._settled(rest, drive), drive)[2:]
 
-        return self._settled(settled(rate, start, (self, drive)), drive)
+        return self._settled(find_rest(rate, start, (self, drive)), drive)
 
     def steady_state(self, inputs: Float[Array, " inputs"]) -> Float[Array, " states"]:
         """The state that does not change under `inputs`; NaN where there is none."""
-        return self.balance(imposed(inputs))
+        return self.balance(impose_columns(inputs))
 
     def rest(self, inputs: Float[Array, " inputs"]):
         """Steady state under constant inputs, with sensors and delay lines settled."""
@@ -279,7 +279,7 @@ class Gtdi(AbstractEngine):
         commands, durations of the past events [s], delay lines of the indicated torque
         [Nm] and of the air-fuel ratio.
         """
-        now = self.quantities(state, imposed(inputs))
+        now = self.quantities(state, impose_columns(inputs))
         duration = event_duration(EVENT, inputs[3], slowest=SLOWEST)
         return (
             state,
@@ -300,7 +300,7 @@ class Gtdi(AbstractEngine):
         lambda sensor by 0.20 s [D].
         """
         state, readings, commands, durations, torques, ratios = carry
-        now = self.quantities(state, imposed(inputs))
+        now = self.quantities(state, impose_columns(inputs))
         torques, indicated = shift(torques, now.indicated)
         ratios, mixture = shift(ratios, now.afr)
         duration = event_duration(EVENT, inputs[3], slowest=SLOWEST)
@@ -313,9 +313,11 @@ class Gtdi(AbstractEngine):
         count = jnp.clip(jnp.ceil(duration / SUBSTEP - 1e-6), FEWEST, SUBSTEPS)
         step = duration / count
         levels = jnp.append(commands, inputs[2])
-        late = delayed(levels, durations, step, self.throttle_dead_time, steps=SUBSTEPS)
+        late = delay_staircase(
+            levels, durations, step, self.throttle_dead_time, steps=SUBSTEPS
+        )
         state = rk4(
-            lambda x, throttle: self.derivative(x, imposed(inputs, throttle[0])),
+            lambda x, throttle: self.derivative(x, impose_columns(inputs, throttle[0])),
             state,
             step,
             jnp.broadcast_to(late[:, None, None], (SUBSTEPS, 3, 1)),
@@ -327,11 +329,11 @@ class Gtdi(AbstractEngine):
     def margins(self, carry, inputs: Float[Array, " inputs"]):
         """`mixture`, `heat`, `boost`, `turbo`, `vacuum`, `surge` and `spark`; see
         `gtdi_margins`."""
-        return gtdi_margins(self.quantities(carry[0], imposed(inputs)))
+        return gtdi_margins(self.quantities(carry[0], impose_columns(inputs)))
 
     def excite(self, key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"]:
         """`gtdi_demands`, with fuel and spark set by `scheduled`."""
-        return scheduled(self, gtdi_demands(key, length))[0]
+        return schedule_inputs(self, gtdi_demands(key, length))[0]
 
     def _throttle_area(self, angle: Float[Array, ""]) -> Float[Array, ""]:
         x = (angle - self.throttle_shut) / self.throttle_travel

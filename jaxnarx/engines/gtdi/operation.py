@@ -13,7 +13,7 @@ from jaxnarx.engines.gtdi.state import (
     SLOWEST,
     GtdiDrive,
     GtdiQuantities,
-    imposed,
+    impose_columns,
 )
 from jaxnarx.excitation import aprbs
 
@@ -27,14 +27,14 @@ def operate(engine: Any, inputs: Float[Array, "time inputs"]) -> GtdiQuantities:
     """All quantities at the start of each event of a run, before delays and sensors."""
 
     def event(carry, row):
-        now = engine.quantities(carry[0], imposed(row))
+        now = engine.quantities(carry[0], impose_columns(row))
         return engine.advance(carry, row)[0], now
 
     return jax.lax.scan(event, engine.rest(inputs[0]), inputs)[1]
 
 
 @eqx.filter_jit
-def scheduled(
+def schedule_inputs(
     engine: Any, demands: Float[Array, "time inputs"]
 ) -> tuple[Float[Array, "time inputs"], GtdiQuantities]:
     """Inputs whose fuel and spark follow the engine, and what `operate` says of them.

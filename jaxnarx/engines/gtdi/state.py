@@ -54,7 +54,7 @@ class GtdiQuantities(NamedTuple):
     derivative: Float[Array, "*time states"]
 
 
-def imposed(
+def impose_columns(
     inputs: Float[Array, " inputs"], arrived: Float[Array, ""] | None = None
 ) -> GtdiDrive:
     """The columns of a record: fuel, spark, throttle, speed; `arrived` is the throttle

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Batch, Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.gain_signs import check_gains
@@ -19,8 +19,8 @@ from jaxnarx.evaluation.residual_tests.correlations import (
     changing_variance,
     higher_order,
     input_correlation,
+    normal_scores_of_squares,
     output_product,
-    squared,
 )
 from jaxnarx.evaluation.residual_tests.diagnostics import (
     Diagnostics,
@@ -40,14 +40,14 @@ from jaxnarx.evaluation.residual_tests.scalar_tests import (
 )
 from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
-from jaxnarx.simulation import Prepared, Trajectories, batched, predict
+from jaxnarx.simulation import Prepared, Trajectories, predict, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
 SPARE = 10
 """Samples needed beside those for lags and parameters."""
 
 
-@guarded
+@guard_arguments
 def diagnose(
     network: Network,
     data: Dataset | Prepared,
@@ -86,7 +86,7 @@ def diagnose(
     """
     _check(network, lags, level, estimated)
     network.require_measured("The analysis of residuals")
-    matched, batch = batched(network, data)
+    matched, batch = stack_batch(network, data)
     run = predict(network, data).value if predicted is None else predicted
     run = run.value if isinstance(run, Solution) else run
     found, left_out = [], []
@@ -176,7 +176,7 @@ def _correlations(
     network: Network, batch: Batch, one: OneStep, lags: int, level: float
 ) -> Iterator[LagTest]:
     """Of the residual alone, then of every input."""
-    residual, scores = one.residual, squared(one.residual)
+    residual, scores = one.residual, normal_scores_of_squares(one.residual)
     yield autocorrelation(residual, lags=lags, level=level)
     yield changing_variance(residual, lags=lags, level=level)
     yield output_product(residual, one.measured, lags=lags, level=level)

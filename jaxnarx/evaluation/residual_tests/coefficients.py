@@ -67,7 +67,7 @@ def coefficients(
     unit = _units(network, one)
     known = np.isfinite(np.array(_conditions(one)))[one.owner] & (error > 0)
     # Both for scaled terms: the physical ones may be beyond every number.
-    ratio = _scaled(network, one) / np.where(known, error, 1.0)
+    ratio = _scale_coefficients(network, one) / np.where(known, error, 1.0)
     with np.errstate(over="ignore"):
         error = error * unit
     rows = []
@@ -95,7 +95,7 @@ def _units(network: Network, one: OneStep) -> np.ndarray:
         return one.unit / np.prod(scale[np.asarray(local.factor)[own]], axis=1)
 
 
-def _scaled(network: Network, one: OneStep) -> np.ndarray:
+def _scale_coefficients(network: Network, one: OneStep) -> np.ndarray:
     """Every coefficient, of scaled terms, in the residual's unit."""
     model = network.models[one.place]
     value, used = np.asarray(model.local.coefficient, float), model.local.used

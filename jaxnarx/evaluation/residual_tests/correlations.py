@@ -10,7 +10,7 @@
     output x residual, input      E (y e)'(t) u2'(t-k)            same
 
 A prime takes the mean out; y and u are without theirs throughout. The residual's square
-alone enters by its normal score, see `squared`. The first two see
+alone enters by its normal score, see `normal_scores_of_squares`. The first two see
 what a linear model lacks, the others terms of higher degree: an omitted u^2 of an even
 distribution leaves no trace in the first two.
 """
@@ -99,7 +99,7 @@ def higher_order(
     `output` is measured where the residual is known; `scores` is what `squared` gives,
     where it is at hand.
     """
-    scores = squared(residual) if scores is None else scores
+    scores = normal_scores_of_squares(residual) if scores is None else scores
     at = np.arange(lags + 1)
     u = without_mean(values, known)
     square = without_mean(u**2, known)
@@ -108,7 +108,7 @@ def higher_order(
     return (
         linear_test(residual, square, at, name="squared input", **common),
         linear_test(scores, square, at, name="squares", **common),
-        _shifted(
+        _shift_lags(
             linear_test(residual, product, at + 1, name="residual x input", **common)
         ),
         product_test(
@@ -133,7 +133,7 @@ def output_product(
     return product_test(
         residual,
         without_mean(output, residual.known),
-        squared(residual).value,
+        normal_scores_of_squares(residual).value,
         np.arange(1, lags + 1),
         name="product, residual",
         level=level,
@@ -148,7 +148,7 @@ def changing_variance(
     Where it is found, the noise has quiet and loud spells, and the bounds of the other
     tests, which take one variance for all samples, are too narrow.
     """
-    square = squared(residual)
+    square = normal_scores_of_squares(residual)
     return linear_test(
         square,
         square.value,
@@ -168,7 +168,7 @@ def without_mean(
     return np.where(known, values - values[known].mean(), 0.0)
 
 
-def squared(residual: Residual) -> Residual:
+def normal_scores_of_squares(residual: Residual) -> Residual:
     """The squares' normal scores, as a residual of their own.
 
     Instead of the square stands the normal quantile of its rank: outliers of the noise
@@ -189,6 +189,6 @@ def squared(residual: Residual) -> Residual:
     )
 
 
-def _shifted(test: LagTest) -> LagTest:
+def _shift_lags(test: LagTest) -> LagTest:
     """Lags counted from 0 where the product is one sample old: Billings and Voon."""
     return dataclasses.replace(test, lags=test.lags - 1)

@@ -64,7 +64,7 @@ def no_fit(rows: int) -> ResidualBasis:
 
 def global_fit(columns: Float[np.ndarray, "rows params"]) -> ResidualBasis:
     """All coefficients by one least squares problem."""
-    basis, inverse, condition = _factorised(columns)
+    basis, inverse, condition = _factorise(columns)
     return ResidualBasis(basis, basis @ inverse.T, (condition,))
 
 
@@ -76,7 +76,7 @@ def local_fit(
     bases, answers, conditions = [], [], []
     for p, phi in zip(columns, weights, strict=True):
         root = np.sqrt(np.maximum(phi, 0.0))[:, None]
-        basis, inverse, condition = _factorised(root * p)
+        basis, inverse, condition = _factorise(root * p)
         bases.append(root * basis)
         answers.append(bases[-1] @ inverse.T)
         conditions.append(condition)
@@ -87,7 +87,7 @@ def local_fit(
     )
 
 
-def _factorised(
+def _factorise(
     columns: Float[np.ndarray, "rows params"],
 ) -> tuple[Float[np.ndarray, "rows rank"], Float[np.ndarray, "params rank"], float]:
     """Basis of the columns, pseudo-inverse in it, condition of those of unit norm."""

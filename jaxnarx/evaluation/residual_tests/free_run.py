@@ -8,7 +8,7 @@ import scipy.fft
 import scipy.special
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Dataset, unit_of
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
@@ -16,9 +16,9 @@ from jaxnarx.evaluation.residual_tests.correlations import without_mean
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products
 from jaxnarx.evaluation.residual_tests.one_step import usable_inputs
-from jaxnarx.formatting import aligned, page
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
-from jaxnarx.simulation import Prepared, batched, simulate
+from jaxnarx.simulation import Prepared, simulate, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
 SPARE = 10
@@ -60,14 +60,14 @@ class FreeRunResiduals:
             [
                 f"{self.output.label}: {self.samples} free-run residuals, mean "
                 f"{self.mean:.4g}, standard deviation {self.deviation:.4g}",
-                *(f"  {line}" for line in aligned(rows)),
+                *(f"  {line}" for line in align_columns(rows)),
             ]
         )
 
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def diagnose_free_run(
     network: Network,
     data: Dataset | Prepared,
@@ -102,7 +102,7 @@ def diagnose_free_run(
     """
     if lags < 1 or not 0 < level <= 0.5:
         raise SpecError("lags is at least 1, level above 0 and up to 0.5", field="lags")
-    matched, batch = batched(network, data)
+    matched, batch = stack_batch(network, data)
     run = simulate(network, data).value if simulated is None else simulated
     run = run.value if isinstance(run, Solution) else run
     found, status = [], RESULTS.ok
@@ -117,18 +117,20 @@ def diagnose_free_run(
         if lost or known.sum() < lags + SPARE:
             status = RESULTS.diverged if lost else RESULTS.too_short
             continue
-        found.append(_tested(network, batch, channel, error, known, lags, level))
+        found.append(_test_inputs(network, batch, channel, error, known, lags, level))
     return Solution(tuple(found), status, {"outputs": len(found)})
 
 
-def _tested(network, batch, channel, error, known, lags, level) -> FreeRunResiduals:
+def _test_inputs(
+    network, batch, channel, error, known, lags, level
+) -> FreeRunResiduals:
     mean, deviation = float(error[known].mean()), float(error[known].std())
     value = without_mean(np.where(known, error / unit_of(error.ravel()), 0.0), known)
     at = np.arange(1, lags + 1)
     norm = float(np.sum(value**2)) or 1.0
     own = lagged_products(value, value, at) / norm
     edge = np.full(lags, scipy.special.ndtri(1 - level / 2) / np.sqrt(known.sum()))
-    colour = _shown(own, edge, at)
+    colour = _white_autocorrelation(own, edge, at)
     tests, count = [], int(known.sum())
     for signal, one in enumerate(network.channels.inputs):
         u, there = usable_inputs(batch, signal)
@@ -197,7 +199,7 @@ def product_covariance(
     return np.fft.irfft(of_u * np.maximum(smooth, 0.0), size)[:lags]
 
 
-def _shown(
+def _white_autocorrelation(
     value: Float[np.ndarray, " lags"],
     edge: Float[np.ndarray, " lags"],
     at: Int[np.ndarray, " lags"],

@@ -83,7 +83,7 @@ def one_step(
     blended = [phi_m[:, None] * p_m for p_m, phi_m in zip(own, phi, strict=True)]
     design = global_fit(np.concatenate(blended, axis=1))
     if estimated is None:
-        estimated = _found(
+        estimated = _find_noise_kind(
             network, model, batch, place, every, value * unit, design, (own, phi)
         )
     fits = {"global": lambda: design, "local": lambda: local_fit(own, phi)}
@@ -138,7 +138,7 @@ def _blocks(
         yield at, *columns(network, model, batch, at)
 
 
-def _found(
+def _find_noise_kind(
     network: Network,
     model: OutputModel,
     batch: Batch,
@@ -168,16 +168,18 @@ def _found(
     most = scipy.stats.chi2.ppf(CHANCE, max(sum(map(len, own)), 1))
     blended = [w[:, None] * c for c, w in zip(*parts, strict=True)]
     together = (np.concatenate(blended, axis=1), np.concatenate(moments))
-    if _explained(*together, squares[0, 0], scale) * count < most:
+    if _explained_share(*together, squares[0, 0], scale) * count < most:
         return "global"
     shares = [
-        _explained(np.sqrt(w)[:, None] * c, alone[chosen, m], squares[1, m], scale)
+        _explained_share(
+            np.sqrt(w)[:, None] * c, alone[chosen, m], squares[1, m], scale
+        )
         for m, (c, w, chosen) in enumerate(zip(*parts, own, strict=True))
     ]
     return "local" if sum(shares) * count < most else "no"
 
 
-def _explained(
+def _explained_share(
     columns: Float[np.ndarray, "rows params"],
     moment: Float[np.ndarray, " params"],
     squares: float,

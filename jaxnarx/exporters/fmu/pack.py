@@ -98,7 +98,7 @@ def binary(
     if place is None or not found:
         return {}
     with TemporaryFolder() as folder:
-        for name, text in unpacked_sources(parts).items():
+        for name, text in list_sources(parts).items():
             Path(folder, name).write_bytes(as_bytes(text))
         Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
         own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
@@ -113,7 +113,7 @@ def binary(
         return {place: library.read_bytes()}
 
 
-def unpacked_sources(parts: Mapping[str, str]) -> dict[str, str]:
+def list_sources(parts: Mapping[str, str]) -> dict[str, str]:
     """Files of the folder sources, without its name."""
     folder = "sources/"
     return {k[len(folder) :]: v for k, v in parts.items() if k.startswith(folder)}

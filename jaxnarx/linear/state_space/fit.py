@@ -19,8 +19,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
-from jaxnarx.checks import known_name
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, shortened
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.linear.state_space.network import (
@@ -34,10 +34,10 @@ from jaxnarx.linear.state_space.regions import (
     split_candidates,
 )
 from jaxnarx.linear.state_space.starts import linear_starts
-from jaxnarx.models import Network, ranged
+from jaxnarx.models import Network, set_ranges
 from jaxnarx.refinement import refine
 from jaxnarx.settings import HiddenStates, SimulationError
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import match_records, simulate
 from jaxnarx.solution import Solution
 
 Tell = Callable[[dict[str, Any]], None]
@@ -51,7 +51,7 @@ HELD = 1e-4
 """Ridge of what has gates."""
 
 
-@guarded
+@guard_arguments
 def fit_states(
     data: Dataset,
     method: HiddenStates | None = None,
@@ -81,37 +81,37 @@ def fit_states(
     method = HiddenStates() if method is None else method
     known = data.channels.output_names
     for name in method.outputs:
-        known_name(name, known, "outputs", f"unknown output {name!r}")
+        require_known(name, known, "outputs", f"unknown output {name!r}")
     places = tuple(known.index(name) for name in (method.outputs or known))
     few = shortened(data, method.first_rows)
     starts = _starts(few, data, places, method, progress)
     if few is not data:
-        starts = [min(starts, key=_told)]
+        starts = [min(starts, key=_training_error)]
     path: list[Network] = []
     ends: list[_Start] = []
     errors = {start.name: start.error for start in starts}
     if method.regions > 1:
-        starts = sorted(starts, key=_told)[:GROWN]
+        starts = sorted(starts, key=_training_error)[:GROWN]
         starts = [_roomy(start, method.regions) for start in starts]
     for regions, shrink in method.stages:
         if shrink == method.shrink[0]:
             if regions > 1:
-                starts = [_divided(s, few, method, progress) for s in starts]
+                starts = [_divide(s, few, method, progress) for s in starts]
             ends = starts
         if not path and regions == 1:
             _require_hope(ends, hopeless)
-        ends = [_gone_on(s, data, method, shrink, progress) for s in ends]
+        ends = [_train_on(s, data, method, shrink, progress) for s in ends]
         if len(path) + 1 == len(method.shrink) and regions == 2:
             _require_hope(ends, hopeless)  # first steps of a division tell little
-        path.append(drop_inactive(min(ends, key=_told).ranged))
+        path.append(drop_inactive(min(ends, key=_training_error).ranged))
         if shrink == method.shrink[0]:
             starts = ends
-    best = min(ends, key=_told)
+    best = min(ends, key=_training_error)
     stats = {"path": path, "start": best.name, "starts": errors}
     return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
 
 
-@guarded
+@guard_arguments
 def refit_states(
     network: Network, data: Dataset, method: HiddenStates, shrink: float
 ) -> Network:
@@ -121,8 +121,8 @@ def refit_states(
     hidden channels are held to the ranges they had, and to those that they have now.
     Errors are those of `jaxnarx.refinement.refine`.
     """
-    start = ranged(network, data)
-    fit = _trained(start, data, method.max_steps, shrink, None)
+    start = set_ranges(network, data)
+    fit = _train(start, data, method.max_steps, shrink, None)
     found = set_state_ranges(fit.value, data)
     least, most = (
         {key: f(getattr(found, key), getattr(network, key)) for key in keys}
@@ -146,12 +146,12 @@ class _Start:
     error: float
 
 
-def _told(start: _Start) -> tuple[float, float]:
+def _training_error(start: _Start) -> tuple[float, float]:
     """The smaller is the better one."""
     return start.error, float(start.fit.stats["loss"])
 
 
-def _gone_on(
+def _train_on(
     start: _Start,
     data: Dataset,
     method: HiddenStates,
@@ -161,7 +161,7 @@ def _gone_on(
     """Trained on all data with this pull. A network with a larger error than before,
     begun as in use, is none to be used, though the training goes on from it."""
     try:
-        fit = _trained(start.fit.value, data, method.max_steps, shrink, progress)
+        fit = _train(start.fit.value, data, method.max_steps, shrink, progress)
     except (JaxnarxError, np.linalg.LinAlgError):
         return start
     network = set_state_ranges(fit.value, data)
@@ -187,7 +187,7 @@ def _roomy(start: _Start, regions: int) -> _Start:
     return dataclasses.replace(start, fit=dataclasses.replace(start.fit, value=network))
 
 
-def _divided(
+def _divide(
     start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
 ) -> _Start:
     """With one region more, divided where the first steps lead to the smallest error;
@@ -195,12 +195,12 @@ def _divided(
     found = []
     for network in split_candidates(start.fit.value, data):
         try:
-            fit = _trained(network, data, TRIED, method.shrink[0], progress)
+            fit = _train(network, data, TRIED, method.shrink[0], progress)
         except (JaxnarxError, np.linalg.LinAlgError):
             continue
         network = set_state_ranges(fit.value, data)
         found.append(_Start(start.name, fit, network, _error(network, data)))
-    return min(found, key=_told) if found else start
+    return min(found, key=_training_error) if found else start
 
 
 def _starts(
@@ -218,10 +218,10 @@ def _starts(
             continue
         network = state_network(model, data, places, window=method.window)
         try:
-            fit = _trained(network, few, steps, shrink, progress)
+            fit = _train(network, few, steps, shrink, progress)
             for degree in range(2, method.degree + 1):
                 network = increase_degree(fit.value, degree)
-                fit = _trained(network, few, steps, shrink, progress)
+                fit = _train(network, few, steps, shrink, progress)
             network = set_state_ranges(fit.value, few)
             found.append(_Start(name, fit, network, _error(network, few)))
         except (JaxnarxError, np.linalg.LinAlgError) as failure:
@@ -236,7 +236,7 @@ def _error(network: Network, data: Dataset) -> float:
     run = simulate(network, data).value
     if any(bad.any() for bad in run.diverged):
         return np.inf
-    own, records = list(network.modelled), fitting(network, data)
+    own, records = list(network.modelled), match_records(network, data)
     y = np.concatenate([r.y[:, own] for r in records])
     made, scored = np.concatenate(run.outputs), np.concatenate(run.scored)
     if not scored.any(axis=0).all():
@@ -245,7 +245,7 @@ def _error(network: Network, data: Dataset) -> float:
     return float(np.mean((error**2).sum(axis=0) / scored.sum(axis=0) / spread**2))
 
 
-def _trained(
+def _train(
     network: Network,
     data: Dataset,
     steps: int,

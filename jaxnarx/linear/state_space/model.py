@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Complex, Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require
 from jaxnarx.errors import DataError
 
@@ -69,7 +69,7 @@ class StateSpace:
         return float(np.concatenate(squares).mean())
 
 
-@guarded
+@guard_arguments
 def simulate_state_space(
     model: StateSpace, u: Any, x0: Any
 ) -> Float[np.ndarray, "time outputs"]:
@@ -83,7 +83,7 @@ def simulate_state_space(
         return x @ model.c.T + u @ model.d.T + model.output_offset[None]
 
 
-@guarded
+@guard_arguments
 def simulate_states(
     model: StateSpace, u: Any, x0: Any
 ) -> Float[np.ndarray, "time states"]:
@@ -117,7 +117,7 @@ def recursion(
     return q
 
 
-def stabilised(
+def stabilise(
     a: Float[np.ndarray, "states states"], *, integrating: bool = False
 ) -> Float[np.ndarray, "states states"]:
     """`a` with all its eigenvalues inside the unit circle.
@@ -151,7 +151,7 @@ def _radius(pole: float, *, integrating: bool) -> float:
     return min(1 / size if size > 1 else size, 1 - EDGE)
 
 
-def scaled(
+def scale_states(
     model: StateSpace,
     states: Float[np.ndarray, "samples states"],
     form: str,
@@ -167,14 +167,14 @@ def scaled(
     spread = moved.std(axis=1)
     most = float(spread.max())
     spread = np.maximum(spread, LEAST * most) if most > 0 else np.ones(model.order)
-    found = transformed(model, basis * spread[None], mean)
+    found = transform(model, basis * spread[None], mean)
     if form != "modal":
         return found
     # Beside the blocks stands rounding.
     return dataclasses.replace(found, a=np.where(_blocks(model.a), found.a, 0.0))
 
 
-def transformed(
+def transform(
     model: StateSpace,
     basis: Float[np.ndarray, "states states"],
     mean: Float[np.ndarray, " states"],

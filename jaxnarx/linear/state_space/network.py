@@ -15,13 +15,13 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.state_space.model import StateSpace
 from jaxnarx.models import OUTPUT_MARGIN, Network, global_model, hidden_names, ranges
 from jaxnarx.regressors import Variables
-from jaxnarx.simulation import fitting, make_masks, simulate
+from jaxnarx.simulation import make_masks, match_records, simulate
 
 FREE = 8.0
 """Standard deviations a hidden state may reach while it is trained."""
@@ -33,7 +33,7 @@ def products(count: int, degree: int) -> Int[np.ndarray, "terms degree"]:
     return np.array(list(rows), np.int32)
 
 
-@guarded
+@guard_arguments
 def state_network(
     model: StateSpace,
     data: Dataset,
@@ -102,7 +102,7 @@ def _coefficients(
     return theta / gain[own][:, None]
 
 
-@guarded
+@guard_arguments
 def increase_degree(network: Network, degree: int) -> Network:
     """The same network with the products up to a higher degree, coefficients zero."""
     table = products(len(network.variables), degree)
@@ -119,11 +119,11 @@ def increase_degree(network: Network, degree: int) -> Network:
     return dataclasses.replace(network, models=tuple(models))
 
 
-@guarded
+@guard_arguments
 def set_state_ranges(network: Network, data: Dataset) -> Network:
     """The network whose hidden channels are held to the ranges these data drive them
     through, widened as outputs are."""
-    data = fitting(network, data)
+    data = match_records(network, data)
     run = simulate(network, data).value
     # Before a run begins, and behind its last valid sample, nothing is computed.
     masks = make_masks(network, stack_records(data), network.window)

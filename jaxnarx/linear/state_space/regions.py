@@ -30,7 +30,7 @@ from jaxnarx.models import (
     scaled_points,
     weights_at,
 )
-from jaxnarx.simulation import fitting, simulate
+from jaxnarx.simulation import match_records, simulate
 
 STEEPNESS = 2.0
 """Of a gate at first, for one standard deviation of what a leaf is valid for."""
@@ -76,7 +76,7 @@ def pad_models(network: Network, most: int) -> Network:
 
 def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
     """The network with its worst leaf divided, across every axis of the data."""
-    points, wrong = _visited(network, data)
+    points, wrong = _visited_points(network, data)
     first = network.models[0]
     every = weights_at(first, points)
     leaf = int(np.argmax(every @ wrong))
@@ -85,15 +85,15 @@ def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
     spread = np.sqrt(weight @ (z - centre) ** 2 / weight.sum())
     for dim in np.flatnonzero(spread > FLAT).tolist():
         gate = np.eye(len(spread))[dim], centre[dim], STEEPNESS / spread[dim]
-        models = (_divided(model, leaf, *gate) for model in network.models)
+        models = (_divide(model, leaf, *gate) for model in network.models)
         yield dataclasses.replace(network, models=tuple(models))
 
 
-def _visited(
+def _visited_points(
     network: Network, data: Dataset
 ) -> tuple[Float[np.ndarray, "rows dims"], Float[np.ndarray, " rows"]]:
     """Last states and inputs of a free run, and the squared error of all outputs."""
-    data = fitting(network, data)
+    data = match_records(network, data)
     run, own = simulate(network, data).value, list(network.modelled)
     spread = np.concatenate([r.y[:, own] for r in data]).std(axis=0)
     points, wrong = [], []
@@ -108,7 +108,7 @@ def _visited(
     return np.concatenate(points), np.concatenate(wrong)
 
 
-def _divided(
+def _divide(
     model: OutputModel, leaf: int, direction: np.ndarray, border: float, steep: float
 ) -> OutputModel:
     """With a gate in a leaf; the new leaf lies above it."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.linear.state_space.model import StateSpace
@@ -55,7 +55,7 @@ def linear_starts(
             continue
 
 
-@guarded
+@guard_arguments
 def linear_order(data: Dataset, output: str, most: int) -> int | None:
     """The fewest states of a linear model nearly as good as the best of up to `most`.
 

@@ -30,15 +30,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import ROWS_AT_ONCE, accumulate
 from jaxnarx.checks import choice, require, whole
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.state_space.model import (
     StateSpace,
     recursion,
-    scaled,
-    stabilised,
+    scale_states,
+    stabilise,
 )
 from jaxnarx.linear.state_space.regression import Segment, StateRegression, regress
 
@@ -53,7 +53,7 @@ PRIOR = 0.1
 FORMS = ("balanced", "modal")
 
 
-@guarded
+@guard_arguments
 def identify_subspace(
     u: Sequence[Any],
     y: Sequence[Any],
@@ -79,7 +79,7 @@ def identify_subspace(
     return found[order]
 
 
-@guarded
+@guard_arguments
 def subspace_models(
     u: Sequence[Any],
     y: Sequence[Any],
@@ -131,7 +131,7 @@ def subspace_models(
     return models
 
 
-@guarded
+@guard_arguments
 def chain_model(
     u: Sequence[Any],
     y: Sequence[Any],
@@ -164,7 +164,7 @@ def chain_model(
         for a in chains
     ]
     best = chains[int(np.argmin(errors))]
-    return _completed(signals, best, c, prior, np.ones(order), feedthrough=feedthrough)
+    return _complete(signals, best, c, prior, np.ones(order), feedthrough=feedthrough)
 
 
 def _error(
@@ -385,9 +385,9 @@ def _model(
     outputs = signals.width - signals.inputs
     basis = found.vectors[:, :order]
     shifted = np.linalg.lstsq(basis[:-outputs], basis[outputs:], rcond=None)[0]
-    return _completed(
+    return _complete(
         signals,
-        stabilised(shifted, integrating=integrating),
+        stabilise(shifted, integrating=integrating),
         basis[:outputs],
         found.noise / found.spread[:order],
         found.singular,
@@ -397,7 +397,7 @@ def _model(
     )
 
 
-def _completed(
+def _complete(
     signals: _Signals,
     a: Float[np.ndarray, "states states"],
     c: Float[np.ndarray, "outputs states"],
@@ -428,7 +428,7 @@ def _completed(
     plain = StateSpace(
         a, rest.b, rest.state_offset, c, rest.d, rest.output_offset, start, singular
     )
-    model = scaled(_in_units(plain, signals), every, form)
+    model = scale_states(_in_units(plain, signals), every, form)
     numbers = (getattr(model, field.name) for field in dataclasses.fields(model))
     if not all(np.all(np.isfinite(n)) for n in numbers):
         raise DataError(f"the model of order {len(a)} has numbers that are not finite")

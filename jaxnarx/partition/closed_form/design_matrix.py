@@ -105,7 +105,7 @@ class BlockDesign:
     @classmethod
     def of(cls, signals: RunSignals, a: Float[np.ndarray, " _"]) -> "BlockDesign":
         """Without blocks."""
-        target = _grouped([_target(s, a) for s in signals.stretches])
+        target = _group_records([_target(s, a) for s in signals.stretches])
         parts = len(target)
         empty = NormalEquations(
             np.zeros((parts, 0, 0)),
@@ -114,7 +114,7 @@ class BlockDesign:
             np.array([e.shape[1] for e in target], float),
             signals.apart,
         )
-        y = _grouped([_at(s.y[None], s.counted) for s in signals.stretches])
+        y = _group_records([_at(s.y[None], s.counted) for s in signals.stretches])
         own = tuple(e[0] for e in target), tuple(e[0] for e in y)
         return cls(signals, a, (), *own, empty)
 
@@ -321,6 +321,6 @@ def _at(rows: np.ndarray, counted) -> list[np.ndarray]:
     return [rows[:, at] for at in counted]
 
 
-def _grouped(parts: list[list[np.ndarray]]) -> list[np.ndarray]:
+def _group_records(parts: list[list[np.ndarray]]) -> list[np.ndarray]:
     """Of records' groups the groups of all records."""
     return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]

@@ -71,7 +71,7 @@ def _better(design: BlockDesign, loss: float, ridge: float, gates: bool):
         a = design.a.copy()
         a[1:] += own[:order]
         if is_stable(a):
-            tried = design.moved(a, shifted(places, own[order:]))
+            tried = design.moved(a, shift_gates(places, own[order:]))
             after = _loss(tried, ridge)
             if after < loss:
                 return tried, after
@@ -89,7 +89,9 @@ def places_of(design: BlockDesign) -> list[Place]:
     return list(found)
 
 
-def shifted(places: list[Place], step: Float[np.ndarray, " _"]) -> dict[Place, Gate]:
+def shift_gates(
+    places: list[Place], step: Float[np.ndarray, " _"]
+) -> dict[Place, Gate]:
     """Gates moved by changes of borders, then of logarithms of steepness."""
     count = len(places)
     out = {}

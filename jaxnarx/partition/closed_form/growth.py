@@ -110,7 +110,7 @@ def constants(design: BlockDesign) -> list[int]:
     return np.flatnonzero(np.all(rows == 0, axis=1))[:1].tolist()
 
 
-def sized(
+def choose_size(
     design: BlockDesign,
     leaves: tuple[Box, ...],
     ridges: Sequence[float] = COARSE,
@@ -142,7 +142,7 @@ def sized(
     return stage(at)
 
 
-def grown(
+def grow_regions(
     start: GrownStage,
     *,
     max_models: int,
@@ -154,7 +154,7 @@ def grown(
     best = BestStage(0, start.score)
     while best.going and len(stages[-1].leaves) < max_models:
         last = stages[-1]
-        tried = _tried(last, levels, kept)
+        tried = _try_halvings(last, levels, kept)
         if not tried:
             break
         _, n, gate, block = min(tried, key=lambda one: one[0])
@@ -162,13 +162,15 @@ def grown(
         upper, lower = leaf.halved(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
-        stage = sized(last.design.extended(block), leaves, (last.ridge,), search=True)
+        stage = choose_size(
+            last.design.extended(block), leaves, (last.ridge,), search=True
+        )
         best = best.update(len(stages), stage.score, patience)
         stages.append(stage)
     return stages
 
 
-def _tried(stage: GrownStage, levels, kept: dict[Region, Block]):
+def _try_halvings(stage: GrownStage, levels, kept: dict[Region, Block]):
     """Loss of every halving: the chosen columns and all of the new block."""
     at, _ = stage.chosen()
     small, out = stage.design.only(at), []

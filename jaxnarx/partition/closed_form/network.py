@@ -47,7 +47,7 @@ def network_of(
     if len(leaves) == 1:
         model = global_model(pool.factor, theta[0])
     else:
-        model = _divided(signals, leaves, pool, theta)
+        model = _model_of_leaves(signals, leaves, pool, theta)
     return assemble(pool, data, signals.gain, [model])
 
 
@@ -81,7 +81,7 @@ def _with_feedback(signals: RunSignals, factor: np.ndarray, order: int) -> Pool:
     return Pool(variables, rows, pool.channels, pool.outputs)
 
 
-def _divided(
+def _model_of_leaves(
     signals: RunSignals,
     leaves: tuple[Region, ...],
     pool: Pool,

@@ -19,7 +19,12 @@ from jaxnarx.partition.closed_form.gauss_newton import (
     move_feedback_and_gates,
     places_of,
 )
-from jaxnarx.partition.closed_form.growth import Box, GrownStage, grown, sized
+from jaxnarx.partition.closed_form.growth import (
+    Box,
+    GrownStage,
+    choose_size,
+    grow_regions,
+)
 from jaxnarx.partition.closed_form.model import ClosedForm, tame
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
@@ -97,7 +102,7 @@ class ClosedSearch:
         design = design.extended(design.block(()))
         dims = len(signals.scheduling)
         leaf = Box((), np.zeros(dims), np.ones(dims))
-        return sized(design, (leaf,), search=search)
+        return choose_size(design, (leaf,), search=search)
 
     def retuned(
         self, stage: GrownStage, *, gates: bool = False, most: int = 1
@@ -123,7 +128,7 @@ class ClosedSearch:
         gate_of = {old: new[1] for old, new in pairs}
         moved = stage.design.moved(end.a, gate_of)
         leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
-        return sized(moved, leaves, (stage.ridge,), search=True)
+        return choose_size(moved, leaves, (stage.ridge,), search=True)
 
     def constant(self) -> ClosedForm:
         """The mean."""
@@ -184,7 +189,7 @@ class ClosedSearch:
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
             stage = self.root(signals, a)
-            yield self.found(FAMILIES[order], told(memory, a), stage)
+            yield self.found(FAMILIES[order], describe_memory(memory, a), stage)
 
     def polynomials(
         self, orders: dict[int, np.ndarray], degree: int
@@ -204,10 +209,12 @@ class ClosedSearch:
             signals = self.signals(memory, degree)
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a, search=False)
-                name = f"degree {degree}, {told(memory, a)}"
+                name = f"degree {degree}, {describe_memory(memory, a)}"
                 found = self.found("polynomial", name, stage)
                 coarse.append((step, order, found))
-                stage = sized(stage.design, stage.leaves, (stage.ridge,), search=True)
+                stage = choose_size(
+                    stage.design, stage.leaves, (stage.ridge,), search=True
+                )
                 fine.append((step, order, dataclasses.replace(found, stage=stage)))
             step *= 2
         return _ranked(coarse), _ranked(fine)
@@ -241,7 +248,7 @@ class ClosedSearch:
                 root = dataclasses.replace(root, stage=stage)
                 yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
             levels = self.levels(root.stage.design.signals)
-            stages = grown(root.stage, max_models=max_models, levels=levels)
+            stages = grow_regions(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
             if best:
                 for stage in stages[1 : best + 1]:
@@ -313,7 +320,7 @@ def _to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
     return [stages[n] for n in dict.fromkeys((best, max(near))) if n]
 
 
-def told(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
+def describe_memory(memory: Memory, a: Float[np.ndarray, " _"]) -> str:
     """Memory and order in words."""
     return f"order {len(a) - 1}, {memory}"
 

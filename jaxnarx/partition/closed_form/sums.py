@@ -60,7 +60,9 @@ class Sum:
 
     def one_step(self) -> float:
         """One-step NRMSE of the model of all groups."""
-        (ahead,) = zip(*aligned([[part.ahead] for part in self.parts]), strict=True)
+        (ahead,) = zip(
+            *align_errors([[part.ahead] for part in self.parts]), strict=True
+        )
         return root_mean_square(np.mean(ahead, axis=0))
 
     def network(self) -> Network:
@@ -78,7 +80,7 @@ def best_sum(parts: Sequence[Summand], most: int) -> Sum | None:
     """
     if not parts:
         return None
-    errors = aligned([part.left for part in parts])
+    errors = align_errors([part.left for part in parts])
     alone = [_losses(own) for own in errors]
     taken = [int(np.argmin([loss.sum() for loss in alone]))]
     first, best = alone[taken[0]], None
@@ -113,7 +115,9 @@ def _gains(first: np.ndarray, second: np.ndarray, counts: np.ndarray) -> bool:
     return bool(mean > GAIN * np.std(gain, ddof=1) / np.sqrt(len(gain)))
 
 
-def aligned(every: Sequence[Sequence[Errors]]) -> list[list[Float[np.ndarray, " _"]]]:
+def align_errors(
+    every: Sequence[Sequence[Errors]],
+) -> list[list[Float[np.ndarray, " _"]]]:
     """Errors of every candidate, group by group, at the places that all have."""
     common = []
     for groups in zip(*every, strict=True):

@@ -2,8 +2,8 @@
 
 from jaxnarx.refinement._stability._certificate import (
     Certificate,
+    attach_certificate,
     certificate,
-    certified,
     rate_of,
 )
 from jaxnarx.refinement._stability._penalty import (
@@ -32,7 +32,7 @@ __all__ = [
     "Poles",
     "Stability",
     "certificate",
-    "certified",
+    "attach_certificate",
     "find_metric",
     "largest_local_pole",
     "first_horizon",

@@ -64,7 +64,7 @@ def certificate(network: Network) -> Certificate | None:
     return Certificate(whole, rate, overshoot)
 
 
-def certified(network: Network) -> Network:
+def attach_certificate(network: Network) -> Network:
     """The network with its certificate, where one is found."""
     found = certificate(network)
     if found is None:

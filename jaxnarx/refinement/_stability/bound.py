@@ -191,7 +191,7 @@ class _Sites:
         return {k: (float(v[bad].min()), float(v[bad].max())) for k, v in values}
 
 
-def _bound(
+def _find_bound(
     sites: _Sites, interval: Interval, kind: str, limits: bool, last: bool
 ) -> Bound | None:
     """The bound of one kind, outputs that do not touch each other apart.
@@ -262,7 +262,7 @@ def bounds(
     out = []
     for (kind, interval), limits in itertools.product(claims, (True, False)):
         last = kind == claims[-1][0] and not limits
-        found = _bound(sites, interval, kind, limits, last)
+        found = _find_bound(sites, interval, kind, limits, last)
         if found is None:
             continue
         out.append(found)

@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.formatting import page
@@ -20,10 +20,10 @@ from jaxnarx.simulation import (
     Prepared,
     RunInputs,
     Trajectories,
-    begun,
+    begin_hidden,
+    ensure_prepared,
     first_anchor,
-    observed,
-    prepared,
+    observe_hidden,
     simulate,
     states,
 )
@@ -154,7 +154,7 @@ def _own_outputs(
     run again.
     """
     if network.parallel:
-        drive = begun(network, drive, jnp.asarray(masks.start))
+        drive = begin_hidden(network, drive, jnp.asarray(masks.start))
         return np.asarray(states(network, drive, jnp.asarray(first_anchor(masks))))
     y = np.array(drive.measured, np.float64)
     gain = np.asarray(network.gain, np.float64)[np.array(network.signals)]
@@ -163,7 +163,7 @@ def _own_outputs(
     return y.astype(drive.measured.dtype)
 
 
-@guarded
+@guard_arguments
 def stability(
     network: Network,
     data: Dataset | Prepared,
@@ -193,10 +193,10 @@ def stability(
     """
     if samples is not None:
         samples = whole(samples, "samples")
-    runs, origin = prepared(network, data)
+    runs, origin = ensure_prepared(network, data)
     run = simulate(network, runs) if simulated is None else simulated
     matched, masks = origin.matched, origin.masks
-    drive = observed(network, runs.drive)
+    drive = observe_hidden(network, runs.drive)
     own = _own_outputs(network, drive, masks, run.value)
     visited = points_of(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from jaxnarx.arrays import program
 from jaxnarx.models import Network, collapse, collapses, depth, fed_back, monomials
-from jaxnarx.refinement._stability.points import Points, chunked
+from jaxnarx.refinement._stability.points import Points, map_chunks
 
 Interval = tuple[np.ndarray, np.ndarray]
 
@@ -69,7 +69,7 @@ def hull(network: Network, points: Points) -> Interval | None:
     lower, upper = (np.asarray(a, np.float64) for a in (network.lower, network.upper))
     box = [(float(lower[o]), float(upper[o])) for _, o, _ in own]
     low, high = _slopes(monomials(network), box)
-    g = chunked(lambda *p: _collapse(network, *p), points, axis=0)
+    g = map_chunks(lambda *p: _collapse(network, *p), points, axis=0)
     shape = (len(points), g.shape[1], g.shape[1], depth(network))
     centre, radius = np.zeros(shape), np.zeros(shape)
     for e, (_, output, lag) in enumerate(own):

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxnarx.arrays import program
 from jaxnarx.errors import DataError
 from jaxnarx.models import Network, depth, fed_back, sources
-from jaxnarx.refinement.sensitivity import linearised
+from jaxnarx.refinement.sensitivity import linearise_run
 from jaxnarx.simulation import Masks, RunInputs
 
 CHUNK = 1024
@@ -104,7 +104,7 @@ def _fill_hidden(network: Network, v: np.ndarray, x, history: np.ndarray) -> Non
                 x_o[row] = history[:, o, d] * gain[network.signals[o]]
 
 
-def chunked(f, points: Points, *, axis: int) -> np.ndarray:
+def map_chunks(f, points: Points, *, axis: int) -> np.ndarray:
     """`f(v, x, history)` over all points, CHUNK of them at a time, on the host."""
     size = len(points)
     out = []
@@ -118,10 +118,10 @@ def chunked(f, points: Points, *, axis: int) -> np.ndarray:
 @program
 def _jacobians(network: Network, v, x, history):
     own = jnp.ones((history.shape[0], history.shape[2]), bool)
-    return linearised(unlimited(network), v, x, history, own)[0]
+    return linearise_run(without_bounds(network), v, x, history, own)[0]
 
 
-def unlimited(network: Network) -> Network:
+def without_bounds(network: Network) -> Network:
     """The network without its feedback bound."""
     edge = jnp.full_like(network.lower, jnp.inf)
     return eqx.tree_at(lambda n: (n.lower, n.upper), network, (-edge, edge))
@@ -131,7 +131,7 @@ def jacobians(
     network: Network, points: Points
 ) -> Float[np.ndarray, "points outputs outputs depth"]:
     """A at every point, as if no output were limited; host, float64."""
-    return chunked(lambda *p: _jacobians(network, *p), points, axis=0)
+    return map_chunks(lambda *p: _jacobians(network, *p), points, axis=0)
 
 
 def companion(a, xp=np):

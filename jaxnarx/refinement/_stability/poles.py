@@ -14,9 +14,9 @@ from jaxnarx.arrays import program
 from jaxnarx.models import Network, fed_back, scheduling_values
 from jaxnarx.refinement._stability.points import (
     Points,
-    chunked,
     companion,
     jacobians,
+    map_chunks,
     moduli,
     points_of,
 )
@@ -88,7 +88,7 @@ def local_moduli(
 
     `points` carry measured histories. Keys are the models' positions.
     """
-    found = chunked(
+    found = map_chunks(
         lambda *p: _local(network, *p, output=output), points, axis=2
     )  # (models, depth + 1, points)
     out = {}

@@ -146,7 +146,7 @@ class _Cells(NamedTuple):
     block: dict[Effect, Float[np.ndarray, "_ cells"]]
 
 
-def _explained(
+def _explained_squares(
     cells: _Cells, axes: Effect, others: Sequence[Effect]
 ) -> tuple[float, int]:
     """Squares and degrees of freedom of an effect beyond these others.
@@ -312,13 +312,13 @@ def _unbalanced(
     if spare < 1:
         constant, *effects = cells.block.values()
         whole = cells._replace(block={(): constant, (0,): np.vstack(effects)})
-        between, rank = _explained(whole, (0,), [()])
+        between, rank = _explained_squares(whole, (0,), [()])
         spare = len(y) - 1 - rank
     tests = []
     for effect in wanted:
         axes = tuple(group.index(v) for v in effect)
         others = [a for a in cells.block if not set(axes) <= set(a)]
-        squares, freedom = _explained(cells, axes, others)
+        squares, freedom = _explained_squares(cells, axes, others)
         f, p = judge(squares, freedom, total - between, spare, total)
         tests.append(FTest(effect, group, freedom, spare, squares, total, f, p, False))
     return tests

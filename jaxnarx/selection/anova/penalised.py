@@ -68,7 +68,7 @@ def _shortlist(
     rest = [e for e in effects if len(e) > 1]
     if width + sum(sizes(rest, levels)) <= limit:
         return effects
-    gain = _added(codes, levels, y, mains, rest)
+    gain = _add_interactions(codes, levels, y, mains, rest)
     chosen: set[Effect] = set(mains)
     for effect in sorted(rest, key=lambda e: gain[e]):
         [columns] = sizes([effect], levels)
@@ -79,7 +79,7 @@ def _shortlist(
     return [e for e in effects if e in chosen]
 
 
-def _added(
+def _add_interactions(
     codes: Codes,
     levels: dict[int, int],
     y: Float[np.ndarray, " rows"],

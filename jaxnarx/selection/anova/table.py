@@ -207,9 +207,9 @@ def _by_groups(
     testable = sum(t.freedom > 0 for t in tests)
     level = method.significance / (max(testable, 1) if method.familywise else 1)
     found = [
-        _decided(t, t.effect in outcome.kept, max(0.0, 1.0 - _quantile(t, level) / t.f))
+        _decide(t, t.effect in outcome.kept, max(0.0, 1.0 - _quantile(t, level) / t.f))
         if t.f > 0
-        else _decided(t, False, 0.0)
+        else _decide(t, False, 0.0)
         for t in tests
     ]
     return found, outcome.together
@@ -219,7 +219,7 @@ def _quantile(test: FTest, level: float) -> float:
     return float(fdtri(test.freedom, test.spare, 1 - level))
 
 
-def _decided(test: FTest, significant: bool, weight: float) -> EffectTest:
+def _decide(test: FTest, significant: bool, weight: float) -> EffectTest:
     reason = ""
     if test.spare < 1:
         reason = "fewer samples than cells"
@@ -248,7 +248,7 @@ def _by_penalty(
     pairs = zip(found.tests, found.weights.tolist(), strict=True)
     over = "passed over: more columns than the model may have"
     return [
-        *(_decided(t, weight > 0, weight) for t, weight in pairs),
+        *(_decide(t, weight > 0, weight) for t, weight in pairs),
         *(EffectTest(e, reason=over) for e in found.passed_over),
     ], True
 

@@ -107,7 +107,7 @@ def with_options(command: type) -> type:
     made: list[Any] = []
     for field in dataclasses.fields(command):
         if field.name != "method":
-            hint = _explained(hints[field.name], texts[field.name])
+            hint = _annotate(hints[field.name], texts[field.name])
             usual = field.default
             made.append(
                 (field.name, hint)
@@ -120,8 +120,8 @@ def with_options(command: type) -> type:
             made.append((name, _option(command, name, path, base), None))
             if name == "output":
                 made += search_options()
-        made.append(("set", _explained(tuple[str, ...], SET, _SET), ()))
-        made.append(("settings", _explained(str | None, SETTINGS, _FILE), None))
+        made.append(("set", _annotate(tuple[str, ...], SET, _SET), ()))
+        made.append(("settings", _annotate(str | None, SETTINGS, _FILE), None))
     return dataclasses.make_dataclass(command.__name__, made, frozen=True)
 
 
@@ -133,7 +133,7 @@ _SET = arg(metavar="PATH=VALUE [...]", help_behavior_hint="")
 _FILE = arg(metavar="FILE", help_behavior_hint="")
 
 
-def settled(command: type, parsed: Any) -> Any:
+def settle_command(command: type, parsed: Any) -> Any:
     """The command with its `method`, from what was parsed."""
     if command not in OPTIONS:
         return parsed
@@ -146,7 +146,7 @@ def settled(command: type, parsed: Any) -> Any:
         for name, path in OPTIONS[command].items()
         if (value := getattr(parsed, name)) is not None
     }
-    changes |= dict(_assigned(text) for text in parsed.set)
+    changes |= dict(_parse_assignment(text) for text in parsed.set)
     kept = {name: getattr(parsed, name) for name in own if name != "method"}
     if command is Identify:
         told = ["settings"] if parsed.settings is not None else []
@@ -154,7 +154,7 @@ def settled(command: type, parsed: Any) -> Any:
         if not told:
             return command(**kept, method=automatic(parsed))
         refuse_search(parsed, told[0])
-    return command(**kept, method=_changed(command, method, changes))
+    return command(**kept, method=_change_method(command, method, changes))
 
 
 def _base(command: type) -> Identification:
@@ -163,7 +163,7 @@ def _base(command: type) -> Identification:
     return usual if isinstance(usual, Identification) else Identification()
 
 
-def _changed(
+def _change_method(
     command: type, method: Identification, changes: dict[str, Any]
 ) -> Identification:
     """The method under the options, checked as far as can be without data."""
@@ -292,7 +292,7 @@ def _toml(value: Any) -> str:
     return repr(value) if isinstance(value, str) else str(value)
 
 
-def _assigned(text: str) -> tuple[str, Any]:
+def _parse_assignment(text: str) -> tuple[str, Any]:
     """`refine.tolerance=1e-5` as a path and a value."""
     path, sign, value = text.partition("=")
     if not sign:
@@ -361,7 +361,7 @@ def _type(name: str, hint: Any) -> Any:
     return float
 
 
-def _explained(hint: Any, text: str, conf: Any = None) -> Any:
+def _annotate(hint: Any, text: str, conf: Any = None) -> Any:
     """An annotation that carries its own help."""
     kind, *told = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     text = " ".join(text.split())

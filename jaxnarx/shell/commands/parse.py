@@ -7,7 +7,7 @@ import tyro
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import COMMANDS, Command, help_of
-from jaxnarx.shell.commands.flags import settled, with_options
+from jaxnarx.shell.commands.flags import settle_command, with_options
 
 _ABOUT = (
     "Identify engines from measurements: polynomial NARX models, each valid in one "
@@ -30,7 +30,7 @@ def parse(arguments: Sequence[str]) -> Command:
             description=help_of(COMMANDS[name]),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
         )
-        return settled(COMMANDS[name], parsed)
+        return settle_command(COMMANDS[name], parsed)
     if name and not name.startswith("-"):
         raise SpecError(f"there is no command {name!r}. {suggest(name, COMMANDS)}")
     listed: Any = tuple(

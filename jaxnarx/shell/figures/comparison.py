@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import ComparedRecord, ModelComparison, SizeErrors
 from jaxnarx.shell.figures.report import envelope
-from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, styled
+from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, use_style
 
 POINTS = 900
 """Points of a line."""
@@ -17,12 +17,14 @@ LETTERS, SPACE = 125, 7
 """Letters that a row of the legend holds, and those that a line's sample takes."""
 
 
-def compared(found: ModelComparison, records: Sequence[ComparedRecord]) -> Figure:
+def draw_comparison(
+    found: ModelComparison, records: Sequence[ComparedRecord]
+) -> Figure:
     """Records below one another, each measured and simulated by every model.
 
     The legend of a panel tells how well each model fits this record.
     """
-    with styled():
+    with use_style():
         height = 2.3 * len(records) + 0.2
         figure, axes = canvas(9.0, height, rows=len(records))
         for ax, one in zip(axes, records, strict=True):
@@ -64,7 +66,7 @@ def by_size(found: SizeErrors) -> Figure:
     A size of which the free run diverges is a gap.
     """
     panels = ((found.sizes, "number of terms"), (found.operations, "operations"))
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 3.0, columns=2, sharey=True)
         for ax, (x, label) in zip(axes, panels, strict=True):
             for n, (part, free) in enumerate(found.free_run.items()):

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.shell.figures.report import envelope
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, plain, use_style
 
 ROW, MAP = 0.85, 1.45
 """Height in inches of a trace, and of a map of two inputs."""
@@ -54,7 +54,7 @@ def excitation(
     shown = data.channels.all if outputs else inputs
     maps = max(len(inputs) - 1, 1)
     heights = (0.35 + ROW * len(shown), 0.75 + max(MAP * maps, 1.9))
-    with styled():
+    with use_style():
         size = (max(9.0, 1.6 * maps), sum(heights))
         figure = Figure(figsize=size, layout="constrained")
         parts = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)
@@ -139,16 +139,16 @@ def _frequencies(axes: Axes, frequency: np.ndarray) -> None:
 
 def _maps(part: SubFigure, data: Dataset, found) -> None:
     """Lower triangle of pairs; what holds for the whole space stands above."""
-    from jaxnarx.excitation import visited
+    from jaxnarx.excitation import visited_rows
 
     n = len(found.low)
     grid = part.subplots(n - 1, n - 1, squeeze=False)
-    points = _thinned(visited(data))
+    points = _thin(visited_rows(data))
     names = [_two_lines(c) for c in data.channels.inputs]
     counts = _counts(data, found)
-    visited = np.concatenate([c[c > 0] for c in counts.values()])
-    most = int(visited.max(initial=1))
-    norm = LogNorm(min(int(visited.min(initial=1)), most / 2), most)
+    visited_rows = np.concatenate([c[c > 0] for c in counts.values()])
+    most = int(visited_rows.max(initial=1))
+    norm = LogNorm(min(int(visited_rows.min(initial=1)), most / 2), most)
     edges = np.linspace(found.low, found.high, found.coverage.bins + 1)
     for (row, j), axes in np.ndenumerate(grid):
         i = row + 1
@@ -182,11 +182,11 @@ def _maps(part: SubFigure, data: Dataset, found) -> None:
 
 
 def _histogram(part: SubFigure, data: Dataset, found) -> None:
-    from jaxnarx.excitation import visited
+    from jaxnarx.excitation import visited_rows
 
     axes = part.subplots()
     edges = np.linspace(found.low[0], found.high[0], found.coverage.bins + 1)
-    counts = np.histogram(visited(data)[:, 0], edges)[0]
+    counts = np.histogram(visited_rows(data)[:, 0], edges)[0]
     axes.stairs(counts, edges, fill=True, color=BLUE, alpha=0.75)
     share = f"{found.coverage.pairs[0, 0]:.0%} of {found.coverage.bins} parts"
     label = plain(data.channels.inputs[0].label)
@@ -201,9 +201,9 @@ def _whole(found) -> str:
 
 def _counts(data: Dataset, found) -> dict[tuple[int, int], np.ndarray]:
     """Samples per cell of each pair, row of the first input, column of the second."""
-    from jaxnarx.excitation import cells, visited
+    from jaxnarx.excitation import cells, visited_rows
 
-    points, bins = visited(data), found.coverage.bins
+    points, bins = visited_rows(data), found.coverage.bins
     points = points[np.all((points >= found.low) & (points <= found.high), axis=1)]
     cell = cells(points, found.low, found.high, bins)
     return {
@@ -215,7 +215,7 @@ def _counts(data: Dataset, found) -> dict[tuple[int, int], np.ndarray]:
     }
 
 
-def _thinned(
+def _thin(
     points: Float[np.ndarray, "samples inputs"],
 ) -> Float[np.ndarray, "dots inputs"]:
     return points[np.unique(np.linspace(0, len(points) - 1, DOTS).astype(int))]

@@ -15,8 +15,8 @@ from jaxnarx.shell.figures.style import (
     RED,
     canvas,
     plain,
-    styled,
     tone,
+    use_style,
 )
 
 MARKERS = "osD^vP*X"
@@ -42,7 +42,7 @@ def error_over_operations(
     """
     rows = [r | {"size": r[by]} for r in entry["rows"] if r[by] is not None]
     fine = [r for r in rows if r["status"] == "ok" and r["free_run"] is not None]
-    with styled():
+    with use_style():
         figure, (axes,) = canvas(9.0, 3.9)
         families = list(dict.fromkeys(r["family"] for r in _by_number(rows)))
         for n, family in enumerate(families):

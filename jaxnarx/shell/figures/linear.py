@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.linear import Spectra, TransferFunction
-from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, styled
+from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, use_style
 
 Systems = Mapping[str, TransferFunction]
 """Transfer functions by the name they have in the legend."""
@@ -26,7 +26,7 @@ def bode(
     where its magnitude is known to 25 % (one standard deviation); `input` is the place
     of its input.
     """
-    with styled():
+    with use_style():
         figure, (top, bottom) = canvas(6.4, 4.2, rows=2, sharex=True)
         if measured is not None:
             _measured(top, bottom, measured, input, next(iter(systems.values())))
@@ -72,7 +72,7 @@ def poles(systems: Systems) -> Figure:
 
     The panel reaches to 1.6; what lies beyond is counted in the title.
     """
-    with styled():
+    with use_style():
         figure, axes = canvas(4.2, 4.2)
         ax, angle = axes[0], np.linspace(0, 2 * np.pi, 200)
         ax.plot(np.cos(angle), np.sin(angle), color=INK, lw=0.6)
@@ -99,7 +99,7 @@ def _plane(roots: np.ndarray) -> np.ndarray:
 
 def step_responses(systems: Systems, *, length: int | None = None) -> Figure:
     """Unit step responses over time, the static gains dotted."""
-    with styled():
+    with use_style():
         figure, axes = canvas(6.4, 2.8)
         ax = axes[0]
         for n, (name, system) in enumerate(systems.items()):

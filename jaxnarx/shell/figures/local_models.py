@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import LocalBehaviour, local_behaviour
 from jaxnarx.models import Network
-from jaxnarx.shell.figures.style import INK, canvas, plain, styled, tone
+from jaxnarx.shell.figures.style import INK, canvas, plain, tone, use_style
 
 FEW = 4
 """Panels in a row."""
@@ -38,7 +38,7 @@ def local_models(
     }
     panels["slowest time constant [s]"] = [m.time_constant for m in models]
     rows = -(-len(panels) // FEW)
-    with styled():
+    with use_style():
         columns = min(len(panels), FEW)
         two = len(models[0].over) == 2
         height = (2.9 if two else 2.6) * rows

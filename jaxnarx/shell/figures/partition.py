@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.ndimage import distance_transform_edt
 
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, styled, tone
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, tone, use_style
 from jaxnarx.shell.figures.tree import tree
 
 CLOUD = 1500
@@ -35,12 +35,12 @@ def partition(entry: Mapping[str, Any]) -> Figure:
     """
     names = [plain(name) for name in entry["scheduling"]]
     box = np.asarray(entry["ranges"], float).reshape(len(names), 2)
-    sides = _titled(entry)
-    points = _thinned(entry.get("cloud"))
+    sides = _title_sides(entry)
+    points = _thin(entry.get("cloud"))
     drawable = all("weights" in side for _, side in sides)
     if not drawable and "gates" in entry["after"]:
         return tree(entry)
-    with styled():
+    with use_style():
         if drawable and len(names) == 1:
             return _curves(names[0], box[0], sides, points)
         if drawable:
@@ -48,7 +48,7 @@ def partition(entry: Mapping[str, Any]) -> Figure:
         return _spans(entry["scheduling"], box, sides)
 
 
-def _titled(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
+def _title_sides(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
     """Both sides by name; one alone needs none."""
     if "before" not in entry:
         return [("", entry["after"])]
@@ -58,7 +58,7 @@ def _titled(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
     ]
 
 
-def _thinned(cloud: np.ndarray | None) -> np.ndarray | None:
+def _thin(cloud: np.ndarray | None) -> np.ndarray | None:
     if cloud is None or len(cloud) == 0:
         return None
     cloud = np.asarray(cloud, float).reshape(len(cloud), -1)

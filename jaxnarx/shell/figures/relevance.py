@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import Relevance
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, use_style
 
 COLUMNS = 3
 """Panels in a row."""
@@ -23,7 +23,7 @@ def relevance(found: Relevance) -> Figure:
     columns = min(outputs, COLUMNS)
     rows = -(-outputs // columns)
     height = 0.85 + 0.24 * len(found.inputs)
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, max(height, 1.8) * rows, rows=rows, columns=columns)
         for o, ax in enumerate(axes[:outputs]):
             _bars(ax, found, o)

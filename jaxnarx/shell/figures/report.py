@@ -23,7 +23,7 @@ from jaxnarx.shell.figures.style import (
     Powers,
     canvas,
     plain,
-    styled,
+    use_style,
 )
 
 Numbers = Sequence[float | int | None] | np.ndarray
@@ -83,7 +83,7 @@ def measured_and_simulated(
     measurement and of the residual; where the feedback bound acted is shaded.
     """
     gap = measured if scored is None else np.where(scored, measured, np.nan)
-    with styled():
+    with use_style():
         figure, (top, low) = canvas(9.0, 3.4, rows=2, sharex=True, height_ratios=(3, 1))
         if lower is not None and upper is not None:
             _interval(top, time, lower, upper, points, label="90 % interval")
@@ -134,7 +134,7 @@ def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
     """
     columns = min(len(traces), COLUMNS)
     rows = -(-len(traces) // columns)
-    with styled():
+    with use_style():
         share = {"sharey": True}
         figure, axes = canvas(
             9.0, 1.25 * rows + 0.3, rows=rows, columns=columns, **share
@@ -173,7 +173,7 @@ def error_map(value: Any) -> Figure:
         (value.spread, "spread" + unit, {"cmap": "viridis_r"}),
         (counts, "samples", {"cmap": "viridis_r"}),
     )
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 5.6, rows=2, columns=2, sharex=True, sharey=True)
         for ax, (cells, title, look) in zip(axes, panels, strict=True):
             dark = ax.pcolormesh(*value.edges, cells.T, lw=0, **look)
@@ -209,7 +209,7 @@ def error_by_index(value: Any, edges: Sequence[float]) -> Figure:
     bins, border = len(value.rms), list(edges).index(1.0)
     ends = np.arange(bins + 1)
     few = np.isnan(value.rms) & (value.samples > 0)
-    with styled():
+    with use_style():
         figure, (left, right) = canvas(9.0, 2.8, columns=2)
         left.stairs(np.nan_to_num(value.rms), ends, fill=True, color=BLUE, alpha=0.75)
         for n in np.flatnonzero(few):
@@ -237,7 +237,7 @@ def agreement(
 
     The dashed curve is the normal density of the same mean square.
     """
-    with styled():
+    with use_style():
         figure, (left, right) = canvas(9.0, 3.2, columns=2, width_ratios=(1, 1.6))
         if len(measured):
             span = np.array([measured.min(), measured.max()])
@@ -260,7 +260,7 @@ def cumulated_errors(value: Any) -> Figure:
     """Share of the samples over the size of their error, of an `ErrorDistribution`; a
     line marks 95 %, another the tolerance."""
     unit = f" [{plain(value.unit)}]" if value.unit else ""
-    with styled():
+    with use_style():
         figure, (axes,) = canvas(9.0, 2.6)
         axes.plot(value.size, 100 * value.share, color=BLUE)
         axes.plot([value.most] * 2, [0, 95], color=INK, lw=0.8, ls="--")
@@ -289,7 +289,7 @@ def selection_path(
     total = np.cumsum(share) if cumulative is None else np.asarray(cumulative, float)
     left_over = np.where(total < 1, 1 - total, np.nan)
     at = np.arange(len(share))
-    with styled():
+    with use_style():
         columns = 2 if criteria else 1
         height = 1.3 + 0.19 * max(len(names), 6)
         figure, axes = canvas(9.0, height, columns=columns)
@@ -321,7 +321,7 @@ def refinement(history: Sequence[Mapping[str, Any]]) -> Figure:
     loss = np.array([_positive(h.get("loss")) for h in history])
     proof = np.array([_positive(h.get("validation")) for h in history])
     horizon = [_horizon(h) for h in history]
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 2.9, columns=2, sharex=True)
         for i, name in enumerate(dict.fromkeys(horizon)):
             here = np.array([h == name for h in horizon])

@@ -14,7 +14,7 @@ from jaxnarx.evaluation import (
     OperatingPoint,
     OutputDiagnostics,
 )
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, use_style
 
 INPUTS = 4
 """Inputs drawn; the ones that speak loudest."""
@@ -29,7 +29,7 @@ def correlations(one: OutputDiagnostics) -> Figure:
     is the one of its other tests with the least p.
     """
     rows = [_alone(one), *_inputs(one)]
-    with styled():
+    with use_style():
         height = 1.75 * len(rows) + 0.3
         figure, axes = canvas(9.0, height, rows=len(rows), columns=COLUMNS)
         for ax, test in zip(axes, [t for row in rows for t in row], strict=True):
@@ -51,7 +51,7 @@ def free_run(one: FreeRunResiduals) -> Figure:
     tests = [one.autocorrelation, *(t for t in one.inputs if any(t is k for k in loud))]
     columns = min(len(tests), COLUMNS)
     rows = -(-len(tests) // columns)
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 1.9 * rows + 0.3, rows=rows, columns=columns)
         for ax, test in zip(axes, tests, strict=False):
             _panel(ax, test)
@@ -74,7 +74,7 @@ def operating_points(one: OutputDiagnostics) -> Figure | None:
         return None
     columns = min(len(points), COLUMNS)
     rows = -(-len(points) // columns)
-    with styled():
+    with use_style():
         share = {"sharey": True}
         figure, axes = canvas(9.0, 2.3 * rows, rows=rows, columns=columns, **share)
         for ax, point in zip(axes, points, strict=False):

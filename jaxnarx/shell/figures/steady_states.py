@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import Intersection, ResponseSurface
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, styled
+from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, use_style
 
 COLUMNS = 4
 """Panels in a row; more inputs go on below."""
@@ -29,7 +29,7 @@ def intersections(cuts: Sequence[Intersection]) -> Figure:
     columns = min(inputs, COLUMNS)
     each = -(-inputs // columns)
     rows = each * len(outputs)
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 2.0 * rows + 0.3, rows=rows, columns=columns)
         for ax in axes:
             ax.set_axis_off()
@@ -92,7 +92,7 @@ def response_surface(found: ResponseSurface) -> Figure:
 
     Hatched outside of the domain; white where the model does not come to rest.
     """
-    with styled():
+    with use_style():
         figure, (axes,) = canvas(6.4, 4.4)
         lines = {"colors": "white", "linewidths": 0.4, "linestyles": "solid"}
         value = np.ma.masked_invalid(found.value.T)

@@ -65,7 +65,7 @@ _SETTINGS: dict[Any, Any] = {
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def use_style() -> Iterator[None]:
     """Draw inside this: our settings, the caller's back afterwards, no font chatter.
 
     A channel name in a script the drawing font lacks is no fault: the SVG carries text.
@@ -85,7 +85,7 @@ class Drawing(Figure):
 def png(figure: Figure) -> bytes:
     """The figure as a picture, 160 dpi on white."""
     picture = io.BytesIO()
-    with styled():
+    with use_style():
         figure.savefig(picture, format="png", dpi=160, facecolor="white")
     return picture.getvalue()
 
@@ -133,14 +133,14 @@ def plain(text: object, width: int = 48) -> str:
 def svg(figure: Figure) -> str:
     """The figure as SVG text: the same figure gives the same text, without dates."""
     stream = io.StringIO()
-    with styled(), _laid_out(figure):
+    with use_style(), _lay_out(figure):
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         figure.savefig(stream, format="svg", dpi=200, metadata=nothing)
     return stream.getvalue()
 
 
 @contextmanager
-def _laid_out(figure: Figure) -> Iterator[None]:
+def _lay_out(figure: Figure) -> Iterator[None]:
     """Lay out `figure` for SVG; inside this it has no layout engine.
 
     While it has one, `savefig` draws it twice, the first time for its layout only.

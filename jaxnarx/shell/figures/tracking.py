@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.inverse import Tracking
-from jaxnarx.shell.figures.style import CYCLE, INK, canvas, plain, styled
+from jaxnarx.shell.figures.style import CYCLE, INK, canvas, plain, use_style
 from jaxnarx.solution import Solution
 
 SHOWN = 600
@@ -28,7 +28,7 @@ def draw_tracking(
     panels = len(first.targets) + len(first.command_names)
     length = min(SHOWN, len(first.commands[record]))
     time = np.arange(length) * sample_time
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, 1.4 * panels + 0.6, rows=panels, sharex=True)
         for i, name in enumerate(first.target_names):
             ax = axes[i]

@@ -8,7 +8,7 @@ from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, styled
+from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, use_style
 
 ROW = 0.21
 """Height of a line [inch]."""
@@ -37,7 +37,7 @@ def tree(entry: Mapping[str, Any]) -> Figure:
     titles = ["before refinement", "after refinement"] if len(sides) == 2 else [""]
     lists = [branches(side["gates"], np.asarray(side["path"])) for side in sides]
     height = 0.5 + ROW * max(map(len, lists))
-    with styled():
+    with use_style():
         figure, axes = canvas(9.0, height, columns=len(sides), sharex=True, sharey=True)
         for ax, title, rows in zip(axes, titles, lists, strict=True):
             _draw(ax, rows)

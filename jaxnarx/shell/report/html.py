@@ -75,7 +75,7 @@ def render(report: Report) -> str:
     page = environment.get_template("report.html.jinja").render(
         report=report,
         running=live,
-        needed=_needed(report),
+        needed=_needed_inputs(report),
         jumps=_jumps(report),
         verdict=overview(report),
         scores=_scores(report),
@@ -89,7 +89,7 @@ def render(report: Report) -> str:
     return _with_contents(page)
 
 
-def _needed(report: Report) -> list[str]:
+def _needed_inputs(report: Report) -> list[str]:
     """Names of the inputs that a file has to have."""
     channels = getattr(report.network, "channels", None)
     return [] if channels is None else list(channels.input_names)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
-from jaxnarx.errors import DataFileError, reading
+from jaxnarx.errors import DataFileError, guard_reading
 from jaxnarx.evaluation import Report, number, report
 from jaxnarx.identification import (
     VALIDATION,
@@ -17,9 +17,9 @@ from jaxnarx.identification import (
     describe,
     with_group,
 )
-from jaxnarx.models import Network, merged, narrowed, save
+from jaxnarx.models import Network, combine_outputs, drop_outputs, save
 from jaxnarx.shell.messages import say, size
-from jaxnarx.shell.output import write_report, write_text, written_together
+from jaxnarx.shell.output import write_report, write_text, write_together
 
 ORIGIN = "made_from.json"
 CSV = "leaderboard.csv"
@@ -52,7 +52,7 @@ def read_origin(folder: Path) -> Origin:
             f"{ORIGIN}); name them with --description",
             path=path,
         )
-    with reading(path, "the origin of a search", advice="Use --description."):
+    with guard_reading(path, "the origin of a search", advice="Use --description."):
         told = json.loads(path.read_text(encoding="utf-8"))
         root = told.get("root")
         if not (isinstance(told["description"], str) and isinstance(root, str | None)):
@@ -60,7 +60,7 @@ def read_origin(folder: Path) -> Origin:
         return Origin(told["description"], root)
 
 
-def training(split: Split) -> tuple[Dataset, Dataset | None]:
+def search_records(split: Split) -> tuple[Dataset, Dataset | None]:
     """Records of the search, and those for validation, which join them."""
     train = split.train if split.train is not None else split.all
     say(f"{size(train)} for training")
@@ -113,7 +113,9 @@ def rivals(
         same = any(row["used"] and row["linear"] is linear for t in tables for row in t)
         name = f"first {kind} candidate" + same * " of another family"
         some = [found.network(number) for number in numbers]
-        networks[name] = narrowed(some[0] if len(some) == 1 else merged(some))
+        networks[name] = drop_outputs(
+            some[0] if len(some) == 1 else combine_outputs(some)
+        )
     return networks
 
 
@@ -132,7 +134,7 @@ def _first_of(rows: list[dict[str, Any]], linear: bool) -> dict[str, Any] | None
     )
 
 
-def scored(
+def score_model(
     network: Network,
     parts: Mapping[str, Dataset],
     found: SearchFolder,
@@ -178,7 +180,7 @@ def write_run(
 
     Returns the names of the files.
     """
-    with written_together(folder) as place:
+    with write_together(folder) as place:
         save(network, place / "model.safetensors", about=dict(about))
         write_report(result, place)
         if board is not None:

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from jaxnarx.formatting import aligned
+from jaxnarx.formatting import align_columns
 from jaxnarx.identification import Candidate, Leaderboard, describe, figure
 
 TOP = 10
@@ -57,7 +57,7 @@ def table(
     """
     rows = describe(board, output)["rows"]
     shown = rows if top is None else _first(rows, top)
-    text = aligned([HEAD, *map(_cells, shown)], [name in LEFT for name in HEAD])
+    text = align_columns([HEAD, *map(_cells, shown)], [name in LEFT for name in HEAD])
     text[0] = text[0].replace("_", " ")
     marks = [" ", *("*" if r["used"] else " " for r in shown)]
     left = len(rows) - len(shown)

@@ -18,13 +18,13 @@ from jaxnarx.identification import (
     read_search,
     sentences,
 )
-from jaxnarx.models import Network, narrowed
+from jaxnarx.models import Network, drop_outputs
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.description import read_description, tell_findings
-from jaxnarx.shell.exit_code import judged, require_finite
-from jaxnarx.shell.messages import count, first_lines, quoted, say, warn
+from jaxnarx.shell.exit_code import exit_code_of, require_finite
+from jaxnarx.shell.messages import count, first_lines, quote_command, say, warn
 from jaxnarx.shell.next_command import next_search
 from jaxnarx.shell.output import RUN, run_folder, slug
 from jaxnarx.shell.report.page import exported_cost
@@ -33,10 +33,10 @@ from jaxnarx.shell.search.folder import (
     ORIGIN,
     Origin,
     provenance,
-    scored,
+    score_model,
     scored_parts,
+    search_records,
     summary,
-    training,
     write_run,
 )
 from jaxnarx.shell.search.leaderboard import LEGEND, TOP, table
@@ -59,18 +59,18 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         say(f"The records are prepared:\n{told['preparation']}")
     out = command.out or str(Path("runs") / folder_name(command, asked))
     with _search_folder(out, command.force) as folder:
-        train, validation = training(split)
+        train, validation = search_records(split)
         tell_findings(train)
         Origin.of(command.description, command.root).write(folder)
         fit, stopped = _run(asked, train, validation, folder)
-        network, board = narrowed(fit.value), fit.stats["leaderboard"]
+        network, board = drop_outputs(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
-        result = scored(network, parts, read_search(folder), {}, told)
+        result = score_model(network, parts, read_search(folder), {}, told)
         model = str(folder / RUN[0])
         judgement = None if stopped else result.verdict
-        following = quoted(*next_search(command, asked, judgement, model=model))
+        following = quote_command(*next_search(command, asked, judgement, model=model))
         result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about, board)
     say("\n" + first_lines(result))
@@ -78,12 +78,12 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     say(
         f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
     )
-    _tell(board, network, quoted(["jaxnarx", "leaderboard", str(folder)]))
+    _tell(board, network, quote_command(["jaxnarx", "leaderboard", str(folder)]))
     _tell_end(fit, stopped)
     _left(asked, train.channels, network)
     say(f"\nOpen {folder / 'report.html'}")
     say(f"\nNext: {following}")
-    status = judged(result, command.require_fit)
+    status = exit_code_of(result, command.require_fit)
     return 130 if stopped else status
 
 
@@ -120,9 +120,9 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
             with interrupt.last_words(lambda: _kept(folder)):
                 yield folder
         except BaseException as error:
-            if not _tried(folder):
+            if not _count_candidates(folder):
                 _clear(folder)
-            elif isinstance(error, KeyboardInterrupt) or interrupt.asked():
+            elif isinstance(error, KeyboardInterrupt) or interrupt.exit_code_asked():
                 _kept(folder)
             raise
 
@@ -134,7 +134,7 @@ def _clear(folder: Path) -> None:
     shutil.rmtree(folder / CANDIDATES_FOLDER, ignore_errors=True)
 
 
-def _tried(folder: Path) -> int:
+def _count_candidates(folder: Path) -> int:
     """How many candidates the folder holds."""
     try:
         return len(read_search(folder).leaderboard)
@@ -146,7 +146,7 @@ def _run(
     asked: Automatic, train: Dataset, validation: Dataset | None, folder: Path
 ) -> tuple[Solution[Network], bool]:
     """The search, and whether Ctrl-C has ended it."""
-    if there := _tried(folder):
+    if there := _count_candidates(folder):
         say(f"Going on with {count(there, 'candidate')} in {folder}")
 
     def heard() -> None:
@@ -168,7 +168,7 @@ def _run(
 
 
 def _kept(folder: Path) -> None:
-    if there := _tried(folder):
+    if there := _count_candidates(folder):
         say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
 
 

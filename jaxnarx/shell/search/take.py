@@ -12,20 +12,20 @@ from jaxnarx.identification import (
     read_search,
     sentences,
 )
-from jaxnarx.models import Network, merged, narrowed
+from jaxnarx.models import Network, combine_outputs, drop_outputs
 from jaxnarx.shell.commands.search import Leaderboard, Take
 from jaxnarx.shell.description import read_description
-from jaxnarx.shell.exit_code import judged, require_finite
-from jaxnarx.shell.messages import first_lines, next_command, quoted, say
+from jaxnarx.shell.exit_code import exit_code_of, require_finite
+from jaxnarx.shell.messages import first_lines, next_command, quote_command, say
 from jaxnarx.shell.output import RUN, run_folder
 from jaxnarx.shell.search.folder import (
     Origin,
     provenance,
     read_origin,
-    scored,
+    score_model,
     scored_parts,
+    search_records,
     summary,
-    training,
     write_run,
 )
 from jaxnarx.shell.search.leaderboard import LEGEND, table
@@ -63,15 +63,15 @@ def take(command: Take, typed: str) -> int:
     numbers = "-".join(str(row.number) for row in rows)
     out = command.out or f"{str(found.path).rstrip('/')}-{numbers}"
     with run_folder(out, "", force=command.force, marks=RUN) as folder:
-        train, validation = training(split)
+        train, validation = search_records(split)
         parts = scored_parts(train, validation, split.test, network)
         network = attach_domain_and_intervals(
             apply_release_limits(network), parts["train"]
         )
         taken = {row.output: row.number for row in rows}
-        result = scored(network, parts, found, taken, told)
+        result = score_model(network, parts, found, taken, told)
         following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
-        result = dataclasses.replace(result, next_command=quoted(following))
+        result = dataclasses.replace(result, next_command=quote_command(following))
         files = write_run(folder, network, result, about)
     say("\n" + first_lines(result))
     say("\n" + summary(result))
@@ -80,7 +80,7 @@ def take(command: Take, typed: str) -> int:
     say(f"\nwrote {', '.join(files)} to {folder}")
     say(f"\nOpen {folder / 'report.html'}")
     next_command(*following)
-    return judged(result, command.require_fit)
+    return exit_code_of(result, command.require_fit)
 
 
 def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Candidate]:
@@ -103,8 +103,8 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Candidate]:
 
 def _network(found: SearchFolder, rows: Sequence[Candidate]) -> Network:
     networks = [found.network(row.number) for row in rows]
-    whole = networks[0] if len(networks) == 1 else merged(networks)
-    return narrowed(whole)
+    whole = networks[0] if len(networks) == 1 else combine_outputs(networks)
+    return drop_outputs(whole)
 
 
 def _origin(command: Take, found: SearchFolder) -> Origin:

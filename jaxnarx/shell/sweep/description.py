@@ -35,7 +35,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.errors import DataFileError, SpecError, reading, suggest
+from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.settings import Identification, by_path, from_dict, replace_at
 
 SECTIONS = ("data", "identification", "cases", "random")
@@ -96,7 +96,7 @@ def load_sweep(path: Path) -> SweepDescription:
     from jaxnarx.data import load_toml
 
     table = load_toml(path)
-    with reading(path, "a description of a sweep", advice="Correct it."):
+    with guard_reading(path, "a description of a sweep", advice="Correct it."):
         try:
             for key in table:
                 if key not in SECTIONS:

@@ -20,11 +20,11 @@ RECORDS = ("train", "validate", "test")
 def make_fleet(description: SweepDescription) -> Fleet:
     """The fleet of a description: every engine with records for the same parts."""
     if isinstance(description.data, Relatives):
-        return _simulated(description.data)
+        return _simulate(description.data)
     return _read(description.data, description.folder)
 
 
-def _simulated(data: Relatives) -> Fleet:
+def _simulate(data: Relatives) -> Fleet:
     """Engines under the same excitation; one that stalls has no data but a reason."""
     if data.bed not in BEDS:
         raise SpecError(
@@ -76,10 +76,10 @@ def _read(data: Measured, folder: Path) -> Fleet:
         splits[name if name not in splits else f"{name}-{len(splits)}"] = read_split(
             path, root=root
         )
-    return _joined(splits)
+    return _join(splits)
 
 
-def _joined(splits: Mapping[str, Split]) -> Fleet:
+def _join(splits: Mapping[str, Split]) -> Fleet:
     """A fleet whose engines may have different numbers of records in a part."""
     first = next(iter(splits.values()))
     parts = [p for p in RECORDS if getattr(first, p) is not None]

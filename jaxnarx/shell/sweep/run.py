@@ -10,7 +10,7 @@ from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.shell.commands import Sweep
 from jaxnarx.shell.interrupt import last_words
 from jaxnarx.shell.messages import about
-from jaxnarx.shell.output import slug, write_text, written_together
+from jaxnarx.shell.output import slug, write_text, write_together
 from jaxnarx.shell.progress import count, say
 from jaxnarx.shell.sweep.description import load_sweep
 from jaxnarx.shell.sweep.fleet import make_fleet
@@ -61,7 +61,7 @@ def sweep(command: Sweep) -> None:
     for note in solution.stats["notes"]:
         say(f"  note: {note}")
     _tell(solution.value, fleet, work)
-    with written_together(folder) as place:
+    with write_together(folder) as place:
         write_text(place / CSV, sweep_csv(solution.value))
     say(f"\nwrote table.parquet and {CSV} to {folder}")
     crashed = _crashed(solution.value)

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.evaluation import pareto
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.analysis.table import SweepTable
 
 
-@guarded
+@guard_arguments
 def best_per_group(
     table: SweepTable, group: str | Sequence[str], by: str, *, smallest: bool = True
 ) -> SweepTable:
@@ -31,7 +31,7 @@ def best_per_group(
     return table.take(np.array(kept, np.int64))
 
 
-@guarded
+@guard_arguments
 def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
     """The rows that no other beats in all objectives, each to be made small.
 
@@ -45,7 +45,7 @@ def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
     return table.take(chosen[np.argsort(points[chosen, 0], kind="stable")])
 
 
-@guarded
+@guard_arguments
 def summary(table: SweepTable) -> dict[str, int]:
     """How many rows have which status, in the order of the table of statuses."""
     found = table.column("status").tolist()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 from jaxnarx.sweep.analysis.groups import labels
@@ -86,7 +86,7 @@ class Comparison:
     _repr_html_ = page
 
 
-@guarded
+@guard_arguments
 def paired_comparison(
     table: SweepTable,
     *,
@@ -110,7 +110,7 @@ def paired_comparison(
     Pairs of which a row failed are counted apart and take no part in the figures.
     SpecError where labels do not tell rows apart, or no pair is left.
     """
-    before, after, unpaired = _matched(table, pair, factor, levels)
+    before, after, unpaired = _match_rows(table, pair, factor, levels)
     score = np.where(table.okay, table.numbers(by), np.nan)
     x, y = score[before], score[after]
     known = np.isfinite(x), np.isfinite(y)
@@ -152,7 +152,7 @@ def _levels(
     )
 
 
-def _matched(
+def _match_rows(
     table: SweepTable, pair: Sequence[str], factor: str, levels
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"], int]:
     """Rows of both levels with equal labels, and how many are alone."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Shaped
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.formatting import aligned, brief, page, some
+from jaxnarx.formatting import align_columns, brief, page, some
 from jaxnarx.solution import NAMES, OKAY
 
 WIDTH = 100
@@ -47,7 +47,7 @@ class SweepTable:
         place = f" in {self.folder}" if self.folder else ""
         lines = [f"SweepTable: {len(self)} rows{place}"]
         if columns:
-            lines += some(aligned(zip(*columns[:shown], strict=True)), 24)
+            lines += some(align_columns(zip(*columns[:shown], strict=True)), 24)
         if rest := self.names[shown:]:
             lines += textwrap.wrap(f"  and {', '.join(rest)}", WIDTH)
         return "\n".join(lines)

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, SpecError, guard_reading
 from jaxnarx.sweep.folder.files import put
 
 KEY = b"jaxnarx"
@@ -42,7 +42,7 @@ def arrow_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     return pa.table({name: _column(name, v) for name, v in columns.items()})
 
 
-def joined(tables: Sequence[pa.Table]) -> pa.Table:
+def join_tables(tables: Sequence[pa.Table]) -> pa.Table:
     """Tables below one another, their columns united by name."""
     try:
         return pa.concat_tables(tables, promote_options="permissive")
@@ -76,7 +76,7 @@ def read_results(path: Path, digest: str, members: Sequence[int]) -> pa.Table:
     if path.is_symlink() or not path.is_file():
         raise Damaged(f"{path}: it is no file of this folder")
     try:
-        with reading(path, "results of a sweep"):
+        with guard_reading(path, "results of a sweep"):
             data = path.read_bytes()
             mark, table = _parse(data)
     except DataFileError as error:

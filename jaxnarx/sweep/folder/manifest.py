@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnarx.errors import DataFileError, SpecError, reading
+from jaxnarx.errors import DataFileError, SpecError, guard_reading
 from jaxnarx.sweep.folder.files import put
 from jaxnarx.sweep.work import Work
 
@@ -94,7 +94,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataFileError(
             f"{folder} is no run folder of a sweep: it has no {NAME}", path=path
         )
-    with reading(path, "the manifest of a sweep", advice=_ADVICE):
+    with guard_reading(path, "the manifest of a sweep", advice=_ADVICE):
         value = json.loads(path.read_text(encoding="utf-8"))
         if value["format"] == FORMAT:
             manifest = Manifest(value["sweep"], value["about"])
@@ -121,7 +121,9 @@ def require_same(folder: Path, found: Manifest, asked: Manifest) -> None:
     asked = dataclasses.replace(asked, sweep=same)
     if found.digest == asked.digest:
         return
-    told = list(_differences(_told(found.sweep), _told(asked.sweep)))
+    told = list(
+        _differences(_without_digest(found.sweep), _without_digest(asked.sweep))
+    )
     told = told or ["the labels of its members are others"]
     more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
     raise SpecError(
@@ -177,7 +179,7 @@ def _differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
         yield f"{name} was {_short(old)}, is {_short(new)}"
 
 
-def _told(sweep: dict[str, Any]) -> dict[str, Any]:
+def _without_digest(sweep: dict[str, Any]) -> dict[str, Any]:
     """Without the digest of the labels, which tells people nothing."""
     return {name: value for name, value in sweep.items() if name != "labels"}
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import pyarrow as pa
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.sweep.folder.chunks import (
     Damaged,
     arrow_table,
     chunk_name,
     chunk_number,
-    joined,
+    join_tables,
     read_results,
     write_results,
 )
@@ -104,7 +104,7 @@ class RunFolder:
             with contextlib.suppress(Damaged):
                 return self._read(path, range(self.manifest.members))
         try:
-            table = joined([self._chunk(n) for n in self.finished()])
+            table = join_tables([self._chunk(n) for n in self.finished()])
         except Damaged as error:
             raise DataFileError(
                 f"{self.path}: a finished chunk can no longer be used ({error}). Give "
@@ -163,7 +163,7 @@ def open_run(path: Path, asked: Manifest, *, new: bool = False) -> RunFolder:
     return RunFolder(path, found)
 
 
-@guarded
+@guard_arguments
 def find_run(path: Path) -> RunFolder:
     """The folder of a sweep that was begun, to look at."""
     path = path.resolve()

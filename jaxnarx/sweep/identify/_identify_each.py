@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Fleet
 from jaxnarx.settings import Identification
 from jaxnarx.sweep.cases import Case
 from jaxnarx.sweep.identify.work import LANES, IdentificationWork
 
 
-@guarded
+@guard_arguments
 def identify_each(
     fleet: Fleet,
     method: Identification,

@@ -147,6 +147,6 @@ def make_part(padded: Padded, network: Network) -> Part:
     )
 
 
-def stacked(trees: list):
+def stack_lanes(trees: list):
     """Members, or settings, as one tree with a leading axis of lanes."""
     return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *trees)

@@ -48,7 +48,7 @@ def divide(
     ridge = jnp.asarray(settings.growth_ridge)
     if isinstance(grow, Global):
         nowhere = jnp.zeros((1, 0), rows.y.dtype)
-        return _fitted(rows, Gaussians(nowhere, nowhere), jnp.asarray(1), ridge)
+        return _fit(rows, Gaussians(nowhere, nowhere), jnp.asarray(1), ridge)
     k_sigma = jnp.asarray(settings.k_sigma)
     if isinstance(grow, Placed):
         count = jnp.asarray(settings.models)
@@ -56,7 +56,7 @@ def divide(
         placed = place(
             rows.z, rows.weight, active, k_sigma, jnp.asarray(settings.seed), at=grow.at
         )
-        return _fitted(rows, placed, count, ridge)
+        return _fit(rows, placed, count, ridge)
     data = rows.p, rows.z, rows.y, rows.weight
     common = {
         "ridge": ridge,
@@ -85,7 +85,7 @@ def divide(
     return Divided(validity, at.theta[0], at.count[0])
 
 
-def _fitted(
+def _fit(
     rows: GrowthRows,
     validity: Gaussians,
     count: Int[Array, ""],

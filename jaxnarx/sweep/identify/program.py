@@ -71,7 +71,7 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     least = jnp.sum(chosen.used)
     divided = divide(frame.shape, rows, least, settings)
     network = _network(member.network, chosen, divided)
-    trained, start, layout = _refined(frame, member, network, drive, rows, settings)
+    trained, start, layout = _refine(frame, member, network, drive, rows, settings)
     ends = jnp.stack([start, trained.u])
     scores = _scores(member, layout, drive, ends)
     model = layout.place(trained.u).models[0]
@@ -128,7 +128,7 @@ def trainable(network: Network) -> Network:
     return eqx.tree_at(where, tree, [True] * len(where(network)))
 
 
-def _refined(
+def _refine(
     frame: Frame,
     member: Member,
     network: Network,
@@ -160,12 +160,12 @@ def _refined(
         guard,
         judging,
         _weight(judging, guard),
-        *_moving(layout, settings),
+        *_trained_parameters(layout, settings),
     )
     return train(training, u, settings, schedule(refine, frame.shape.steps)), u, layout
 
 
-def _moving(
+def _trained_parameters(
     layout: Layout, settings: Settings
 ) -> tuple[Bool[Array, " params"], Bool[Array, " params"], Bool[Array, ""]]:
     """Which parameters the case trains, which of them come first, and whether that are

@@ -39,7 +39,7 @@ from jaxnarx.refinement import (
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import RunInputs, first_anchor, window_anchors
 from jaxnarx.sweep.identify.engine_data import Part
-from jaxnarx.sweep.identify.score import counted
+from jaxnarx.sweep.identify.score import count_samples
 from jaxnarx.sweep.identify.settings import Settings
 
 FULL = 2**30
@@ -72,7 +72,7 @@ class EngineTraining(eqx.Module):
         anchor, weight = jnp.asarray(first_anchor(part)), self.guard_weight
         start = jnp.asarray(part.start)
         return Validator(
-            self.layout, self.guard, anchor, start, counted(part), weight, own
+            self.layout, self.guard, anchor, start, count_samples(part), weight, own
         )
 
     def problem(self, turn: "Turn", ridge: Float[Array, ""]) -> Problem:
@@ -162,7 +162,7 @@ def train(
         c = jax.lax.cond(
             c.ended & (turn.step > 0),
             lambda: c,
-            lambda: advanced(data, c, turn, settings),
+            lambda: take_turn(data, c, turn, settings),
         )
         reached = c.best.score.loss
         return c, loss.at[at].set(c.state.loss), judged.at[at].set(reached)
@@ -215,7 +215,7 @@ def _shrunk(data: EngineTraining, u: Float[Array, " params"]):
     return factors[n - 1], v, runs
 
 
-def advanced(
+def take_turn(
     data: EngineTraining, c: SearchState, turn: Turn, settings: Settings
 ) -> SearchState:
     """One turn: the first of a stage evaluates its start, the others make a step."""

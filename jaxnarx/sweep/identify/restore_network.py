@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
     AbstractValidity,
@@ -38,7 +38,7 @@ def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
     return Boxes(each, each) if kind == "Boxes" else Gaussians(each, each)
 
 
-@guarded
+@guard_arguments
 def network_of(work: IdentificationWork, row: Row) -> Network:
     """The refined network of a row of this work; `row["engine"]` names the member.
 

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxnarx.argument_checks import guarded
+from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import PARTS, Fleet
 from jaxnarx.models import (
     AbstractValidity,
@@ -40,7 +40,7 @@ LISTS = (
 )
 
 
-@guarded
+@guard_arguments
 def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
     """`train_one_step_start`, ..., `test_free_run`: before and after the refinement."""
     return [f"{p}_{mode}{when}" for p in parts for when in WHEN for mode in MODES]
@@ -71,7 +71,7 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
     """
     count, used = int(outcome.models), np.asarray(outcome.chosen.used)
     index = np.asarray(outcome.chosen.index)[used].tolist()
-    shape = trimmed(outcome.validity, count)
+    shape = trim_validity(outcome.validity, count)
     scheduling = variable_names(pool.channels, network.models[0].scheduling)
     scores: Row = {}
     lost: Row = {}
@@ -125,7 +125,7 @@ def _flat(values: Any) -> list[float]:
     return np.asarray(values, float).reshape(-1).tolist()
 
 
-def trimmed(validity: AbstractValidity, count: int) -> AbstractValidity:
+def trim_validity(validity: AbstractValidity, count: int) -> AbstractValidity:
     """The validity functions of the first `count` models alone."""
     if isinstance(validity, LogSigmoids):
         return validity

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx import metrics
 from jaxnarx.models import Network
-from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, limited, run
+from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, run, where_limited
 from jaxnarx.sweep.identify.engine_data import Part
 
 
@@ -19,7 +19,7 @@ class Score(eqx.Module):
     diverged: Bool[Array, "*rows"]
 
 
-def counted(part: Part) -> Bool[Array, "records time"]:
+def count_samples(part: Part) -> Bool[Array, "records time"]:
     """Samples by which a free run is judged: from its start to the record's end."""
     at = jnp.arange(part.anchors.shape[1])[None]
     start, end = jnp.asarray(part.start), jnp.asarray(part.end)
@@ -45,5 +45,5 @@ def score(
     mask = jnp.where(free, scored, scored & ready[..., None])
     flat = (drive.measured, y, mask)
     value = metrics.nrmse(*(a.reshape(-1, 1) for a in flat))[0]
-    lost = jnp.any(has_diverged(limited(network, y)[..., 0], counted(part)))
+    lost = jnp.any(has_diverged(where_limited(network, y)[..., 0], count_samples(part)))
     return Score(jnp.where(lost, jnp.inf, value), lost)

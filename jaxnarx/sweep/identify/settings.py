@@ -81,7 +81,7 @@ class Shape:
     steps: int
 
 
-def fused(method: Identification) -> bool:
+def is_fused(method: Identification) -> bool:
     """Whether one program does it all."""
     parts = [method.select, method.grow]
     if method.refine is not None:
@@ -113,10 +113,10 @@ def shapes(methods: Sequence[Identification]) -> list[Shape | None]:
     Cases that differ only in what a program takes as arrays share one. Without a
     refinement a case goes with the others' first.
     """
-    mine = [m for m in methods if fused(m)]
+    mine = [m for m in methods if is_fused(m)]
     first = next((m.refine for m in mine if m.refine is not None), None)
     other = first or SimulationError(horizons=())
-    keys = {n: _key(m, other) for n, m in enumerate(methods) if fused(m)}
+    keys = {n: _key(m, other) for n, m in enumerate(methods) if is_fused(m)}
     found: list[Shape | None] = []
     for n in range(len(methods)):
         if n not in keys:

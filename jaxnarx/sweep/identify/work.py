@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnarx.argument_checks import guarded_fields
+from jaxnarx.argument_checks import guard_fields
 from jaxnarx.data import Fleet
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import joint_pool
@@ -22,7 +22,7 @@ from jaxnarx.sweep.identify.engine_data import (
     PreparedMember,
     make_blank,
     prepare,
-    stacked,
+    stack_lanes,
 )
 from jaxnarx.sweep.identify.program import identify_lanes
 from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
@@ -43,7 +43,7 @@ KEPT = 64
 MADE = ("pool", "methods", "shapes", "frames", "settings", "prepared", "labels")
 
 
-@guarded_fields
+@guard_fields
 @dataclasses.dataclass(frozen=True, eq=False)
 class IdentificationWork:
     """Every engine of a fleet under every case.
@@ -199,8 +199,8 @@ class IdentificationWork:
         settings += [spare(s) for s in settings[-1:] if s is not None] * more
         outcome = identify_lanes(
             self.frames[shape],
-            stacked(members),
-            stacked(settings),
+            stack_lanes(members),
+            stack_lanes(settings),
             at_once=self.at_once,
         )
         host = jax.tree.map(np.asarray, jax.device_get(outcome))

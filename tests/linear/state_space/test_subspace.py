@@ -10,7 +10,7 @@ from jaxnarx.linear.state_space.model import (
     StateSpace,
     simulate_state_space,
     simulate_states,
-    stabilised,
+    stabilise,
 )
 from jaxnarx.linear.state_space.regression import Segment
 from jaxnarx.linear.state_space.subspace import (
@@ -166,12 +166,12 @@ def test_poles_come_inside_the_unit_circle():
     a = mix @ a @ np.linalg.inv(mix)
     pair = 0.8 * np.exp(1j * np.array([1, -1]))
     for integrating, slow in ((False, 0.999), (True, 1.0)):
-        found = np.linalg.eigvals(stabilised(a, integrating=integrating))
+        found = np.linalg.eigvals(stabilise(a, integrating=integrating))
         expected = np.sort_complex(np.append(pair, [slow, -0.5, -0.5]))
         # The two at -.5 split by the root of rounding.
         np.testing.assert_allclose(np.sort_complex(found), expected, atol=1e-6)
     delay = np.eye(4, k=1)
-    np.testing.assert_array_equal(stabilised(delay), delay)
+    np.testing.assert_array_equal(stabilise(delay), delay)
 
 
 def test_an_unstable_plant_gives_a_stable_model():

@@ -13,7 +13,7 @@ from jaxnarx.partition.closed_form.gauss_newton import (
     derivatives,
     move_feedback_and_gates,
     places_of,
-    shifted,
+    shift_gates,
 )
 from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
 from jaxnarx.regressors import Variables, polynomial_pool
@@ -33,7 +33,7 @@ def runs_at(design: BlockDesign, theta, parameters, places):
     order = len(design.a) - 1
     a = design.a.copy()
     a[1:] += parameters[:order]
-    moved = design.moved(a, shifted(places, parameters[order:]))
+    moved = design.moved(a, shift_gates(places, parameters[order:]))
     rows = moved.rows()
     return [theta @ own + moved.begun(g) for g, own in enumerate(rows)]
 
@@ -70,7 +70,7 @@ def test_a_step_is_that_of_least_squares_on_everything(some):
 def test_gates_move_with_all_that_stands_behind_them(some):
     """Regions keep their nesting, steps their limits, and leaves their sum."""
     places = places_of(some)
-    gates = shifted(places, np.array([5.0, -0.05, -9.0, 0.3, 7.0, -7.0]))
+    gates = shift_gates(places, np.array([5.0, -0.05, -9.0, 0.3, 7.0, -7.0]))
     borders = [gates[place].border for place in places]
     old = [place[1].border for place in places]
     np.testing.assert_allclose(np.subtract(borders, old), [0.1, -0.05, -0.1])

@@ -16,9 +16,9 @@ from jaxnarx.partition.closed_form.gauss_newton import (
 from jaxnarx.partition.closed_form.growth import (
     Box,
     GrownStage,
+    choose_size,
     constants,
-    grown,
-    sized,
+    grow_regions,
 )
 from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
 from jaxnarx.regressors import Variables, polynomial_pool
@@ -77,14 +77,14 @@ def signals_from(data: Dataset, labels) -> RunSignals:
 def root(signals: RunSignals) -> GrownStage:
     """One region."""
     begun = BlockDesign.of(signals, FEEDBACK)
-    return sized(begun.extended(begun.block(())), (problems.whole(2),))
+    return choose_size(begun.extended(begun.block(())), (problems.whole(2),))
 
 
 @cache
 def stages(kind, most: int = 3) -> tuple[GrownStage, ...]:
     data = data_of(kind)
     start = root(signals_from(data, problems.labels(LABELS, data)))
-    return tuple(grown(start, max_models=most, levels=LEVELS))
+    return tuple(grow_regions(start, max_models=most, levels=LEVELS))
 
 
 def gates(stage: GrownStage) -> list[list[tuple[int, float, int]]]:
@@ -177,10 +177,10 @@ def test_growth_ends_at_its_limit_or_when_nothing_is_left_to_divide():
     assert len(stages(bent)) == 3 and len(stages(bent)[-1].leaves) == 3
     start = stages(bent)[0]
     # Two constants: no halving.
-    assert grown(start, max_models=9, levels=[(0.0,), (1.0,)]) == [start]
-    made = grown(start, max_models=9, levels=[(0.0, 1.0), (0.0, 1.0)])
+    assert grow_regions(start, max_models=9, levels=[(0.0,), (1.0,)]) == [start]
+    made = grow_regions(start, max_models=9, levels=[(0.0, 1.0), (0.0, 1.0)])
     assert 1 < len(made[-1].leaves) <= 4
-    assert grown(start, max_models=1, levels=LEVELS) == [start]
+    assert grow_regions(start, max_models=1, levels=LEVELS) == [start]
 
 
 def test_growth_ends_after_stages_without_gain():
@@ -190,7 +190,7 @@ def test_growth_ends_after_stages_without_gain():
     noise = [dataclasses.replace(r, y=rng.normal(size=r.y.shape)) for r in data]
     noise = dataclasses.replace(data, records=tuple(noise))
     start = root(signals_from(noise, problems.labels(LABELS, noise)))
-    made = grown(start, max_models=20, levels=LEVELS, patience=2)
+    made = grow_regions(start, max_models=20, levels=LEVELS, patience=2)
     best = int(np.argmin([stage.score for stage in made]))
     assert len(made) == best + 3 < 15
 
@@ -209,7 +209,9 @@ def test_order_of_records_does_not_matter(kind):
     order = [2, 0, 3, 1]
     turned = dataclasses.replace(data, records=tuple(data.records[n] for n in order))
     labels = problems.labels([(LABELS[n] + 1) % 3 for n in order], turned)
-    found = grown(root(signals_from(turned, labels)), max_models=3, levels=LEVELS)
+    found = grow_regions(
+        root(signals_from(turned, labels)), max_models=3, levels=LEVELS
+    )
     same(found, stages(kind), np.array([1, 2, 0]))
 
 
@@ -227,5 +229,5 @@ def test_a_long_record_without_outputs_changes_nothing():
     )
     more = dataclasses.replace(data, records=(*data.records, nothing))
     labels = problems.labels((*LABELS, 0), more)
-    found = grown(root(signals_from(more, labels)), max_models=3, levels=LEVELS)
+    found = grow_regions(root(signals_from(more, labels)), max_models=3, levels=LEVELS)
     same(found, stages(bent), np.arange(3))

@@ -6,7 +6,7 @@ import common
 import numpy as np
 import pytest
 
-from jaxnarx.partition.closed_form.sums import Summand, aligned, best_sum
+from jaxnarx.partition.closed_form.sums import Summand, align_errors, best_sum
 
 GROUPS = 4
 AT = tuple(np.arange(200) + 1000 * g for g in range(GROUPS))
@@ -83,7 +83,7 @@ def test_only_places_that_all_have_are_compared():
     mixed = [np.random.default_rng(g).permutation(len(at)) for g, at in enumerate(late)]
     pairs = list(zip(late, short, mixed, strict=True))
     other = part("b", [e[m] for _, e, m in pairs], [at[m] for at, _, m in pairs])
-    first, second = aligned([part("a", one).left, other.left])
+    first, second = align_errors([part("a", one).left, other.left])
     for g, k in itertools.product(range(GROUPS), (0, 1)):
         expected = (one, two)[k][g][g:]
         np.testing.assert_array_equal((first, second)[k][g], expected)

@@ -51,7 +51,7 @@ def running(report: Report) -> Running:
     scripts = []
     told, data = "", "null"
     if report.records:
-        kept = records.chosen(report.records)
+        kept = records.choose_records(report.records)
         told = kept.told
         data = json.dumps(_values(report, kept, program), allow_nan=False)
         scripts = [_library(), *([model_script(program)] if program else []), own()]

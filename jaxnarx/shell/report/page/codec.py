@@ -21,7 +21,7 @@ LARGEST = 8e307
 """Values beyond are taken as this, so that their distances are numbers."""
 
 
-def encoded(
+def encode(
     value: Float[np.ndarray, " samples"], levels: int
 ) -> tuple[bytes, float, float]:
     """Bytes, least value, and distance of the levels (0 of a constant series)."""
@@ -38,14 +38,14 @@ def encoded(
     return b"".join(p.tobytes() for p in planes), low, step if fine else 0.0
 
 
-def packed(
+def pack(
     series: Iterable[tuple[str, int, Float[np.ndarray, " samples"]]], most: int
 ) -> dict[str, Any]:
     """Named series of one length, each with its levels (no more than `most`), as JSON
     values: `text` and `series`."""
     parts, header = [], []
     for name, levels, value in series:
-        part, low, step = encoded(np.asarray(value, float), min(levels, most))
+        part, low, step = encode(np.asarray(value, float), min(levels, most))
         parts.append(part)
         header.append([name, low, step])
     data = zlib.compress(b"".join(parts), 6)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.evaluation import ShownRecord
-from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, packed
+from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, pack
 
 BYTES = 1_900_000
 """All records together, as they stand in the page."""
@@ -35,7 +35,7 @@ class Budget:
     told: str
 
 
-def chosen(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
+def choose_records(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
     """As much of them as fits; the order stays."""
     for levels in (FINE, MIDDLE):
         whole = [_whole(record, levels) for record in records]
@@ -51,7 +51,7 @@ def chosen(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
             told += "the largest errors"
         return Budget(found, told)
     bins = min(BINS, max(limit // (40 * max(len(records), 1)), 8))
-    reduced = [_reduced(record, bins) for record in records]
+    reduced = [_reduce(record, bins) for record in records]
     found, kept = _with(reduced, coarse, records, limit)
     told = (
         f"every sample of the {kept} of {len(records)} records with the largest errors,"
@@ -134,7 +134,7 @@ def numbers(value: Any) -> Any:
 
 
 def _whole(record: ShownRecord, levels: int) -> dict[str, Any]:
-    return _about(record) | {"data": packed(_series(record), levels), "bins": 0}
+    return _about(record) | {"data": pack(_series(record), levels), "bins": 0}
 
 
 def _series(
@@ -156,7 +156,7 @@ def _series(
         yield "i", INDICES, np.minimum(record.index[part], FARTHEST)
 
 
-def _reduced(record: ShownRecord, bins: int) -> dict[str, Any]:
+def _reduce(record: ShownRecord, bins: int) -> dict[str, Any]:
     """Its envelope, residuals among it, and the stretch with the largest error."""
     bins = min(bins, max(len(record) // 2, 1))
     borders = np.linspace(0, len(record), bins + 1).astype(int)[:-1]
@@ -170,10 +170,10 @@ def _reduced(record: ShownRecord, bins: int) -> dict[str, Any]:
         table.append((name, levels, np.stack([low, high], axis=1).ravel()))
     at = _stretch(record)
     return _about(record) | {
-        "data": packed(table, COARSE),
+        "data": pack(table, COARSE),
         "bins": bins,
         "first": at.start,
-        "stretch": packed(_series(record, at), FINE),
+        "stretch": pack(_series(record, at), FINE),
         "length": at.stop - at.start,
     }
 
