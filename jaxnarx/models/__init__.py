@@ -9,9 +9,9 @@ from jaxnarx.models._assemble import ranges as ranges
 from jaxnarx.models._assemble import set_bounds as set_bounds
 from jaxnarx.models._assemble import set_ranges as set_ranges
 from jaxnarx.models._assemble import training_bounds as training_bounds
+from jaxnarx.models._combine_outputs import combine_outputs as combine_outputs
+from jaxnarx.models._combine_outputs import hidden_names as hidden_names
 from jaxnarx.models._total import total as total
-from jaxnarx.models.combine_outputs import combine_outputs as combine_outputs
-from jaxnarx.models.combine_outputs import hidden_names as hidden_names
 from jaxnarx.models.domain import FARTHEST as FARTHEST
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain

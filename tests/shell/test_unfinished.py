@@ -17,11 +17,11 @@ BUSY = """
 import sys, time
 from pathlib import Path
 from jaxnarx.shell import interrupt
-from jaxnarx.shell.output import run_folder, written_together
+from jaxnarx.shell.output import run_folder, write_together
 interrupt.listen()
 out = sys.argv[1] if len(sys.argv) > 1 else None
 with run_folder(out, "engine", force=False, marks=["model"]) as folder:
-    with written_together(folder) as place:
+    with write_together(folder) as place:
         (place / "report").write_text("half")
         print(folder, flush=True)
         time.sleep(100)
