@@ -74,12 +74,13 @@ class Registry(MutableMapping[str, T], Generic[T]):
         return self[name]
 
     def example(self, name: str) -> Callable[..., Any] | None:
-        """What makes the example of a registered one, if it has one."""
+        """The function that makes the example of a registered one, if it has one."""
         return self._examples.get(name)
 
     @property
     def added(self) -> dict[str, T]:
-        """Those that packages and programs have registered; loads the packages."""
+        """The entries that packages and programs have registered; loads the
+        packages."""
         load_packages()
         return {n: v for n, v in self._items.items() if n not in self._own}
 
@@ -120,7 +121,8 @@ def load_packages() -> None:
 
 
 def _home(value: Any) -> tuple[str, ...]:
-    """Where a class, function or module comes from; of a value, its class and parts."""
+    """The module and name of a class, function or module; of a value, its class and
+    parts."""
     if isinstance(value, types.ModuleType):
         return (value.__name__,)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

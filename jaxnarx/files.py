@@ -52,7 +52,7 @@ def encodable(text: str) -> str:
 
 
 def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
-    """What to tell where `path` cannot be written; `kept` is a sentence on the rest."""
+    """The message where `path` cannot be written; `kept` is a sentence on the rest."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     hint = "Free some space" if full else "Make the folder writable"
     return DataFileError(

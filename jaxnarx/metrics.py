@@ -34,7 +34,7 @@ Array = np.ndarray | jax.Array
 
 
 def _compiled(metric: F) -> F:
-    """Of jax arrays as one program, of NumPy's as it is."""
+    """Compile for jax arrays; NumPy's are taken as they are."""
     program = jax.jit(metric)
 
     @functools.wraps(metric)

@@ -76,7 +76,8 @@ class Solution(eqx.Module, Generic[T]):
     detail: str = eqx.field(static=True, default="")
 
     def __str__(self) -> str:
-        """How it ended, then the value as it prints, then figures about the way."""
+        """Tell how it ended, then the value as it prints, then figures about the
+        way."""
         if isinstance(code(self.status), Tracer):
             return repr(self)
         parts = [_describe_ending(self), str(self.value), _figures(self.stats)]

@@ -18,7 +18,7 @@ def column_norm(a: Float[Array, "time terms"]) -> Float[Array, " terms"]:
 def column_scale(
     a: Float[Array, "time terms"], root: Float[Array, " time"], scaling: str
 ) -> Float[Array, " terms"]:
-    """What each column is divided by; one for a column of zeros.
+    """The divisor of each column; one for a column of zeros.
 
     `a` are columns times `root`, the square roots of the weights. `"norm"`: the norm of
     the column of `a`. `"mean"`: the magnitude of the weighted mean (thesis section

@@ -144,7 +144,7 @@ def plan(variables: int, degree: int) -> ContractionPlan:
 def positions(
     factor: Int[np.ndarray, "terms degree"], variables: int
 ) -> Int[np.ndarray, " terms"]:
-    """Where each term stands in the flattened result of `contract`.
+    """The place of each term in the flattened result of `contract`.
 
     Rows need not be sorted; index 0 means "times one".
     """

@@ -41,7 +41,7 @@ Progress = Callable[[dict[str, Any]], None]
 
 
 class AbstractState(eqx.Module):
-    """Where a method stands: the point `u` and its loss.
+    """The state of a method: the point `u` and its loss.
 
     `minimised` is the loss with the regularisation, `gain` its relative decrease by the
     last step. `status` is the code of that of the last step: `ok` where the method has
@@ -66,7 +66,8 @@ class AbstractState(eqx.Module):
 
 
 class AbstractMethod(eqx.Module):
-    """What makes steps: Levenberg-Marquardt, a solver of optimistix or of optax."""
+    """A method that makes steps: Levenberg-Marquardt, a solver of optimistix or of
+    optax."""
 
     @abc.abstractmethod
     def step(self, s: Any) -> Any:
@@ -91,7 +92,7 @@ class ValidationScore(eqx.Module):
 
     @property
     def on_host(self) -> tuple[bool, float]:
-        """As numbers of Python; the smaller is the better one."""
+        """The score as numbers of Python; the smaller is the better one."""
         return bool(self.diverged), float(self.loss)
 
 
@@ -125,7 +126,7 @@ class Incumbents(eqx.Module):
     since: Count
 
     def updated(self, here: ScoredPoint) -> "Incumbents":
-        """With a point that may be the best."""
+        """The incumbents with a point that may be the best."""
         low = here.score.loss <= self.start_loss
         leads = here.score.better(self.lead.score)
         return Incumbents(

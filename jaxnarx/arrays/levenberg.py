@@ -53,7 +53,7 @@ class Linear(eqx.Module):
 
 
 class AbstractProblem(eqx.Module):
-    """What is minimised."""
+    """A problem whose loss is minimised."""
 
     @property
     @abc.abstractmethod
@@ -81,7 +81,7 @@ class AbstractProblem(eqx.Module):
 
 
 class LevenbergState(AbstractState):
-    """Where a search stands. `tried` counts trial runs; `linear.loss` is without the
+    """The state of a search. `tried` counts trial runs; `linear.loss` is without the
     pull, `minimised` with it: that is what falls from step to step.
 
     `status` is `stalled` when the damping has reached its limit, `unidentifiable` when

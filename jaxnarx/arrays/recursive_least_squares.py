@@ -68,7 +68,7 @@ class Recursion(eqx.Module):
 
 
 class RecursionHistory(NamedTuple):
-    """What a recursion leaves behind at every sample."""
+    """Estimates and errors of a recursion at every sample."""
 
     error: Float[Array, " time"]
     coefficient: Float[Array, "time terms"] | None

@@ -106,7 +106,7 @@ class DomainIndex:
 
 @guard_arguments
 def domain(network: Network, data: Dataset | Prepared) -> Solution[DomainIndex]:
-    """How far every sample of these records is outside of the network's training.
+    """Tell how far every sample of these records is outside of the network's training.
 
     Args:
         network: A model with a domain: one of `identify`, or of

@@ -291,7 +291,8 @@ def _value(network, layout, labels: Labels, noise: OutputNoise, begin, spread, l
 
 
 def _status(network, task, y, total, noise, used, stats: dict[str, Any]):
-    """How the estimate stands, the gravest trouble first, and one sentence about it."""
+    """The status of the estimate, the gravest trouble first, and one sentence about
+    it."""
     held = (y <= np.asarray(network.lower)) | (y >= np.asarray(network.upper))
     names, scored = network.output_names, task.masks.scored
     for o, name in enumerate(names):

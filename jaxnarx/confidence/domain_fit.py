@@ -117,7 +117,7 @@ def used_inputs(network: Network) -> tuple[int, ...]:
 def feature_rows(
     features: Variables, data: Dataset, groups: Groups | None
 ) -> InputRows:
-    """Of all valid samples; before a filter has been fed as it is at rest."""
+    """Features of all valid samples; before a filter has been fed it is at rest."""
     batch, used = stack_records(data), tuple(dict.fromkeys(s for s, _ in features))
     length = batch.valid.shape[1]
     own = np.array(used)
@@ -138,8 +138,8 @@ def feature_rows(
 def measure_influence(
     network: Network, data: Dataset, used: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, " used"], float]:
-    """How far the free run follows each input, the most important one, and how long
-    it remembers them [samples].
+    """The influence of each input on the free run, a share of the largest, and how long
+    the run remembers inputs [samples].
 
     An input counts by the change of the run when it alone is moved in time by half of
     its record; what a run remembers is what is left of such a change of all inputs
@@ -192,7 +192,7 @@ def _changes(
 
 
 def _shares(weight: Float[np.ndarray, " used"]) -> Float[np.ndarray, " used"]:
-    """Of the largest one; all alike where the run follows none."""
+    """Shares of the largest one; all alike where the run follows none."""
     most = weight.max()
     return weight / most if most > 0 else np.ones_like(weight)
 
@@ -309,8 +309,8 @@ def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time laye
 
 
 def _border(domain: Domain, rows: InputRows) -> Float[np.ndarray, " layers"]:
-    """Where every layer has its border, so that of the samples left out 95 % are
-    inside of all. Without groups, where the training itself reaches."""
+    """The border of every layer, so that 95 % of the samples left out are inside of
+    all. Without groups, where the training itself reaches."""
     values = fold_layers(domain, rows)
     if rows.group.max(initial=-1) < 1:
         reach = values.max(axis=0)

@@ -26,7 +26,7 @@ FEWEST = 200
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ErrorRows:
-    """What errors are told by, at the samples of `rows`, for one output."""
+    """The variables of the error model at the samples of `rows`, for one output."""
 
     z: Float[np.ndarray, "variables time"]
     error: Float[np.ndarray, " time"]
@@ -93,7 +93,7 @@ def fit_error_model(
 
 
 def _groups(network: Network, data: Dataset) -> Groups | None:
-    """What is left out together, if there is more than one."""
+    """Groups that are left out together, if there is more than one."""
     try:
         return make_groups(data, gap=network.before)
     except DataError:
@@ -236,7 +236,8 @@ def _cross_validate(parts, whole, ridge) -> float:
 def _quantiles(
     relative: Float[np.ndarray, " time"], weight: Float[np.ndarray, " time"]
 ) -> Float[np.ndarray, " levels"]:
-    """Of errors in their size, every group as much as any other."""
+    """Quantiles of errors in units of their expected size, every group as much as any
+    other."""
     order = np.argsort(relative)
     share = np.cumsum(weight[order]) / weight.sum()
     at = np.searchsorted(share, LEVELS).clip(max=len(order) - 1)

@@ -18,7 +18,7 @@ from jaxnarx.simulation import RunInputs, states
 
 
 class Sums(NamedTuple):
-    """What a dataset says about the parameters, summed over time and records.
+    """Sums over time and records that hold what a dataset says about the parameters.
 
     With J_t = S_t, masked and weighted: `bread` is sum w J'J over all outputs, `meat`
     for each output the sum of squares of w J behind the filter of the noise, `state`

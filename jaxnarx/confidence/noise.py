@@ -23,7 +23,8 @@ class OutputNoise(NamedTuple):
     freedom: Float[np.ndarray, " outputs"]
 
     def less(self, parameters: Float[np.ndarray, " outputs"]) -> "OutputNoise":
-        """With so many parameters of each output estimated from the same samples.
+        """The noise when so many parameters of each output were estimated from the same
+        samples.
 
         Variances become sums of squares over max(n - p, 1).
         """

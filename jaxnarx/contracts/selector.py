@@ -34,8 +34,8 @@ def chooses_rows_of_its_columns(selector: Selector) -> None:
 
 
 def finds_what_the_output_is_made_of(selector: Selector) -> None:
-    """Of independent candidates without much noise the true ones are among those
-    chosen, and not everything is chosen."""
+    """Find the true ones among independent candidates without much noise, and not
+    choose everything."""
     found = np.asarray(selector(*_problem())).tolist()
     assert {2, 5} <= set(found) and len(found) < TERMS
 

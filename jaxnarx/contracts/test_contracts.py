@@ -33,7 +33,7 @@ def of_engine(name: str) -> tuple[Any, ...]:
 
 
 def of_example(registry: Registry[Any], name: str) -> Any:
-    """What the example of an extension makes."""
+    """The object that the example of an extension makes."""
     example = registry.example(name)
     if example is None:
         pytest.fail(f"{name!r} is registered without the example that its checks need")

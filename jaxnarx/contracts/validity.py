@@ -57,7 +57,8 @@ def samples_do_not_know_one_another(validity: AbstractValidity, dims: int) -> No
 
 
 def derivatives_are_central_differences(validity: AbstractValidity, dims: int) -> None:
-    """By the trained fields and by the place; piecewise constant ones have zeros."""
+    """Derivatives by the trained fields and by the place; piecewise constant ones have
+    zeros."""
     if not validity.trained:
         return
     models, rng = models_of(validity, dims), np.random.default_rng(4)

@@ -12,7 +12,7 @@ from jaxnarx.formatting import page
 
 @dataclasses.dataclass(frozen=True)
 class Delay:
-    """From one input to one output: the dead time of the response.
+    """The dead time of the response of one output to one input.
 
     `samples` and `seconds` are None where nothing is clear. `correlation` is that of
     the fitted response with what other inputs leave of the output; its sign is that of

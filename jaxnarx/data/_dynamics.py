@@ -47,7 +47,7 @@ _COARSER = 8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Answer:
-    """What one output answers to one input, other inputs taken into account.
+    """The response of one output to one input, other inputs taken into account.
 
     `share` is the part of the output's variance, less what other inputs explain, that
     the free run explains; `clear` says whether that is more than chance. The fit counts
@@ -85,7 +85,8 @@ class Answer:
 
     @property
     def correlation(self) -> float:
-        """Of the answer with the output, less what other inputs explain; signed."""
+        """The correlation of the response with the output, less what other inputs
+        explain; signed."""
         gain = float(np.sum(self.fit.impulse()))
         return float(np.copysign(np.sqrt(max(self.share, 0.0)), gain))
 
@@ -112,7 +113,7 @@ class Dynamics:
     reach: int
 
     def __getitem__(self, pair: tuple[int, int]) -> Answer | None:
-        """Of (input, output)."""
+        """The response of (input, output)."""
         return self.answers.get(pair)
 
 
@@ -176,7 +177,7 @@ def _grid(top: float) -> list[float]:
 
 
 class _Fitting:
-    """What is left of the outputs while answers are fitted in turn."""
+    """The rest of the outputs while responses are fitted in turn."""
 
     def __init__(self, parts: list[Piece], reach: int, times: list[float]):
         # no level counts: without the pieces' own, small moves keep all their digits
@@ -288,7 +289,7 @@ def _chance(s: Float[np.ndarray, " time"], e: Float[np.ndarray, " time"]) -> flo
 def joint_response(
     parts: list[Piece], reach: int
 ) -> list[Float[np.ndarray, "inputs outputs _"]]:
-    """What each input contributes to each output, for every piece.
+    """The contribution of each input to each output, for every piece.
 
     One least-squares problem for all inputs, so that what correlated inputs have in
     common is divided among them: impulse responses that are constant between the lags

@@ -32,7 +32,7 @@ SHORTEST = 10
 
 @dataclasses.dataclass(frozen=True)
 class Fold:
-    """What is trained on while one group is left out, and what is judged then."""
+    """The training data without one group, and the samples that judge then."""
 
     name: str
     train: Dataset
@@ -41,7 +41,7 @@ class Fold:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Groups:
-    """What of a dataset is left out together.
+    """Groups of a dataset that are left out together.
 
     `names` says it to people, one for each group: `"day1_a, day1_b"`, `"rows 0 to 204
     of r0"`. `labels` holds the group of every sample of every record, -1 in the gap
@@ -73,7 +73,7 @@ class Groups:
         return tuple(np.split(every, edges[:-1])), apart
 
     def left_out(self, g: int) -> tuple[Bool[np.ndarray, " _"], ...]:
-        """For every record the samples that train nothing while group `g` is left out:
+        """The samples of every record that train nothing while group `g` is left out:
         its own, and the gaps beside them."""
         return tuple(_left_out(label, g) for label in self.labels)
 
@@ -145,7 +145,7 @@ def groups(
     folds: int = 5,
     gap: int = 0,
 ) -> Groups:
-    """What of `data` is left out together.
+    """Find the groups of `data` that are left out together.
 
     Named groups stay as they are, and records that none names are put into others.
     Without names, records that repeat each other's inputs

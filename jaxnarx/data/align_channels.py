@@ -62,7 +62,7 @@ def in_units(data: Dataset, channels: Channels) -> Dataset:
 
 
 def _conversion(channel: Channel, own: Channels) -> Conversion:
-    """From the data's unit of a channel to the model's."""
+    """The conversion from the data's unit of a channel to the model's."""
     require_known(
         channel.name,
         own.names,

@@ -84,7 +84,7 @@ class Channels:
 
     @property
     def measured(self) -> "Channels":
-        """Those that records hold."""
+        """The channels that records hold."""
         return dataclasses.replace(self, hidden=()) if self.hidden else self
 
     @property

@@ -1,4 +1,4 @@
-"""Checks of single samples and channels: constant, copied, stuck, outlying, missing."""
+"""Check of single samples and channels: constant, copied, stuck, outlying, missing."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -315,7 +315,7 @@ def _median5(p: Float[np.ndarray, " more"]) -> Float[np.ndarray, " time"]:
 
 
 def _hampel(x, candidates, spread):
-    """Those of the candidate rows that are outlying within their own window."""
+    """The candidate rows that are outlying within their own window."""
     centre = np.clip(candidates, 7, len(x) - 8)
     window = x[centre[:, None] + np.arange(-7, 8)[None]]
     middle = np.median(window, axis=1)

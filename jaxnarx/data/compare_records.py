@@ -132,7 +132,7 @@ class Blocks:
 
     @classmethod
     def of(cls, data: Dataset) -> "Blocks":
-        """Of every record."""
+        """The values of every record."""
         unit = unit_of(*(r.signals.T for r in data)).astype(np.float64)
         low, high = np.stack([_limits(r, unit) for r in data], axis=1)
         blocks = [_averages(r, unit) for r in data]
@@ -239,8 +239,8 @@ class _Beside:
         return self._scaled(j, moves, slopes) if moves > 0 else None
 
     def _scaled(self, j: int, moves: float, slopes) -> Suspicion | None:
-        """By the factor of its movement, or of its level where that says the same and
-        is known the better."""
+        """The suspicion of a factor: that of the movement, or of the level where both
+        say the same and it is known the better."""
         says, level = self.says[j], self.level[j]
         stands_out = abs(np.log(moves)) > _least(np.log(slopes))
         ordinary = abs(np.log(self.said[j] / self.usually_said[j]))

@@ -31,7 +31,8 @@ _WHILE = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
 
 @dataclasses.dataclass(frozen=True)
 class Cut:
-    """From `first` up to `stop` seconds, or while `column` is beyond `level`."""
+    """A cut of a record: from `first` up to `stop` seconds, or while `column` is beyond
+    `level`."""
 
     text: str
     first: float = 0.0

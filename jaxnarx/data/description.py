@@ -54,7 +54,7 @@ class Description:
 
     @property
     def asked(self) -> Asked:
-        """What readers are told."""
+        """The settings that readers are given."""
         return Asked(self.layout, self.table, self.sample_time)
 
     @property

@@ -148,7 +148,7 @@ def read_files(
 
 
 def file_layout(path: Path) -> CsvLayout:
-    """How a CSV file is written, as far as it can be found out."""
+    """Find out how a CSV file is written, as far as it can be."""
     if path.suffix.lower() not in (".csv", ".txt"):
         return CsvLayout()
     with guard_reading(path, "CSV"):
@@ -272,7 +272,7 @@ def _once(notes: list[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _cut(source: Source, cut: Cut, step: float, table: Table) -> list[Source]:
-    """What is cut from a source, by time or by a column of its table."""
+    """Cut a source, by time or by a column of its table."""
     trigger = None
     if cut.column:
         column = table.columns[cut.column]

@@ -43,7 +43,7 @@ class Padded:
         return Padded(self.signals[at], self.valid[at], self.length[at], names)
 
     def widened(self, records: int, time: int) -> "Padded":
-        """With room for more records, and longer ones."""
+        """The part with room for more records, and longer ones."""
         more_records = records - self.signals.shape[1]
         more_time = time - self.signals.shape[2]
         wide = ((0, 0), (0, more_records), (0, 0), (0, 0))

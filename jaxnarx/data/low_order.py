@@ -81,7 +81,8 @@ class LowOrderFit:
         return np.concatenate([np.zeros(self.dead_time), np.asarray(answer)[1:]])
 
     def answer(self, u: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
-        """What `u` contributes to the output; before its beginning `u` was at rest."""
+        """The contribution of `u` to the output; before its beginning `u` was at
+        rest."""
         late = np.concatenate([np.full(self.dead_time, u[0]), u])[: len(u)]
         parts = zip(self.gains, self.system, strict=True)
         return np.asarray(sum(g * filter_signal(late, f) for g, f in parts))

@@ -106,7 +106,8 @@ def _cycle(first: int, shifts: dict[int, dict[int, int]], data: Dataset) -> Cycl
 
 
 def _courses(data: Dataset) -> tuple[list[InputCourse], int]:
-    """What is compared of each record, none without moving inputs, and its thinning."""
+    """The courses that are compared of each record, none without moving inputs, and
+    their thinning."""
     from scipy.fft import next_fast_len
 
     every = -(-max(map(len, data), default=0) // ROWS)

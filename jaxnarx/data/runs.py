@@ -34,7 +34,7 @@ Looked = Sequence[tuple[Mapping[str, Float[np.ndarray, " rows"]], Mapping[str, s
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What becomes one record: a file, or what of it.
+    """A part of a file, or all of it, that becomes one record.
 
     `member` stands for the `#` in the names of numbered columns, `span` is a part of
     the time, as in a description.
@@ -51,7 +51,7 @@ class Run:
 
     @property
     def behind(self) -> str:
-        """What a description says behind the file."""
+        """The text behind the file's name in a description."""
         cut = f"{MARK}{self.member}" if self.member else self.span
         return f" @ {cut}" if cut else ""
 
@@ -63,7 +63,7 @@ class Run:
         return "" if self.member.isdigit() else self.member
 
     def place(self) -> tuple:
-        """Where it stands in order."""
+        """The place of the run in order."""
         number = int(self.member) if self.member.isdigit() else -1
         return (self.file, number, self.member)
 
@@ -100,7 +100,7 @@ def _dataset(
 def find_odd(
     runs: Sequence[Run], channels: Sequence[ChannelGuess], looked: Looked
 ) -> dict[Run, str]:
-    """What seems wrong with the unit of a channel of some record."""
+    """Find what seems wrong with the unit of a channel of some record."""
     used = [c for r in ("input", "output") for c in channels if c.role == r]
     outputs = sum(c.role == "output" for c in used)
     names = {run.name: run for run in runs}

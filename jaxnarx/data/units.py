@@ -95,13 +95,14 @@ _KNOWN = {
 
 
 def bare(unit: str) -> str:
-    """Without brackets and what else only surrounds it."""
+    """The unit without brackets and what else only surrounds it."""
     text = unit.strip().strip("[]()").strip()
     return text.replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}")
 
 
 def conversion(old: str, new: str) -> Conversion | None:
-    """From one unit to another; None where they do not measure the same for certain."""
+    """The conversion from one unit to another; None where they do not measure the same
+    for certain."""
     old, new = bare(old), bare(new)
     if old == new:
         return Conversion(1.0, 0.0)

@@ -90,7 +90,7 @@ serves plans of about the same size."""
 
 
 def _pad_segments(plan: AprbsPlan) -> AprbsPlan:
-    """With segments behind the end, which have no effect. On the host."""
+    """Add segments behind the end, which have no effect. On the host."""
     hold = np.array(plan.hold)
     # The last segment lasts to the end: said outright, else a pad segment would begin.
     hold[-1] += np.maximum(plan.length - hold.sum(axis=0), 0)

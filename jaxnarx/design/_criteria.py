@@ -64,7 +64,8 @@ def objective(
     reference: Float[Array, "samples outputs params"],
     method: OptimalDesign,
 ) -> Float[Array, ""]:
-    """What `adjust` minimises: -log det M/p, log tr M^-1, or log of G's variance."""
+    """The criterion that `adjust` minimises: -log det M/p, log tr M^-1, or log of G's
+    variance."""
     found = criteria(slope, reference, power=method.power)
     if method.criterion == "D":
         return -found.log_det / slope.shape[-1]

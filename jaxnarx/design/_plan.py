@@ -208,7 +208,7 @@ class Maker:
         return np.all(room[:, self.lead :] > 0, axis=(1, 2))
 
     def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
-        """What the network shows of tests, on the host; always of as many."""
+        """The view of tests by the network, on the host; always of as many."""
         count = CANDIDATES * SCREENED if len(tests) > CANDIDATES else CANDIDATES
         seen = watch(self.view, jax.device_put(_fill_up(tests, count)))
         return Seen(*(np.asarray(a)[: len(tests)] for a in seen))
@@ -343,7 +343,7 @@ def _training_range(network: Network) -> tuple[Float[np.ndarray, " inputs"], ...
 
 
 def _between(known: Space, space: Space, share: float) -> Space:
-    """From the first to the second space, by a share up to one."""
+    """Move from the first to the second space, by a share up to one."""
     share = min(share, 1.0)
     low, high = (
         a + share * (b - a)

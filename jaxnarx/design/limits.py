@@ -28,7 +28,7 @@ class InputComparison:
     number: float
 
     def holds(self, u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "*rows"]:
-        """Where it does."""
+        """Whether the comparison holds, point by point."""
         x = u[..., self.column]
         return x > self.number if self.above else x < self.number
 
@@ -65,7 +65,7 @@ class PlanLimits:
         y: Float[np.ndarray, "*rows outputs"],
         margin: Float[np.ndarray, "*rows outputs"],
     ) -> Float[np.ndarray, "*rows outputs"]:
-        """How far inside their nearest limit outputs are with a margin around them,
+        """The room of outputs with a margin around them to their nearest limit,
         negative beyond it; infinite without a limit, negative where not finite."""
         limited = np.isfinite(self.lowest) | np.isfinite(self.highest)
         room = np.minimum(y - self.lowest, self.highest - y) - margin

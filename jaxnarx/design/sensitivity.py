@@ -17,7 +17,7 @@ from jaxnarx.models import Network, OutputModel, run_record, scheduling_values
 
 
 class AbstractSensitivity(eqx.Module):
-    """What an experiment shows about a model's parameters."""
+    """Sensitivities of an experiment's outputs to a model's parameters."""
 
     @abc.abstractmethod
     def __call__(
@@ -138,7 +138,7 @@ def rest_run(
 def _prepend_inputs(
     network: Network, inputs: Float[Array, "time inputs"], lead: int
 ) -> Float[Array, "samples inputs"]:
-    """With the first inputs before them."""
+    """Put the first inputs before them."""
     before = max(lead, network.history)
     return jnp.concatenate([jnp.tile(inputs[:1], (before, 1)), inputs])
 

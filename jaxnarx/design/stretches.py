@@ -25,8 +25,8 @@ AGAIN = 20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Space:
-    """Where inputs may go, how fast by sample, which have two levels alone, and which
-    combinations are allowed."""
+    """The space of inputs: ranges, slopes by sample, which have two levels alone, and
+    which combinations are allowed."""
 
     low: Float[np.ndarray, " inputs"]
     high: Float[np.ndarray, " inputs"]

@@ -67,17 +67,17 @@ class View(eqx.Module):
 
     @property
     def terms(self) -> int:
-        """Of the error."""
+        """The terms of the error."""
         return len(_factors(len(self.table) // 2))
 
     def seen(self, u: Float[Array, "time inputs"]) -> Seen:
-        """Of a test that begins at rest."""
+        """The view of a test that begins at rest."""
         network = self.sensitivity.network
         y = rest_run(network, u, self.sensitivity.lead) * _gain(network)[None]
         return Seen(y, self.features(u), self.index(u))
 
     def features(self, u: Float[Array, "time inputs"]) -> Float[Array, "features time"]:
-        """Those of the domain."""
+        """The features of the domain."""
         at, time = jnp.arange(u.shape[0]), self.sensitivity.network.sample_time
         return record_columns(u, None, at, self.domain.features, time)
 
@@ -184,7 +184,7 @@ def gains(
     u: Float[Array, "tests time inputs"],
     at: Int[Array, " rows"],
 ):
-    """What every test tells beyond information L L', by kind, and its rows."""
+    """The gain of every test beyond information L L', by kind, and its rows."""
 
     def one(u):
         rows = view.slopes(u, at), view.errors(u, at)

@@ -221,7 +221,7 @@ def diesel_margins(
     *,
     ambient: Float[Array, ""],
 ) -> dict[str, Float[Array, ""]]:
-    """How far inside the limits of section 1.7 of the bed's specification [O].
+    """Margins to the limits of section 1.7 of the bed's specification [O].
 
     `smoke`: `oxygen_ratio` lambda_O at least 1.2. `turbo`: at most 12500 rad/s.
     `surge`: `compressor` flow at least 0.05 kg/s wherever `pressure` exceeds 1.5 times

@@ -84,7 +84,7 @@ class AbstractEngine(eqx.Module):
     def margins(
         self, carry: PyTree[Float[Array, "..."]], inputs: Float[Array, " inputs"]
     ) -> dict[str, Float[Array, ""]]:
-        """How far inside each limit the engine is at the start of an event.
+        """Margins of the engine to each limit at the start of an event.
 
         Negative, or NaN, where the limit is broken. Only the sign is comparable between
         limits.

@@ -77,7 +77,8 @@ TORQUE_EVENTS = 2
 
 
 class Drive(NamedTuple):
-    """What is imposed on the engine; an entry that is `None` takes care of itself.
+    """Inputs that are imposed on the engine; an entry that is `None` takes care of
+    itself.
 
     `duty` of the air bleed valve [-]. `pulse` width of the injector [ms], else the
     stoichiometric feed-forward. `spark` advance [deg BTDC], else the default schedule.

@@ -108,13 +108,13 @@ class PfiDyno(AbstractEngine):
         return self.engine.balance(_drive(inputs))
 
     def rest(self, inputs: Float[Array, " inputs"]):
-        """What `advance` carries at rest: see `settled_bench`."""
+        """The state that `advance` carries at rest: see `settled_bench`."""
         return self.settled_bench(self.steady_state(inputs), inputs)
 
     def settled_bench(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
     ):
-        """What `advance` carries when `state` has been there for long.
+        """The state that `advance` carries when `state` has been there for long.
 
         In this order: states, reading of the air-fuel ratio, speed of the last event
         [rpm], delay lines of duty, indicated torque [Nm] and air-fuel ratio.

@@ -24,7 +24,7 @@ LINEAR = 0.97  # of ambient pressure; above, flow through the throttle is linear
 
 
 class VctDrive(NamedTuple):
-    """What is imposed on the engine.
+    """Inputs that are imposed on the engine.
 
     `throttle` [deg]; `cam` retard command [deg]; `speed` [rpm]; `ratio`, the A/F that a
     feed-forward from the present air flow injects for; `fuel` flow [g/s], which
@@ -375,7 +375,7 @@ def vct_excitation(key: PRNGKeyArray, length: int) -> Float[Array, "time inputs"
 def vct_margins(
     pressure: Float[Array, ""], cam: Float[Array, ""], ratio: Float[Array, ""]
 ) -> dict[str, Float[Array, ""]]:
-    """How far the model is inside its validity [O].
+    """Margins of the model to the end of its validity [O].
 
     `mixture`: the measured A/F `ratio` inside 11.7 to 17.8. `vacuum`: `pressure` at
     least 0.25 bar. `cam`: at most 20 deg below 0.30 bar.

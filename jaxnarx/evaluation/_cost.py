@@ -39,8 +39,9 @@ NAMES = {
 
 @dataclasses.dataclass(frozen=True)
 class Operations:
-    """How many of each. A subtraction and a change of sign are additions; a root is an
-    exponential; the smaller or larger of two values and a choice are comparisons."""
+    """Numbers of operations by kind. A subtraction and a change of sign are additions;
+    a root is an exponential; the smaller or larger of two values and a choice are
+    comparisons."""
 
     multiplications: int = 0
     additions: int = 0
@@ -162,7 +163,7 @@ def _cost(
     sizes: tuple[int, int, int],
     outputs: dict[str, Cost],
 ) -> Cost:
-    """Of these operations, by their purpose."""
+    """The cost of these operations, by their purpose."""
     ops = (program.ops[n] for n in values)
     counts = collections.Counter(
         (op.purpose, NAMES[op.kind]) for op in ops if op.kind in NAMES

@@ -70,7 +70,7 @@ class ErrorMap:
         return pooled_rms(self.rms[seen], self.samples[seen])
 
     def __str__(self) -> str:
-        """Where the error is largest, in words."""
+        """Tell where the error is largest."""
         if self.worst is None:
             return ""
         i, j = self.worst
@@ -96,7 +96,7 @@ def error_map(
     over: Sequence[str] | None = None,
     output: str | None = None,
 ) -> ErrorMap:
-    """Where in the operating range the free run of one output errs.
+    """Map the error of one output's free run over the operating range.
 
     Args:
         network: The model.

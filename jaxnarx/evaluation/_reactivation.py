@@ -25,7 +25,7 @@ def reactivation(
     active: Bool[Array, " models"] | Bool[np.ndarray, " models"],
     z: Float[np.ndarray, "points dims"],
 ) -> Float[np.ndarray, " models"]:
-    """How much weight each local model gets back behind another one; 0 is none.
+    """The weight that each local model gets back behind another one; 0 is none.
 
         r_m = max over j, z of  phi_m(z) - phi_m(c_j) / (phi_m(c_j) + phi_j(c_j)) ,
 
@@ -50,7 +50,8 @@ def _rise(
     active: Bool[np.ndarray, " models"],
     z: Float[np.ndarray, "points dims"],
 ) -> Float[np.ndarray, "models models points"]:
-    """What model m has at each point behind model j, less its share at c_j; else 0."""
+    """The weight of model m at each point behind model j, less its share at c_j; else
+    0."""
     centre = np.asarray(validity.centre, float)
     weight = np.exp(-2 * np.asarray(validity.log_width, float))
     # All points in one call: compilation is what it costs.

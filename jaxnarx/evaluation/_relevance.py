@@ -43,7 +43,7 @@ class Relevance:
 
     @property
     def table(self) -> str:
-        """By output, the error without each input, the one missed most first."""
+        """The error without each input by output, the one missed most first."""
         lines = []
         for o, output in enumerate(self.outputs):
             lines.append(

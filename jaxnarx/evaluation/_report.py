@@ -32,7 +32,8 @@ from jaxnarx.models import Network, describe_policies
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Report:
-    """How good a network is and where, as host values; `print` shows the table.
+    """The quality of a network, over all records and by region, as host values; `print`
+    shows the table.
 
     `main` names the part the verdict rests on: `"test"` when there is one, else the
     last part. `traces`, `residuals`, `maps` and `beside` belong to it. `verdict` sums
@@ -114,7 +115,7 @@ class Report:
 
     @property
     def policies(self) -> tuple[str, ...]:
-        """What the model does beyond its training, as sentences made from it."""
+        """The model's behaviour beyond its training, as sentences made from it."""
         network = self.network
         return describe_policies(network) if isinstance(network, Network) else ()
 

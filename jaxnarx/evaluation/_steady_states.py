@@ -95,7 +95,7 @@ def steady_states(
     uncertainty: Any = None,
     longest: int = LONGEST,
 ) -> SteadyStates:
-    """Where the free run comes to rest when the inputs are constant.
+    """Find where the free run comes to rest when the inputs are constant.
 
     Every point is a run of its own that begins at the outputs `start` and goes on until
     the output has settled: less than 1/1000 of its trained range is left to go. What is
@@ -156,7 +156,7 @@ def _into(
 
 
 def _index(network: Network, data: Dataset) -> Float[np.ndarray, " points"] | None:
-    """Of the domain at the last sample of every run."""
+    """The domain index at the last sample of every run."""
     if network.domain is None:
         return None
     return np.array([one[-1] for one in domain(network, data).value.index])

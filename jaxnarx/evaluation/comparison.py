@@ -123,7 +123,7 @@ def compare(
 
 
 def _samples(network: Network, data: Dataset, channel: Channel) -> list[ScoredSamples]:
-    """Of one output, record by record."""
+    """Samples of one output, record by record."""
     place = network.output_names.index(channel.name)
     run = simulate(network, data).value
     return collect(data, network.output_channels, run)[place]

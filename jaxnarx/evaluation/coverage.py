@@ -32,7 +32,7 @@ normal error needs 1.64."""
 
 @dataclasses.dataclass(frozen=True)
 class IntervalCoverage:
-    """What the intervals of one output hold of the samples of a part.
+    """The share of the samples of a part that the intervals of one output hold.
 
     `held` is the share inside, which should be `level`; `half` is half their width in
     the mean and `rmse` the error, in the unit of the output; `chance` is how far below
@@ -71,7 +71,7 @@ class IntervalCoverage:
 def interval_runs(
     network: Any, parts: Mapping[str, Dataset | Prepared], free: Mapping[str, Any]
 ) -> dict[str, Intervals]:
-    """By part, around the free runs at hand; empty without an error model."""
+    """Intervals around the free runs at hand, by part; empty without an error model."""
     known = isinstance(network, Network) and network.errors is not None
     if not known or network.domain is None:
         return {}
@@ -114,7 +114,8 @@ def coverage(
 
 
 def _chance(inside: list[Bool[np.ndarray, " samples"]]) -> float:
-    """How far the share inside may lie below what it is to be, by chance over records.
+    """The distance by which the share inside may lie below its level by chance over
+    records.
 
     Errors of a record are not independent: its share counts as one, weighted by its
     samples, with the quantile of Student's distribution.
@@ -130,7 +131,8 @@ def _chance(inside: list[Bool[np.ndarray, " samples"]]) -> float:
 
 
 def coverage_notes(lines: Iterable[IntervalCoverage], main: str) -> list[str]:
-    """What the main part's intervals hold, and where that is too little."""
+    """Notes on the share that the main part's intervals hold, and where it is too
+    small."""
     own = [line for line in lines if line.part == main]
     if not own:
         return []

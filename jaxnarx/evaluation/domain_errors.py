@@ -57,7 +57,8 @@ class ErrorByIndex:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DomainErrors:
-    """Where a report's parts leave the domain of the network, and what that costs.
+    """The errors of a report's parts outside of the network's domain, beside those
+    inside.
 
     `outside` is the share of the samples of every part; `excursions` are the farthest
     stretches of the main part, and `errors` its free-run error by the index.
@@ -71,7 +72,7 @@ class DomainErrors:
 def domain_indices(
     network: Any, parts: Mapping[str, Dataset | Prepared]
 ) -> dict[str, DomainIndex]:
-    """By part; empty of a network that knows no domain."""
+    """Domain indices by part; empty of a network without a domain."""
     if not isinstance(network, Network) or network.domain is None:
         return {}
     return {part: domain(network, data).value for part, data in parts.items()}

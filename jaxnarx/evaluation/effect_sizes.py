@@ -33,7 +33,7 @@ class ErrorBeside:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """Of one output on the main part, in free run.
+    """The size of an effect on one output's free run over the main part.
 
     `explained` is the share of its variance (R2), `beside` what other models leave,
     `trained` the NRMSE as a multiple of that on training data, `outside` the error
@@ -94,7 +94,7 @@ def _comparisons(
     own: list[ScoredSamples],
     others: Mapping[str, list[tuple[Channel, list[ScoredSamples]]]],
 ) -> Iterable[ErrorBeside]:
-    """With every other model that has this output and stays bounded."""
+    """Comparisons with every other model that has this output and stays bounded."""
     for name, run in others.items():
         samples = next((s for c, s in run if c.name == output), None)
         if samples is None:

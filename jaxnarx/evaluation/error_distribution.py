@@ -60,7 +60,8 @@ class ErrorDistribution:
 def error_distribution(
     channel: Channel, free: list[ScoredSamples], tolerance: float | None
 ) -> ErrorDistribution | None:
-    """Of one output; None where no record that stayed bounded counts."""
+    """The distribution of one output's errors; None where no record that stayed bounded
+    counts."""
     errors = [
         np.abs(one.measured - one.predicted)[one.scored]
         for one in free

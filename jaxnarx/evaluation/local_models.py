@@ -145,7 +145,7 @@ def _behaviour(
     names: list[str],
     place: Float[np.ndarray, "points dims"],
 ) -> LocalBehaviour:
-    """From the slopes of one local model at its own points."""
+    """The behaviour of one local model, from its slopes at its own points."""
     own = [
         (row, lag)
         for row, output, lag in fed_back(network.variables, network.signals)

@@ -130,7 +130,7 @@ def _side(free: list[list[ScoredSamples]], n: int, what: str) -> np.ndarray:
 def _begins(
     network: Any, data: Dataset | Prepared, run: Any
 ) -> tuple[list[int], list[Float[np.ndarray, "begin computed"] | None]]:
-    """Where free runs begin, and what they begin from."""
+    """The samples at which free runs begin, and what they begin from."""
     if not isinstance(network, Network):
         known = dataset_of(data)
         return [0] * len(known), [None] * len(known)

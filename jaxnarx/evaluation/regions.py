@@ -23,7 +23,7 @@ FINENESS = {1: 401, 2: 161}
 def describe_partition(
     network: Any, *, start: Any | None = None, data: Dataset | None = None
 ) -> dict[str, dict[str, Any]]:
-    """By output, what is needed to draw its partition, whatever its class.
+    """Describe the partition of every output for drawing, whatever its class.
 
     - `validity`: the name of the class of validity function;
     - `scheduling`: names of the variables; `ranges`: (low, high) of each in training;

@@ -57,7 +57,8 @@ OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
 
 @runtime_checkable
 class Reportable(Protocol):
-    """What a report is made of: a `Network`, or what can be run and shown as one."""
+    """A model that can be reported: a `Network`, or what can be run and shown as
+    one."""
 
     @property
     def channels(self) -> Any: ...
@@ -294,7 +295,8 @@ def _diagnostics(
 def _gains(
     network: Any, data: Dataset, chosen: Diagnostics | bool, tested: Diagnostics | None
 ) -> tuple[GainFinding, ...]:
-    """Those of the diagnostics; of hidden states, which have none, checked here."""
+    """Gains of the diagnostics; with hidden states, which have none, they are checked
+    here."""
     if tested is not None:
         return tested.gains
     wanted = chosen is True and isinstance(network, Network)
@@ -372,7 +374,8 @@ def _pooled_rows(main: str, run: OtherRuns) -> tuple[Row, ...]:
 def _rows(
     part: str, outputs: tuple[Channel, ...], runs: dict[str, list[list[ScoredSamples]]]
 ) -> list[Row]:
-    """By output, then record, then mode, so that modes stand beside one another."""
+    """Rows by output, then record, then mode, so that modes stand beside one
+    another."""
     rows = []
     for o, channel in enumerate(outputs):
         by_mode = [score(part, mode, channel, run[o]) for mode, run in runs.items()]

@@ -62,7 +62,7 @@ class Row:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScoredSamples:
-    """What one output of one record did: measurement beside the model's answer."""
+    """Measured and predicted samples of one output of one record."""
 
     record: str
     measured: Float[np.ndarray, "time 1"]

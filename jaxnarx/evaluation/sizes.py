@@ -135,7 +135,8 @@ def _first(network: Network, selection: Any, size: int) -> Network:
 
 
 def _scale(network: Network, selection: Any, o: int) -> Float[np.ndarray, " terms"]:
-    """What turns coefficients for the selection's gains into those for the network's.
+    """The factors that turn coefficients for the selection's gains into those for the
+    network's.
 
     A term of signals scaled by g has the coefficient theta / g_y prod g.
     """

@@ -45,7 +45,8 @@ class Summary:
     worst_place: tuple[str, ...]
 
     def lines(self, width: int = 88) -> list[str]:
-        """As text: the verdict, then a hanging paragraph for each of the answers."""
+        """The summary as text: the verdict, then a hanging paragraph for each of the
+        answers."""
         more = f"and {self.more} more" if self.more else ""
         told = {
             "why": [*self.why, *([more] if more else [])],
@@ -72,7 +73,7 @@ def _printable(text: str) -> str:
 
 
 def summary(report: Any) -> Summary:
-    """Of a `Report`."""
+    """Summarise a `Report`."""
     found: Verdict = report.verdict
     causes = tuple(reason.text for reason in found.findings)
     return Summary(

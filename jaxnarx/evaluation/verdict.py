@@ -133,7 +133,8 @@ class Verdict:
 
     @property
     def helps(self) -> str:
-        """What helps against the worst reason; empty where there is none."""
+        """The measure that helps against the worst reason; empty where there is
+        none."""
         known = SEARCHED if self.searched else REMEDIES
         return known[self.remedy] if self.findings else ""
 
@@ -146,7 +147,8 @@ class Verdict:
 
 @runtime_checkable
 class Scored(Protocol):
-    """What a verdict rests on; a `Report` is one, and tells what these are."""
+    """The figures that a verdict rests on; a `Report` has them, and tells what these
+    are."""
 
     @property
     def outputs(self) -> tuple[Channel, ...]: ...
@@ -257,7 +259,8 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[Reason]:
 
 
 def _unexplained_share(where: str, nrmse: float) -> str:
-    """What the free run leaves of the variance; of more than all no share is told."""
+    """The share of the variance that the free run leaves; above one no share is
+    told."""
     text = f"the free run of {where} is worse than the mean"
     if nrmse < WORTHLESS:
         text = f"the free run leaves {nrmse**2:.0%} of the variance of {where}"
@@ -309,7 +312,7 @@ def _compare_with_linear(report: Scored) -> Iterator[Reason]:
 
 
 def _memory(report: Scored) -> Iterator[Reason]:
-    """What the poles and the contraction bound say."""
+    """The reasons from poles and the contraction bound."""
     found = report.stability
     if found is None:
         return
@@ -324,7 +327,7 @@ def _memory(report: Scored) -> Iterator[Reason]:
 
 
 def _region(report: Scored, row: Any) -> str:
-    """Where a local model leads, if that is known."""
+    """The region in which a local model leads, if that is known."""
     for one in report.regions:
         if (one.output, one.model) == (row.output, row.model) and one.region:
             return f"{one.region}; "
@@ -332,7 +335,7 @@ def _region(report: Scored, row: Any) -> str:
 
 
 def _data(report: Scored, rows: list[Row]) -> Iterator[Reason]:
-    """What the figures were measured on."""
+    """The data that the figures were measured on, in words."""
     if any("EQUALS ESTIMATION" in note for note in report.notes):
         text = "it was judged on records that it was trained on"
         yield Reason(LIMITED, text, "test")
@@ -357,7 +360,7 @@ def _intervals(report: Scored) -> Iterator[Reason]:
 
 
 def _remarks(report: Scored) -> Iterator[str]:
-    """What to look at and what says nothing against the model."""
+    """Remarks on what to look at and what says nothing against the model."""
     for one in report.coverage:
         # Of training data they hold more: errors are smaller there.
         if one.part == report.main != "train" and one.is_wide:
@@ -387,7 +390,7 @@ def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _held_out_error(report: Scored) -> str:
-    """What the records left out say where there are no test data."""
+    """The error on records left out, where there are no test data."""
     told = [
         f"{output} {row['free_run']:.3g}"
         for output, row in _in_use(report)

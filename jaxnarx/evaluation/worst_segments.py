@@ -55,7 +55,7 @@ class ErrorStretch:
 
     @property
     def unusual(self) -> str:
-        """What was unusual, in words; empty where nothing was."""
+        """The unusual of the segment in words; empty where nothing was."""
         told = []
         if self.index is not None and self.index > 1:
             told.append(f"index {self.index:.3g} by {self.layer} of {self.channel}")
@@ -156,7 +156,7 @@ def _mean_square(
 def _regions(
     network: Any, data: Dataset | Prepared, o: int, peaks: list[tuple[int, int]]
 ) -> list[str]:
-    """Where the local model that leads at each peak is valid; empty with one alone."""
+    """The region of the local model that leads at each peak; empty with one alone."""
     nothing = [""] * len(peaks)
     if not isinstance(network, Network) or not peaks:
         return nothing

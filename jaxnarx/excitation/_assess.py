@@ -174,7 +174,8 @@ def coverage(
     bins: int = 10,
     names: Sequence[str] | None = None,
 ) -> Coverage:
-    """What `points` visit of the box from `low` to `high`, in the units of the inputs.
+    """The coverage of the box from `low` to `high` by `points`, in the units of the
+    inputs.
 
     Cells are equal parts of the box, closed below, the last one above too. Coverage
     grows with the number of points whatever the signal: compare records of about the

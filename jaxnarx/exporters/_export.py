@@ -71,7 +71,7 @@ class Exported:
 
     @property
     def operations(self) -> int:
-        """Of one sample."""
+        """The operations of one sample."""
         return self.program.operations
 
     @property
@@ -234,7 +234,7 @@ def _write_and_prove(
 
 
 def _explain_failures(found: Exported, network: Network, data: Dataset) -> Exported:
-    """With the cause of what failed in single precision, as far as it is known."""
+    """Add the cause of what failed in single precision, as far as it is known."""
     failed = {
         name: f"{text}. {cause(network, data)}" if name.endswith("single") else text
         for name, text in found.failed.items()

@@ -224,7 +224,7 @@ class _Lowering:
         return value if lag == 0 else self._lagged(base, lag, value)
 
     def _base(self, kind: str, signal: int) -> str:
-        """What is kept of a signal is called."""
+        """The name of what is kept of a signal."""
         channels = (*self.network.channels.inputs, *self.network.channels.outputs)
         return f"{kind}_{identifier(channels[signal].name)[:24]}_{signal}"
 
@@ -300,8 +300,8 @@ class _Lowering:
         return b.clip(value, low, high), b.no(inside)
 
     def _limited(self, acted: list[Value]) -> list[Value]:
-        """Where the bound acted on an output or on any hidden channel, which enters
-        all outputs; then of every hidden channel alone."""
+        """Flags of the bound on an output or on any hidden channel, which enters all
+        outputs; then of every hidden channel alone."""
         count = len(self.network.modelled)
         hidden = acted[count:]
         return [self.b.largest([one, *hidden]) for one in acted[:count]] + hidden
@@ -404,8 +404,8 @@ class _Lowering:
     # limits ------------------------------------------------------------------------
 
     def _extrapolated(self) -> Value:
-        """Where a signal that a term or the scheduling looks at leaves its range, or is
-        missing."""
+        """The flag of a signal in a term or in the scheduling that leaves its range, or
+        is missing."""
         b, found = self.b, []
         rows = dict.fromkeys(row for table in self._all_tables() for row in table)
         for s, lag in rows:

@@ -144,7 +144,7 @@ def a2ltool() -> str | None:
 
 
 def complaints(text: str) -> list[str]:
-    """What a2ltool's output says against a file: it ends with 0 either way."""
+    """The complaints in a2ltool's output about a file: it ends with 0 either way."""
     return re.findall(r"(?im)^.*\b(?:error|warning|problem|invalid)\b.*$", text)
 
 

@@ -10,7 +10,7 @@ from jaxnarx.exporters.form import Op, SampleProgram, Value
 
 @dataclasses.dataclass(frozen=True)
 class Syntax:
-    """How a language writes a source, an operation and an assignment.
+    """The syntax of a language: a source, an operation and an assignment.
 
     `source` is by kind, a function of what names it; `operation` by kind, with {0}, {1}
     and {2} for the values it takes; `number` writes a constant, `assign` with {name}
@@ -25,7 +25,7 @@ class Syntax:
     statement: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def value(self, op: Op, n: Value) -> str:
-        """What stands for a value where it is used."""
+        """The text of a value where it is used."""
         if op.kind == "const":
             return self.number(op.source)
         if op.kind in self.source:
@@ -65,7 +65,7 @@ def statements(
 
 
 def symbol_of(program: SampleProgram, n: Value, syntax: Syntax) -> str:
-    """What stands for value `n`."""
+    """The text of value `n`."""
     return syntax.value(program.ops[n], n)
 
 

@@ -8,7 +8,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werr
 
 
 def compilers() -> tuple[str, ...]:
-    """Those that are here, the system's own first, each once."""
+    """The compilers of this machine, the system's own first, each once."""
     found: dict[str, str] = {}
     for path in filter(None, map(shutil.which, ("cc", "gcc", "clang"))):
         found.setdefault(os.path.realpath(path), path)

@@ -60,7 +60,7 @@ def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
 
 
 def map_names(program: SampleProgram) -> dict[Port, str]:
-    """How the map of an output is called."""
+    """The names of an output's map and its axes."""
     words = identifiers(port.name for port in program.computed)
     return {
         port: f"{program.name}_{REST}_{word}"

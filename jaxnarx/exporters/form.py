@@ -228,7 +228,7 @@ class Builder:
 
     @contextlib.contextmanager
     def purpose(self, name: str) -> Iterator[None]:
-        """What operations made inside are for."""
+        """Give operations made inside this purpose."""
         before, self._purpose = self._purpose, name
         try:
             yield

@@ -79,7 +79,7 @@ class Instance:
         inputs: Inputs,
         outputs: Outputs,
     ) -> None:
-        """As if inputs and outputs (hidden ones, too) had been these for ever."""
+        """Begin as if inputs and outputs (hidden ones, too) had been these for ever."""
         values = self._values(self._begin, inputs, outputs)
         for line in self.program.delays:
             self.delays[line.name] = [values[line.start]] * line.length
@@ -192,7 +192,8 @@ def _apply(xp: Any, kind: str, a: Any, *more: Any) -> Any:
 
 
 def _samples_to_rest(program: SampleProgram, inputs: Inputs):
-    """How many samples the free run takes to come to rest, and what it then keeps.
+    """The number of samples in which the free run comes to rest, and what it then
+    keeps.
 
     It is one loop of jax: some thousand samples of some hundred runs take a second.
     """

@@ -53,7 +53,8 @@ def _hold_to_range(
 def _overshoot(
     b: Builder, network: Network, entrance: Entrance
 ) -> tuple[Value, States]:
-    """How far an input has been beyond its range, fading with the memory."""
+    """The distance by which an input has been beyond its range, fading with the
+    memory."""
     moved, rate = overshoot_rule(network)
     if not moved:
         return b.const(0.0), {}

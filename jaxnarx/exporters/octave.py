@@ -24,7 +24,8 @@ def octave() -> str | None:
 
 
 def run_octave(folder: Path, code: str) -> str:
-    """What a line of code prints, run in a folder; ExportError where it fails."""
+    """Run a line of code in a folder and return what it prints; ExportError where it
+    fails."""
     program = octave()
     assert program is not None
     words = [program, "--no-gui", "--no-init-file", "--quiet", "--eval", code]

@@ -67,7 +67,7 @@ class AbstractTable(abc.ABC):
     about: str
 
     def stored(self, at: OutputAt) -> int:
-        """How many numbers of the table have to be stored."""
+        """The number of entries that have to be stored."""
         return self.read(at).size
 
     @abc.abstractmethod
@@ -203,7 +203,8 @@ class GateBorders(AbstractTable):
 
 @dataclasses.dataclass(frozen=True)
 class Scaling(AbstractTable):
-    """How scheduling variables become 0 to 1: z = (x/gain) first - second row."""
+    """The scaling of scheduling variables to 0 to 1: z = (x/gain) first - second
+    row."""
 
     about: str = (
         "scaling of the scheduling: factors of scaled signals, then what is subtracted"
@@ -258,7 +259,7 @@ class Coefficients(AbstractTable):
     def write(
         self, at: OutputAt, values: Values, changed: Bool[np.ndarray, "rows *columns"]
     ) -> OutputModel:
-        """Where several slots of a local model are the same term, the first changes."""
+        """Change the first slot where several of a local model are the same term."""
         local, terms = at.model.local, self.columns(at)
         index, used = np.asarray(local.index), np.asarray(local.used)
         coefficient = np.array(local.coefficient, float)
@@ -336,14 +337,14 @@ def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
 
 
 def stored_for_weights(network: Network, output: int) -> int:
-    """How many numbers the validity functions of an output are made of."""
+    """The number of entries that an output's validity functions are made of."""
     at = OutputAt(network, output)
     kind = VALIDITIES.get(type(at.model.validity), {}) if has_regions(at) else {}
     return sum(table.stored(at) for table in kind.values())
 
 
 def column_names(at: OutputAt, kind: str, values: Values) -> list[str]:
-    """What the columns of a table belong to: terms, or scheduling variables."""
+    """The names of a table's columns: terms, or scheduling variables."""
     if kind == "theta":
         rows = np.asarray(at.model.local.factor)[THETA.columns(at)].tolist()
         return [term_name(at.network.variable_names, row) for row in rows]

@@ -102,7 +102,7 @@ def _match_blocks(
 
 
 def _prefix(blocks, found: dict[str, ParameterTable], source: str) -> str:
-    """What stands before the names of all tables: the name of the export."""
+    """The text before the names of all tables: the name of the export."""
     fitting: dict[str, int] = {}
     for block in blocks:
         for name in found:
@@ -144,7 +144,7 @@ def _at(
 
 
 def _as_known(changed: Network) -> Network:
-    """Without what was known of the network that it was."""
+    """Drop what was known of the network that it was."""
     changed = dataclasses.replace(changed, errors=None)
     if changed.certificate is None:
         return changed

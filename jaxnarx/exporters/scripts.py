@@ -18,7 +18,7 @@ from jaxnarx.exporters.notes import wrap_paragraphs
 
 @dataclasses.dataclass(frozen=True)
 class Language:
-    """How a language keeps values, and the page that they stand on.
+    """A scripting language: how it keeps values, and the page that they stand on.
 
     `own` is what is kept from sample to sample, by {name}, `flag` a flag; `fresh` is a
     delay line of {length} zeros, `filled` one that is {value} throughout, `entered` the
@@ -130,7 +130,8 @@ def _line(form: str, line, value: str = "") -> str:
 def _keep_states(
     program: SampleProgram, language: Language, *, measured: bool
 ) -> Iterable[str]:
-    """What is left for the next sample; all values before anything is changed."""
+    """Assign what is left for the next sample; all values before anything is
+    changed."""
     syntax = language.syntax(program)
     later = []
     for n, line in enumerate(program.delays):
@@ -147,8 +148,8 @@ def _keep_states(
 
 
 def sources(table: str, own: str, first: int, index: str) -> dict:
-    """How places of a program's sources are written, by kind; entries count from
-    `first`, in brackets as `index` has them."""
+    """Texts of a program's sources by kind; entries count from `first`, in brackets as
+    `index` has them."""
     return {
         "table": lambda at: table.format(name=at[0]) + index.format(at[1] + first),
         "input": lambda i: "u" + index.format(i + first),
@@ -159,7 +160,7 @@ def sources(table: str, own: str, first: int, index: str) -> dict:
 
 
 def number(nan: str, infinity: str) -> Callable[[float], str]:
-    """How constants are written; negative ones in brackets."""
+    """The text of a constant; negative ones in brackets."""
 
     def text(x: float) -> str:
         if math.isnan(x):

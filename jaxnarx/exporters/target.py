@@ -21,7 +21,8 @@ value, and what could not be run here and why."""
 
 
 def as_bytes(content: str | bytes) -> bytes:
-    """What a file holds: texts in UTF-8, and what has no place there as its number."""
+    """The bytes of a file: texts in UTF-8, and what has no place there as its
+    number."""
     text = isinstance(content, str)
     return content.encode("utf-8", "backslashreplace") if text else content
 

@@ -22,8 +22,9 @@ Weights = tuple[list[Value], Value | None]
 
 
 def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> Weights:
-    """What every active local model counts at scaled scheduling variables `z`, and what
-    the blend is divided by, unless weights sum to one already."""
+    """Numerators of the weights of every active local model at scaled scheduling
+    variables `z`, and what the blend is divided by, unless weights sum to one already.
+    """
     kind = type(at.model.validity)
     if not has_regions(at):
         return [b.const(1.0)], None

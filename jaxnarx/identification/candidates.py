@@ -154,7 +154,7 @@ class CandidateSearch:
     def _trained(
         self, methods: Iterator[Trial], most: int, patience: int
     ) -> Iterator[Tried]:
-        """Those that are trained step by step, so many methods of a kind at most.
+        """Try methods that are trained step by step, so many of a kind at most.
 
         A method whose networks are all known is not tried again, nor one that failed:
         of that there is one row.
@@ -265,7 +265,7 @@ def _losses(row: Candidate) -> Float[np.ndarray, " groups"]:
 
 
 def _with_error(row: Candidate, losses: Float[np.ndarray, " groups"]) -> Candidate:
-    """With the standard error of the free run, from the spread between groups."""
+    """Add the standard error of the free run, from the spread between groups."""
     losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:
         return row

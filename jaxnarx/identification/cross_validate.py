@@ -110,7 +110,7 @@ def cross_validate(
 
 
 class _Judging:
-    """What is known of one network of a method so far."""
+    """The held-out errors of one network of a method so far."""
 
     def __init__(self, groups: int, one_step: bool, begin: int):
         self.begin = begin

@@ -54,7 +54,8 @@ def candidate_in_use(
 
 
 def safest(board: Leaderboard, output: str) -> Candidate:
-    """Where every candidate is vetoed: the mean, else the one that diverges least."""
+    """The candidate to use where every one is vetoed: the mean, else the one that
+    diverges least."""
     rows = board.of(output)
     told = {"constant": 0, "diverged": 1}
     return min(
@@ -142,7 +143,8 @@ def _best(board: Leaderboard, row: Candidate) -> list[str]:
 
 
 def _others(board: Leaderboard, row: Candidate) -> list[str]:
-    """What the best of a family costs that is neither this nor that of the best."""
+    """The price of the best of each family that is neither this nor that of the
+    best."""
     best = board.best(row.output) or row
     for other in board.of(row.output):
         if other.eligible and not is_linear(other):
@@ -154,7 +156,8 @@ def _others(board: Leaderboard, row: Candidate) -> list[str]:
 
 
 def _price(other: Candidate, row: Candidate) -> str:
-    """What another candidate would cost and bring: `takes 3 times the ... for ...`."""
+    """The price and the gain of another candidate: `takes 3 times the ... for ...`. for
+    ...`."""
     if other.operations is None:
         cost = "takes an unknown number of operations"
     elif not row.operations:
@@ -174,7 +177,7 @@ def _price(other: Candidate, row: Candidate) -> str:
 
 
 def _linear(board: Leaderboard, row: Candidate) -> list[str]:
-    """What nonlinearity buys."""
+    """The gain by nonlinearity."""
     best = board.best(row.output)
     rows = [
         r for r in board.of(row.output) if r.eligible and is_linear(r) != is_linear(row)

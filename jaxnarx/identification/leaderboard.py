@@ -74,12 +74,12 @@ class Candidate:
         return self.status == "ok" and self.free_run is not None
 
     def to_dict(self) -> dict[str, Any]:
-        """For files."""
+        """The candidate as plain values, for files."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> "Candidate":
-        """From a file; SpecError names what it cannot be."""
+        """Read a candidate from a file; SpecError names what it cannot be."""
         fields = {field.name: field for field in dataclasses.fields(cls)}
         if not isinstance(table, dict):
             raise SpecError("a candidate is a table of its fields")
@@ -149,8 +149,8 @@ class Leaderboard:
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
     def above_best(self, row: Candidate) -> tuple[float, float] | None:
-        """How much larger the error is than that of the best, and the standard error of
-        that difference; None for the best itself and for what may not be chosen."""
+        """The difference of the error to that of the best, and its standard error; None
+        for the best itself and for what may not be chosen."""
         best = self.best(row.output)
         if best is None or best == row or not row.eligible:
             return None

@@ -38,7 +38,7 @@ class SearchFolder:
     """Keeps other processes out for as long as the search is held somewhere."""
 
     def model_path(self, number: int) -> Path:
-        """Where the model of a candidate is, or would be."""
+        """The path of a candidate's model, whether it is there or not."""
         return self.path / CANDIDATES_FOLDER / f"{number}.safetensors"
 
     def row(self, number: int) -> Candidate:
@@ -69,7 +69,8 @@ class SearchFolder:
         return network
 
     def added(self, row: Candidate, network: Network | None) -> "SearchFolder":
-        """With one more candidate, written to the disk: its model before its row."""
+        """The folder with one more candidate, written to the disk: its model before its
+        row."""
         if network is not None:
             self.save(row.number, network)
         row = _finite(row)
@@ -241,7 +242,7 @@ def _encodable(table: Any) -> Any:
 
 
 def _finite(row: Candidate) -> Candidate:
-    """Without figures beyond the largest that a file holds."""
+    """Drop figures beyond the largest that a file holds."""
 
     def kept(value: Any) -> Any:
         return None if isinstance(value, float) and not value <= LARGEST else value
@@ -251,5 +252,5 @@ def _finite(row: Candidate) -> Candidate:
 
 
 def _plain(key: Mapping[str, Any]) -> dict[str, Any]:
-    """As it comes back from the file: tuples are lists."""
+    """The key as it comes back from the file: tuples are lists."""
     return json.loads(json.dumps(dict(key), allow_nan=False))

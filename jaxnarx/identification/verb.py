@@ -114,7 +114,7 @@ def identify(
 
 @dataclasses.dataclass(frozen=True)
 class _Wanted:
-    """What a search is told."""
+    """The arguments of a search."""
 
     preset: str = "good"
     budget: float | None = None

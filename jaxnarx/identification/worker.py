@@ -42,7 +42,7 @@ WATCH = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class OutputTask:
-    """What the search for one output is told."""
+    """The arguments of the search for one output."""
 
     data: Dataset
     profile: DataProfile
@@ -120,7 +120,7 @@ class SearchWorker:
             )
 
     def trying(self) -> Trying | None:
-        """What is being tried, where that is new."""
+        """The candidate that is being tried, where that is new."""
         path = self.place / NOW
         if not path.exists() or (now := _read(path)) == self.told:
             return None

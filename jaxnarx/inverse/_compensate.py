@@ -71,7 +71,8 @@ def compensate(
 
 
 class _Search:
-    """Where one training stands, and the best inverse so far by the guard."""
+    """The state of one training, and the best inverse so far by the validation
+    records."""
 
     def __init__(
         self,

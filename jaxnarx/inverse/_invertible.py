@@ -64,7 +64,7 @@ class Invertibility:
     reach: Reach | None = None
 
     def __str__(self) -> str:
-        """What by what, the recommended leads, then the findings."""
+        """Tell commands and targets, the recommended leads, then the findings."""
         targets, commands = map(", ".join, (self.target_names, self.command_names))
         ahead = ", ".join(str(self.lead[name]) for name in self.target_names)
         head = f"Invertibility: {targets} by {commands}, seen ahead by {ahead} samples"
@@ -207,7 +207,7 @@ class _Notes:
         return findings, tuple(regions[id(f)] for f in findings)
 
     def region(self, flag: Bool[np.ndarray, " points"]) -> Region:
-        """Where the flagged points lie; targets follow and are no place."""
+        """The region of the flagged points; targets follow and are no place."""
         channels = self.local.network.channels
         use = [s for s, n in enumerate(channels.names) if n not in self.targets]
         names = [channels.all[s].label for s in use]
@@ -305,7 +305,7 @@ class _Notes:
             self.add("warning", "unstable", text, ", ".join(self.targets), region)
 
     def dead_times(self, dead, needed: dict[str, int], given: list[int] | None) -> None:
-        """What an inverse must see ahead, and whether it does."""
+        """Note what an inverse must see ahead, and whether it does."""
         for i, target in enumerate(self.targets):
             row = dead[i]
             if not np.isfinite(row).any() or needed[target] == 0:

@@ -67,7 +67,8 @@ class _Aim(eqx.Module):
         return y[at] * network.gain[np.array(network.signals)[at]], found
 
     def missing(self, signals, share):
-        """What is left of the reference in training ranges; large without a rest."""
+        """The rest of the reference in training ranges; large without a state of
+        rest."""
         network = self.map.network
         wanted = signals[np.array(network.signals)[np.array(self.targets)]]
         y, found = self.outputs(signals, share)

@@ -192,7 +192,8 @@ def seen_by_inverse(
     signals: Float[Array, "time signals"],
     valid: Bool[Array, "time signals"] | Bool[np.ndarray, "time signals"],
 ) -> tuple[Float[Array, "time own"], Bool[Array, "time own"]]:
-    """What the inverse sees of a record: columns shifted ahead, the last value held."""
+    """The columns of a record as the inverse sees them: shifted ahead, the last value
+    held."""
     at = jnp.arange(signals.shape[0])
 
     def shifted(x):

@@ -23,7 +23,7 @@ class TaskSignals(eqx.Module):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CascadeTask:
-    """Where records can be run and scored, host arrays.
+    """Records and the samples at which they can be run and scored, host arrays.
 
     `anchors` are all samples with a complete valid history, `start` the first of each
     record (the longest record's length where there is none), `end` the one behind its
@@ -39,7 +39,8 @@ class CascadeTask:
     reference: Float[np.ndarray, "records time targets"]
 
     def anchor(self, horizon: int | None = None) -> Bool[np.ndarray, "records time"]:
-        """Where runs start: once a record, or anew every `horizon` samples.
+        """The samples at which runs start: once a record, or anew every `horizon`
+        samples.
 
         Behind the end every sample is one: padding then cannot run away.
         """

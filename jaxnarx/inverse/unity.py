@@ -179,7 +179,7 @@ def _value(
 def _at_limit(
     loop: Loop, z: Float[np.ndarray, "points states"]
 ) -> Bool[np.ndarray, " points"]:
-    """Where a command or an output rests at its limit."""
+    """The samples at which a command or an output rests at its limit."""
     count, shown = len(loop.low), len(loop.forward.models)
     u = z[:, :count] * np.asarray(loop.command_gain)
     low, high = np.asarray(loop.low), np.asarray(loop.high)

@@ -14,7 +14,7 @@ Place = tuple[int, int, int]
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """How signals run between the two networks, by index; static.
+    """The signals between the two networks, by index; static.
 
     `source` holds for every signal of the inverse the forward network's signal it is
     taken from and how far ahead; the last ones are the commands. `targets` are places

@@ -49,7 +49,8 @@ LEAKAGE = 0.01
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NonlinearityCheck:
-    """What the linear response leaves beside the noise, one-sided [output^2/Hz].
+    """The spectrum of what the linear response leaves, beside that of the noise, one-
+    sided [output^2/Hz].
 
     `exceeds` marks frequencies at which it is above the noise by more than chance (at
     `level`, shared among all frequencies) and more than leakage is excused. `share` is

@@ -141,7 +141,8 @@ def default_segment(data: Dataset) -> int:
 
 
 def _between(segment: int) -> slice:
-    """Where a real transform is strictly between zero and the Nyquist frequency."""
+    """The frequencies of a real transform strictly between zero and the Nyquist
+    frequency."""
     return slice(1, (segment + 1) // 2)
 
 

@@ -144,7 +144,7 @@ class Output(eqx.Module):
 
 
 class WindowRecord(NamedTuple):
-    """What one window leaves behind, per output."""
+    """Estimates and errors at the end of one window, per output."""
 
     theta: tuple[Float[Array, "_ _"], ...]
     mse: Float[Array, " outputs"]

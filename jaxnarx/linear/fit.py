@@ -38,7 +38,7 @@ class ColumnScale:
 
     @classmethod
     def of(cls, data: Signals, valid: np.ndarray, *, constant: bool) -> "ColumnScale":
-        """From the valid samples of all records."""
+        """Scales from the valid samples of all records."""
         every = np.concatenate([data.u, np.asarray(data.y)[..., None]], axis=2)[valid]
         mean = every.mean(axis=0) if constant else np.zeros(every.shape[1])
         spread = np.sqrt(np.mean((every - mean[None]) ** 2, axis=0))
@@ -244,7 +244,7 @@ def _physical(
 
 
 def _valid(structure: Structure, batch: Batch, own: int) -> np.ndarray:
-    """Where all signals in use are measured."""
+    """The samples at which all signals in use are measured."""
     return np.all(batch.valid[:, :, [*structure.inputs, own]], axis=2)
 
 

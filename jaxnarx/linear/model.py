@@ -110,7 +110,7 @@ class LinearModel(eqx.Module):
 
     @property
     def poles(self) -> np.ndarray:
-        """Those from every input and the constant to the output, slowest first."""
+        """The poles from every input and the constant to the output, slowest first."""
         p = self._host()
         roots = [np.roots(np.trim_zeros(np.asarray(x), "b")) for x in (p.a, *p.f)]
         every = np.concatenate(roots).astype(complex)

@@ -107,7 +107,7 @@ def start_of(
 
 @dataclasses.dataclass(frozen=True)
 class PredictionErrorEnd:
-    """Where a search ended. `information` is J'J with the states eliminated."""
+    """The end of a search. `information` is J'J with the states eliminated."""
 
     parameters: Float[np.ndarray, " params"]
     initial: Float[np.ndarray, "records states"]

@@ -187,7 +187,7 @@ def least_squares(
 
 
 def _fade(weight: Float[np.ndarray, " time"], forgetting: float) -> np.ndarray:
-    """What forgetting leaves of each sample at the end."""
+    """The weight that forgetting leaves of each sample at the end."""
     used = weight > 0
     later = np.sum(used) - np.cumsum(used)
     return (float(forgetting) ** later).astype(weight.dtype)
@@ -246,7 +246,7 @@ def _r2(y, residual, total) -> float:
 
 
 def _status(value: Regression, samples: int) -> tuple[RESULTS, str]:
-    """What the rank, the condition and the number of samples say."""
+    """The status by rank, condition and number of samples."""
     terms = len(value.names)
     if not np.all(np.isfinite(value.coefficient)):
         return RESULTS.unidentifiable, (

@@ -71,7 +71,7 @@ class TransferFunction:
 
     @property
     def dc_gain(self) -> float:
-        """What a unit step settles at, G(1); infinite with a pole at one.
+        """The value at which a unit step settles, G(1); infinite with a pole at one.
 
         Of an unstable function this is G(1) too, but nothing settles there.
         """

@@ -102,7 +102,7 @@ def hidden_names(known: Channels, count: int) -> list[str]:
 
 
 def _shift_hidden(table: Variables, measured: int, by: int) -> Variables:
-    """With hidden channels so many places later."""
+    """Move hidden channels so many places."""
     return Variables.of(
         [(s + by if s >= measured else s, d, f) for s, d, f in table.entries]
     )

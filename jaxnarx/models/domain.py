@@ -37,7 +37,7 @@ FARTHEST = 1e6
 
 
 class Domain(eqx.Module):
-    """What a network knows of its training; see the module.
+    """The domain of a network: where its training data lie; see the module.
 
     `features` are the inputs in use, then the same inputs filtered, in physical units;
     `middle` and `spread` bring them to unit size. `weight` is how far the free run
@@ -111,7 +111,7 @@ class Domain(eqx.Module):
         return jnp.take_along_axis(apart, at[None, None], axis=0)[0]
 
     def _by_input(self, parts: Float[Array, "features time"]) -> Array:
-        """What all features of an input have together."""
+        """The sum over all features of an input."""
         inputs = self.inputs
         place = np.array([inputs.index(s) for s, _ in self.features])
         total = jnp.zeros((len(inputs), parts.shape[1]), parts.dtype)

@@ -90,9 +90,9 @@ def _collapse_one(
 def _beyond(
     factor: Int[Array, "terms degree"], rows: int, v: Float[Array, "vars *rows"]
 ) -> Float[Array, "terms *rows"] | None:
-    """What the terms gain beyond the ranges of the inputs, to first order: their slope
-    times how far the variables, so many with the leading one, are beyond them. None
-    where `v` does not tell."""
+    """The gain of the terms beyond the ranges of the inputs, to first order: their
+    slope times how far the variables, so many with the leading one, are beyond them.
+    None where `v` does not tell."""
     if v.shape[0] == rows:
         return None
     far = v[rows:]
@@ -231,7 +231,7 @@ def sources(network: Network) -> Int[np.ndarray, " states"]:
 def widen(
     network: Network, values: Float[Array, "*rows outputs"]
 ) -> Float[Array, "*rows states"]:
-    """What holds for the outputs, for every entry of the loop's state."""
+    """Repeat what holds for the outputs for every entry of the loop's state."""
     return values[..., sources(network)] if network.parallel else values
 
 
@@ -269,7 +269,7 @@ def with_own(network: Network, output: int, v: Array, history: Array) -> Array:
 
 
 def places(network: Network) -> list[slice]:
-    """Where the groups of every output stand in the loop's state."""
+    """The places of every output's groups in the loop's state."""
     size = [0 if m.own is None else len(m.own) for m in network.models]
     ends = np.cumsum([len(network.models), *size]).tolist()
     return [slice(a, b) for a, b in itertools.pairwise(ends)]

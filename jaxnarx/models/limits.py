@@ -112,7 +112,7 @@ def report_outputs(
 ) -> tuple[
     Float[np.ndarray, "*rows time outputs"], Bool[np.ndarray, "*rows time outputs"]
 ]:
-    """What is reported of computed outputs (physical units), and where it was held.
+    """Report computed outputs (physical units), and where they were held.
 
     Without `inputs` as if they were in their ranges; host only.
     """
@@ -149,8 +149,9 @@ def overshoots(
 def overshoot(
     network: Network, inputs: Float[Array, "time inputs"], rate: Any
 ) -> Float[Array, " time"]:
-    """How far an input in use has been beyond its range, in widths of that range,
-    fading at the `rate` of the network's memory (`fading`). Can be traced."""
+    """The distance by which an input in use has been beyond its range, in widths of
+    that range, fading at the `rate` of the network's memory (`fading`). Can be traced.
+    """
     beyond = beyond_range(network, inputs)
 
     def fade(before, now):
@@ -163,8 +164,8 @@ def overshoot(
 def beyond_range(
     network: Network, inputs: Float[Array, "*rows inputs"]
 ) -> Float[Array, "*rows"]:
-    """How far an input in use is beyond its range at most, in widths of that range;
-    zero within, and of inputs that were constant in training."""
+    """The largest distance of an input in use beyond its range, in widths of that
+    range; zero within, and of inputs that were constant in training."""
     at = np.array(_inputs_used(network), int)
     low, high = network.low[at], network.high[at]
     moved = high > low

@@ -171,7 +171,7 @@ class Network(eqx.Module):
             table.require_measured(self.signals, self.channels.names)
 
     def __str__(self) -> str:
-        """What is modelled from what, and the equation of every region."""
+        """Tell the inputs, the outputs, and the equation of every region."""
         lines = [
             f"Network at {float(self.sample_time):g} s, from {self.history} samples of "
             f"history: {', '.join(self.channels.input_names)} -> "
@@ -215,7 +215,8 @@ class Network(eqx.Module):
 
     @property
     def margin_text(self) -> str:
-        """How far a reported output may leave its trained range, inputs in theirs."""
+        """The margin by which a reported output may leave its trained range, inputs in
+        theirs, in words."""
         share = 0.0 if self.hold is None else 100 * float(self.hold)
         return (
             "Reported outputs stay within their trained ranges, widened by "
@@ -270,7 +271,7 @@ class Network(eqx.Module):
 
     @property
     def hidden(self) -> int:
-        """How many channels are computed that nobody measures."""
+        """The number of channels that are computed and that nobody measures."""
         return len(self.channels.hidden)
 
     @property
@@ -477,8 +478,8 @@ class Network(eqx.Module):
         }
 
     def regions(self, output: int | str) -> list[dict[str, dict[str, float]]]:
-        """Where the local models of one output or hidden channel (its number or name)
-        are valid, in physical units."""
+        """The regions of one output's or hidden channel's (its number or name) local
+        models, in physical units."""
         names = self.computed_names
         number = names.index(output) if output in names else output
         if number not in range(len(names)):

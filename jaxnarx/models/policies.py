@@ -34,13 +34,14 @@ def describe_policies(network: Network) -> tuple[str, ...]:
 
 
 def limits_of(network: Network) -> list[str]:
-    """What inputs and reported outputs do beyond their trained ranges."""
+    """The limits of inputs and reported outputs beyond their trained ranges, in
+    words."""
     texts = describe_inputs(network), describe_outputs(network)
     return [text for text in texts if text]
 
 
 def describe_inputs(network: Network) -> str:
-    """What inputs beyond their trained ranges do; empty without inputs.
+    """Describe inputs beyond their trained ranges; empty without inputs.
 
     Measured outputs that the network looks at and does not model are never held.
     """
@@ -56,7 +57,7 @@ def describe_inputs(network: Network) -> str:
 
 
 def describe_outputs(network: Network) -> str:
-    """How far reported outputs may leave their trained ranges."""
+    """Describe how far reported outputs may leave their trained ranges."""
     if network.hold is None:
         return "Reported outputs are not held to their trained ranges."
     text = network.margin_text
@@ -81,7 +82,7 @@ def describe_bounds(network: Network) -> str:
 
 
 def describe_missing(network: Network, exported: str | None = None) -> str:
-    """What outputs are where inputs are missing.
+    """Describe outputs where inputs are missing.
 
     `exported` is what the header of exported code adds about the domain index; without,
     the sentence says which runs it holds for, and is empty where no input is used.

@@ -48,15 +48,15 @@ class Past(NamedTuple):
 
 
 class LookedBack(NamedTuple):
-    """How long a network remembers what: `raw` (signal, lags), `filtered` (signal,
-    filter, lags); static."""
+    """The memory of a network: `raw` (signal, lags), `filtered` (signal, filter, lags);
+    static."""
 
     raw: tuple[tuple[int, int], ...]
     filtered: tuple[tuple[int, AbstractFilter, int], ...]
 
     @property
     def place(self) -> dict[int, int]:
-        """Where each signal stands among the raw ones."""
+        """The place of each signal among the raw ones."""
         return {s: n for n, (s, _) in enumerate(self.raw)}
 
 
@@ -68,7 +68,7 @@ def driving(network: Network) -> tuple[int, ...]:
 
 
 def memory(network: Network) -> LookedBack:
-    """How far back a network looks at which signal, static."""
+    """The memory that a network needs of each signal, static."""
     tables = (network.variables, *(m.scheduling for m in network.models))
     raw = dict.fromkeys(driving(network), 0)
     filtered: dict[tuple[int, AbstractFilter], int] = {}

@@ -91,7 +91,7 @@ def _hidden(network: Network) -> dict[str, Any]:
 
 
 def _edge(network: Network) -> dict[str, Any]:
-    """What inputs do beyond their ranges, and the features of the domain."""
+    """The policy of inputs beyond their ranges, and the features of the domain."""
     out: dict[str, Any] = _missing_policy(network)
     if network.outside != _usual(network.hold):
         out["outside"] = network.outside
@@ -101,7 +101,7 @@ def _edge(network: Network) -> dict[str, Any]:
 
 
 def _missing_policy(network: Network) -> dict[str, Any]:
-    """What outputs are where an input is missing, if it is not as usual."""
+    """The policy of outputs where an input is missing, if it is not the usual one."""
     out: dict[str, Any] = {}
     if network.nan != HOLD:
         out["nan"] = network.nan
@@ -111,8 +111,8 @@ def _missing_policy(network: Network) -> dict[str, Any]:
 
 
 def _usual(hold: object) -> str:
-    """Where nothing is said, as in files up to format 7: inputs are held if outputs
-    are."""
+    """The policy where nothing is said, as in files up to format 7: inputs are held if
+    outputs are."""
     return FLAG if hold is None else HOLD
 
 
@@ -285,7 +285,7 @@ class _Unknown(Exception):
 
 
 def load_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What `save` was told about the model, a JSON dictionary."""
+    """Load what `save` was told about the model, a JSON dictionary."""
     about = _read(Path(path))[0].get("about", {})
     if not isinstance(about, dict):
         raise ModelFileError(
@@ -463,5 +463,5 @@ def _errors(get: Callable[..., jax.Array]) -> ErrorModel:
 
 
 def _groups(own: jax.Array) -> jax.Array:
-    """Of format 4 a list of the local models that are groups by themselves."""
+    """A list of the local models that are groups by themselves, of format 4."""
     return jnp.diag(own) if own.ndim == 1 else own

@@ -64,7 +64,7 @@ def require_consistent(network: Network) -> None:
 
 
 def _check_errors(errors: ErrorModel, network: Network) -> None:
-    """What belongs to an error model, output by output."""
+    """Check an error model, output by output."""
     outputs, domain = len(network.modelled), network.domain
     variables = 0 if domain is None else len(domain.features) + len(domain.inputs) + 3
     shape = errors.knots.shape
@@ -83,7 +83,7 @@ def _check_errors(errors: ErrorModel, network: Network) -> None:
 
 
 def _check_domain(domain: Domain) -> None:
-    """What belongs to a domain, feature by feature and input by input."""
+    """Check a domain, feature by feature and input by input."""
     own, used = (len(domain.features),), (len(domain.inputs),)
     shapes = {
         **dict.fromkeys(("middle", "spread", "weight"), own),

@@ -239,7 +239,7 @@ def _grow_stages(
 
 
 def _why_stopped(network: Network, stats: dict[str, Any]) -> str:
-    """What ended a growth before its capacity, for people."""
+    """Tell what ended a growth before its capacity."""
     for name, stopped, models, least in zip(
         network.output_names,
         *(stats[k] for k in ("stopped", "models", "least")),

@@ -16,7 +16,7 @@ from jaxnarx.settings import PARTITIONS, Given, Partitioner
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Regions:
-    """Where the local models of one output are to be valid.
+    """The regions in which the local models of one output are to be valid.
 
     `ranges` (dims, 2) are what 0 and 1 of the scheduling variables stand for, None
     where the data tell. A `Partitioner` stands for the validity functions that it will

@@ -123,7 +123,7 @@ def _number(value: float | int, dtype: np.dtype) -> Array:
 def _fit_settings(
     training: TrainingRows, output: int, p: Float[Array, "terms rows"], method
 ):
-    """How local models are fitted, the same for every growth."""
+    """The settings of the fit of local models, the same for every growth."""
     number = functools.partial(_number, dtype=p.dtype)
     picks = None if method.local is None else min(method.local.max_terms, p.shape[0])
     least = picks or p.shape[0] if method.least is None else method.least

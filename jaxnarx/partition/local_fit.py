@@ -21,7 +21,7 @@ once: short loops cost more than their work, long columns more memory."""
 
 
 def at_once(p: Float[Array, "terms rows"], most: int) -> int:
-    """How many local models, `most` of them, to treat at once."""
+    """The number of local models, `most` of them, to treat at once."""
     return max(1, min(most, TOGETHER // p.size))
 
 

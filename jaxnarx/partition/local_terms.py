@@ -36,7 +36,7 @@ def own_terms(
 
 
 def term_positions(training: TrainingRows, output: int) -> list[int]:
-    """Where the candidate terms of an output stand in the pool."""
+    """The places of an output's candidate terms in the pool."""
     place = {tuple(row): n for n, row in enumerate(training.pool.factor.tolist())}
     return [place[tuple(row)] for row in training.factors[output].tolist()]
 

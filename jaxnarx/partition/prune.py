@@ -102,7 +102,7 @@ def _siblings(path: Int[np.ndarray, "models gates"]) -> list[tuple[int, int, int
 
 
 def _merge(tree: _Tree, rows: SplitRows, gate: int, first: int, second: int) -> _Tree:
-    """With one leaf in place of two; the gate is gone."""
+    """Put one leaf in place of two; the gate is gone."""
     pair = [first, second]
     parts, both = jnp.asarray(tree.phi[pair]), jnp.asarray(tree.theta[pair])
     merged = _refit(rows, parts, both, jnp.asarray(tree.output))

@@ -75,7 +75,7 @@ class SplitRows(eqx.Module):
 
 
 class Leaf(eqx.Module):
-    """What stays while a leaf's gate is sought.
+    """A leaf and what stays while its gate is sought.
 
     `away` is z - c; `target` what the rest of the network leaves to the children.
     """
@@ -109,7 +109,7 @@ class Point(eqx.Module):
 
 
 class DirectionSearch(eqx.Module):
-    """Where the search stands; `damping` is Marquardt's."""
+    """The state of the search; `damping` is Marquardt's."""
 
     best: Point
     damping: Float[Array, ""]
@@ -148,7 +148,7 @@ def argument(
 
 
 def unit(direction: Float[Array, " dims"]) -> Float[Array, " dims"]:
-    """Of length one; zero stays zero."""
+    """The vector of length one; zero stays zero."""
     square = direction @ direction
     return direction / jnp.sqrt(jnp.where(square > 0, square, 1.0))
 

@@ -24,7 +24,8 @@ def grow_stages(
     keep: Callable[[Any], Any],
     stages: int,
 ) -> Any:
-    """What `keep` makes of `begin` and of so many stages more, stacked, in a program.
+    """Grow so many stages inside a program; what `keep` makes of `begin` and of each of
+    them is stacked.
 
     A state has `count`, its number of local models, and `going`, whether any may still
     be divided. `attempt` divides one local model, or finds that it cannot be; a stage
@@ -56,7 +57,7 @@ class BestStage(NamedTuple):
     def update(
         self, stage: Any, value: Any, patience: int, xp: Any = np
     ) -> "BestStage":
-        """With one stage more."""
+        """The best stage when there is one more."""
         better = self.going & (value < self.value)
         best = xp.where(better, stage, self.stage)
         value = xp.where(better, value, self.value)

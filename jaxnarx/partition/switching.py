@@ -100,7 +100,7 @@ def _check(networks: Sequence[Network], regions, hold: int) -> None:
 
 
 def _valid(network: Network, region: Region | None, signals):
-    """Where the signals lie within the limits."""
+    """The samples at which the signals lie within the limits."""
     names = network.channels.names
     if region is None:
         inputs = len(network.channels.inputs)
@@ -124,7 +124,8 @@ def _valid(network: Network, region: Region | None, signals):
 def _hold(
     valid: Bool[np.ndarray, "records time"], hold: int
 ) -> Bool[np.ndarray, "records time"]:
-    """Where this and the last `hold` samples are valid, those before a record too."""
+    """The samples that are valid, as are the last `hold` ones, those before a record
+    too."""
     good = valid.copy()
     for k in range(1, min(hold, valid.shape[1]) + 1):
         good[:, k:] &= valid[:, :-k]
@@ -206,7 +207,7 @@ def _report(
     u: Float[np.ndarray, "time inputs"],
     who: Int[np.ndarray, " time"],
 ) -> tuple[Float[np.ndarray, "time outputs"], Bool[np.ndarray, "time outputs"]]:
-    """What is reported of each network's samples, and where it is held."""
+    """Report each network's samples, and where they are held."""
     edge, held = y.copy(), np.zeros(y.shape, bool)
     for n, network in enumerate(networks):
         own, at_edge = report_outputs(network, y, u)

@@ -80,7 +80,7 @@ class TrainingRows:
         return theta
 
     def warning(self, models: list[OutputModel]) -> str:
-        """What to tell where rounding spoils an output, or nothing."""
+        """The warning where rounding spoils an output, or nothing."""
         for o, model in enumerate(models if self.centre is not None else []):
             assert self.centre is not None
             local, y = model.local, np.asarray(self.rows.y[o])

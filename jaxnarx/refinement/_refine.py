@@ -293,7 +293,7 @@ def _trained_parameters(
     trainable: Network | None,
     method: SimulationError | PredictionError,
 ) -> Network | None:
-    """What is trained, of that what `method.train` moves."""
+    """The parameters that are trained, of these what `method.train` moves."""
     kinds = ("coefficients", "partition")
     train = getattr(method, "train", "joint")
     if train not in kinds:

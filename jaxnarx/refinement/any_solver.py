@@ -83,7 +83,7 @@ def objective(w: Float[Array, " params"], s: ScaledLoss):
 
 
 def errors(w: Float[Array, " params"], s: ScaledLoss):
-    """What the objective is the sum of squares of, and nothing beside it.
+    """The errors whose sum of squares is the objective, and nothing beside it.
 
     Entries that do not move are held where they are: a Jacobian with empty columns
     would be singular.
@@ -95,8 +95,8 @@ def errors(w: Float[Array, " params"], s: ScaledLoss):
 
 
 class SolverState(AbstractState):
-    """Where a solver stands: in scaled coordinates `w`, with the arrays of its own
-    state, and whether it says that it is done."""
+    """The state of a solver: scaled coordinates `w`, the arrays of its own state, and
+    whether it says that it is done."""
 
     minimised: Float[Array | np.ndarray, ""]
     gain: Float[Array | np.ndarray, ""]
@@ -128,8 +128,8 @@ def begin_solver(s: Any, w: Float[Array, " params"], inner: Any) -> SolverState:
 
 
 def end_of_step(scaled: ScaledLoss, s: SolverState, w, inner, done) -> SolverState:
-    """Where a step has led, whatever it has gained; the state before it where the loss
-    is not finite."""
+    """The end of a step, whatever it has gained; the state before it where the loss is
+    not finite."""
     u = scaled.place(w)
     value = scaled.problem.loss(u)
     total = value + scaled.ridge(u)

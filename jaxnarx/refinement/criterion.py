@@ -100,7 +100,7 @@ class Criterion(eqx.Module):
         measured: Float[Array, "*rows outputs"],
         weight: Float[Array, "*rows outputs"],
     ) -> Float[Array, "*rows outputs"]:
-        """What the loss is the sum of squares of, with the sign of the error; zero
+        """The roots whose sum of squares is the loss, with the sign of the error; zero
         where there is no weight."""
         e, _ = self.errors(y, measured)
         counted = weight > 0

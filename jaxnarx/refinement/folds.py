@@ -19,7 +19,7 @@ from jaxnarx.refinement.training_data import TrainingData
 def split_folds(
     task: TrainingData, groups: Groups, history: int, judge: TrainingData | None = None
 ) -> list[tuple[TrainingData, TrainingData]]:
-    """For every group a task without it, and one that it alone is judged by.
+    """For every group, a task without it and one that it alone is judged by.
 
     That is a part of `judge`, where runs begin otherwise. Shapes stay. A group without
     samples that count is passed over, and so is one without which none are left; fewer

@@ -42,7 +42,7 @@ def _start(layout: Layout, u, drive: RunInputs) -> RunInputs:
 
 
 def _initial_loss(layout: Layout, u) -> Float[Array, ""]:
-    """What the offsets of the initial conditions cost."""
+    """The penalty of the offsets of the initial conditions."""
     if layout.initial is None:
         return jnp.zeros((), u.dtype)
     offset = u[layout.parameters :]
@@ -58,7 +58,7 @@ def roots(
     weight: Float[Array, "records time outputs"],
     criterion: Criterion,
 ) -> Float[Array, " errors"]:
-    """What the loss is the sum of squares of, for solvers that ask for that."""
+    """The roots whose sum of squares is the loss, for solvers that ask for that."""
     y = run(layout.place(u), _start(layout, u, drive), anchor)
     found = criterion.roots(y, drive.measured, weight).reshape(-1)
     if layout.initial is None:

@@ -78,7 +78,8 @@ class Initial(eqx.Module):
 def initial_conditions(
     network: Network, task: TrainingData, *, measured: bool = True
 ) -> Initial | None:
-    """What can be estimated; None where the network feeds nothing back.
+    """The initial conditions that can be estimated; None where the network feeds
+    nothing back.
 
     Without `measured` the hidden channels' values alone; None where there are none.
     """

@@ -48,7 +48,7 @@ def _trained(model: OutputModel, coefficients: bool, partition: bool) -> OutputM
 
 
 def _trainable(model: OutputModel) -> list:
-    """What may be trained: the coefficients, then the validity's own fields."""
+    """The fields that may be trained: the coefficients, then the validity's own."""
     return [model.local.coefficient, *model.validity.parameters]
 
 
@@ -136,7 +136,7 @@ class Layout(eqx.Module):
 
     @program
     def _leaves(self, u: Float[Array, " params"]) -> list:
-        """What may be trained, with these parameters."""
+        """The trainable leaves with these parameters."""
         p = self.physical(u)
         new, start = [], 0
         for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
@@ -150,7 +150,7 @@ class Layout(eqx.Module):
         return _where(self._turned(placed, lambda back: back))
 
     def _turned(self, network: Network, matrix: Callable[[Array], Array]) -> Network:
-        """With the outputs' trained coefficients times a matrix made of `back`."""
+        """Multiply the outputs' trained coefficients by a matrix made of `back`."""
         if self.back is None:
             return network
         models = []
@@ -272,7 +272,8 @@ def _bounds(
 
 
 def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] | None:
-    """From coefficients of columns without offsets to those of terms, by output."""
+    """The maps from coefficients of columns without offsets to those of terms, by
+    output."""
     centre = Centring.of_ranges(
         np.asarray(network.low),
         np.asarray(network.high),

@@ -104,7 +104,7 @@ class Problem(AbstractProblem):
         return value + self.restraint(self.layout, u)
 
     def roots(self, u: Float[Array, " params"]) -> Array:
-        """What the errors' loss is the sum of squares of, one for every sample; and
+        """The roots whose sum of squares is the errors' loss, one for every sample; and
         the penalty's root behind them."""
         at = self.drive, self.anchor, self.weight, self.criterion
         found = roots(self.layout, u, *at)
@@ -182,7 +182,8 @@ def make_problem(
 
 
 def _shrink(layout: Layout, weight: float) -> Float[np.ndarray, " params"]:
-    """Of coefficients, in units of what they compute; zero for all others."""
+    """The penalty of coefficients, in units of what they compute; zero for all
+    others."""
     pull, inner = np.zeros(layout.low.shape), layout.coefficients()
     size = scales(layout.base, np)[1]
     for (start, stop), own in zip(layout.spans(), size, strict=True):

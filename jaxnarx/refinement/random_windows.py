@@ -73,7 +73,7 @@ def batch_loss(
 def clip_gradients(
     optimiser: optax.GradientTransformation,
 ) -> optax.GradientTransformation:
-    """With gradients of bounded size. Made where it is used: two are never equal."""
+    """Bound the size of gradients. Made where it is used: two are never equal."""
     return optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
 
 

@@ -58,7 +58,8 @@ class Separable(AbstractProblem):
         return self.problem.wall
 
     def solved(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
-        """With the best coefficients for the partition, as linearised at `u`."""
+        """The parameters with the best coefficients for the partition, as linearised at
+        `u`."""
         return solve_coefficients(self._penalised(u), self.inner)
 
     def _penalty(self, u: Float[Array, " params"]) -> Float[Array, ""]:

@@ -38,7 +38,7 @@ class Validator(eqx.Module):
         return twin(self, layout=self.layout.nameless)
 
     def __call__(self, u: Float[Array, " params"]) -> ValidationScore:
-        """Of the network with the parameters `u`."""
+        """Score the network with the parameters `u`."""
         network, drive = self.layout.place(u), self.drive
         if self.trained:
             measured = self.layout.begin(u, jnp.asarray(drive.measured))
@@ -58,7 +58,8 @@ class Validator(eqx.Module):
 def make_validator(
     layout: Layout, task: TrainingData, *, trained: bool = False
 ) -> Validator:
-    """Of the records of a task; those without a scored sample cannot diverge.
+    """Make the validator of a task's records; those without a scored sample cannot
+    diverge.
 
     `trained` where it is the task of the training itself.
     """

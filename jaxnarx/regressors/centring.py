@@ -60,7 +60,8 @@ class Centring:
         *,
         every: bool = False,
     ) -> "Centring | None":
-        """From the signals' ranges alone; a quarter of one stands for the spread.
+        """Offsets from the signals' ranges alone; a quarter of one stands for the
+        spread.
 
         With `every`, of all variables that change at all and not the far ones alone.
         """
@@ -182,7 +183,7 @@ class Centring:
         channels: Channels,
         variables: Variables,
     ) -> str:
-        """What to tell of a model whose terms cancel to less than float64 holds, or "".
+        """The warning of a model whose terms cancel to less than float64 holds, or "".
 
         `size` is the standard deviation of the output, scaled as the terms' sum is.
         """

@@ -186,7 +186,7 @@ class Orthonormal(AbstractFilter):
 
     @property
     def sections(self) -> tuple[complex, ...]:
-        """As many poles, in turn, as the order needs."""
+        """Sections with as many poles, in turn, as the order needs."""
         chosen: list[complex] = []
         count = 0
         while count < self.order:

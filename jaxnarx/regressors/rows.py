@@ -100,7 +100,8 @@ def row_places(
     Float[np.ndarray, "outputs rows"],
     Float[np.ndarray, " signals"],
 ]:
-    """Where the rows of `regression_rows` are: records, places, weights, and gains."""
+    """The places of the rows of `regression_rows`: records, samples, weights, and
+    gains."""
     batch = stack_records(data)
     targets = _targets(data, outputs)
     good = usable(batch.valid, variables.rows, history)

@@ -57,7 +57,8 @@ TIE = 1e-10
 
 
 class Program(eqx.Module):
-    """What is searched for, and when it ends; the settings of every selector.
+    """The settings of a search, the same for every selector: candidates, and when it
+    ends.
 
     `stages` says which terms may enter in each stage, `limits` how many; those of
     `keep` never leave. F levels of zero switch their test off. The search enters anew
@@ -79,7 +80,7 @@ class Program(eqx.Module):
 
 
 class LaneState(eqx.Module):
-    """Where one lane stands. `alive` terms may still enter.
+    """The state of one lane. `alive` terms may still enter.
 
     `awaited` is the product for which a part was just taken in, past the pool for none.
     """

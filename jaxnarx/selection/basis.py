@@ -23,7 +23,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 
 class Lane(eqx.Module):
-    """What one search reads and never changes; an output or a weighting is a lane.
+    """The arrays that one search reads and never changes; an output or a weighting is a
+    lane.
 
     Vectors carry sqrt(weight), `root`. `norm` and `moment` are |p_j|^2 and <p_j, y> of
     every candidate, `samples` counts rows with weight. The first `starts` terms of
@@ -208,7 +209,7 @@ def swaps(
     least: Float[Array, ""],
     parents: Int[Array, "terms parts"] | None = None,
 ) -> tuple[Float[Array, " slots"], Int[Array, " slots"]]:
-    """What the best exchange for every chosen term would bring, and the term to take.
+    """The gain of the best exchange for every chosen term, and the term to take.
 
     Without the term of slot i, whose unit dual direction is h, candidate j has
     b_j + <p_j, h> <h, y> and d_j + <p_j, h>^2; leaving out the term costs <h, y>^2. The

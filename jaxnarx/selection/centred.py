@@ -39,14 +39,15 @@ def centred_search(pool: Pool, v, centre: Centring, method: Method, usable):
 def target_of(
     pool: Pool, centre: Centring, there: Bool[np.ndarray, " terms"]
 ) -> Float[Array, "lanes 1"]:
-    """What is taken off every lane; nothing without a constant to give it back."""
+    """The offset that is taken off every lane; nothing without a constant to give it
+    back."""
     constant = constant_term(pool)
     given = constant is not None and bool(there[constant])
     return jnp.asarray(centre.target * given)[:, None]
 
 
 def backs(pool: Pool, centre: Centring, basis: Basis):
-    """From the columns of every lane's search to its terms."""
+    """The maps from the columns of every lane's search to its terms."""
     index, count = np.asarray(basis.index), np.asarray(basis.count)
     out = np.tile(np.eye(index.shape[1]), (len(index), 1, 1))
     for back, terms, n in zip(out, index, count.tolist(), strict=True):

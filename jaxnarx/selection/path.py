@@ -38,7 +38,7 @@ class PartialFHistory(eqx.Module):
     def written(
         self, basis: Basis, f: Float[Array, " slots"], wanted: Bool[Array, ""]
     ) -> "PartialFHistory":
-        """With one more row where `wanted`."""
+        """The history with one more row where `wanted`."""
         row = jnp.where(wanted, self.rounds, self.term.shape[0])
         return PartialFHistory(
             self.term.at[row].set(basis.index, mode="drop"),
@@ -136,7 +136,7 @@ def _nested_errors(basis: Basis, lane: Lane, small, gain):
 
 
 def resize(path: Path, slots: int) -> Path:
-    """With room for `slots` terms, at least those that are chosen."""
+    """Make room for `slots` terms, at least those that are chosen."""
 
     def fit(
         array: Array, axes: int = 1, mode: Literal["constant", "edge"] = "constant"

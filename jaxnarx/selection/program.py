@@ -91,7 +91,7 @@ def adds_constant(method: Method) -> bool:
 def allowed_terms(
     pool: Pool, method: Method, usable: Bool[np.ndarray, " terms"]
 ) -> Bool[np.ndarray, " terms"]:
-    """Those of the usable terms that are not forbidden."""
+    """The usable terms that are not forbidden."""
     allowed = usable.copy()
     for text in method.forbidden:
         allowed[term_index(pool, text, "forbidden")] = False
@@ -119,7 +119,8 @@ def plan(
     dtype: np.dtype,
     parents: Int[np.ndarray, "terms parts"] | None = None,
 ) -> SearchPlan:
-    """What `search` needs for `method`; `chosen` are the terms every lane starts from.
+    """The plan that `search` needs for `method`; `chosen` are the terms every lane
+    starts from.
 
     `usable` is False for terms that may not be chosen at all. With `parents` every term
     enters behind its own, the constant before all others.

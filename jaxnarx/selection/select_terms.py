@@ -223,7 +223,7 @@ def _on_free_run(
 
 
 class Choice(NamedTuple):
-    """What a search found: its path and plan, and the candidates it dropped."""
+    """The end of a search: its path and plan, and the candidates it dropped."""
 
     path: Path
     made: SearchPlan

@@ -89,7 +89,7 @@ def pool_derivatives(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """What the search ends with; `network` holds the refined coefficients."""
+    """The end of the search; `network` holds the refined coefficients."""
 
     network: Network
     terms: list[int]
@@ -217,7 +217,8 @@ class _Rounds:
         return terms, theta, solution
 
     def thinned(self, terms, theta, solution, before: float):
-        """Without the term that costs least, the newest excepted; or None for terms.
+        """The terms without the one that costs least, the newest excepted; or None for
+        terms.
 
         None where the loss would come out above `before`, unless a term must go.
         """

@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """What a number must be, in words behind "must", and whether it is."""
+    """A rule for a number, in words behind "must", and as a test."""
 
     words: str
     holds: Callable[[Any], bool]
@@ -174,7 +174,7 @@ _WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or 
 
 
 def words(hint: Any) -> str:
-    """What a field may hold, for messages."""
+    """The values that a field may hold, for messages."""
     kinds = kinds_of(hint)
     if len(kinds) > 1:
         parts = [p for p in kinds if p is not int or float not in kinds]

@@ -11,7 +11,7 @@ Number = float | int
 
 @settings
 class ActuatorLimits:
-    """What the actuators behind the commands can do, by name of the command.
+    """The limits of the actuators behind the commands, by name of the command.
 
     A command that is not named keeps the range in which the inverse was trained,
     widened as its feedback is, and moves as fast as it likes.

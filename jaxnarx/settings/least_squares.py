@@ -19,7 +19,7 @@ Growth = Annotated[float | int, Rule("be above 1", lambda x: x > 1)]
 
 @settings
 class LeastSquares:
-    """How a linear regression is computed.
+    """The settings of a linear regression.
 
     Thesis (4.13) normal equations, (4.14) to (4.18) QR, (4.19) SVD, (4.39) to (4.42)
     recursive; scaling of the columns, section 4.2.3.

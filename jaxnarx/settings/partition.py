@@ -24,7 +24,7 @@ class Global:
 
 @settings
 class _Local:
-    """What every partition is told about its local models."""
+    """The settings of the local models of every partition."""
 
     local: ForwardOLS | StepwiseF | None = dataclasses.field(default=None, kw_only=True)
     """How every local model chooses terms of its own, weighted with its validity;
@@ -51,7 +51,7 @@ class _Local:
 
 @settings
 class _Scheduled(_Local):
-    """What every partition of several models is told."""
+    """The settings of every partition of several models."""
 
     scheduling: Sequence[str] = ()
     """Scheduling variables, such as "speed[t]" or "load[t-1]"."""
@@ -78,7 +78,7 @@ def _require_once(scheduling: Sequence[str]) -> None:
 
 @settings
 class _Grown(_Scheduled):
-    """What every growth is told."""
+    """The settings of every growth."""
 
     max_models: Count = dataclasses.field(default=8, kw_only=False)
     """Largest number of local models."""

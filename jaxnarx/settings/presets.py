@@ -37,7 +37,8 @@ class Preset:
     """Linear models alone."""
 
     def with_orders(self, states: int | None) -> "Preset":
-        """With hidden states of this number alone; 0 for none, None as it stands."""
+        """The preset with hidden states of this number alone; 0 for none, None as it
+        stands."""
         if states is None:
             return self
         if not states:

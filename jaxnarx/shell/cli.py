@@ -95,7 +95,7 @@ def _tell(error: BaseException) -> int:
 
 
 def _open_streams() -> None:
-    """What is written to a closed stream goes nowhere; odd characters are escaped.
+    """Let output to a closed stream go nowhere, and escape odd characters.
 
     In this order, so that no file of ours gets the number of a stream.
     """

@@ -73,7 +73,7 @@ def _root(files: Sequence[Path]) -> Path:
 
 
 def _relative_path(folder: Path) -> Path:
-    """As seen from where the command runs, if it lies there."""
+    """The path relative to where the command runs, if it lies there."""
     here = Path.cwd()
     return folder.relative_to(here) if folder.is_relative_to(here) else folder
 
@@ -107,7 +107,7 @@ def summary(found: Survey) -> str:
 
 
 def _options_to_add(found: Survey) -> list[str]:
-    """What is left out, and the options that add the first of it."""
+    """The channels that are left out, and the options that add the first of them."""
     left = [one.name for one in found.of("left out")]
     if not left:
         return []
@@ -225,7 +225,7 @@ def _records(found: Survey, root: Path) -> list[str]:
 
 
 def _patterns(runs: Sequence[Run], root: Path) -> list[str]:
-    """What a description says of some records, numbered ones of a file together."""
+    """The patterns of some records, numbered ones of a file together."""
     files: dict[str, list[Run]] = {}
     for run in runs:
         name = run.file.resolve().relative_to(root).as_posix()

@@ -25,7 +25,7 @@ def read_description(path: str, root: str | None) -> "Split":
 
 
 def tell_findings(data: "Dataset") -> None:
-    """What a first look at training records turns up, before work begins."""
+    """Tell what a first look at training records turns up, before work begins."""
     from jaxnarx.data import first_look
 
     found = first_look(data)
@@ -34,6 +34,6 @@ def tell_findings(data: "Dataset") -> None:
 
 
 def tell_notes(data: "Dataset") -> None:
-    """What reading did to the samples, beside the output."""
+    """Tell what reading did to the samples, beside the output."""
     for note in data.notes:
         say(note, aside=True)

@@ -115,7 +115,7 @@ def _check(command: commands.Check) -> int:
 
 
 def _check_against(model: str, data: "Dataset", *, json: bool) -> int:
-    """How far all records leave the domain of a model."""
+    """Tell how far all records leave the domain of a model."""
     _configure()
     import dataclasses
     from json import dumps

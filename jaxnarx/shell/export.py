@@ -76,7 +76,7 @@ def _with_policy(network: Network, command: Export) -> Network:
 
 
 def readme(found: Exported, typed: str, data: Dataset | None) -> str:
-    """What was exported, what it takes, and how far it is from the model."""
+    """A page on what was exported, what it takes, and how far it is from the model."""
     program = found.program
     ports = [
         f"| {what} {k} | {_cell(p.name)} | {_cell(p.unit)} | {p.low:.6g} | "
@@ -141,7 +141,7 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
 
 
 def _calibration(program: SampleProgram, found: Exported) -> list[str]:
-    """How the files for calibration are meant, where there are some."""
+    """A section on the files for calibration, where there are some."""
     name, lines = program.name, []
     if f"{name}.dcm" in found.files:
         lines += [
@@ -163,7 +163,7 @@ def _calibration(program: SampleProgram, found: Exported) -> list[str]:
 
 
 def _units(found: Exported, program: SampleProgram) -> list[str]:
-    """What a file of FMI or C is that one has to know before it is used."""
+    """A section on what one has to know of a file of FMI or C before it is used."""
     lines = []
     precision = {
         ONLY_DOUBLE: "Numbers are double",
@@ -198,7 +198,7 @@ def _cell(text: str) -> str:
 
 
 def _records(command: Export, network: Network) -> Dataset:
-    """Those of a description, or of files, with the model's channels."""
+    """The records of a description, or of files, with the model's channels."""
     first = command.files[0]
     if any(Path(f).suffix.lower() == ".toml" for f in command.files):
         if len(command.files) > 1:

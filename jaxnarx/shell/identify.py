@@ -124,7 +124,7 @@ def identify(
 
 
 class Teller(ExitStack):
-    """What an identification tells while it runs."""
+    """The reporter of an identification while it runs."""
 
     def __init__(self, method: Identification):
         super().__init__()

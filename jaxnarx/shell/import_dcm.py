@@ -37,7 +37,7 @@ def import_dcm(command: ImportDcm) -> int:
 
 
 def _text(path: str) -> str:
-    """Of ISO 8859-1, in which every byte is a letter."""
+    """Read text of ISO 8859-1, in which every byte is a letter."""
     with guard_reading(path, "a DCM file or C source"):
         if Path(path).stat().st_size > LARGEST:
             raise DataFileError(f"{path}: larger than {LARGEST >> 20} MB", path=path)
@@ -45,7 +45,7 @@ def _text(path: str) -> str:
 
 
 def changes(before: Network, after: Network) -> list[str]:
-    """How many numbers of every table have changed, and by how much at most."""
+    """The number of changed entries of every table, and the largest change."""
     old, new = ({t.name: t for t in lower(n).tables} for n in (before, after))
     lines = []
     for name, table in old.items():
@@ -63,7 +63,7 @@ def changes(before: Network, after: Network) -> list[str]:
 
 
 def what_is_lost(before: Network, after: Network) -> list[str]:
-    """What was known of the model before and is not of what it is now."""
+    """The facts that were known of the model before and are not of what it is now."""
     lines = []
     if before.errors is not None and after.errors is None:
         lines.append("The model has no prediction intervals any more.")

@@ -53,7 +53,7 @@ def exit_code_asked() -> int:
 
 @contextlib.contextmanager
 def last_words(tell: Callable[[], object]) -> Iterator[None]:
-    """What to tell if the process has to be ended while this lasts."""
+    """Tell this if the process has to be ended while it lasts."""
     _last_words.append(tell)
     try:
         yield
@@ -96,7 +96,7 @@ def _raise(number: int, frame: Any) -> None:
 
 
 def _hook(before: Callable[[Any], object]) -> Callable[[Any], object]:
-    """Of jax's callback in the garbage collector, for one, no exception gets out."""
+    """Let no exception out of jax's callback in the garbage collector, for one."""
 
     def told(found: Any) -> None:
         if issubclass(found.exc_type, KeyboardInterrupt):

@@ -57,8 +57,8 @@ def first_lines(report: "Report") -> str:
 
 @contextmanager
 def about(source: str, *, but: Collection[str] = ()) -> Iterator[None]:
-    """What is wrong with the contents of a file is not wrong usage; what is wrong with
-    the fields of `but`, which were typed, is."""
+    """Name the contents of a file as the cause, which is not wrong usage; the fields of
+    `but`, which were typed, are."""
     try:
         yield
     except SpecError as error:
@@ -69,7 +69,8 @@ def about(source: str, *, but: Collection[str] = ()) -> Iterator[None]:
 
 
 def size(data: "Dataset") -> str:
-    """How many records and samples, their distance, and whether all runs in float32."""
+    """The number of records and samples, their distance, and whether all runs in
+    float32."""
     single = len(data) > 0 and data.records[0].u.dtype == "float32"
     return (
         f"{count(len(data), 'record')}, {count(data.samples, 'sample')} at "

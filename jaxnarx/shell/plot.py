@@ -63,7 +63,7 @@ def partition(
     start: Network | None = None,
     output: str | None = None,
 ) -> Figure:
-    """Where the local models of an output are valid.
+    """Draw the regions of an output's local models.
 
     `start`, the network before its refinement, stands beside it; `data` lie under it.
     """
@@ -165,7 +165,7 @@ def tracking(
     *,
     record: int = 0,
 ) -> Figure:
-    """What cascades make of a record of references, and their commands.
+    """Draw what cascades make of a record of references, and their commands.
 
     `ways` are what `jnx.inverse.cascade` returned for `references`, by name; one alone
     is welcome.

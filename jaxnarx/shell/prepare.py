@@ -144,7 +144,7 @@ def stored_preparation(model: str | os.PathLike[str]) -> Preparation | None:
 
 
 def raw_channels(preparation: Preparation, channels: Channels) -> Channels:
-    """What raw files must hold for a model with these channels, in raw units.
+    """The channels that raw files must hold for a model with these, in raw units.
 
     Channels that only a step needs (a speed to count crank angle by) become inputs.
     """

@@ -17,8 +17,8 @@ PAUSE = 0.5
 
 @contextmanager
 def tell_reading() -> Iterator[None]:
-    """Beside the output, the file that is being read, from two seconds on, and the
-    seconds that reading has taken once it is over."""
+    """Tell, beside the output, the file that is being read, from two seconds on, and
+    the seconds that reading has taken once it is over."""
     from jaxnarx.data import WATCHER
 
     log = _ReadingLog()

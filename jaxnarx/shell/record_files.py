@@ -84,7 +84,7 @@ def describe(
 
 
 def _groups(data: Dataset, files: Mapping[str, Sequence[str]]) -> list[str]:
-    """What is left out together, as the records say."""
+    """The groups that are left out together, as the records say."""
     of: dict[str, list[str]] = {}
     if any(record.group for record in data):
         names = [name for part in files.values() for name in part]

@@ -138,7 +138,7 @@ def _tell_scores(value: Trajectories, data: Dataset, kind: str) -> None:
 
 
 def _tell_held(value: Trajectories | Tracking) -> None:
-    """How many samples of every output are not what was computed."""
+    """Tell how many samples of every output are not what was computed."""
     held = np.concatenate(value.held)
     for name, many in zip(value.output_names, held.sum(axis=0).tolist(), strict=True):
         if many:

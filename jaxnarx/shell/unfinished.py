@@ -55,7 +55,8 @@ def _remove(place: Path) -> None:
 
 
 def folders_in_use(folder: Path) -> list[Path]:
-    """Where living processes write in `folder`; what dead ones have left is removed."""
+    """The places at which living processes write in `folder`; what dead ones have left
+    is removed."""
     living = []
     for place in folder.glob(PREFIX + "*"):
         try:

@@ -70,7 +70,7 @@ class Prepared:
 
     @classmethod
     def tree_unflatten(cls, columns: tuple, arrays: tuple) -> "Prepared":
-        """From what `tree_flatten` gave."""
+        """Rebuild from what `tree_flatten` gave."""
         made = object.__new__(cls)  # unchecked: what stands in place of arrays varies
         given = dict(zip(_ARRAYS, arrays, strict=True))
         for name, value in (given | {"columns": columns, "origin": None}).items():
@@ -79,7 +79,8 @@ class Prepared:
 
     @property
     def inputs(self) -> Float[Array, "*members records time inputs"]:
-        """What drives the network, physical units: the columns of its call."""
+        """The inputs that drive the network, physical units: the columns of its
+        call."""
         return self.signals[..., np.array(self.columns[0], int)]
 
     @property
@@ -314,7 +315,7 @@ def _origin_of(data: Prepared) -> PreparedFrom:
 
 
 def _structure(network: Network) -> tuple:
-    """What of a network decides how records are prepared, static."""
+    """The structure of a network that decides how records are prepared, static."""
     scheduling = tuple(m.scheduling for m in network.models)
     own = network.channels, network.modelled, network.variables, scheduling
     return *own, network.window, network.outside

@@ -13,7 +13,7 @@ from jaxnarx.models import Network
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Masks:
-    """Where a dataset can be used, host arrays.
+    """Masks of the samples at which a dataset can be used, host arrays.
 
     `start` is the first sample of each record with a complete measured history (the
     longest record's length where there is none), where its free run begins, and `first`
@@ -90,7 +90,8 @@ def first_anchor(masks: Any) -> Bool[Array | np.ndarray, "records time"]:
 def window_anchors(
     masks: Any, horizon: int | Int[Array, ""]
 ) -> Bool[Array | np.ndarray, "records time"]:
-    """Those, and a restart every `horizon` samples where the history is valid."""
+    """The anchors of free runs, and a restart every `horizon` samples where the history
+    is valid."""
     at = np.arange(masks.anchors.shape[1])[None]
     every = (at - masks.start[:, None]) % horizon == 0
     return first_anchor(masks) | (every & masks.anchors)

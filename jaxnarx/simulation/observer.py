@@ -16,7 +16,7 @@ BATCH = 256
 def begin_hidden(
     network: Network, drive: RunInputs, start: Int[Array, " records"]
 ) -> RunInputs:
-    """With the hidden channels' values before the sample at which each record begins.
+    """Set the hidden channels' values before the sample at which each record begins.
 
     Records without such a sample (`start` is their length) keep zeros.
     """
@@ -27,7 +27,7 @@ def begin_hidden(
 
 
 def observe_hidden(network: Network, drive: RunInputs) -> RunInputs:
-    """With the hidden channels' values at every sample, from the window that ends
+    """Estimate the hidden channels' values at every sample, from the window that ends
     there."""
     if not network.hidden:
         return drive

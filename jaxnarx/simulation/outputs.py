@@ -66,7 +66,7 @@ def scaled_run(
 
 
 def start_hidden(network: Network, runs: Prepared) -> Prepared:
-    """With the values that hidden channels best start from, see
+    """Set the values that hidden channels best start from, see
     `jaxnarx.models.observer`."""
     if not network.hidden:
         return runs
@@ -103,7 +103,8 @@ def predict_ahead(
 def ready(
     runs: Prepared, k: int | Int[Array, ""]
 ) -> Bool[Array, "records time outputs"]:
-    """Where a k-step prediction counts: scored, with a whole measured history."""
+    """The samples at which a k-step prediction counts: scored, with a whole measured
+    history."""
     time = runs.anchors.shape[1]
     at = jnp.arange(time) - (k - 1)
     before = runs.anchors[:, jnp.clip(at, 0)] & (at >= 0)[None]
@@ -140,7 +141,7 @@ def residual(network: Network, runs: Prepared) -> Float[Array, " samples"]:
 
 
 def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
-    """How the free run of every record ends: codes of `jnx.RESULTS`, as an array.
+    """The status of the free run of every record: codes of `jnx.RESULTS`, as an array.
 
     `ok`; `diverged`, where the feedback bound acts on more than 5 % of its samples or
     on 50 in a row; `too_short`, without a valid history to start from.
@@ -183,7 +184,7 @@ def stack(networks: Sequence[Network]) -> Network:
 
 
 def _stack(leaves: Sequence[Array]) -> Array:
-    """Without a program of its own, unless they are traced."""
+    """Stack without a program of its own, unless arrays are traced."""
     if any(isinstance(leaf, Tracer) for leaf in leaves):
         return jnp.stack(leaves)
     return jax.device_put(np.stack(leaves))
@@ -214,7 +215,7 @@ def _shape(network: Network) -> Any:
 def _physical(
     network: Network, runs: Prepared, scaled: Array, first: Array
 ) -> Float[Array, "records time outputs"]:
-    """What is reported of a run; `scaled` may have hidden channels behind its
+    """Report a run in physical units; `scaled` may have hidden channels behind its
     outputs."""
     rate = jnp.zeros(())
     if network.hold is not None and network.outside != HOLD:

@@ -24,7 +24,7 @@ from jaxnarx.regressors import batch_columns
 
 
 class RunInputs(eqx.Module):
-    """What a run needs of the measurements, computed once per dataset.
+    """The arrays that a run needs of the measurements, computed once per dataset.
 
     `v`: a leading one and the scaled lagged variables; `x`: scheduling variables of
     every output in physical units; `measured`: scaled outputs, and zeros for hidden

@@ -82,7 +82,7 @@ class Trajectories:
 def where_limited(
     network: Network, y: Float[Array, "records time outputs"]
 ) -> Bool[Array, "records time outputs"]:
-    """Where the feedback bound holds the scaled outputs of a run."""
+    """The samples at which the feedback bound holds the scaled outputs of a run."""
     return (y <= network.lower[None, None]) | (y >= network.upper[None, None])
 
 
@@ -111,8 +111,8 @@ def has_diverged(
 def _extrapolated(
     network: Network, batch: Batch, k: int | None
 ) -> Bool[np.ndarray, "records time"]:
-    """Where an input leaves its range; with `k` a measured output too, which the
-    prediction starts from that many steps before."""
+    """The samples at which an input leaves its range; with `k` a measured output too,
+    which the prediction starts from that many steps before."""
     signals = np.asarray(network.complete(batch.signals))
     slack = 1e-9 * (np.asarray(network.high) - np.asarray(network.low))
     outside = (signals < np.asarray(network.low) - slack) | (
@@ -132,7 +132,8 @@ def _extrapolated(
 def make_trajectories(
     network, data, batch, scaled, scored, start, ahead=None, gaps=None
 ) -> Trajectories:
-    """Of a free run, or of a prediction so many steps `ahead` = (k, limited)."""
+    """Trajectories of a free run, or of a prediction so many steps `ahead` = (k,
+    limited)."""
     own = np.array(network.signals)
     ranges = network.gain, network.low, network.high
     gain, low, high = (np.asarray(a)[own] for a in ranges)

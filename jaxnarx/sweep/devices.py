@@ -31,7 +31,7 @@ class OverDevices:
         return self.work.members
 
     def describe(self) -> dict[str, Any]:
-        """What the work says of itself: where it is computed is no part of it."""
+        """Describe the work; where it is computed is no part of it."""
         return self.work.describe()
 
     def run(self, indices: Sequence[int]) -> list[dict[str, Any]]:

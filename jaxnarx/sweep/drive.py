@@ -103,7 +103,7 @@ def read_sweep(folder: str | Path) -> SweepTable:
 
 @guard_arguments
 def so_far(run: RunFolder) -> str:
-    """How much of a sweep is finished, and how to go on, as a sentence."""
+    """A sentence on how much of a sweep is finished, and how to go on."""
     done = run.finished()
     members = sum(len(run.members(n)) for n in done)
     return (

@@ -113,7 +113,7 @@ def _end(cluster: LocalCluster) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class _Place(WorkerPlugin):
-    """What a worker does first: it takes a core, and leaves Ctrl-C to its parent."""
+    """The first act of a worker: it takes a core, and leaves Ctrl-C to its parent."""
 
     cores: list[int]
 

@@ -255,7 +255,8 @@ def outliers(
     sigmas: float,
     least: float,
 ) -> Bool[np.ndarray, " time"]:
-    """Where `x` is outlying, see `Hampel`; at the ends the outermost window is used."""
+    """The samples at which `x` is outlying, see `Hampel`; at the ends the outermost
+    window is used."""
     width, n = 2 * half_width + 1, len(x)
     known = np.where(valid, x, np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(known, width)

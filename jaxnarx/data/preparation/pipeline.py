@@ -23,7 +23,7 @@ from jaxnarx.formatting import page
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """What one step did to one record.
+    """The change that one step made to one record.
 
     `step` is the step's place in the preparation, from 0. `masked` counts by channel
     the samples that became invalid, or, where the raster changed, all that are invalid
@@ -41,7 +41,8 @@ class Change:
 
 @dataclasses.dataclass(frozen=True)
 class Changes:
-    """What every step did to every record; `steps` are their descriptions."""
+    """The changes that every step made to every record; `steps` are their
+    descriptions."""
 
     steps: tuple[str, ...] = ()
     items: tuple[Change, ...] = ()
@@ -53,7 +54,7 @@ class Changes:
         return iter(self.items)
 
     def of(self, step: int) -> tuple[Change, ...]:
-        """What one step did."""
+        """The changes of one step."""
         return tuple(c for c in self.items if c.step == step)
 
     def masked(self, step: int) -> dict[str, int]:
@@ -102,7 +103,7 @@ class Changes:
 
 
 def changes(before: Dataset, after: Dataset, *, step: int) -> tuple[Change, ...]:
-    """What a step did, from the data before and after it."""
+    """The changes of a step, from the data before and after it."""
     same = before.sample_time == after.sample_time
     return tuple(
         _change(a, b, after.channels.names, step, same)
@@ -151,7 +152,7 @@ class Preparation:
         return self.apply_reported(data)[0]
 
     def apply_reported(self, data: Dataset) -> tuple[Dataset, Changes]:
-        """As `apply`, with what was done to every record."""
+        """Prepare as `apply` does, and tells what was done to every record."""
         self._require_alike(data)
         found: list[Change] = []
         for n, step in enumerate(self.steps):
@@ -204,7 +205,7 @@ class Preparation:
 
     @classmethod
     def from_dict(cls, table: Any) -> "Preparation":
-        """What `to_dict` wrote, from JSON; anything else is a SpecError."""
+        """Read what `to_dict` wrote, from JSON; anything else is a SpecError."""
         table = decode(table, dict[str, Any], "preparation")
         version = table.get("format")
         if version != FORMAT:

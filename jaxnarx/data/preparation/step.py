@@ -39,7 +39,7 @@ class AbstractFitted(abc.ABC):
 
     @abc.abstractmethod
     def describe(self) -> str:
-        """What the step does, in one line or more, with numbers and units."""
+        """Describe the step in one line or more, with numbers and units."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types for JSON; `kind` is the name of the class."""

@@ -18,7 +18,7 @@ from jaxnarx.errors import DataError, DataFileError
 
 @dataclasses.dataclass(frozen=True)
 class CsvLayout:
-    """How the CSV files of a description are written; `None` and "" are found out.
+    """The layout of the CSV files of a description; `None` and "" are found out.
 
     `columns` names the columns of files without a header line; `skip_rows` lines stand
     before the header; `unit_row` says that a line of units follows it.
@@ -34,7 +34,7 @@ class CsvLayout:
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """What a description says about its files, for every reader.
+    """The part of a description that every reader needs.
 
     `table` names the sheet, variable or group of files that hold several; `sample_time`
     [s] is wanted of files whose channels have rasters of their own.
@@ -48,7 +48,7 @@ class Asked:
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """What a file says of one of its columns or channels, before it is read.
+    """One column or channel of a file, before it is read.
 
     `table` is where in the file it is, `step` [s] its raster where it has one of its
     own; `text` marks columns of labels.

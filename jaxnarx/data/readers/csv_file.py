@@ -103,7 +103,7 @@ def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
 
 
 def _units(head: _Head, layout: CsvLayout) -> dict[str, str]:
-    """By column, where a line of units follows the header."""
+    """Units by column, where a line of units follows the header."""
     if not layout.unit_row:
         return {}
     fields = head.fields(head.first - 1)

@@ -217,7 +217,7 @@ def _convert(path: Path, name: str, formula: str, x: np.ndarray) -> np.ndarray:
 
 
 def _labels(channel: Any, x: np.ndarray) -> list[str]:
-    """What an enumeration calls the numbers that are there."""
+    """The labels that an enumeration gives to its numbers."""
     conversion = channel.conversion
     if getattr(conversion, "conversion_type", 0) not in _TO_TEXT:
         return []

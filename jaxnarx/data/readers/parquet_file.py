@@ -49,7 +49,7 @@ def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
 
 
 def _unit(field) -> str:
-    """As the metadata of the field states it."""
+    """The unit that the metadata of the field states."""
     told = field.metadata or {}
     found = next((told[n] for n in (b"unit", b"units") if n in told), b"")
     return found.decode("utf-8", "replace").strip()

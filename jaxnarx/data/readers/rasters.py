@@ -165,7 +165,8 @@ def _at(
 def _notes(
     signals: Sequence[Signal], start: float, step: float, place: RowSource
 ) -> tuple[str, ...]:
-    """What happened to which channels; those that lie on the grid stay as they are."""
+    """Notes on which channels were changed; those that lie on the grid stay as they
+    are."""
     how = {"held": [], "filtered against aliasing": [], "interpolated": []}
     for signal in signals:
         if _lies_on(signal.time, start, step):

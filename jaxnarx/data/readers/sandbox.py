@@ -40,7 +40,8 @@ LEAST, RATE = 60.0, 2e6
 
 
 def ask(module: str, function: str, path: Path, **given: Any) -> Any:
-    """What `function(path, folder, **given)` of a module answers in the process."""
+    """The answer of `function(path, folder, **given)` of a module, run in the
+    process."""
     if not _APART:
         _APART.append(SandboxedReader())
     return _APART[0].ask(module, function, path, **given)
@@ -102,7 +103,7 @@ class SandboxedReader:
         atexit.register(self.close)
 
     def ask(self, module: str, function: str, path: Path, **given: Any) -> Any:
-        """What `function(path, **given)` of a reader answers in the process."""
+        """The answer of `function(path, **given)` of a reader, run in the process."""
         request = {"module": module, "function": function, "path": str(path)}
         request |= {"given": given, "folder": str(self.folder)}
         if not path.is_absolute():  # the process began where we may be no longer
@@ -139,7 +140,7 @@ class SandboxedReader:
 
     @property
     def folder(self) -> Path:
-        """Where the arrays of answers are."""
+        """The folder that holds the arrays of answers."""
         if self._folder is None:
             self._folder = TemporaryFolder()
         return self._folder.path

@@ -9,7 +9,7 @@ from jaxnarx.data.readers.variable_trees import TimedColumns
 
 
 def read_branch(branch: Mapping[str, Any]) -> TimedColumns | None:
-    """What such a branch holds; `None` for any other."""
+    """Read such a branch; `None` for any other."""
     return _simulink(branch) or _dspace(branch) or _iddata(branch)
 
 

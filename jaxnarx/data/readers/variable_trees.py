@@ -44,7 +44,7 @@ class WithUnit:
 def open_tree(
     path: Path, wanted: Sequence[str] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """What is in a file; of HDF5, arrays that are not read before they are used.
+    """Open a file as a tree; arrays of HDF5 are not read before they are used.
 
     Vectors that are not `wanted` may be left out.
     """
@@ -74,7 +74,8 @@ def unfolded_size(path: Path) -> int:
 
 
 def _mat_size(path: Path) -> int:
-    """Of version 5: the tag of every packed element tells how long it will be."""
+    """The size of a file of version 5: the tag of every packed element tells how long
+    it will be."""
     size = path.stat().st_size
     total = 0
     with path.open("rb") as file:

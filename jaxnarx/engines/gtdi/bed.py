@@ -273,7 +273,7 @@ class Gtdi(AbstractEngine):
     def settled_bench(
         self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
     ):
-        """What `advance` carries when `state` has been there for long.
+        """The state that `advance` carries when `state` has been there for long.
 
         In this order: states, readings of torque and air-fuel ratio, past throttle
         commands, durations of the past events [s], delay lines of the indicated torque

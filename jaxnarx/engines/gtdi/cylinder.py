@@ -11,7 +11,7 @@ from jaxnarx.engines.engine import parameter
 
 
 class Combustion(NamedTuple):
-    """What the cylinders do at one instant."""
+    """Flows, torque and heat of the cylinders at one instant."""
 
     fuel: Float[Array, ""]  # W_f, kg/s
     ratio: Float[Array, ""]  # lambda, dimensionless

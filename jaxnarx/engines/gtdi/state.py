@@ -10,7 +10,8 @@ EVENT = 180.0  # degrees crank angle
 
 
 class GtdiDrive(NamedTuple):
-    """What is imposed on the engine; an entry that is `None` takes care of itself.
+    """Inputs that are imposed on the engine; an entry that is `None` takes care of
+    itself.
 
     `throttle` angle [deg, 4 is shut]. `speed` [rpm], held by the dynamometer. `fuel`
     [mg/stroke], else what the present air flow needs for lambda one times `richness`.
@@ -72,7 +73,7 @@ def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Arr
 
 
 def gtdi_margins(q: GtdiQuantities) -> dict[str, Float[Array, "*time"]]:
-    """How far inside the limits of the bed [O]; any shape.
+    """Margins to the limits of the bed [O]; any shape.
 
     `mixture`: lambda inside 0.7 to 1.4. `heat`: exhaust up to 1250 K, enrich above.
     `boost`: up to 230 kPa before the throttle. `turbo`: up to 190 krpm. `vacuum`:

@@ -14,7 +14,7 @@ SURGE = 1e-6  # squared flow coefficient below which the compressor surges
 
 
 class Compression(NamedTuple):
-    """What the compressor does at one instant."""
+    """Flow, temperature and power of the compressor at one instant."""
 
     flow: Float[Array, ""]  # W_c, kg/s
     rise: Float[Array, ""]  # dT_c, K
@@ -119,7 +119,7 @@ class Compressor(eqx.Module):
 
 
 class Expansion(NamedTuple):
-    """What the turbine does at one instant."""
+    """Flow, temperature and power of the turbine at one instant."""
 
     flow: Float[Array, ""]  # W_t, kg/s
     power: Float[Array, ""]  # P_t, W

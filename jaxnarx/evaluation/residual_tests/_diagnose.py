@@ -175,7 +175,7 @@ def _output(
 def _correlations(
     network: Network, batch: Batch, one: OneStep, lags: int, level: float
 ) -> Iterator[LagTest]:
-    """Of the residual alone, then of every input."""
+    """Correlations of the residual alone, then of every input."""
     residual, scores = one.residual, normal_scores_of_squares(one.residual)
     yield autocorrelation(residual, lags=lags, level=level)
     yield changing_variance(residual, lags=lags, level=level)

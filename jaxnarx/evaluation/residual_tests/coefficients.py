@@ -83,7 +83,7 @@ def coefficients(
 
 
 def _units(network: Network, one: OneStep) -> np.ndarray:
-    """Of every coefficient: one over the gains of its term's factors.
+    """The unit of every coefficient: one over the gains of its term's factors.
 
     Residuals have the output's unit already, up to a factor.
     """

@@ -66,7 +66,7 @@ def input_correlation(
     lags: int = 20,
     level: float = 0.05,
 ) -> LagTest:
-    """Of the residual with an input, k = -`lags` to `lags`.
+    """Correlation of the residual with an input, k = -`lags` to `lags`.
 
     Negative lags are shown but not tested: there the input follows the residual, which
     tells of a loop closed around the process and not of a wrong model.

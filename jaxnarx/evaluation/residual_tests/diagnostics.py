@@ -79,7 +79,7 @@ class OutputDiagnostics:
 
     @property
     def effects(self) -> dict[str, float]:
-        """By test of `rows`, the share of the residual's variance that it is about.
+        """The share of the residual's variance that each test of `rows` is about.
 
         Of a correlation test the squared correlation of its strongest lag, of Ljung and
         Box's what the residual's past foretells of it, of a mean its square. Runs and
@@ -102,7 +102,7 @@ class OutputDiagnostics:
         )
 
     def strong(self, level: float) -> list[str]:
-        """What is `found` with an effect of at least `MATTERS`, largest first."""
+        """The tests `found` with an effect of at least `MATTERS`, largest first."""
         effect = self.effects
         kept = [n for n in self.found(level) if effect.get(n, 0.0) >= MATTERS]
         return sorted(kept, key=lambda n: -effect[n])

@@ -44,7 +44,7 @@ class ResidualBasis:
 
     @property
     def leverage(self) -> Float[np.ndarray, " rows"]:
-        """What share of its own noise each sample's prediction takes over.
+        """The share of its own noise that each sample's prediction takes over.
 
         The diagonal of B B', between 0 and 1 for a global fit.
         """

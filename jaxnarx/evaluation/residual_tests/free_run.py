@@ -148,7 +148,8 @@ def _correlation(
     lags: int,
     level: float,
 ) -> LagTest:
-    """Of the residual with an input, k = -`lags` to `lags`; from 0 on it is tested."""
+    """Correlation of the residual with an input, k = -`lags` to `lags`; from 0 on it is
+    tested."""
     at = np.arange(-lags, lags + 1)
     norm = float(np.sqrt(np.sum(u**2) * np.sum(e**2))) or 1.0
     value = lagged_products(u, e, at) / norm

@@ -35,7 +35,7 @@ estimates only new local models leaves the others nearly but not wholly fitted."
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OneStep:
-    """What the tests of one output need.
+    """The residual and the regressors that the tests of one output need.
 
     `estimated` tells how the coefficients follow from these very samples: `"global"` by
     one least squares problem, `"local"` by one for each local model, `"no"` not at all.
@@ -119,7 +119,7 @@ def columns(
 
 
 def slots(model: OutputModel) -> list[Int[np.ndarray, " used"]]:
-    """Of every active local model the rows of its terms in the table of terms."""
+    """The rows in the table of terms of every active local model's terms."""
     index, used = np.asarray(model.local.index), np.asarray(model.local.used)
     return [index[m, used[m]] for m in np.flatnonzero(np.asarray(model.active))]
 

@@ -53,7 +53,7 @@ class Residual:
     def left(
         self, z: Float[np.ndarray, "rows columns"]
     ) -> Float[np.ndarray, "rows columns"]:
-        """What fit and mean leave of instruments at the places `at`."""
+        """The rest of instruments at the places `at` after fit and mean."""
         return self.fit.without(z - z.mean(axis=0)[None] if self.centred else z)
 
     @property

@@ -42,7 +42,7 @@ def _written(program: SampleProgram, golden: Golden, *, version: int) -> Files:
 
 
 def archive_name(program: SampleProgram, version: int) -> str:
-    """What the file is called."""
+    """The name of the file."""
     return f"{program.name}_fmi{version}.fmu"
 
 
@@ -78,7 +78,7 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
 
 
 def place_of_binary(name: str, version: int) -> str | None:
-    """Where the binary for this machine goes; None where FMI has no name for it."""
+    """The folder of the binary for this machine; None where FMI has no name for it."""
     machine = MACHINES.get(platform.machine().lower(), platform.machine().lower())
     if platform.system() not in SYSTEMS:
         return None

@@ -19,12 +19,12 @@ from jaxnarx.exporters.target import Proof
 
 
 def prove_fmu2(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
-    """Of FMI 2.0: outputs behind the step that has taken their sample."""
+    """Prove FMI 2.0: outputs behind the step that has taken their sample."""
     return _proven(program, folder, cases, 2)
 
 
 def prove_fmu3(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
-    """Of FMI 3.0: outputs in event mode, without delay."""
+    """Prove FMI 3.0: outputs in event mode, without delay."""
     return _proven(program, folder, cases, 3)
 
 

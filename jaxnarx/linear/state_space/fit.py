@@ -180,7 +180,7 @@ def _require_hope(starts: list[_Start], hopeless: float) -> None:
 
 
 def _roomy(start: _Start, regions: int) -> _Start:
-    """With a place for so many regions of what it has visited."""
+    """Make room for so many regions of what the start has visited."""
     low, high = start.ranged.low, start.ranged.high
     network = dataclasses.replace(start.fit.value, low=low, high=high)
     network = pad_models(network, regions)
@@ -190,8 +190,8 @@ def _roomy(start: _Start, regions: int) -> _Start:
 def _divide(
     start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
 ) -> _Start:
-    """With one region more, divided where the first steps lead to the smallest error;
-    as it is where no division can be trained."""
+    """Add one region, divided where the first steps lead to the smallest error; none
+    where no division can be trained."""
     found = []
     for network in split_candidates(start.fit.value, data):
         try:
@@ -232,7 +232,7 @@ def _starts(
 
 
 def _error(network: Network, data: Dataset) -> float:
-    """Of the free run, begun as in use; infinite where it diverges."""
+    """The error of the free run, begun as in use; infinite where it diverges."""
     run = simulate(network, data).value
     if any(bad.any() for bad in run.diverged):
         return np.inf

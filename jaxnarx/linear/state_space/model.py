@@ -144,7 +144,7 @@ def stabilise(
 
 
 def _radius(pole: float, *, integrating: bool) -> float:
-    """Where a pole, by its modulus if complex, goes."""
+    """The modulus to which a pole, by its modulus if complex, is moved."""
     if integrating and abs(pole - 1) <= EDGE:
         return 1.0
     size = abs(pole)
@@ -179,7 +179,7 @@ def transform(
     basis: Float[np.ndarray, "states states"],
     mean: Float[np.ndarray, " states"],
 ) -> StateSpace:
-    """In coordinates z, x = `basis` z + `mean`."""
+    """Change to coordinates z, x = `basis` z + `mean`."""
     drift = model.a @ mean + model.state_offset - mean
     inside = np.column_stack([model.a @ basis, model.b, drift])
     inside = np.linalg.solve(basis, inside)

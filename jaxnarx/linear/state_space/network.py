@@ -88,7 +88,7 @@ def _coefficients(
     own: Int[np.ndarray, " computed"],
     table: Int[np.ndarray, "terms degree"],
 ) -> Float[np.ndarray, "computed terms"]:
-    """Of every term for all that is computed, in scaled signals."""
+    """Coefficients of every term for all that is computed, in scaled signals."""
     inputs = gain[: model.b.shape[1]]
     linear = np.block(
         [

@@ -111,7 +111,7 @@ def _visited_points(
 def _divide(
     model: OutputModel, leaf: int, direction: np.ndarray, border: float, steep: float
 ) -> OutputModel:
-    """With a gate in a leaf; the new leaf lies above it."""
+    """Add a gate to a leaf; the new leaf lies above it."""
     new = int(np.asarray(model.active).sum())
     names = ("direction", "border", "log_steepness", "path")
     tree = {name: np.array(getattr(model.validity, name)) for name in names}

@@ -41,7 +41,8 @@ class Segment:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StateRegression:
-    """What was found; `starts` has the state at every piece's first sample."""
+    """Matrices of a state-space model found by regression; `starts` has the state at
+    every piece's first sample."""
 
     b: Float[np.ndarray, "states inputs"]
     state_offset: Float[np.ndarray, " states"]

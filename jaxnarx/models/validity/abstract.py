@@ -63,7 +63,7 @@ class AbstractValidity(eqx.Module):
         offset: Float[np.ndarray, " dims"],
         span: Float[np.ndarray, " dims"],
     ) -> list[Region]:
-        """Where each local model is valid, in physical units x = offset + span z."""
+        """The region of each local model, in physical units x = offset + span z."""
 
     @property
     def parameters(self) -> list[Any]:
@@ -71,7 +71,7 @@ class AbstractValidity(eqx.Module):
         return [getattr(self, name) for name in self.trained]
 
     def replaced(self, values: Sequence[Array]) -> "AbstractValidity":
-        """With these values of the trained fields."""
+        """The same with these values of the trained fields."""
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
 
 

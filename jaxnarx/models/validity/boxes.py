@@ -46,7 +46,7 @@ class Boxes(AbstractValidity):
     def limits(
         self, width_band: tuple[float | int, float | int]
     ) -> tuple["Boxes", "Boxes"]:
-        """Where they are."""
+        """Limits at the present place: boxes are not trained."""
         return self, self
 
     def check(self, models: int, dims: int) -> None:

@@ -83,7 +83,8 @@ class Compact(AbstractValidity):
         offset: Float[np.ndarray, " dims"],
         span: Float[np.ndarray, " dims"],
     ) -> list[Region]:
-        """Where the curves pass one half, in every scheduling variable."""
+        """The places at which the curves pass one half, in every scheduling
+        variable."""
         return box_regions(names, self.low, self.high, offset, span)
 
 

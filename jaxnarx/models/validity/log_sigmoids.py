@@ -81,7 +81,7 @@ class LogSigmoids(AbstractValidity):
         offset: Float[np.ndarray, " dims"],
         span: Float[np.ndarray, " dims"],
     ) -> list[Region]:
-        """What each model lies above and below; none at the open ends."""
+        """The borders below and above each model; none at the open ends."""
         border = (np.asarray(self.border) * span[0] + offset[0]).tolist()
         lower = [{}, *({"above": b} for b in border)]
         upper = [*({"below": b} for b in border), {}]

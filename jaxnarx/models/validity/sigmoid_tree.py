@@ -106,7 +106,8 @@ class SigmoidTree(AbstractValidity):
         offset: Float[np.ndarray, " dims"],
         span: Float[np.ndarray, " dims"],
     ) -> list[Region]:
-        """What a leaf lies above or below: a variable, or a combination of them.
+        """The borders that a leaf lies above or below: a variable, or a combination of
+        them.
 
         A combination is scaled so that the variable that matters most, by its range in
         the data, has factor one.

@@ -104,7 +104,7 @@ class BlockDesign:
 
     @classmethod
     def of(cls, signals: RunSignals, a: Float[np.ndarray, " _"]) -> "BlockDesign":
-        """Without blocks."""
+        """A design without blocks."""
         target = _group_records([_target(s, a) for s in signals.stretches])
         parts = len(target)
         empty = NormalEquations(
@@ -159,7 +159,7 @@ class BlockDesign:
                     own[k : k + step] = run[:, at]
 
     def only(self, at: Int[np.ndarray, " chosen"]) -> "BlockDesign":
-        """Of these columns; blocks have the terms that are left."""
+        """The design with these columns alone; blocks have the terms that are left."""
         blocks, edge = [], 0
         for block in self.blocks:
             size = len(block.terms)
@@ -185,7 +185,7 @@ class BlockDesign:
         return out
 
     def extended(self, block: Block) -> "BlockDesign":
-        """With one more block."""
+        """The design with one more block."""
         gram, right = self.products(block)
         top = np.concatenate([self.equations.gram, gram.transpose(0, 2, 1)], axis=2)
         low = np.concatenate([gram, block.gram], axis=2)
@@ -220,7 +220,7 @@ class BlockDesign:
     def driven(
         self, theta: Float[np.ndarray, " columns"]
     ) -> list[Float[np.ndarray, " time"]]:
-        """What drives A(q) y in all stretches: the sum of all terms, unfiltered."""
+        """The input of A(q) y in all stretches: the sum of all terms, unfiltered."""
         out = []
         for one in self.signals.stretches:
             raw, edge = np.zeros(len(one.y)), 0
@@ -271,7 +271,7 @@ class BlockDesign:
         return out
 
     def begun(self, group: int) -> Float[np.ndarray, " _"]:
-        """What the measured start leaves in a group's free run."""
+        """The contribution of the measured start to a group's free run."""
         return self.measured[group] - self.target[group]
 
     def loss(self, group: int, run: Float[np.ndarray, " _"]) -> float:
@@ -289,13 +289,13 @@ class BlockDesign:
         return self.measured[group] - np.clip(run, *self.trained_range())
 
     def places(self, group: int) -> Int[np.ndarray, " _"]:
-        """Where its samples are among those of all records."""
+        """The places of a group's samples among those of all records."""
         return np.concatenate(
             [one.first + one.counted[group] for one in self.signals.stretches]
         )
 
     def trained_range(self) -> tuple[float, float]:
-        """Of the output in all that is measured, widened as it is in use."""
+        """The range of the output in all that is measured, widened as it is in use."""
         low = min(y.min(initial=np.inf) for y in self.measured)
         high = max(y.max(initial=-np.inf) for y in self.measured)
         return low - MARGIN * (high - low), high + MARGIN * (high - low)
@@ -322,5 +322,5 @@ def _at(rows: np.ndarray, counted) -> list[np.ndarray]:
 
 
 def _group_records(parts: list[list[np.ndarray]]) -> list[np.ndarray]:
-    """Of records' groups the groups of all records."""
+    """The groups of all records from those of each."""
     return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]

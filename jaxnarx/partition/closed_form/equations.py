@@ -41,7 +41,7 @@ class NormalEquations:
         return self.right.shape[1]
 
     def taken(self, at: Int[np.ndarray, " chosen"]) -> "NormalEquations":
-        """Of these columns."""
+        """The equations of these columns."""
         gram = self.gram[:, at[:, None], at[None]]
         return dataclasses.replace(self, gram=gram, right=self.right[:, at])
 

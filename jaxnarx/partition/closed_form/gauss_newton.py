@@ -136,7 +136,8 @@ def _step(
 def derivatives(
     design: BlockDesign, theta: Float[np.ndarray, " columns"], places: list[Place]
 ) -> list[Float[np.ndarray, "parameters _"]]:
-    """Of the free run by a_1 ... a_n, borders and logarithms of steepness, where
+    """Derivatives of the free run by a_1 ... a_n, borders and logarithms of steepness,
+    where samples count, group by group. a_n, borders and logarithms of steepness, where
     samples count, group by group."""
     runs, parts = design.runs(theta), []
     for one, run in zip(design.signals.stretches, runs, strict=True):
@@ -161,7 +162,7 @@ def _shifts(one: Stretch, run: np.ndarray, order: int) -> np.ndarray:
 def _turns(
     design: BlockDesign, theta: np.ndarray, one: Stretch, places: list[Place]
 ) -> np.ndarray:
-    """What the sum of all regions changes by borders, then by steepness."""
+    """Derivatives of the sum of all regions by borders, then by steepness."""
     count, edge = len(places), 0
     out = np.zeros((2 * count, len(one.y)))
     if not count:

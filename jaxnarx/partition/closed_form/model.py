@@ -86,7 +86,7 @@ class ClosedForm:
         return float(y.min() - margin), float(y.max() + margin)
 
     def part(self, network: Network) -> Summand:
-        """What a sum needs of it."""
+        """The part of the candidate that a sum needs."""
         left = [(at, error.astype(np.float32)) for at, error in self.left()]
         at, error = self.ahead()
         return Summand(self.name, network, left, (at, error.astype(np.float32)))
@@ -102,7 +102,8 @@ class ClosedForm:
         return np.sqrt(self.losses())
 
     def coefficients(self) -> Float[np.ndarray, " columns"]:
-        """Of all columns, from all groups; zero where a column is not chosen."""
+        """Coefficients of all columns, from all groups; zero where a column is not
+        chosen."""
         if self.given is not None:
             return self.given
         at, theta = self.stage.chosen()

@@ -44,7 +44,7 @@ class DataProfile:
     compared on the same samples, whatever history they need."""
 
     def to_dict(self, inputs: list[str]) -> dict:
-        """For people."""
+        """The facts as plain values, for people."""
         binary = [n for n, own in zip(inputs, self.levels, strict=True) if own]
         return {
             "dead_time": dict(zip(inputs, self.dead_time, strict=True)),

@@ -229,7 +229,7 @@ class ClosedSearch:
     def candidates(
         self, max_models: int, degree: int = 2, grown_roots: int = GROWN
     ) -> Iterator[ClosedForm]:
-        """From the mean to regions, cheap ones first."""
+        """Candidates from the mean to regions, cheap ones first."""
         yield self.constant()
         for order in (1, 2, 3):
             yield self.equation_error(order)
@@ -267,7 +267,7 @@ class ClosedSearch:
         return self.found("shared feedback", name, stage)
 
     def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
-        """Of scheduling variables with few values these, scaled as they are."""
+        """The levels of scheduling variables with few values, scaled as they are."""
         out = []
         scales = zip(signals.offset, signals.span, strict=True)
         entries = zip(signals.scheduling.entries, scales, strict=True)
@@ -333,6 +333,6 @@ def _bare(signals: RunSignals, a: Float[np.ndarray, " _"]) -> BlockDesign:
 
 
 def _of_group(signals: RunSignals, runs: list[np.ndarray], group: int) -> np.ndarray:
-    """Where a group's samples count."""
+    """The places of a group's samples."""
     parts = zip(signals.stretches, runs, strict=True)
     return np.concatenate([run[one.counted[group]] for one, run in parts])

@@ -137,5 +137,5 @@ def _at(places: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def root_mean_square(errors: Float[np.ndarray, " _"]) -> float:
-    """Of errors; zero of none."""
+    """The root mean square of errors; zero of none."""
     return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0

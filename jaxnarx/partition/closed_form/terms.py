@@ -28,7 +28,7 @@ from one to the next."""
 
 @dataclasses.dataclass(frozen=True)
 class Memory:
-    """How inputs are remembered: lags in multiples of `step` samples, and filters."""
+    """The memory of inputs: lags in multiples of `step` samples, and filters."""
 
     step: int
     lags: tuple[int, ...] = SPREAD
@@ -58,7 +58,7 @@ class Memory:
         return recent + behind
 
     def filters(self, data: Dataset) -> list[LowPass]:
-        """Those that records are long enough for."""
+        """The filters that records are long enough for."""
         longest = max(len(r) for r in data) * data.sample_time / 4
         times = [t * self.step * data.sample_time for t in self.times]
         return [LowPass(float(f"{t:.3g}")) for t in times if t <= longest]
@@ -88,7 +88,7 @@ def linear_pool(data: Dataset, profile: DataProfile, memory: Memory) -> Pool:
 def product_pool(
     linear: Pool, profile: DataProfile, memory: Memory, degree: int
 ) -> Pool:
-    """With products of inputs that have many levels, at two lags behind the dead time,
+    """Add products of inputs that have many levels, at two lags behind the dead time,
     and at two recent ones where a dead time is long.
 
     Products stay within one lag: inputs of engines move slowly, and products of
@@ -115,7 +115,8 @@ def _products(free: list[int], size: int) -> set[tuple[int, ...]]:
 
 
 def _dead_times(profile: DataProfile, memory: Memory) -> list[tuple[int, ...]]:
-    """Those that were seen, and without the long ones, which may be wrong."""
+    """The dead times that were seen, and those without the long ones, which may be
+    wrong."""
     long = (max(RECENT) + 1) * memory.step
     recent = tuple(0 if d > long else d for d in profile.dead_time)
     return list(dict.fromkeys((profile.dead_time, recent)))

@@ -152,7 +152,8 @@ def _has_convex_weights(model: OutputModel) -> bool:
 def _corners(
     network: Network, model: OutputModel, place: dict[int, tuple[int, int]]
 ) -> Float[np.ndarray, "corners outputs depth"] | None:
-    """Those of one output: local models, and ends of what multiplies a past output."""
+    """The corners of one output: local models, and ends of what multiplies a past
+    output."""
     shape = len(network.models), depth(network)
     dense = np.asarray(model.local.dense(), float)[np.asarray(model.active)]
     fixed = np.zeros((len(dense), *shape))

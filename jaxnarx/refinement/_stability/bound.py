@@ -57,7 +57,7 @@ class Place:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bound:
-    """How fast two runs with the same inputs approach each other, at least.
+    """A bound on how fast two runs with the same inputs approach each other.
 
     - `kind`: `"for all outputs in the bounds"`, proven for the inputs at the samples
       looked at whatever the outputs, or `"along the run, sampled"`: at the free run's

@@ -64,7 +64,7 @@ class Stability:
 
     @property
     def summary(self) -> str:
-        """What was found, in one or two sentences."""
+        """The finding in one or two sentences."""
         bound = self.bound
         everywhere = self.certificate or (bound if bound.kind != RUN else None)
         if everywhere is not None and everywhere.rate == 0:
@@ -148,7 +148,7 @@ def _cells(row: Poles) -> tuple[str, ...]:
 def _own_outputs(
     network: Network, drive: RunInputs, masks: Masks, run: Trajectories
 ) -> np.ndarray:
-    """What a finished run has carried, scaled and padded as the drive is.
+    """The outputs that a finished run has carried, scaled and padded as the drive is.
 
     No trajectory has the outputs of local models with feedback of their own: these are
     run again.

@@ -79,7 +79,7 @@ def cell_numbers(
 def equal_cells(
     cell: Integer[np.ndarray, " rows"], count: Int[np.ndarray, " cells"]
 ) -> Int[np.ndarray, "cells replicates"]:
-    """As many samples of every cell as the smallest has.
+    """Draw as many samples of every cell as the smallest has.
 
     They are spread evenly over the cell's samples in their order in the records: no
     random numbers, and as little correlation between neighbours as can be.
@@ -179,9 +179,8 @@ def judge(
 
 
 class CellLayout(NamedTuple):
-    """Where the samples of a group of variables lie: `pick` if thinned to equal cells,
-    else the `cell` of each.
-    """
+    """The cells of a group of variables: `pick` if thinned to equal cells, else the
+    `cell` of each sample."""
 
     shape: tuple[int, ...]
     pick: Int[np.ndarray, "cells replicates"] | None

@@ -165,7 +165,7 @@ def fit(
 def residual(
     model: Model, codes: Codes, levels: dict[int, int], y: Float[np.ndarray, " rows"]
 ) -> Float[np.ndarray, " rows"]:
-    """What the model leaves of y."""
+    """The part of y that the model leaves."""
     left = y.copy()
     for part, x in _blocks(codes, levels, model.effects):
         left[part] -= model.theta @ x[model.place].astype(np.float64)

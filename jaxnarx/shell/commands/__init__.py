@@ -54,7 +54,7 @@ _ELSEWHERE = "All keys of a description of records: `jaxnarx check --help`."
 
 
 def help_of(command: type) -> str:
-    """What help says of a command; `check` has the description that others read."""
+    """The help of a command; `check` has the description that others read."""
     text = inspect.getdoc(command) or ""
     if command is Check:
         return f"{text}\n\n{DESCRIPTION}"

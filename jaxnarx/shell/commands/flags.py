@@ -328,7 +328,7 @@ def _option(command: type, name: str, path: str, base: Identification) -> Any:
 
 
 def _usual(command: type, name: str, path: str, base: Identification) -> str:
-    """What help says of the default."""
+    """The help's words on the default."""
     owner, _ = hint_at(Identification, path)
     if name == "models":
         return f"(default: 1, with --schedule {owner.max_models})"

@@ -95,7 +95,7 @@ def _front(axes: Axes, rows: Sequence[Mapping[str, Any]], front: Sequence[int]):
 
 
 def _band(axes: Axes, rows: Sequence[Mapping[str, Any]]):
-    """From the best up to one standard error."""
+    """Draw the band from the best up to one standard error."""
     if not rows:
         return
     best = min(rows, key=lambda r: r["free_run"])

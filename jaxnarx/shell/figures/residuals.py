@@ -93,7 +93,7 @@ def _alone(one: OutputDiagnostics) -> list[LagTest]:
 
 
 def _inputs(one: OutputDiagnostics) -> list[list[LagTest]]:
-    """Of every input drawn its correlation, that of its square, and the worst rest."""
+    """Draw the correlation of every input, that of its square, and the worst rest."""
     rows = []
     for name in dict.fromkeys(t.signal for t in one.lag_tests if t.signal):
         tests = [t for t in one.lag_tests if t.signal == name]

@@ -96,7 +96,7 @@ def _needed_inputs(report: Report) -> list[str]:
 
 
 def _jumps(report: Report) -> list[tuple[int, int, int, int] | None]:
-    """Where the stretches with the largest error are: record, samples, output."""
+    """The stretches with the largest error: record, samples, output."""
     names = {(r.part, r.name): n for n, r in reversed(list(enumerate(report.records)))}
     order = [channel.name for channel in report.outputs]
     step = float(getattr(report.network, "sample_time", 1.0))
@@ -161,7 +161,7 @@ def _scores(report: Report) -> dict[str, Any]:
 
 
 def _boards(report: Report) -> list[dict[str, Any]]:
-    """By output: what the leaderboard says, its first rows and all of them."""
+    """The leaderboard of every output: its words, its first rows and all of them."""
     boards = []
     for output, entry in (report.leaderboard or {}).items():
         region = region_sentence(report.regions, output, report.main)
@@ -187,7 +187,7 @@ def _linear(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _models(report: Report) -> list[dict[str, Any]]:
-    """By output: its local models, and coefficients by term and model."""
+    """The local models of every output, and coefficients by term and model."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for equation in report.equations:
         groups.setdefault(str(equation["output"]), []).append(equation)

@@ -36,7 +36,7 @@ def _card(report: Report, output: str) -> dict[str, Any]:
 
 
 def _factor(free: Row, one: Row | None) -> float | None:
-    """How many times larger the free-run error is, where both are known."""
+    """The factor by which the free-run error is larger, where both are known."""
     if one is None or not free.rmse or not one.rmse:
         return None
     factor = free.rmse / one.rmse

@@ -34,7 +34,7 @@ class Origin:
 
     @classmethod
     def of(cls, description: str, root: str | None) -> "Origin":
-        """From what was typed, or set as the folder of data."""
+        """The origin that was typed, or set as the folder of data."""
         root = root or os.environ.get("JAXNARX_DATA") or None
         return cls(os.path.abspath(description), root and os.path.abspath(root))
 
@@ -44,7 +44,8 @@ class Origin:
 
 
 def read_origin(folder: Path) -> Origin:
-    """What `Origin.write` wrote; DataFileError where it is not there or damaged."""
+    """Read what `Origin.write` wrote; DataFileError where it is not there or
+    damaged."""
     path = folder / ORIGIN
     if not path.is_file():
         raise DataFileError(
@@ -75,7 +76,7 @@ def search_records(split: Split) -> tuple[Dataset, Dataset | None]:
 def scored_parts(
     train: Dataset, validation: Dataset | None, test: Dataset | None, network: Network
 ) -> dict[str, Dataset]:
-    """What the report is about: all that was trained on, and the test records.
+    """The parts of the report: all that was trained on, and the test records.
 
     A part without a record that is longer than the model's memory is left out.
     """
@@ -160,7 +161,7 @@ def score_model(
 def _fitting(
     networks: Mapping[str, Network], parts: Mapping[str, Dataset]
 ) -> dict[str, Network]:
-    """Those whose memory every part has a record for."""
+    """The networks whose memory every part has a record for."""
     longest = min(max(map(len, data)) for data in parts.values())
     return {
         name: network
@@ -191,7 +192,7 @@ def write_run(
 def provenance(
     typed: str, preparation: Preparation | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the model file keeps, and what the report tells, of how it was made."""
+    """The provenance that the model file keeps, and that the report tells."""
     about: dict[str, Any] = {"command": typed}
     told: dict[str, Any] = {"command": typed}
     if preparation is not None:

@@ -69,7 +69,7 @@ class _CandidateLines:
 
     @contextmanager
     def beating(self, seconds: float) -> Iterator["_CandidateLines"]:
-        """With a line about what is being tried wherever so long none was written."""
+        """Add a line about what is being tried wherever so long none was written."""
         ended = threading.Event()
 
         def beat() -> None:

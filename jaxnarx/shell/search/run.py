@@ -135,7 +135,7 @@ def _clear(folder: Path) -> None:
 
 
 def _count_candidates(folder: Path) -> int:
-    """How many candidates the folder holds."""
+    """The number of candidates in the folder."""
     try:
         return len(read_search(folder).leaderboard)
     except JaxnarxError:

@@ -21,7 +21,7 @@ def sweep_csv(table: SweepTable) -> str:
 
 
 def status_lines(table: SweepTable) -> list[str]:
-    """How many members ended how."""
+    """Lines that tell how many members ended how."""
     found = summary(table)
     width = max(len(name) for name in found)
     return [f"  {name:<{width}} {number:7d}" for name, number in found.items()]

@@ -47,7 +47,7 @@ def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
 
 @guard_arguments
 def summary(table: SweepTable) -> dict[str, int]:
-    """How many rows have which status, in the order of the table of statuses."""
+    """The number of rows with each status, in the order of the table of statuses."""
     found = table.column("status").tolist()
     names = [*NAMES, *sorted(set(found) - set(NAMES))]
     return {name: found.count(name) for name in names if name in found}

@@ -111,7 +111,7 @@ class SweepTable:
 
     @property
     def okay(self) -> Bool[np.ndarray, " rows"]:
-        """Where the status is an informative end rather than a failure."""
+        """The rows whose status is an informative end rather than a failure."""
         return np.array([s in NAMES[:OKAY] for s in self.column("status")], bool)
 
     def to_pandas(self) -> Any:

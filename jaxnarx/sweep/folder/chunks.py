@@ -118,7 +118,7 @@ def _is_sealed(data: bytes) -> bool:
 
 
 def _place(data: bytes) -> slice:
-    """Where the digest stands: the mark comes after all rows and their statistics."""
+    """The place of the digest: the mark comes after all rows and their statistics."""
     start = data.rfind(SEAL) + len(SEAL)
     return slice(start, start + 64)
 

@@ -21,7 +21,7 @@ def put(path: Path, data: bytes, *, replace: bool = False) -> bool:
 
 
 def unwritable(path: Path, error: OSError) -> DataFileError:
-    """What to tell where a file of the run folder cannot be written."""
+    """The message where a file of the run folder cannot be written."""
     return files.unwritable(path, error, "Finished chunks are kept. ")
 
 

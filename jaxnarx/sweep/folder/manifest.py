@@ -27,7 +27,7 @@ _ADVICE = (
 
 @dataclasses.dataclass(frozen=True)
 class Manifest:
-    """What a run folder is the record of.
+    """The manifest of a run folder: work, data, chunks.
 
     `sweep` is what must not change: what the work says of itself, a digest of its
     labels, their number, whether numbers are of 64 bits and the version of this
@@ -166,7 +166,7 @@ def _versions() -> dict[str, str]:
 
 
 def _differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
-    """What differs in two JSON values, as `work.ridge was 1, is 2`."""
+    """The differences of two JSON values, as `work.ridge was 1, is 2`."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in dict.fromkeys((*old, *new)):
             name = f"{path}.{key}" if path else str(key)
@@ -180,7 +180,7 @@ def _differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
 
 
 def _without_digest(sweep: dict[str, Any]) -> dict[str, Any]:
-    """Without the digest of the labels, which tells people nothing."""
+    """Drop the digest of the labels, which tells people nothing."""
     return {name: value for name, value in sweep.items() if name != "labels"}
 
 

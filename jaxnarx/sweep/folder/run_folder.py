@@ -48,7 +48,7 @@ class RunFolder:
 
     @property
     def claims(self) -> Path:
-        """Where processes say what they work on."""
+        """The folder in which processes say what they work on."""
         return self.path / CLAIMS
 
     @property

@@ -110,7 +110,7 @@ def prepare(
 
 
 def _own_leaves(network: Network) -> tuple:
-    """What a member's network has of its own before there is a model."""
+    """The arrays that a member's network has of its own before there is a model."""
     bounds = network.lower, network.upper, network.low, network.high
     (model,) = network.models
     return network.gain, *bounds, model.offset, model.span

@@ -25,7 +25,7 @@ from jaxnarx.sweep.identify.shared_tables import Frame
 
 
 class Outcome(eqx.Module):
-    """What becomes of one engine under one case.
+    """The end of one engine under one case.
 
     `scores` are by part, of shape (start and end, one step and free run); coefficients
     and validity those of the end. `history` holds the training loss after every turn of
@@ -197,7 +197,7 @@ def _scores(
     drive: RunInputs,
     ends: Float[Array, "2 params"],
 ) -> dict[str, Score]:
-    """Of every part: start and end, one step and free run."""
+    """Scores of every part: start and end, one step and free run."""
     parts = {"train": (member.train, drive)}
     for name, part in (("validation", member.validation), ("test", member.test)):
         if part is not None:

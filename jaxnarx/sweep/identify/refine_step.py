@@ -47,7 +47,7 @@ FULL = 2**30
 
 
 class EngineTraining(eqx.Module):
-    """What a refinement reads and never changes.
+    """The arrays that a refinement reads and never changes.
 
     `weight` makes mean squared NRMSE of the training errors, `guard_weight` of those of
     the records that judge; `moving` marks the parameters that are trained, `early`
@@ -85,7 +85,7 @@ class EngineTraining(eqx.Module):
 
 
 class Turn(eqx.Module):
-    """What one turn of the loop does: window length, and its place in the stage.
+    """One turn of the loop: window length, and its place in the stage.
 
     `apart`: a staged case trains its coefficients alone; `last`: the stage is.
     """

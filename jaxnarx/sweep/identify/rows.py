@@ -47,7 +47,7 @@ def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
 
 
 def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
-    """Of a member whose data cannot be used."""
+    """The row of a member whose data cannot be used."""
     scores = score_names(tuple(fleet.parts))
     return (
         {"status": prepared.status, "detail": prepared.detail}
@@ -108,7 +108,7 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
 
 
 def _detail(outcome: Outcome) -> str:
-    """What became of a start that diverged."""
+    """The sentence on a start that diverged."""
     if NAMES[int(outcome.status)] == "start_diverged":
         return (
             "the free run of the start diverges, and no network was found that does "

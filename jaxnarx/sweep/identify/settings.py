@@ -70,9 +70,8 @@ class Settings(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """What a program is made for: settings without those that it takes as arrays, and
-    the largest numbers of terms, models and steps of all its cases.
-    """
+    """The shape of a program: settings without those that it takes as arrays, and the
+    largest numbers of terms, models and steps of all its cases."""
 
     grow: Grown
     refine: SimulationError | PredictionError

@@ -100,13 +100,13 @@ def _both(network: Network, part: Part) -> Score:
 
 
 def _scores(start: Network, end: Network, part: Part) -> Score:
-    """Of start and end, one step and free run."""
+    """Scores of start and end, one step and free run."""
     found = [_both(network, part) for network in (start, end)]
     return jax.tree.map(lambda *a: jnp.stack(a), *found)
 
 
 def _status(fit: Solution[Network], scores: dict[str, Score]) -> str:
-    """As the program tells it."""
+    """The status as the program tells it."""
     refined, *others = (fit.stats[k] for k in ("refined", "selection", "grown"))
     told = [s.status_name for s in (refined, *others) if s is not None]
     if "start_diverged" in told:

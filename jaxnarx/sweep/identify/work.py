@@ -120,13 +120,13 @@ class IdentificationWork:
 
     @functools.cached_property
     def frames(self) -> dict[Shape, Frame]:
-        """What all fits of a program share."""
+        """The tables that all fits of a program share."""
         known = {shape for shape in self.shapes if shape is not None}
         return {shape: make_frame(shape, self.pool) for shape in known}
 
     @functools.cached_property
     def settings(self) -> list[Settings | None]:
-        """What the programs take of every case."""
+        """The arrays that the programs take of every case."""
         dtype = self.fleet.train.signals.dtype
         return [
             None if shape is None else make_settings(method, self.pool, dtype)

@@ -27,7 +27,7 @@ OFFERED = ("Model", "HISTORY", "SAMPLE_TIME")
 
 @dataclasses.dataclass(frozen=True)
 class Running:
-    """What a template puts into a page.
+    """The texts that a template puts into a page.
 
     `scripts` are contents of script elements and `data` that of a block of JSON, safe
     where they stand; `style` belongs to the plotting library. `policy` is the page's
@@ -46,7 +46,7 @@ class Running:
 
 
 def running(report: Report) -> Running:
-    """Of a report; without records there are no scripts."""
+    """Make the texts of a report; without records there are no scripts."""
     program = _program(report.network)
     scripts = []
     told, data = "", "null"
@@ -191,7 +191,7 @@ def _map(value: Any) -> dict[str, Any]:
 
 
 def described(program: SampleProgram) -> dict[str, Any]:
-    """What the page knows of a program beside its script."""
+    """Describe a program to the page, beside its script."""
     ports = {
         "inputs": program.inputs,
         "reported": program.reported,

@@ -36,7 +36,7 @@ class Budget:
 
 
 def choose_records(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
-    """As much of them as fits; the order stays."""
+    """Choose as much of the records as fits; the order stays."""
     for levels in (FINE, MIDDLE):
         whole = [_whole(record, levels) for record in records]
         if _sum(whole) <= limit:
