@@ -82,7 +82,7 @@ def fit_error_model(
             own = _as_left_out(own, left_out[o])
         if len(own.error) < FEWEST or not own.error.max() > 0:
             return dataclasses.replace(network, errors=None)
-        # Of channels of extreme units numbers may be beyond all numbers.
+        # Channels in extreme units may overflow.
         with np.errstate(all="ignore"):
             found.append(_learnt(own))
     kind = network.gain.dtype

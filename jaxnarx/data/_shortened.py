@@ -1,4 +1,4 @@
-"""Less of long data: stretches of all records, evenly spread."""
+"""Shorten long data to stretches of all records, evenly spread."""
 
 import dataclasses
 
@@ -19,8 +19,8 @@ def shortened(data: Dataset, rows: int) -> Dataset:
 
     Every record keeps the same share: a long one as stretches at equal distances, the
     first at its begin and the last at its end, short ones as one stretch, each at
-    another place. They are records of their own, of the same group. As they are where
-    `rows` suffice.
+    another place. The stretches are records of their own, of the same group. Data that
+    fit already are returned as they are.
     """
     if data.samples <= rows:
         return data

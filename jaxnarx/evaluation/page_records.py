@@ -59,7 +59,7 @@ class ShownRecord:
 
     def error(self, output: int) -> float | None:
         """Root mean square of the residual; None where nothing counts, infinite where
-        it is beyond all numbers."""
+        it overflows."""
         off = self.residual(output)[self.scored[:, output]]
         scale = float(np.max(np.abs(off), initial=0.0)) or 1.0
         if not np.isfinite(scale):

@@ -183,7 +183,7 @@ def _lock(place: Path) -> FolderLock:
 
 
 def is_lost(folder: SearchFolder, row: Candidate) -> bool:
-    """Whether the model of a candidate that had one is no longer there."""
+    """Whether a candidate's model file is missing."""
     return row.free_run is not None and not folder.model_path(row.number).is_file()
 
 

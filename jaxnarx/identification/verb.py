@@ -43,15 +43,15 @@ def identify(
     linear ARX and output-error models, filters, polynomials, regions with shared
     feedback in closed form (`jaxnarx.partition`), polynomials of past outputs and
     LOLIMOT, and models with hidden states (both trained on stretches of long records).
-    Each is judged by the free run over groups of records left out of its training (with
-    hidden states, of a training once more from where a network of all records stands);
-    where one diverges the candidate is out. Of the others the cheapest to compute
-    within one standard error, and 5 %, of the best is taken, trained on all records
+    Each is scored by its free run in leave-group-out cross-validation (models with
+    hidden states are trained on from the fit to all records rather than refitted). A
+    candidate that diverges on any group is rejected. The result is the cheapest to
+    compute within one standard error, and 5 %, of the best, trained on all records
     (`preset="best"`: the best itself). The same data and settings give the same model.
 
-    With a method the verbs `select`, `grow` and `refine` follow one another, and what
-    they raise passes as it is. Outputs that are neither modelled nor scheduled on are
-    left out of the network's channels. Either way the network knows its domain
+    With a method the verbs `select`, `grow` and `refine` follow one another; their
+    errors pass as they are. Outputs that are neither modelled nor scheduled on are left
+    out of the network's channels. Either way the network has a domain
     (`jaxnarx.domain`).
 
     Args:

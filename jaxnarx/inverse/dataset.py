@@ -1,4 +1,4 @@
-"""A dataset read backwards: from the outputs a plant shall have to its commands."""
+"""Datasets for inverse models: wanted plant outputs as inputs, commands as outputs."""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""A network without the outputs that it neither computes nor looks at."""
+"""Drop outputs of a network that are neither modelled nor scheduled on."""
 
 import dataclasses
 

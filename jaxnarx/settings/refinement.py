@@ -55,10 +55,10 @@ class SimulationError:
     """Pull of every parameter towards its start, as a share of the data's own
     information about it."""
     shrink: NotNegative = 0.0
-    """What a coefficient's squared distance from its start costs, of columns made of
+    """Penalty of a coefficient's squared distance from its start, of columns made of
     variables with mean zero and spread one, in units of the output's spread: a model
-    that says the mean costs one. Zero none. It holds what the ridge cannot: directions
-    the data hardly tell of."""
+    that says the mean costs one. Zero for none. Unlike the ridge it also constrains
+    poorly excited directions."""
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"

@@ -27,8 +27,8 @@ class Trajectories:
     Samples before the first prediction repeat the measurement; those of which a network
     says nothing (`outside="nan"`) are NaN, and not scored. `scored` marks predicted
     samples whose measurement is valid, `limited` those held by the feedback bound (of a
-    k-step prediction: those that the bound held on the way, for k = 1 none; or that are
-    beyond all numbers), `held` those of a network with limits whose output is at the
+    k-step prediction: those that the bound held on the way, for k = 1 none; or that
+    overflow), `held` those of a network with limits whose output is at the
     edge of its trained range in place of what was `computed`, `extrapolated` those with
     an input outside its training range, or in a prediction a measured or computed
     output; `diverged` tells per output whether the record counts as diverged. `hidden`

@@ -1,4 +1,4 @@
-"""Progress of a sweep, read off its folder: whoever computes, all see the same."""
+"""Progress of a sweep, read off its folder, so that all processes see the same."""
 
 import time
 from collections.abc import Callable

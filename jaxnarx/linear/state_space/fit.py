@@ -1,12 +1,13 @@
 """Models with hidden states, from a linear start to products, on the free run.
 
-Every start (`starts.linear_starts`) is trained as a linear model, given products of
-states and inputs degree by degree, and trained with a strong pull towards where it
-stands, which then falls. Taken is at every pull the one whose free run of the training
-records, begun as in use, has the smallest error; of many samples the one that has it
-after the first steps goes on alone. A hidden state that leaves the range it had in
-training is held in the end. Regions are divided off one after another, the best starts
-only, each with the strongest pull (`jaxnarx.linear.state_space.regions`).
+Every start (`starts.linear_starts`) is trained as a linear model. It gets products of
+states and inputs degree by degree and is trained on, regularised towards its present
+coefficients; the regularisation is strong at first and falls. At each strength the
+start with the smallest free-run error on the training records is kept, its states
+initialised as in use; with many samples only the best one after the first steps is
+trained on. A hidden state that leaves its training range is held in the end. Regions
+are added one by one, to the best starts only, each at the strongest regularisation
+(`regions`).
 
 Polynomial nonlinear state-space models: J. Paduart et al., Identification of nonlinear
 systems using Polynomial Nonlinear State Space models, Automatica 46 (2010) 647-656.

@@ -15,7 +15,7 @@ from jaxnarx.partition.closed_form.sums import Errors, Summand, root_mean_square
 from jaxnarx.simulation import has_diverged
 
 WILD = 1e30
-"""Stands for numbers beyond all numbers [standard deviations]."""
+"""Stands for values that are not finite [standard deviations]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -118,5 +118,5 @@ class ClosedForm:
 
 
 def tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
-    """Numbers beyond all numbers are very large ones."""
+    """Replace values that are not finite by a large bound."""
     return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)

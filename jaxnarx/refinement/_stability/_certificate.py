@@ -28,7 +28,7 @@ from jaxnarx.refinement._stability.points import companion, groups_of
 from jaxnarx.regressors import LowPass
 
 CORNERS = 4096
-"""Matrices that are followed; of more nothing is told."""
+"""Largest number of matrices; with more no certificate is attempted."""
 LARGEST = 0.9999
 """The slowest rate that counts: a run forgets in some ten thousand samples."""
 

@@ -43,7 +43,8 @@ STATIC = {
     SimulationError: ("horizons", "window_steps", "width_band"),
     PredictionError: ("width_band",),
 }
-"""Settings that it is made for. All others have their defaults, or the verbs do it."""
+"""Settings that one program supports; with any other that is not at its default the
+verbs are run instead."""
 TRAINED = ("staged", "joint", "coefficients", "partition")
 
 
