@@ -117,7 +117,7 @@ def used_inputs(network: Network) -> tuple[int, ...]:
 def feature_rows(
     features: Variables, data: Dataset, groups: Groups | None
 ) -> InputRows:
-    """Features of all valid samples; before a filter has been fed it is at rest."""
+    """Features of all valid samples; filters begin at rest at the first sample."""
     batch, used = stack_records(data), tuple(dict.fromkeys(s for s, _ in features))
     length = batch.valid.shape[1]
     own = np.array(used)

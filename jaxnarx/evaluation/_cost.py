@@ -1,4 +1,4 @@
-"""What one sample of a network costs: the arithmetic of its exported form."""
+"""Cost of one sample of a network: the arithmetic of its exported form."""
 
 import collections
 import dataclasses
@@ -34,7 +34,7 @@ NAMES = {
     "less": "comparisons",
     "where": "comparisons",
 }
-"""What an operation of an exported program counts as."""
+"""The count to which each kind of operation of an exported program adds."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -143,7 +143,7 @@ class Leaderboard:
         best = self.best(output)
         if best is None or self.rule == "best":
             return best
-        close = _within if self.rule == "share" else _near
+        close = _is_within if self.rule == "share" else _is_near
         near = [r for r in self.of(output) if r.eligible and close(r, best)]
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
@@ -223,19 +223,19 @@ def _place(row: Candidate) -> tuple[bool, float, float]:
     return (not row.eligible, _error(row), _cost(row))
 
 
-def _within(row: Candidate, best: Candidate) -> bool:
+def _is_within(row: Candidate, best: Candidate) -> bool:
     """Whether the error is at most `SHARE` above that of the best."""
     return _error(row) <= (1 + SHARE) * _error(best)
 
 
-def _near(row: Candidate, best: Candidate) -> bool:
+def _is_near(row: Candidate, best: Candidate) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
     Of the difference, group by group: groups differ in how hard they are, which says
     nothing about the candidates. With few groups that error is large; more than `SHARE`
     is not given away.
     """
-    if not _within(row, best):
+    if not _is_within(row, best):
         return False
     difference, error = _excess(row, best)
     return difference <= LIMIT * error

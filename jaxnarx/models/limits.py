@@ -196,7 +196,7 @@ def within_margin(
     overshoots: Float[Array, "*rows"],
 ) -> Float[Array, "*rows outputs"]:
     """Computed outputs (physical units) held to their ranges, at these overshoots of
-    the inputs; as `reported`, and can be traced."""
+    the inputs; as `report_outputs`, and can be traced."""
     if network.hold is None:
         return outputs
     own = np.array(network.signals)[: len(network.modelled)]

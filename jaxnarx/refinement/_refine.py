@@ -128,7 +128,7 @@ def refine(
     require_motion(network, task)
     require_window(network, data)
     _require_solver(network, method, solver)
-    task = task.begun(network)
+    task = task.with_hidden_starts(network)
     guard = task
     if validation is not None:
         validation = check_records(network, validation)

@@ -84,7 +84,7 @@ class TrainingData:
         masks = dataclasses.replace(self.masks, scored=scored)
         return dataclasses.replace(self, weight=weight, masks=masks)
 
-    def begun(self, network: Network) -> "TrainingData":
+    def with_hidden_starts(self, network: Network) -> "TrainingData":
         """The same task with what hidden channels of `network` best start from."""
         start = jax.device_put(self.masks.start)
         return dataclasses.replace(self, drive=begin_hidden(network, self.drive, start))

@@ -28,7 +28,7 @@ def record_columns(
     """Lagged variables of one record at samples `at`, in the unit of `signals`.
 
     Filters begin at rest at the first valid sample (`valid` None: the first), see
-    `filtering.filtered`. Before the first sample the window is clipped to it.
+    `filtering.filter_input`. Before the first sample the window is clipped to it.
     """
     pairs = variables.filtered
     if not pairs:

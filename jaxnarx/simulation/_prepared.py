@@ -328,7 +328,7 @@ def _scales(network: Network) -> tuple[np.ndarray, ...]:
 
 
 def stack_batch(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Batch]:
-    """`fitting` records, and side by side: at hand where they are prepared."""
+    """Matching records, side by side: at hand where they are prepared."""
     if isinstance(data, Prepared):
         _, origin = ensure_prepared(network, data)
         return origin.matched, origin.batch
@@ -337,7 +337,7 @@ def stack_batch(network: Network, data: Dataset | Prepared) -> tuple[Dataset, Ba
 
 
 def check_records(network: Network, data: Dataset | Prepared) -> Dataset | Prepared:
-    """`fitting` records; such as are prepared already stay so."""
+    """Matching records; such as are prepared already stay so."""
     return (
         ensure_prepared(network, data)[0]
         if isinstance(data, Prepared)

@@ -40,7 +40,11 @@ def prepared(kind: str, top: float, measured: bool):
     Not `measured`: from the true hidden values."""
     net, given = network(kind, top=top), truth(kind)
     task, _ = make_task(net, given.data)
-    task = task.begun(net) if measured else replace(task, drive=begun_at(net, given))
+    task = (
+        task.with_hidden_starts(net)
+        if measured
+        else replace(task, drive=begun_at(net, given))
+    )
     initial = initial_conditions(net, task, measured=measured)
     layout = make_layout(net, None, BAND, initial, every=True)
     rng = np.random.default_rng(7)
@@ -176,7 +180,7 @@ def test_a_hidden_channel_that_no_output_depends_on_stays_where_it_is():
 
 def test_the_penalty_on_stability_sees_hidden_channels_of_the_run():
     net, given = network(), truth()
-    task = make_task(net, given.data)[0].begun(net)
+    task = make_task(net, given.data)[0].with_hidden_starts(net)
     points = penalty_points(net, task.drive, task.masks)
     every = given.computed
     places = zip(points.record, points.step, points.history, strict=True)

@@ -263,14 +263,14 @@ class BlockDesign:
         Block by block: all columns in one array would be a copy of the largest thing
         there is.
         """
-        out, edge = np.tile(self.begun(group), (len(theta), 1)), 0
+        out, edge = np.tile(self.start_response(group), (len(theta), 1)), 0
         for block in self.blocks:
             own = theta[:, edge : edge + len(block.terms)]
             edge += own.shape[1]
             out += own @ block.columns[group]
         return out
 
-    def begun(self, group: int) -> Float[np.ndarray, " _"]:
+    def start_response(self, group: int) -> Float[np.ndarray, " _"]:
         """The contribution of the measured start to a group's free run."""
         return self.measured[group] - self.target[group]
 

@@ -76,7 +76,7 @@ def test_equations_are_those_of_the_columns(found, explicit):
         np.testing.assert_allclose(own.right[g], c @ error, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(own.square[g], error @ error, rtol=EXACT)
         assert own.samples[g] == len(y)
-        np.testing.assert_allclose(found.begun(g), start, atol=EXACT)
+        np.testing.assert_allclose(found.start_response(g), start, atol=EXACT)
 
 
 def test_weights_of_leaves_sum_to_one_and_within_regions_to_theirs(found):
@@ -118,7 +118,9 @@ def test_runs_are_sums_of_columns_and_the_start(found):
     for g, rows in enumerate(found.rows()):
         pairs = zip(found.signals.stretches, found.runs(theta), strict=True)
         run = np.concatenate([run[one.counted[g]] for one, run in pairs])
-        np.testing.assert_allclose(run, theta @ rows + found.begun(g), atol=EXACT)
+        np.testing.assert_allclose(
+            run, theta @ rows + found.start_response(g), atol=EXACT
+        )
 
 
 def test_a_gate_and_the_other_one_make_one():

@@ -35,7 +35,7 @@ def runs_at(design: BlockDesign, theta, parameters, places):
     a[1:] += parameters[:order]
     moved = design.moved(a, shift_gates(places, parameters[order:]))
     rows = moved.rows()
-    return [theta @ own + moved.begun(g) for g, own in enumerate(rows)]
+    return [theta @ own + moved.start_response(g) for g, own in enumerate(rows)]
 
 
 def test_derivatives_of_the_run_are_those_of_differences(some):
