@@ -103,7 +103,7 @@ def prepared(network: Any, data: Any) -> tuple[Any, Any, Any]:
     from jaxnarx.refinement.initial import initial_conditions
     from jaxnarx.refinement.layout import make_layout
 
-    task = make_task(network, data)[0].begun(network)
+    task = make_task(network, data)[0].with_hidden_starts(network)
     initial = initial_conditions(network, task, measured=False)
     layout = make_layout(network, None, (0.5, 2.0), initial, every=True)
     return task, layout, np.asarray(layout.gather(network))
