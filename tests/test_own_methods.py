@@ -1,6 +1,7 @@
 """Methods of one's own go wherever the package's go."""
 
 import dataclasses
+import itertools
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 
 import jaxnarx as jnx
-from jaxnarx.data import Fleet
+from jaxnarx.data import Fleet, groups
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.identification.candidates import CandidateSearch
 from jaxnarx.models import Gaussians
+from jaxnarx.partition import ClosedSearch, profile_data
 from jaxnarx.partition.stages import free_run_nrmse
 from jaxnarx.selection import custom_selector
-from jaxnarx.settings import PARTITIONS
+from jaxnarx.settings import PARTITIONS, PRESETS
 from jaxnarx.sweep import IdentificationWork
 
 
@@ -130,6 +133,50 @@ def test_a_documented_partition_is_grown_refined_swept_saved_exported_and_report
     method = jnx.Identification(pool=pool(1), grow=given, refine=None)
     done = jnx.run_sweep(IdentificationWork(fleet, method), tmp_path / "run")
     assert done.value.column("status").tolist() == ["ok", "ok"]
+    found = jnx.identify(train, preset="quick", groups=groups(train))
+    rows = [row for row in found.stats["leaderboard"] if "halving" in row.name]
+    assert rows and all(row.status == "ok" for row in rows)
+    (least,) = {row.free_run for row in found.stats["leaderboard"] if row.number == 1}
+    assert min(row.free_run for row in rows) < 0.2 * least
+
+
+def test_regions_of_a_partition_have_the_free_run_of_the_closed_form(halving):
+    train = bent(240, 1)
+    search = ClosedSearch(train, profile_data(train, "y"), groups(train))
+    for _ in search.candidates(max_models=1, grown_roots=1):
+        pass
+    (root,) = search.roots
+    (found,) = search.partitioned("halving", halving())
+    network = found.network()
+    assert found.name.startswith("4 regions") and len(network.regions(0)) == 4
+    assert found.free_run < root.free_run
+    run = jnx.simulate(network, train).value
+    expected = np.concatenate(found.stage.design.runs(found.coefficients()))
+    signals = found.stage.design.signals
+    scale = signals.gain[1] * signals.spread
+    shift = signals.gain[1] * signals.middle
+    own = np.asarray(run.computed[0])[-len(expected) :, 0]
+    np.testing.assert_allclose(own[60:], shift + scale * expected[60:], atol=1e-9)
+    with pytest.raises(SpecError, match="returns a validity function"):
+        list(search.partitioned("nothing", lambda *_: None))
+
+
+def test_a_partition_that_fails_is_a_row_of_the_leaderboard(monkeypatch):
+    def none(scheduling, columns, output, weight):
+        return None
+
+    monkeypatch.setitem(PARTITIONS._items, "none", none)
+    train = bent(240, 1)
+    own = CandidateSearch(
+        train,
+        profile_data(train, "y"),
+        groups(train),
+        PRESETS["quick"],
+        partitions=PARTITIONS.added,
+    )
+    failed = [row for row, _ in itertools.islice(own, 40) if row.status == "failed"]
+    assert [row.name for row in failed] == ["regions, none"]
+    assert "returns a validity function" in failed[0].detail
 
 
 def test_a_growth_goes_on_from_an_own_partition():

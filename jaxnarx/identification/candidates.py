@@ -1,6 +1,7 @@
 """All candidates of one output, from cheap to rich, each judged and with its model."""
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
@@ -18,7 +19,7 @@ from jaxnarx.identification.state_space_candidates import SHORT, propose_state_s
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, best_sum
 from jaxnarx.refinement import largest_local_pole
-from jaxnarx.settings import HiddenStates, Identification, Preset
+from jaxnarx.settings import HiddenStates, Identification, Partitioner, Preset
 
 SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
 """Families of which sums are made."""
@@ -66,11 +67,13 @@ class CandidateSearch:
         known: Sequence[Candidate] = (),
         late: Callable[[], bool] = lambda: False,
         added: Mapping[str, CandidateFactory] | None = None,
+        partitions: Mapping[str, Partitioner] | None = None,
         watch: Watch = lambda trying: None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
-        time is up; `added` are those of other packages; `watch` hears what is tried."""
-        self.added = dict(added or {})
+        time is up; `added` and `partitions` are those of other packages; `watch` hears
+        what is tried."""
+        self.added, self.partitions = dict(added or {}), dict(partitions or {})
         self.data, self.profile = data, profile
         self.groups, self.preset = groups, preset
         self.known = {(row.family, row.name): row for row in known}
@@ -86,12 +89,15 @@ class CandidateSearch:
         if self.preset.linear:
             limits = dict(max_models=1, degree=1)
         self.watch(Trying("closed form"))
-        for found in search.candidates(**limits, grown_roots=self.preset.grown):
+        found_by = search.candidates(**limits, grown_roots=self.preset.grown)
+        for found in itertools.chain(found_by, self._partitioned(search)):
             self.passed += 1
-            row, network = self._closed(found, time.perf_counter() - begin)
-            summed = row.eligible and found.family in SUMMED and self.preset.sums > 1
-            if summed and network is not None:
-                parts.append(found.part(network))
+            if isinstance(found, Candidate):
+                row, network = found, None
+            else:
+                row, network = self._closed(found, time.perf_counter() - begin)
+                if row.eligible and found.family in SUMMED and self.preset.sums > 1:
+                    parts.append(found.part(network))
             yield row, network
             if self.late():
                 break
@@ -118,12 +124,23 @@ class CandidateSearch:
         fed = propose_narx(self.data, self.profile)
         yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
 
+    def _partitioned(self, search: ClosedSearch) -> Iterator[ClosedForm | Candidate]:
+        """Candidates of partitions of other packages; a row of one that fails."""
+        for name, partition in self.partitions.items():
+            begin = time.perf_counter()
+            try:
+                yield from search.partitioned(name, partition)
+            except (JaxnarxError, np.linalg.LinAlgError) as error:
+                seconds = time.perf_counter() - begin
+                row = self._row("shared feedback", f"regions, {name}", seconds, None)
+                yield dataclasses.replace(row, status="failed", detail=str(error))
+
     def _remember(self, losses: Float[np.ndarray, " groups"]) -> None:
         """The losses of the best so far."""
         if self.best is None or np.nansum(losses) < np.nansum(self.best):
             self.best = losses
 
-    def _closed(self, found: ClosedForm, seconds: float) -> Tried:
+    def _closed(self, found: ClosedForm, seconds: float) -> tuple[Candidate, Network]:
         network = hold_to_range(found.network())
         row = self._row(found.family, found.name, seconds, network)
         lost = found.diverged()

@@ -22,12 +22,12 @@ from jaxnarx.evaluation import data_hash
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
-from jaxnarx.identification.search_folder import SearchFolder, open_search
+from jaxnarx.identification.search_folder import ROWS, SearchFolder, open_search
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
 from jaxnarx.models import Network, combine_outputs
 from jaxnarx.partition import profile_data
-from jaxnarx.settings import PRESETS
+from jaxnarx.settings import PARTITIONS, PRESETS
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
@@ -62,12 +62,15 @@ def search(
         "preset": preset,
         "outputs": list(outputs),
         "groups": list(groups.names),
+        "rows": ROWS,
     }
     if states is not None:
         key["states"] = states
-    added = {} if PRESETS[preset].linear else CANDIDATES.added
-    if added:
-        key["added"] = sorted(added)
+    linear = PRESETS[preset].linear
+    added = {} if linear else CANDIDATES.added
+    partitions = {} if linear else PARTITIONS.added
+    if added or partitions:
+        key["added"] = sorted([*added, *partitions])
     with TemporaryFolder() as place:
         store = open_search(place if folder is None else folder, key, board)
         tasks = {
@@ -81,6 +84,7 @@ def search(
                 tuple(r for r in store.leaderboard.rows if r.output == name),
                 states,
                 added,
+                partitions,
             )
             for name, one in profiles.items()
         }

@@ -25,6 +25,9 @@ from jaxnarx.models import Network, load, save
 SEARCH_FILE = "search.json"
 CANDIDATES_FOLDER = "candidates"
 FORMAT = 1
+ROWS = 2
+"""Definition of what a row says, part of the key, so that rows of one leaderboard
+compare. Since 2 operations are those of the exported program."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,7 +31,7 @@ from jaxnarx.identification.candidates import (
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.models import Network, load, save
 from jaxnarx.partition import DataProfile
-from jaxnarx.settings import PRESETS
+from jaxnarx.settings import PRESETS, Partitioner
 
 TASK, END, ERROR, NOW, SAID = "task", "end", "error", "now", "said.txt"
 START = f"import sys; from {__name__} import main; main(sys.argv[1])"
@@ -54,6 +54,7 @@ class OutputTask:
     known: tuple[Candidate, ...]
     states: int | None = None
     added: Mapping[str, CandidateFactory] = dataclasses.field(default_factory=dict)
+    partitions: Mapping[str, Partitioner] = dataclasses.field(default_factory=dict)
 
     def run(self, watch: Watch) -> Iterator[Tried]:
         """Its candidates; `watch` hears of each while it is tried."""
@@ -65,6 +66,7 @@ class OutputTask:
             known=self.known,
             late=lambda: self._late(found.passed),
             added=self.added,
+            partitions=self.partitions,
             watch=watch,
         )
         yield from found

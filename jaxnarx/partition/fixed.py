@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
@@ -123,15 +124,27 @@ def place_regions(
     p = evaluate(own.factors[output], own.rows.v)
     y, weight = own.rows.y[output], own.rows.weight[output]
     real = (np.asarray(a)[..., : own.rows.count] for a in (own.z, p, y, weight))
-    found = validity(*real)
+    found = ask_partition(validity, *real)
+    return own, found, _count_regions(found, len(regions.scheduling))
+
+
+def ask_partition(
+    partition: Partitioner,
+    scheduling: Float[np.ndarray, "dims rows"],
+    columns: Float[np.ndarray, "terms rows"],
+    output: Float[np.ndarray, " rows"],
+    weight: Float[np.ndarray, " rows"],
+) -> AbstractValidity:
+    """The validity functions that a partitioner returns; else SpecError."""
+    found = partition(scheduling, columns, output, weight)
     if not isinstance(found, AbstractValidity):
         raise SpecError(
             "a partition function returns a validity function of jaxnarx.models, got "
             f"{type(found).__name__}",
             field="partition",
         )
-    found = jax.tree.map(jnp.asarray, found)
-    return own, found, _count_regions(found, len(regions.scheduling))
+    _count_regions(found, len(scheduling))
+    return jax.tree.map(jnp.asarray, found)
 
 
 def _select_scheduling(training: TrainingRows, regions: Regions) -> TrainingRows:

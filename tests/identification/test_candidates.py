@@ -44,13 +44,13 @@ def judged(monkeypatch, few) -> dict:
     best losses it was told."""
     said: dict = {"asked": [], "results": []}
 
-    class Fake:
-        spread = 1.5
+    class Fake(ClosedSearch):
+        spread = 1.5  # pyright: ignore
 
         def __init__(self, *_):
             pass
 
-        def candidates(self, **limits):
+        def candidates(self, **limits):  # pyright: ignore
             said["limits"] = limits
             yield from few
 

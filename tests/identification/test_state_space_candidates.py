@@ -174,13 +174,13 @@ def asked(monkeypatch, closed) -> dict:
     """Methods that the judge was asked for; it gives `results` in turn."""
     said: dict = {"asked": [], "results": []}
 
-    class Fake:
-        spread = 1.5
+    class Fake(ClosedSearch):
+        spread = 1.5  # pyright: ignore
 
         def __init__(self, *_):
             pass
 
-        def candidates(self, **_):
+        def candidates(self, **_):  # pyright: ignore
             yield closed[2]
 
     def judge(method, *_, **__):

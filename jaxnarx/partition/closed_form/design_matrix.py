@@ -5,17 +5,19 @@
 Block b holds the terms p_k times w_b, the product of the gates on the way from the root
 of a tree of halvings to region b. The root has w = 1. Of a halved region only the upper
 half enters: the lower one is the difference. So a term that is the same everywhere
-needs one coefficient, and what is known of a region stays when it is divided.
+needs one coefficient, and what is known of a region stays when it is divided. Of a
+partition that is given all local models but the last enter beside the root.
 """
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxnarx.models import AbstractValidity, models_of, weights_of
 from jaxnarx.partition.closed_form.equations import NormalEquations
 from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
 from jaxnarx.regressors import evaluate
@@ -52,25 +54,47 @@ class Gate:
         return dataclasses.replace(self, side=-self.side)
 
 
-Region = tuple[Gate, ...]
-"""Gates on the way from the root."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Share:
+    """The weight of one local model of a partition that is given."""
+
+    validity: AbstractValidity
+    index: int
+
+    def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
+        active = np.ones(models_of(self.validity, len(x)), bool)
+        return np.asarray(weights_of(self.validity, x, active))[self.index]
 
 
-def with_gates(region: Region, gates: Mapping[tuple[Region, Gate], Gate]) -> Region:
-    """The region behind other gates, upper sides by the way to them and themselves."""
-    out = []
+Region = tuple[Gate | Share, ...]
+"""The factors of a region's weight: gates on the way from the root, or the share of a
+local model."""
+Place = tuple[Region, Gate]
+"""A gate, its upper side, behind the gates on the way to it."""
+
+
+def gates_of(region: Region) -> Iterator[tuple[Gate, Place]]:
+    """The gates on the way to a region, each with the place that both its sides have in
+    common; shares are none."""
     for n, gate in enumerate(region):
-        upper = gate if gate.side > 0 else gate.other
-        new = gates.get((region[:n], upper), upper)
-        out.append(new if gate.side > 0 else new.other)
+        if isinstance(gate, Gate):
+            yield gate, (region[:n], gate if gate.side > 0 else gate.other)
+
+
+def with_gates(region: Region, gates: Mapping[Place, Gate]) -> Region:
+    """The region behind other gates, given by their places; shares stay."""
+    out = list(region)
+    for gate, (way, upper) in gates_of(region):
+        new = gates.get((way, upper), upper)
+        out[len(way)] = new if gate.side > 0 else new.other
     return tuple(out)
 
 
 def weight(region: Region, x: Float[np.ndarray, "dims time"]) -> np.ndarray:
-    """Product of the gates at every sample."""
+    """Product of the factors at every sample."""
     out = np.ones(x.shape[1])
-    for gate in region:
-        out = out * gate(x)
+    for factor in region:
+        out = out * factor(x)
     return out
 
 
@@ -175,7 +199,7 @@ class BlockDesign:
     def moved(
         self,
         a: Float[np.ndarray, " _"],
-        gates: Mapping[tuple[Region, Gate], Gate] = MappingProxyType({}),
+        gates: Mapping[Place, Gate] = MappingProxyType({}),
     ) -> "BlockDesign":
         """The same columns with other feedback and gates."""
         out = BlockDesign.of(self.signals, a)
@@ -299,6 +323,10 @@ class BlockDesign:
         low = min(y.min(initial=np.inf) for y in self.measured)
         high = max(y.max(initial=-np.inf) for y in self.measured)
         return low - MARGIN * (high - low), high + MARGIN * (high - low)
+
+    def scheduling(self) -> list[Float[np.ndarray, "dims _"]]:
+        """Scheduling variables at the samples that count, part by part."""
+        return _group_records([_at(s.x, s.counted) for s in self.signals.stretches])
 
     def rows(self) -> list[np.ndarray]:
         """Columns at the samples that count, part by part; not to be written to."""

@@ -19,7 +19,8 @@ from jaxnarx.partition.closed_form.denominator import is_stable
 from jaxnarx.partition.closed_form.design_matrix import (
     BlockDesign,
     Gate,
-    Region,
+    Place,
+    gates_of,
     weight,
 )
 from jaxnarx.partition.closed_form.signals import Stretch
@@ -34,9 +35,6 @@ NEVER_BEYOND = 0.02, 0.98
 """Where borders stay, in ranges."""
 PULL = 1e-3
 """Ridge of a step, in units of the columns' own power."""
-
-Place = tuple[Region, Gate]
-"""A gate, its upper side, behind the gates on the way to it."""
 
 
 def move_feedback_and_gates(
@@ -82,10 +80,9 @@ def places_of(design: BlockDesign) -> list[Place]:
     """Every gate that may move, once."""
     found: dict[Place, None] = {}
     for block in design.blocks:
-        for n, gate in enumerate(block.region):
+        for gate, place in gates_of(block.region):
             if not gate.hard:
-                upper = gate if gate.side > 0 else gate.other
-                found.setdefault((block.region[:n], upper))
+                found.setdefault(place)
     return list(found)
 
 
@@ -137,8 +134,7 @@ def derivatives(
     design: BlockDesign, theta: Float[np.ndarray, " columns"], places: list[Place]
 ) -> list[Float[np.ndarray, "parameters _"]]:
     """Derivatives of the free run by a_1 ... a_n, borders and logarithms of steepness,
-    where samples count, group by group. a_n, borders and logarithms of steepness, where
-    samples count, group by group."""
+    where samples count, group by group."""
     runs, parts = design.runs(theta), []
     for one, run in zip(design.signals.stretches, runs, strict=True):
         rows = np.concatenate(
@@ -173,12 +169,11 @@ def _turns(
         edge += len(own)
         p = np.asarray(evaluate(design.signals.factor[block.terms], one.z))
         part = weight(block.region, one.x) * (own @ p)
-        for n, gate in enumerate(block.region):
-            upper = gate if gate.side > 0 else gate.other
-            place = index.get((block.region[:n], upper))
-            if place is None:
+        for gate, place in gates_of(block.region):
+            if place not in index:
                 continue
             slope = part * (1 - gate(one.x)) * gate.side * gate.steepness
-            out[place] -= slope
-            out[count + place] += slope * (one.x[gate.dim] - gate.border)
+            n = index[place]
+            out[n] -= slope
+            out[count + n] += slope * (one.x[gate.dim] - gate.border)
     return out

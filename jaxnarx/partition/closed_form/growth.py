@@ -7,13 +7,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from jaxnarx.models import AbstractValidity, models_of
 from jaxnarx.partition.closed_form.design_matrix import (
     HARD,
     WIDTH,
     Block,
     BlockDesign,
     Gate,
+    Place,
     Region,
+    Share,
+    gates_of,
     with_gates,
 )
 from jaxnarx.partition.stages import BestStage
@@ -37,11 +41,11 @@ class Box:
     low: Float[np.ndarray, " dims"]
     high: Float[np.ndarray, " dims"]
 
-    def moved(self, gates: Mapping[tuple[Region, Gate], Gate]) -> "Box":
+    def moved(self, gates: Mapping[Place, Gate]) -> "Box":
         """The same leaf behind other gates; the box follows the borders."""
         region = with_gates(self.region, gates)
         low, high = np.zeros_like(self.low), np.ones_like(self.high)
-        for gate in region:
+        for gate, _ in gates_of(region):
             if gate.side > 0:
                 low[gate.dim] = max(low[gate.dim], gate.border)
             else:
@@ -168,6 +172,16 @@ def grow_regions(
         best = best.update(len(stages), stage.score, patience)
         stages.append(stage)
     return stages
+
+
+def divide_by(start: GrownStage, validity: AbstractValidity) -> GrownStage:
+    """A single region divided as a partition says, with the same feedback."""
+    design, (whole,) = start.design, start.leaves
+    shares = [Share(validity, m) for m in range(models_of(validity, len(whole.low)))]
+    for share in shares[:-1]:
+        design = design.extended(design.block((share,)))
+    leaves = tuple(Box((share,), whole.low, whole.high) for share in shares)
+    return choose_size(design, leaves, (start.ridge,), search=True)
 
 
 def _try_halvings(stage: GrownStage, levels, kept: dict[Region, Block]):

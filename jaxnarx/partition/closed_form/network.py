@@ -14,7 +14,13 @@ from jaxnarx.models import (
     local_models,
     output_model,
 )
-from jaxnarx.partition.closed_form.design_matrix import BlockDesign, Gate, Region
+from jaxnarx.partition.closed_form.design_matrix import (
+    BlockDesign,
+    Place,
+    Region,
+    Share,
+    gates_of,
+)
 from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.regressors import Pool, Variables
 
@@ -28,7 +34,8 @@ def network_of(
     """The network whose free run is that of these columns with these coefficients.
 
     A leaf's coefficients are the sums of those of the regions that hold it, since the
-    weights of the leaves within a region sum to the region's.
+    weights of the leaves within a region sum to the region's; of a given partition, of
+    all regions and of its own.
     """
     signals, a = design.signals, design.a
     table = np.zeros((len(leaves), len(signals.factor)))
@@ -87,23 +94,30 @@ def _model_of_leaves(
     pool: Pool,
     theta: Float[np.ndarray, "leaves terms"],
 ) -> OutputModel:
-    """Leaves behind the gates on their ways."""
-    gates: dict[tuple[Region, Gate], int] = {}
-    for leaf in leaves:
-        for n, gate in enumerate(leaf):
-            upper = gate if gate.side > 0 else gate.other
-            gates.setdefault((leaf[:n], upper), len(gates))
-    path = np.zeros((len(leaves), len(gates)), np.int32)
-    for m, leaf in enumerate(leaves):
-        for n, gate in enumerate(leaf):
-            upper = gate if gate.side > 0 else gate.other
-            path[m, gates[leaf[:n], upper]] = gate.side
-    own = [gate for _, gate in gates]
-    direction = np.eye(len(signals.scheduling))[[g.dim for g in own]]
-    border = np.array([g.border for g in own], float)
-    steep = np.log([g.steepness for g in own])
-    validity = SigmoidTree(*jax.device_put((direction, border, steep, path)))
+    """Leaves behind the gates on their ways, or as a given partition says."""
+    first = leaves[0][0]
+    if isinstance(first, Share):
+        validity = first.validity
+    else:
+        validity = _tree_of(leaves, len(signals.scheduling))
     local = local_models(pool.factor, theta, sparse=True)
     return output_model(
         local, validity, signals.scheduling, signals.offset, signals.span
     )
+
+
+def _tree_of(leaves: tuple[Region, ...], dims: int) -> SigmoidTree:
+    """The gates on the ways to all leaves."""
+    gates: dict[Place, int] = {}
+    for leaf in leaves:
+        for _, place in gates_of(leaf):
+            gates.setdefault(place, len(gates))
+    path = np.zeros((len(leaves), len(gates)), np.int32)
+    for row, leaf in zip(path, leaves, strict=True):
+        for gate, place in gates_of(leaf):
+            row[gates[place]] = gate.side
+    own = [gate for _, gate in gates]
+    direction = np.eye(dims)[[g.dim for g in own]]
+    border = np.array([g.border for g in own], float)
+    steep = np.log([g.steepness for g in own])
+    return SigmoidTree(*jax.device_put((direction, border, steep, path)))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
+from jaxnarx.models import models_of
 from jaxnarx.partition.closed_form.denominator import is_stable, of_times
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
 from jaxnarx.partition.closed_form.equation_error import equation_error
@@ -23,6 +24,7 @@ from jaxnarx.partition.closed_form.growth import (
     Box,
     GrownStage,
     choose_size,
+    divide_by,
     grow_regions,
 )
 from jaxnarx.partition.closed_form.model import ClosedForm, tame
@@ -34,6 +36,8 @@ from jaxnarx.partition.closed_form.terms import (
     product_pool,
     scheduling,
 )
+from jaxnarx.partition.fixed import ask_partition
+from jaxnarx.settings import Partitioner
 
 ORDERS = 4
 """Largest order of A(q)."""
@@ -60,6 +64,8 @@ class ClosedSearch:
     def __init__(self, data: Dataset, profile: DataProfile, groups: Groups):
         self.data, self.profile, self.groups = data, profile, groups
         self.known: dict[tuple[Memory, int], RunSignals] = {}
+        self.roots: list[ClosedForm] = []
+        """The polynomials that `candidates` has divided."""
 
     def signals(self, memory: Memory, degree: int) -> RunSignals:
         """Variables and terms of a memory."""
@@ -247,6 +253,7 @@ class ClosedSearch:
             if stage is not root.stage:
                 root = dataclasses.replace(root, stage=stage)
                 yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
+            self.roots.append(root)
             levels = self.levels(root.stage.design.signals)
             stages = grow_regions(root.stage, max_models=max_models, levels=levels)
             best = int(np.argmin([one.score for one in stages]))
@@ -258,6 +265,23 @@ class ClosedSearch:
                 end = self.retuned(stage, gates=True, most=3)
                 if end is not stage:
                     yield self.divided(root, end, ", gates moved")
+
+    def partitioned(self, name: str, partition: Partitioner) -> Iterator[ClosedForm]:
+        """The polynomials of `roots`, divided by a partition from elsewhere.
+
+        It is given the terms filtered by the feedback and the output that they are to
+        explain, so that its residual is that of the free run.
+        """
+        for root in self.roots:
+            design = root.stage.design
+            x = np.concatenate(design.scheduling(), axis=1)
+            columns = np.concatenate(design.blocks[0].columns, axis=1)
+            output = np.concatenate(design.target)
+            validity = ask_partition(
+                partition, x, columns, output, np.ones(len(output))
+            )
+            if models_of(validity, len(x)) > 1:
+                yield self.divided(root, divide_by(root.stage, validity), f", {name}")
 
     def divided(
         self, root: ClosedForm, stage: GrownStage, more: str = ""

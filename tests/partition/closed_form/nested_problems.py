@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.partition.closed_form.design_matrix import BlockDesign
+from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_of
 from jaxnarx.partition.closed_form.growth import Box
 from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
 from jaxnarx.regressors import LowPass, Pool, Variables, polynomial_pool
@@ -132,7 +132,9 @@ def nested(regions: int = 5) -> BlockDesign:
         {leaf.region[: n + 1] for leaf in leaves() for n in range(len(leaf.region))},
         key=len,
     )
-    for n, region in enumerate(r for r in every if r[-1].side > 0):
+    for n, region in enumerate(
+        r for r in every for g, _ in gates_of(r[-1:]) if g.side > 0
+    ):
         # Blocks of regions may hold some of the terms alone.
         terms = np.arange(n % 2, len(made.factor))
         found = found.extended(found.block(region, terms))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset
-from jaxnarx.partition.closed_form.design_matrix import BlockDesign
+from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_of
 from jaxnarx.partition.closed_form.gauss_newton import (
     move_feedback_and_gates,
     places_of,
@@ -90,7 +90,7 @@ def stages(kind, most: int = 3) -> tuple[GrownStage, ...]:
 def gates(stage: GrownStage) -> list[list[tuple[int, float, int]]]:
     """Of every leaf."""
     return [
-        [(g.dim, round(float(g.border), 9), g.side) for g in leaf.region]
+        [(g.dim, round(float(g.border), 9), g.side) for g, _ in gates_of(leaf.region)]
         for leaf in stage.leaves
     ]
 
