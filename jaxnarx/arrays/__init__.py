@@ -59,5 +59,6 @@ from jaxnarx.arrays.recursive_least_squares import (
 )
 from jaxnarx.arrays.recursive_least_squares import update_recursion as update_recursion
 from jaxnarx.arrays.sizes import bucket as bucket
+from jaxnarx.arrays.stable_polynomials import has_stable_roots as has_stable_roots
 from jaxnarx.arrays.windows import lagged as lagged
 from jaxnarx.arrays.windows import usable as usable

@@ -29,8 +29,9 @@ from jaxnarx.data.channels import number_channels as number_channels
 from jaxnarx.data.compare_records import other_units as other_units
 from jaxnarx.data.dataset import Dataset as Dataset
 from jaxnarx.data.description import load_toml as load_toml
+from jaxnarx.data.digest import data_hash as data_hash
+from jaxnarx.data.digest import fingerprint as fingerprint
 from jaxnarx.data.files import Split as Split
-from jaxnarx.data.files import fingerprint as fingerprint
 from jaxnarx.data.files import read as read
 from jaxnarx.data.files import read_files as read_files
 from jaxnarx.data.files import read_split as read_split
@@ -104,6 +105,7 @@ __all__ = [
     "ToTime",
     "check",
     "delays",
+    "data_hash",
     "fingerprint",
     "first_look",
     "groups",

@@ -9,7 +9,7 @@ from jaxnarx.data._dynamics import Answer, dynamics
 from jaxnarx.data.check_inputs import correlations, excitation_order
 from jaxnarx.data.compare_records import far_levels, other_units
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.files import fingerprint
+from jaxnarx.data.digest import fingerprint
 from jaxnarx.data.findings import Finding, Findings
 
 
@@ -101,9 +101,9 @@ def _rows(data: Dataset, max_lag: int) -> Iterator[Finding]:
 
 
 def _identical(data: Dataset) -> Iterator[Finding]:
-    seen: dict[str, str] = {}
+    seen, names = dict[str, str](), data.channels.names
     for record in data:
-        first = seen.setdefault(fingerprint(record), record.name)
+        first = seen.setdefault(fingerprint(record, names), record.name)
         if first != record.name:
             yield Finding(
                 "warning",

@@ -1,7 +1,6 @@
 """Datasets from files, as a TOML description says (`jaxnarx.settings.description`)."""
 
 import dataclasses
-import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -12,6 +11,7 @@ from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.crop import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
+from jaxnarx.data.digest import fingerprint
 from jaxnarx.data.families import MARK, is_numbered, members_of, read_member
 from jaxnarx.data.file_patterns import find_files, find_groups, require_inside
 from jaxnarx.data.frames import one_sample_time
@@ -19,7 +19,6 @@ from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
-from jaxnarx.data.record import Record
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.formatting import brief, page
@@ -365,7 +364,7 @@ def _record_names(files: list[Path], folder: Path) -> list[str]:
 def _require_disjoint(data: Dataset, parts: list[str], path):
     seen: dict[str, tuple[str, str]] = {}
     for record, part in zip(data, parts, strict=True):
-        key = fingerprint(record)
+        key = fingerprint(record, data.channels.names)
         name, first = seen.setdefault(key, (record.name, part))
         if first != part:
             raise SpecError(
@@ -373,11 +372,3 @@ def _require_disjoint(data: Dataset, parts: list[str], path):
                 f"{first}. A record may serve one part only.",
                 field=f"records.{part}",
             )
-
-
-def fingerprint(record: Record) -> str:
-    """A digest of a record's samples, whatever it is called."""
-    digest = hashlib.sha256(str((record.u.shape, record.y.shape)).encode())
-    for x in (record.u, record.y, record.valid):
-        digest.update(x.tobytes())
-    return digest.hexdigest()

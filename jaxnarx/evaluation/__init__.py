@@ -29,7 +29,6 @@ from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.page_records import ShownRecord as ShownRecord
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
-from jaxnarx.evaluation.remarks import data_hash as data_hash
 from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
 from jaxnarx.evaluation.residual_tests import FreeRunResiduals as FreeRunResiduals

@@ -1,12 +1,11 @@
 """What a reader of the scores must know beside them, in plain sentences."""
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, Record, other_units
+from jaxnarx.data import Channels, Dataset, fingerprint, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import data_of, number
 from jaxnarx.models import Network
@@ -18,24 +17,6 @@ APART = 3.0
 """Times the NRMSE from which that within records is told beside it."""
 MOSTLY = 0.5
 """Share of the free-run error from which its offsets are told."""
-
-
-def fingerprint(data: Dataset, record: Record) -> str:
-    """SHA-256 of a record's content by channel name; its own name does not count."""
-    columns = record.signals.astype(np.float64)
-    names = data.channels.names
-    digest = hashlib.sha256()
-    for i in np.argsort(np.asarray(names)):
-        digest.update(names[i].encode() + b"\0")
-        digest.update(np.where(record.valid[:, i], columns[:, i], 0.0).tobytes())
-        digest.update(np.ascontiguousarray(record.valid[:, i]).tobytes())
-    return digest.hexdigest()
-
-
-def data_hash(data: Dataset) -> str:
-    """SHA-256 over all records of a dataset, in order."""
-    joined = "".join(fingerprint(data, record) for record in data)
-    return hashlib.sha256(joined.encode()).hexdigest()
 
 
 def data_notes(
@@ -159,7 +140,7 @@ def _offsets(rows: list[Row]) -> list[str]:
 def _repeated(parts: Mapping[str, Dataset]) -> list[str]:
     """Fault 23: data that was learned from proves nothing."""
     seen = {
-        part: {fingerprint(data, r): r.name for r in data}
+        part: {fingerprint(r, data.channels.names): r.name for r in data}
         for part, data in parts.items()
     }
     notes = []

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive, require
 from jaxnarx.confidence import DomainIndex, Intervals
-from jaxnarx.data import Channel, Dataset, in_units
+from jaxnarx.data import Channel, Dataset, data_hash, in_units
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation._error_map import error_maps
@@ -30,7 +30,6 @@ from jaxnarx.evaluation.page_records import ShownRecord, shown_records
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.remarks import (
     assess,
-    data_hash,
     data_notes,
     score_notes,
     stability_notes,

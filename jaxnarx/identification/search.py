@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.confidence import apply_release_limits, attach_domain_and_intervals
-from jaxnarx.data import Dataset, Groups
+from jaxnarx.data import Dataset, Groups, data_hash
 from jaxnarx.data import groups as make_groups
-from jaxnarx.evaluation import data_hash
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard

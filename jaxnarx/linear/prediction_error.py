@@ -23,6 +23,7 @@ from jaxnarx.arrays import (
     StoppingRules,
     begin_levenberg,
     begin_search,
+    has_stable_roots,
 )
 from jaxnarx.linear.recursion import (
     Signals,
@@ -32,7 +33,6 @@ from jaxnarx.linear.recursion import (
     states,
     steady,
 )
-from jaxnarx.linear.stability import is_stable
 from jaxnarx.linear.structure import Structure
 from jaxnarx.solution import RESULTS
 
@@ -62,7 +62,7 @@ class PredictionErrorProblem(AbstractProblem):
         """Whether C and all F_i are stable."""
         p = self.structure.split(u[: self.structure.size])
         parts = (p.c, *p.f)
-        return jnp.all(jnp.stack([is_stable(jnp.asarray(x)) for x in parts]))
+        return jnp.all(jnp.stack([has_stable_roots(jnp.asarray(x)) for x in parts]))
 
     def _limited(self, u, loss: Float[Array, ""]) -> Float[Array, ""]:
         return jnp.where(self.is_admissible(u), loss, jnp.inf)

@@ -1,8 +1,7 @@
 """Polynomials with all roots inside the unit circle."""
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
 INSIDE = 0.99
 """Where a root on the circle is put."""
@@ -14,23 +13,6 @@ def radius(polynomial: Float[np.ndarray, " _"]) -> float:
         return float("inf")
     roots = np.roots(np.trim_zeros(polynomial, "b"))
     return float(np.abs(roots).max(initial=0.0))
-
-
-def is_stable(polynomial: Float[Array, " _"]) -> Bool[Array, ""]:
-    """Whether all roots lie inside the unit circle, inside programs.
-
-    The leading coefficient is one. By the step-down recursion (Schur and Cohn): with k
-    the last coefficient, a_i <- (a_i - k a_(n-i)) / (1 - k^2) is of one order less,
-    and all |k| must be below one.
-    """
-    stable = jnp.all(jnp.isfinite(polynomial))
-    while polynomial.shape[0] > 1:
-        last = polynomial[-1]
-        inside = jnp.abs(last) < 1
-        stable &= inside
-        least = jnp.where(inside, 1 - last**2, 1.0)
-        polynomial = (polynomial - last * polynomial[::-1])[:-1] / least
-    return stable
 
 
 def reflect_roots(polynomial: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:

@@ -20,12 +20,12 @@ from linear_problems import (
     records,
 )
 
-from jaxnarx.arrays import evaluate_at
+from jaxnarx.arrays import evaluate_at, has_stable_roots
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem
 from jaxnarx.linear.recursion import Signals, residuals, states
-from jaxnarx.linear.stability import is_stable, radius, reflect_roots
+from jaxnarx.linear.stability import radius, reflect_roots
 from jaxnarx.linear.structure import structure_of
 from jaxnarx.settings.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
 from jaxnarx.solution import RESULTS
@@ -126,7 +126,7 @@ def scaled_problem(kind: str, seed: int = 1):
 def test_stability_by_steps_down_is_that_of_the_roots(order):
     rng = np.random.default_rng(order)
     poles = rng.uniform(0.5, 1.2, (200, order)) ** 0.5 * rng.choice([-1, 1], order)
-    told = jax.jit(jax.vmap(is_stable))
+    told = jax.jit(jax.vmap(has_stable_roots))
     polynomials = np.stack([np.poly(p) if order else np.ones(1) for p in poles])
     # Coefficients at random have complex roots, too, and orders may be zero.
     some = 0.6 * rng.normal(size=polynomials.shape)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from jaxnarx.arrays.stable_polynomials import reflection_coefficients
 from jaxnarx.partition.closed_form.denominator import (
     NEAREST,
     is_stable,
     of_times,
-    reflections,
 )
 
 
@@ -61,7 +61,9 @@ def test_reflections_are_those_that_the_polynomial_was_made_of():
     rng = np.random.default_rng(0)
     for order in (0, 1, 2, 5):
         k = rng.uniform(-0.95, 0.95, order)
-        np.testing.assert_allclose(reflections(stepped_up(k)), k, atol=1e-10)
+        np.testing.assert_allclose(
+            reflection_coefficients(stepped_up(k)), k, atol=1e-10
+        )
 
 
 def test_on_the_circle_is_not_stable():
