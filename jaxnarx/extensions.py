@@ -2,6 +2,7 @@
 
 Each kind has its registry in the room it belongs to: `jaxnarx.models.VALIDITIES`,
 `jaxnarx.settings.SELECTORS` and `PARTITIONS`, `jaxnarx.identification.CANDIDATES`,
+`jaxnarx.evaluation.ANALYSES`,
 `jaxnarx.engines.BEDS`, `jaxnarx.data.readers.KINDS` and `jaxnarx.exporters.TARGETS`. A
 package names the module that fills them as an entry point:
 

@@ -13,6 +13,7 @@ rule; `CHECKS` of the module of a kind lists them:
 | selector | `selector` | the selector |
 | partition | `partition` | the partition, names of its scheduling variables |
 | candidate of identify | `candidate` | the function |
+| analysis of reports | `analysis` | the function |
 | engine | `engine` | the engine, two of its usual records |
 | kind of file | `reader` | what writes an example, the suffix, a folder |
 | target | `target` | the target, a folder |

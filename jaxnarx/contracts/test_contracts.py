@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from jaxnarx.contracts import (
+    analysis,
     candidate,
     engine,
     partition,
@@ -18,6 +19,7 @@ from jaxnarx.contracts import (
 )
 from jaxnarx.data import KINDS
 from jaxnarx.engines import BEDS
+from jaxnarx.evaluation import ANALYSES
 from jaxnarx.exporters import TARGETS
 from jaxnarx.extensions import Registry
 from jaxnarx.identification import CANDIDATES
@@ -49,6 +51,7 @@ KINDS_OF_EXTENSIONS: tuple[tuple[Registry[Any], Any, Callable[[str], Any]], ...]
         lambda name: (PARTITIONS[name], of_example(PARTITIONS, name)()),
     ),
     (CANDIDATES, candidate, lambda name: (CANDIDATES[name],)),
+    (ANALYSES, analysis, lambda name: (ANALYSES[name],)),
     (BEDS, engine, of_engine),
     (KINDS, reader, lambda name: (of_example(KINDS, name), name)),
     (TARGETS, target, lambda name: (TARGETS[name],)),

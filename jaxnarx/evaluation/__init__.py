@@ -42,6 +42,12 @@ from jaxnarx.evaluation.residual_tests.correlations import (
 )
 from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
+from jaxnarx.evaluation.section import ANALYSES as ANALYSES
+from jaxnarx.evaluation.section import Analysis as Analysis
+from jaxnarx.evaluation.section import Chart as Chart
+from jaxnarx.evaluation.section import Curve as Curve
+from jaxnarx.evaluation.section import FreeRun as FreeRun
+from jaxnarx.evaluation.section import Section as Section
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
 from jaxnarx.evaluation.table import data_of as data_of
@@ -56,6 +62,12 @@ from jaxnarx.evaluation.verdict import Verdict as Verdict
 from jaxnarx.evaluation.verdict import judge as judge
 
 __all__ = [
+    "Section",
+    "FreeRun",
+    "Curve",
+    "Chart",
+    "Analysis",
+    "ANALYSES",
     "Cost",
     "Diagnostics",
     "ErrorMap",

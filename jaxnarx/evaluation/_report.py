@@ -21,6 +21,7 @@ from jaxnarx.evaluation.page_records import ShownRecord
 from jaxnarx.evaluation.remarks import stability_values
 from jaxnarx.evaluation.residual_tests import Diagnostics
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.section import Section
 from jaxnarx.evaluation.summary import Summary, summary
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
@@ -71,6 +72,9 @@ class Report:
       one-step residuals are what a right model leaves;
     - `provenance`: anything worth stating; versions and data hashes are filled in;
     - `next_command`: what to type next, for the page.
+
+    `sections` are the findings of the analyses that are registered
+    (`jaxnarx.evaluation.ANALYSES`), by name.
     """
 
     outputs: tuple[Channel, ...]
@@ -102,6 +106,7 @@ class Report:
     network: Any = None
     records: tuple[ShownRecord, ...] = ()
     next_command: str = ""
+    sections: Mapping[str, Section] = dataclasses.field(default_factory=dict)
 
     @property
     def verdict(self) -> Verdict:
@@ -153,7 +158,8 @@ class Report:
             )
         ]
         told += [f"{self.main}, free run, {one}" for one in self.distributions]
-        return "\n".join([*lines, *beside_lines(self), *told, *notes])
+        own = [line for one in self.sections.values() for line in ("", *one.lines())]
+        return "\n".join([*lines, *beside_lines(self), *told, *notes, *own])
 
     def __str__(self) -> str:
         return self.table
@@ -167,7 +173,7 @@ class Report:
         the text `"inf"` or `"-inf"`.
         """
         left_out = {"traces", "residuals", "partition", "stability", "diagnostics"}
-        left_out |= {"maps", "network", "records"}
+        left_out |= {"maps", "network", "records", "sections"}
         fields = [f.name for f in dataclasses.fields(self) if f.name not in left_out]
         values: dict[str, Any] = {"verdict": self.verdict.to_dict()}
         values["summary"] = strict(self.summary)
@@ -182,6 +188,7 @@ class Report:
             {k: v for k, v in strict(r).items() if k not in ("measured", "simulated")}
             for r in self.residuals
         ]
+        values["sections"] = {k: one.to_dict() for k, one in self.sections.items()}
         values["partition"] = strict(_without_points(self.partition))
         values["stability"] = strict(stability_values(self.stability))
         told = self.diagnostics

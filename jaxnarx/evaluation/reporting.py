@@ -43,6 +43,7 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
+from jaxnarx.evaluation.section import FreeRun, run_analyses
 from jaxnarx.evaluation.table import data_of
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst_segments import worst_stretches
@@ -206,6 +207,9 @@ def report(
         ),
         gains=_gains(network, parts[main], diagnostics, tested),
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
+        sections=run_analyses(
+            FreeRun(network, main, parts[main], outputs, runs[main][FREE_RUN])
+        ),
         network=network,
         records=_records_to_show(
             network, ready, main, outputs, runs, free, bounded, index, others

@@ -265,6 +265,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
             for picture in _partition(title, item)
         ],
     }
+    for name, section in report.sections.items():
+        drawn[f"section-{name}"] = [
+            (one.title, figures.report.chart(one)) for one in section.charts
+        ]
     if report.diagnostics is not None:
         drawn["diagnostics"] = figures.residuals.figures(report.diagnostics.outputs)
     if report.history:
@@ -379,7 +383,7 @@ CONTENTS = "<!-- contents -->"
 def _with_contents(page: str) -> str:
     """The page with a link to every heading behind the first lines.
 
-    Headings are texts of the templates; nothing of them comes from data.
+    Headings are texts of the templates and titles of sections, escaped by jinja2.
     """
     top, mark, body = page.partition(CONTENTS)
     if not mark:

@@ -1,0 +1,137 @@
+"""One finding of a report, shown alike as text, as JSON and on the page.
+
+An analysis is a function of a `FreeRun` that returns a `Section`, or None where it has
+nothing to say. Those of `ANALYSES` are part of every report.
+"""
+
+import dataclasses
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.data import Channel, Dataset
+from jaxnarx.evaluation.rows import ScoredSamples, collect
+from jaxnarx.evaluation.table import number, strict
+from jaxnarx.extensions import Registry
+from jaxnarx.formatting import align_columns
+from jaxnarx.models import Network
+from jaxnarx.simulation import simulate
+
+Cell = str | int | float | None
+"""A text stands left, a number right; None is shown as a dash."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Curve:
+    """A line of a chart; what is not finite is a gap."""
+
+    name: str
+    x: Float[np.ndarray, " points"]
+    y: Float[np.ndarray, " points"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Chart:
+    """Curves over one pair of axes; `log` names the axes that are logarithmic, such as
+    `"y"` or `"xy"`."""
+
+    curves: tuple[Curve, ...]
+    x_label: str
+    y_label: str
+    title: str = ""
+    log: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """A finding under a title: sentences, then a table, then charts, then a small note.
+
+    `header` names the columns of `rows`. `data` are further values for `report.json`.
+    """
+
+    title: str
+    sentences: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[Cell, ...], ...] = ()
+    charts: tuple[Chart, ...] = ()
+    note: str = ""
+    data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self, width: int = 88) -> Iterator[str]:
+        """The section as text: title, sentences, table; charts are for the page."""
+        yield self.title
+        for sentence in self.sentences:
+            yield from textwrap.wrap(
+                sentence, width, initial_indent="  ", subsequent_indent="  "
+            )
+        if self.rows:
+            cells = [[_text(cell) for cell in row] for row in self.rows]
+            left = [isinstance(cell, str) for cell in self.rows[0]]
+            for line in align_columns([self.header, *cells], left):
+                yield f"  {line}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Title, sentences, table and the further values, as strict JSON values."""
+        table = [dict(zip(self.header, row, strict=True)) for row in self.rows]
+        own = {"title": self.title, "sentences": self.sentences, "table": table}
+        return strict(own | dict(self.data))
+
+
+def _text(cell: Cell) -> str:
+    return cell if isinstance(cell, str) else number(cell)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FreeRun:
+    """The free run of a network on the main part of a report, as analyses are given it.
+
+    `samples[o][r]` are those of output `outputs[o]` in record r of `data`.
+    """
+
+    network: Any
+    part: str
+    data: Dataset
+    outputs: tuple[Channel, ...]
+    samples: list[list[ScoredSamples]]
+
+    @classmethod
+    def of(cls, network: Network, data: Dataset, part: str = "data") -> "FreeRun":
+        """The free run of a network over data."""
+        outputs = tuple(network.output_channels)
+        samples = collect(data, outputs, simulate(network, data).value)
+        return cls(network, part, data, outputs, samples)
+
+    def errors(self, output: int) -> list[Float[np.ndarray, " time"]]:
+        """Measured minus simulated of every record that stays bounded, in the output's
+        unit; NaN where a sample does not count."""
+        return [
+            np.where(one.scored, one.measured - one.predicted, np.nan)[:, 0]
+            for one in self.samples[output]
+            if not one.diverged
+        ]
+
+
+Analysis = Callable[[FreeRun], Section | None]
+ANALYSES: Registry[Analysis] = Registry("analysis of reports", {})
+"""Analyses that other packages add to every report, by their key in `report.json`."""
+
+
+def run_analyses(run: FreeRun) -> dict[str, Section]:
+    """The sections of all registered analyses by name; one that fails says so, and the
+    report goes on."""
+    found: dict[str, Section] = {}
+    for name, analysis in ANALYSES.added.items():
+        try:
+            section = analysis(run)
+        except Exception as error:
+            why = f"{type(error).__name__}: {error}"
+            section = Section(name, (f"The analysis {name!r} failed: {why}",))
+        if section is not None:
+            found[name] = section
+    return found
