@@ -8,6 +8,7 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.excitation import assess
 from jaxnarx.shell.figures import style
 from jaxnarx.shell.figures.excitation import excitation
+from jaxnarx.shell.figures.inline import inline_svg
 
 EVIL = "<script>alert(1)</script> $x_$ & 転"
 
@@ -90,7 +91,7 @@ def test_missing_samples_are_gaps():
 
 
 def test_channel_names_are_text():
-    page = style.inline_svg(excitation(data(name=EVIL)), "f", "t")
+    page = inline_svg(excitation(data(name=EVIL)), "f", "t")
     assert "<script" not in page and "&lt;script&gt;" in page
 
 

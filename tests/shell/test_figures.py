@@ -22,6 +22,7 @@ from jaxnarx.evaluation.comparison import ComparedRecord
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import style
 from jaxnarx.shell.figures.comparison import by_size, draw_comparison
+from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.relevance import relevance
 from jaxnarx.shell.figures.steady_states import intersections, response_surface
@@ -123,7 +124,7 @@ def test_one_step_does_not_cover_the_measurement():
 def test_figures_draw_any_channel_name_as_text(i):
     figure = every(EVIL)[i]
     assert isinstance(figure, Figure)
-    page = style.inline_svg(figure, "f1-", EVIL.replace("\x07", ""))
+    page = inline_svg(figure, "f1-", EVIL.replace("\x07", ""))
     assert "<script" not in page and "http" not in page
     if i not in (4,):
         assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page.split(">", 1)[1]
@@ -174,7 +175,7 @@ def test_svg_is_deterministic_and_its_text_is_text():
 def test_identifiers_of_inline_figures_do_not_meet():
     import re
 
-    a, b = (style.inline_svg(trace(), p, "t") for p in ("a-", "b-"))
+    a, b = (inline_svg(trace(), p, "t") for p in ("a-", "b-"))
     ids = [set(re.findall(r' id="([^"]+)"', s)) for s in (a, b)]
     assert ids[0] and not ids[0] & ids[1]
     used = set(re.findall(r"(?:url\(|href=\")#([^)\"]+)", a))
@@ -191,7 +192,7 @@ def test_envelope_is_short_and_keeps_every_peak(n):
 
 
 def test_a_long_record_stays_a_small_figure():
-    assert len(style.inline_svg(trace(200_000), "f", "t")) < 250_000
+    assert len(inline_svg(trace(200_000), "f", "t")) < 250_000
 
 
 def test_a_tree_lists_both_sides_of_every_gate():

@@ -8,7 +8,6 @@ import io
 import os
 import re
 import warnings
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -157,30 +156,6 @@ def _lay_out(figure: Figure) -> Iterator[None]:
         figure.set_canvas(canvas)
 
 
-def inline_svg(figure: Figure, prefix: str, title: str) -> str:
-    """The figure as an `<svg>` element to stand in an HTML page.
-
-    Namespaces and metadata are gone, so that the page names no address; identifiers
-    carry `prefix`, so that figures do not meet; ink takes the text colour of the page,
-    grid and blue its `--grid` and `--blue`, so that it reads on light and dark; `title`
-    is for readers that cannot see it. Coordinates keep two decimals.
-    """
-    root = ElementTree.fromstring(svg(figure))
-    for parent in list(root.iter()):
-        for child in list(parent):
-            if child.tag.endswith("}metadata"):
-                parent.remove(child)
-    for element in root.iter():
-        element.tag = element.tag.split("}")[-1]
-        kept = {k.split("}")[-1]: v for k, v in element.attrib.items()}
-        element.attrib.clear()
-        element.attrib.update({k: _value(k, v, prefix) for k, v in kept.items()})
-    for name in ("width", "height", "version"):
-        root.attrib.pop(name, None)
-    root.attrib |= {"role": "img", "aria-label": title}
-    return ElementTree.tostring(root, encoding="unicode")
-
-
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write PNG (160 dpi, white) or SVG, told by the suffix; whole or not at all."""
     path = Path(path)
@@ -191,17 +166,3 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     else:
         raise ValueError(f"figures are saved as .svg or .png, got {path.name!r}")
     write_whole(path, data)
-
-
-def _value(name: str, value: str, prefix: str) -> str:
-    if name == "id":
-        return prefix + value
-    if name == "href":
-        return f"#{prefix}{value[1:]}" if value.startswith("#") else value
-    if name in ("d", "points"):
-        return re.sub(r"(\.\d\d)\d+", r"\1", value).replace("\n", " ")
-    value = re.sub(r"url\(#([^)]*)\)", rf"url(#{prefix}\1)", value)
-    if name == "style":
-        value = value.replace(INK, "currentColor").replace(GRID, "var(--grid)")
-        value = value.replace(BLUE, "var(--blue)")
-    return value

@@ -33,8 +33,8 @@ from jaxnarx.evaluation import (
 from jaxnarx.files import encodable, write_whole
 from jaxnarx.formatting import ratio_text, span_text
 from jaxnarx.shell import figures
+from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.figures.leaderboard import error_over_operations
-from jaxnarx.shell.figures.style import inline_svg
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import running
 
