@@ -159,7 +159,7 @@ def test_a_table_of_many_columns_shows_what_a_line_holds_and_names_the_others():
 
 @pytest.mark.parametrize("kind", ["one model", "by inputs"])
 def test_a_network_of_long_equations_says_what_it_leaves_out(kind, monkeypatch):
-    monkeypatch.setattr("jaxnarx.models.network.SHOWN", 2)
+    monkeypatch.setattr("jaxnarx.models.network.SHOWN_TERMS", 2)
     network = common.named(kind)
     terms = int(np.asarray(network.models[0].local.used)[0].sum())
     assert f" + {terms - 2} terms more" in str(network)

@@ -200,6 +200,6 @@ def test_what_an_own_method_returns_is_checked(monkeypatch):
     with pytest.raises(SpecError, match="not a selection"):
         few = jnx.select(pool(1), data(), lambda *_: [1]).value
         jnx.select(few, data(), lambda *_: [1])
-    monkeypatch.setattr(custom_selector, "LARGEST", 1)
+    monkeypatch.setattr(custom_selector, "MOST_BYTES", 1)
     with pytest.raises(SpecError, match="narrow the pool first"):
         jnx.select(pool(), data(), lambda *_: [1])

@@ -9,7 +9,7 @@ import json
 
 import numpy as np
 
-from jaxnarx.exporters import DOUBLE, TARGETS, Instance, Target, worst
+from jaxnarx.exporters import DOUBLE_TOLERANCE, TARGETS, Instance, Target, worst
 
 
 def write(program, golden) -> dict[str, str | bytes]:
@@ -39,7 +39,7 @@ def prove(program, folder, cases):
             instance.observe(u, y)
         return np.array([instance.step(u)["outputs"] for u in inputs[told.history :]])
 
-    return {"table": worst(cases, run, DOUBLE, "table")}, []
+    return {"table": worst(cases, run, DOUBLE_TOLERANCE, "table")}, []
 
 
 def _source(row):

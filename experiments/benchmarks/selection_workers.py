@@ -167,12 +167,14 @@ def plain_pass(degree: int):
     import jax
     import jax.numpy as jnp
 
-    from jaxnarx.arrays.contraction import BLOCK
+    from jaxnarx.arrays.contraction import BLOCK_SAMPLES
 
     def contract_plainly(v, q):
         def fetch(n):
             return [
-                jax.lax.dynamic_slice_in_dim(x, n * BLOCK, BLOCK, axis=1)
+                jax.lax.dynamic_slice_in_dim(
+                    x, n * BLOCK_SAMPLES, BLOCK_SAMPLES, axis=1
+                )
                 for x in (v, q)
             ]
 
@@ -188,7 +190,7 @@ def plain_pass(degree: int):
 
         rows = len(v) if degree <= 2 else len(v) * (len(v) + 1) // 2
         total = jnp.zeros((rows, len(v) + -len(v) % 16), v.dtype)
-        blocks = jnp.arange(v.shape[1] // BLOCK)
+        blocks = jnp.arange(v.shape[1] // BLOCK_SAMPLES)
         return jax.lax.scan(body, (total, *fetch(0)), blocks)[0][0]
 
     return contract_plainly

@@ -14,11 +14,11 @@ from jaxnarx.arrays.factorisation import directions as directions
 from jaxnarx.arrays.factorisation import quadratic as quadratic
 from jaxnarx.arrays.factorisation import triangle as triangle
 from jaxnarx.arrays.iteration import DIVERGED as DIVERGED
-from jaxnarx.arrays.iteration import NEVER as NEVER
 from jaxnarx.arrays.iteration import OK as OK
 from jaxnarx.arrays.iteration import ROUNDING_LOSS as ROUNDING_LOSS
 from jaxnarx.arrays.iteration import STALLED as STALLED
 from jaxnarx.arrays.iteration import UNIDENTIFIABLE as UNIDENTIFIABLE
+from jaxnarx.arrays.iteration import UNREACHED_STEPS as UNREACHED_STEPS
 from jaxnarx.arrays.iteration import AbstractMethod as AbstractMethod
 from jaxnarx.arrays.iteration import AbstractState as AbstractState
 from jaxnarx.arrays.iteration import Driver as Driver

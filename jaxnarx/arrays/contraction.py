@@ -26,13 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-BLOCK = 512
+BLOCK_SAMPLES = 512
 """Samples per block, at most: a block's left products stay near the cache."""
 
-LANES = 16
+WIDTH_MULTIPLE = 16
 """Right-hand widths are multiples of this: the matrix product has no faster tail."""
 
-FORMING, PACKING, GROUP = 16, 24, 100
+FORMING_COST, PACKING_COST, PRODUCT_COST = 16, 24, 100
 """Cost per sample of forming a left row, of packing a right row for one matrix product,
 and of a matrix product, counted in multiplications inside one. Measured."""
 
@@ -106,14 +106,15 @@ def _group(variables: int, degree: int, start: int, stop: int) -> Group:
 
 
 def _cost(group: Group) -> int:
-    products = group.rows * (group.width + FORMING)
-    return products + PACKING * group.width + GROUP
+    products = group.rows * (group.width + FORMING_COST)
+    return products + PACKING_COST * group.width + PRODUCT_COST
 
 
 def _widen_rows(rows: Range, length: int) -> Range:
-    """`rows` made a multiple of `LANES` wide, inside `length` where there is room."""
+    """`rows` made a multiple of `WIDTH_MULTIPLE` wide, inside `length` where there
+    is room."""
     start, stop = rows
-    width = -(-(stop - start) // LANES) * LANES
+    width = -(-(stop - start) // WIDTH_MULTIPLE) * WIDTH_MULTIPLE
     start = max(min(start, length - width), 0)
     return start, start + width
 
@@ -232,8 +233,8 @@ def contract(
     """
     tables = plan(v.shape[0], degree)
     vectors, length = q.shape
-    blocks = max(-(-length // BLOCK), 1)
-    size = -(-length // (blocks * LANES)) * LANES
+    blocks = max(-(-length // BLOCK_SAMPLES), 1)
+    size = -(-length // (blocks * WIDTH_MULTIPLE)) * WIDTH_MULTIPLE
     rest = length - (blocks - 1) * size
 
     def padded(x):

@@ -23,7 +23,7 @@ ROUNDING_LOSS = 1e-24
 """Loss (a mean square of scaled errors) that is nothing but rounding of float64."""
 QUIET_STEPS = 2
 """Steps in a row that gain little, after which a stage ends."""
-NEVER = 2**30
+UNREACHED_STEPS = 2**30
 """A number of steps that no search makes."""
 
 OK, NO_IMPROVEMENT, STALLED, DIVERGED, UNIDENTIFIABLE, NOT_RUN = map(
@@ -143,7 +143,7 @@ class StoppingRules(eqx.Module):
     """
 
     tolerance: Array = eqx.field(converter=jnp.asarray)
-    patience: Array = eqx.field(converter=jnp.asarray, default=NEVER)
+    patience: Array = eqx.field(converter=jnp.asarray, default=UNREACHED_STEPS)
     quiet: Array = eqx.field(converter=jnp.asarray, default=QUIET_STEPS)
     rounding: Array = eqx.field(converter=jnp.asarray, default=ROUNDING_LOSS)
 

@@ -31,11 +31,11 @@ from jaxnarx.arrays.programs import plain, twin
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
 DAMPING_LEAST = 1e-12
-SHRINK, GROW = 5.0, 4.0
-REACH = 2.0
+DAMPING_DECREASE, DAMPING_INCREASE = 5.0, 4.0
+MAX_BOUNDED_STEP = 2.0
 """Entries with a wall move by no more than this in one step: on the flat ends of their
 bounded map a step by curvature would throw them from one limit to the other."""
-ARRIVED = 1e-10
+LEAST_PROMISED_SHARE = 1e-10
 """Share of the loss below which a promised decrease counts as none."""
 
 
@@ -162,7 +162,7 @@ def _step(problem: AbstractProblem, s: LevenbergState) -> LevenbergState:
 
     def accept() -> LevenbergState:
         linear = problem.linear(found.u)
-        eased = jnp.maximum(found.damping / SHRINK, DAMPING_LEAST)
+        eased = jnp.maximum(found.damping / DAMPING_DECREASE, DAMPING_LEAST)
         value = jnp.where(fresh, linear.loss, found.value)
         gain = 1.0 - value / s.minimised
         return LevenbergState(
@@ -201,7 +201,7 @@ def _descend(
     """Raise the damping until a trial is lower; a fresh start is taken as it is."""
     wall, here = problem.wall, s.linear.u
     able = _outlook(s.linear) == OK
-    reach = jnp.where(jnp.isfinite(wall), REACH, jnp.inf)
+    reach = jnp.where(jnp.isfinite(wall), MAX_BOUNDED_STEP, jnp.inf)
 
     def attempt(t: Trial) -> Trial:
         delta = _direction(s, t.damping)
@@ -211,7 +211,7 @@ def _descend(
         loss = problem.loss(new)
         value = loss + s.pull @ (new - s.origin) ** 2
         lower = solved & jnp.isfinite(loss) & (value < s.minimised)
-        damping = jnp.where(lower, t.damping, t.damping * GROW)
+        damping = jnp.where(lower, t.damping, t.damping * DAMPING_INCREASE)
         return Trial(new, damping, value, t.tried + solved.astype(t.tried.dtype), lower)
 
     start = Trial(
@@ -229,7 +229,7 @@ def _descend(
 @jax.jit
 def _has_arrived(s: LevenbergState) -> Bool[Array, ""]:
     delta = _direction(s, jnp.asarray(DAMPING_START, s.u.dtype))
-    small = max(ARRIVED, 10 * float(jnp.finfo(s.u.dtype).eps))
+    small = max(LEAST_PROMISED_SHARE, 10 * float(jnp.finfo(s.u.dtype).eps))
     return -(_slope(s) @ delta) < small * s.linear.loss
 
 

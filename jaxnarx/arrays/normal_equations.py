@@ -9,21 +9,21 @@ from jaxtyping import Array, Float
 
 Arrays = TypeVar("Arrays", np.ndarray, Array)
 
-WIDE, PANELS = 150, 3
+PANEL_COLUMNS, PANEL_COUNT = 150, 3
 """Columns from which the products above the diagonal alone are formed, in so many
 panels: on a CPU four fifths of the time at 512 columns. Narrower ones lose as much by
 narrower products."""
 
-ROUNDING = 1e-12, 10
+LEAST_RIDGE = 1e-12, 10
 """Least ridge in float64, and in a coarser type so many times its precision."""
 
 
 def gram(a: Float[Array, "rows columns"]) -> Float[Array, "columns columns"]:
     """A'A."""
     columns = a.shape[1]
-    if columns < WIDE:
+    if columns < PANEL_COLUMNS:
         return a.T @ a
-    ends = [round(columns * n / PANELS) for n in range(PANELS + 1)]
+    ends = [round(columns * n / PANEL_COUNT) for n in range(PANEL_COUNT + 1)]
     upper = jnp.concatenate(
         [
             jnp.pad(a[:, start:stop].T @ a[:, start:], ((0, 0), (start, 0)))
@@ -51,7 +51,11 @@ def ridge_solve(
     xp = np if isinstance(gram, np.ndarray) else jnp
     if least is None:
         exact = gram.dtype == np.float64
-        least = ROUNDING[0] if exact else ROUNDING[1] * float(xp.finfo(gram.dtype).eps)
+        least = (
+            LEAST_RIDGE[0]
+            if exact
+            else LEAST_RIDGE[1] * float(xp.finfo(gram.dtype).eps)
+        )
     diagonal = xp.diagonal(gram)
     alive = diagonal > 0
     scale = xp.where(alive, xp.sqrt(xp.where(alive, diagonal, 1.0)), 1.0)

@@ -11,14 +11,17 @@ import jax
 
 R = TypeVar("R")
 
-ARRAY = object()
+ARRAY_MARK = object()
 """In place of an array among what is static."""
-MAPS, MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
+MEMORY_MAP_FILES, MOST_MAPS = (
+    Path("/proc/self/maps"),
+    Path("/proc/sys/vm/max_map_count"),
+)
 """Memory maps of this process and how many it may have, where the system tells; every
 compiled program has about ten, and the compiler ends the process when none is left."""
-SHARE = 0.6
+MAX_MAP_SHARE = 0.6
 """Of them that may be in use."""
-LOOK = 50
+PROGRAMS_BETWEEN_CHECKS = 50
 """New programs between looks at their number."""
 _made = itertools.count(1)
 
@@ -49,7 +52,7 @@ def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...
     leaves, tree = jax.tree.flatten((tuple(plain(a) for a in args), named))
     flags = [eqx.is_array(leaf) for leaf in leaves]
     pairs = list(zip(leaves, flags, strict=True))
-    static = tuple(ARRAY if flag else leaf for leaf, flag in pairs)
+    static = tuple(ARRAY_MARK if flag else leaf for leaf, flag in pairs)
     # 1, 1.0 and True are equal, but make different programs.
     compiled = _compile(function, tree, static, tuple(map(type, static)))
     return functools.partial(compiled, [leaf for leaf, flag in pairs if flag])
@@ -59,7 +62,7 @@ def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...
 def _compile(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
     """The program of a function whose arrays are arguments, in one list."""
     del kinds
-    if next(_made) % LOOK == 0 and is_crowded():
+    if next(_made) % PROGRAMS_BETWEEN_CHECKS == 0 and is_crowded():
         _compile.cache_clear()
         jax.clear_caches()
 
@@ -67,7 +70,7 @@ def _compile(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Call
     @functools.wraps(function, updated=())
     def run(arrays: list, *more: Any):
         given = iter(arrays)
-        leaves = [next(given) if leaf is ARRAY else leaf for leaf in static]
+        leaves = [next(given) if leaf is ARRAY_MARK else leaf for leaf in static]
         args, kwargs = jax.tree.unflatten(tree, leaves)
         return function(*args, *more, **kwargs)
 
@@ -77,9 +80,9 @@ def _compile(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Call
 def is_crowded() -> bool:
     """Whether so many programs are held that there is little room for others."""
     try:
-        with MAPS.open("rb") as maps:
+        with MEMORY_MAP_FILES.open("rb") as maps:
             held = sum(1 for _ in maps)
-        return held > SHARE * int(MOST_MAPS.read_text())
+        return held > MAX_MAP_SHARE * int(MOST_MAPS.read_text())
     except (OSError, ValueError):
         return False
 

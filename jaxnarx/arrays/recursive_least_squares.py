@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.arrays._least_squares import LeastSquaresFit
 from jaxnarx.arrays.column_scaling import column_norm, column_scale, power_of_two
 
-PRIOR = 0.7
+PRIOR_EXPONENT = 0.7
 """Without a ridge a recursion starts from eps to this power of each column's squared
 norm (1e-11 in float64), which is taken out again at the end. More biases more before
 that is done, less loses digits: both are even at a condition of some 1e5."""
@@ -151,10 +151,10 @@ def solve_recursively(
     """A least-squares problem from its first sample to its last.
 
     The ridge of `solve_least_squares` is the start P_0^-1, and forgotten like a sample
-    before the first. Without one a small start is removed from the result, see `PRIOR`;
-    directions of which most of what is known at the end comes from that start do not
-    count in the rank, and their coefficients are zero. Forgetting long in a direction
-    without news overflows: the result is then not finite.
+    before the first. Without one a small start is removed from the result, see
+    `PRIOR_EXPONENT`; directions of which most of what is known at the end comes from
+    that start do not count in the rank, and their coefficients are zero. Forgetting
+    long in a direction without news overflows: the result is then not finite.
     """
     root = jnp.sqrt(weight)
     a = (columns * root[None]).T
@@ -163,7 +163,7 @@ def solve_recursively(
     size = column_norm(a) / scale
     ridge = jnp.asarray(ridge, a.dtype)
     free = ridge == 0.0
-    prior = jnp.where(free, jnp.finfo(a.dtype).eps ** PRIOR, ridge)
+    prior = jnp.where(free, jnp.finfo(a.dtype).eps ** PRIOR_EXPONENT, ridge)
     there = size > 0
     information = jnp.where(there, prior * size**2, 1.0)
     own = jnp.where(there, 1.0 / jnp.sqrt(information), 0.0)

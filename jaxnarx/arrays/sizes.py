@@ -1,10 +1,10 @@
 """Sizes that programs are made for: one program serves all within a few per cent."""
 
-LEAST = 32
+LEAST_STEP = 32
 """Smallest step between sizes."""
-SMALL, COARSE, FINE = 1024, 2, 16
-"""Up to `SMALL` there are two sizes an octave, for there compilation costs more than
-any run; beyond it 16."""
+COARSE_SIZES_END, COARSE_PER_OCTAVE, FINE_PER_OCTAVE = 1024, 2, 16
+"""Up to `COARSE_SIZES_END` there are two sizes an octave, for there compilation costs
+more than any run; beyond it 16."""
 
 
 def bucket(size: int) -> int:
@@ -15,5 +15,8 @@ def bucket(size: int) -> int:
     gives 1,856, and 100,000 gives 102,400.
     """
     octave = 1 << max(size, 1).bit_length() - 1
-    step = max(octave // (COARSE if size <= SMALL else FINE), LEAST)
+    step = max(
+        octave // (COARSE_PER_OCTAVE if size <= COARSE_SIZES_END else FINE_PER_OCTAVE),
+        LEAST_STEP,
+    )
     return -(-size // step) * step

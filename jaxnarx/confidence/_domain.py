@@ -14,7 +14,7 @@ from jaxnarx.models import LAYERS, Network
 from jaxnarx.simulation import Prepared, match_records
 from jaxnarx.solution import RESULTS, Solution
 
-WORST = 10
+SHOWN_STRETCHES = 10
 """Stretches of time that a table shows."""
 
 
@@ -92,7 +92,7 @@ class DomainIndex:
         for name, index in zip(self.names, self.index, strict=True):
             share, most = float(np.mean(index > 1)), float(index.max(initial=0.0))
             lines.append(f"  {name}: {100 * share:.3g} %, index up to {most:.3g}")
-        worst = self.excursions[:WORST]
+        worst = self.excursions[:SHOWN_STRETCHES]
         if worst:
             lines.append("farthest outside")
             lines += [f"  {one}" for one in worst]

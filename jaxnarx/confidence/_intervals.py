@@ -10,7 +10,7 @@ from jaxnarx.confidence.enclosure import AbstractEnclosure
 from jaxnarx.confidence.error_model import error_variables_at
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import LEVELS, Network
+from jaxnarx.models import STORED_PROBABILITIES, Network
 from jaxnarx.simulation import Prepared, Trajectories, match_records, simulate
 from jaxnarx.solution import RESULTS, Solution
 
@@ -57,9 +57,10 @@ def intervals(
         found = jnx.intervals(known, data, level=0.9).value
         print(found.lower[0][-1], found.upper[0][-1])
     """
-    if not LEVELS[0] <= level <= LEVELS[-1]:
+    if not STORED_PROBABILITIES[0] <= level <= STORED_PROBABILITIES[-1]:
         raise SpecError(
-            f"level must lie from {LEVELS[0]} to {LEVELS[-1]}, got {level}",
+            f"level must lie from {STORED_PROBABILITIES[0]} to "
+            f"{STORED_PROBABILITIES[-1]}, got {level}",
             field="level",
         )
     known, domain = network.errors, network.domain

@@ -41,10 +41,10 @@ from jaxnarx.refinement import (
 from jaxnarx.simulation import Prepared, check_records, has_diverged, run
 from jaxnarx.solution import RESULTS, Solution
 
-ROUNDINGS = 4096
+NULL_ROUNDINGS = 4096
 """Eigenvalues of the scaled J'J below so many roundings of the largest are zero: in
 float64 a condition of the Jacobian of a million. Normal equations cannot tell more."""
-INVOLVED = 0.01
+NAMED_SHARE = 0.01
 """Share of a parameter's unit vector in the undetermined directions from which it is
 named."""
 
@@ -230,7 +230,7 @@ def pseudo_inverse(
     safe = np.where(size > 0, size, 1.0)
     value, vector = np.linalg.eigh(gram / np.outer(safe, safe))
     # A ridge moves the eigenvalues alone; it determines nothing by itself.
-    kept = value > ROUNDINGS * rounding * value.max(initial=0.0)
+    kept = value > NULL_ROUNDINGS * rounding * value.max(initial=0.0)
     root = np.where(kept, 1.0 / np.sqrt(np.where(kept, value + ridge, 1.0)), 0.0)
     half = vector * root[None] / safe[:, None]
     lost = np.sum(np.where(kept[None], 0.0, vector) ** 2, axis=1)
@@ -280,7 +280,7 @@ def _value(network, layout, labels: Labels, noise: OutputNoise, begin, spread, l
         names=tuple(n for n, keep in zip(labels.names, real, strict=True) if keep),
         estimate=labels.value[real],
         covariance=spread * np.outer(slope, slope),
-        identifiable=lost < INVOLVED,
+        identifiable=lost < NAMED_SHARE,
         noise=np.sqrt(noise.covariance[:, 0]) * gain,
         freedom=noise.freedom,
         output_names=tuple(network.output_names),

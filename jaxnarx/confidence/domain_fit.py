@@ -16,18 +16,18 @@ from jaxnarx.models import LAYERS, Domain, Network
 from jaxnarx.regressors import LowPass, Variables, row_columns
 from jaxnarx.simulation import match_records, simulate
 
-POINTS = 40
+STORED_POINTS = 40
 """Stored points of the training. On two outputs of virtual engines 10 to 200 of them
 had the same rank correlation with the error to .03."""
-ALARMS = 0.05
+BEYOND_SHARE = 0.05
 """Share of the samples left out that are beyond the border."""
-SOME = 20_000
+RUN_SAMPLES = 20_000
 """Samples on which the free run is asked what it follows."""
-MANY = 20_000
+POOL_SAMPLES = 20_000
 """Samples that points are chosen from."""
-CUTS = (0.25, 0.5, 0.75)
+MEMORY_CUTS = (0.25, 0.5, 0.75)
 """Where in a record inputs become what they were, to see how long a run remembers."""
-SPREAD = 1e-9
+LEAST_SPREAD_SHARE = 1e-9
 """Spread of a feature, as a share of its size, below which it has not moved."""
 
 
@@ -56,7 +56,7 @@ def fit_domain(
     data: Dataset,
     *,
     groups: Groups | None = None,
-    points: int = POINTS,
+    points: int = STORED_POINTS,
 ) -> Network:
     """The network with its domain: where these records, its training, have been.
 
@@ -80,7 +80,7 @@ def fit_domain(
     used = used_inputs(network)
     if not used:
         raise SpecError("a network without inputs has no domain", field="network")
-    weight, memory = measure_influence(network, shortened(data, SOME), used)
+    weight, memory = measure_influence(network, shortened(data, RUN_SAMPLES), used)
     features = Variables.of(
         [(s, 0, None) for s in used]
         + [(s, 0, LowPass(memory * data.sample_time)) for s in used]
@@ -158,12 +158,12 @@ def measure_influence(
             np.where((np.arange(len(r)) < cut * len(r))[:, None], m, r.u)
             for r, m in zip(data, moved, strict=True)
         ]
-        for cut in CUTS
+        for cut in MEMORY_CUTS
     ]
     changes = _changes(network, data, [*alone, *back])
     weight = [np.sqrt(np.mean(np.concatenate(c))) for c in changes[: len(used)]]
     left = np.zeros(max(len(r) for r in data))
-    for cut, change in zip(CUTS, changes[len(used) :], strict=True):
+    for cut, change in zip(MEMORY_CUTS, changes[len(used) :], strict=True):
         for r, square in zip(data, change, strict=True):
             tail = square[int(np.ceil(cut * len(r))) :].mean(axis=1)
             left[: len(tail)] += tail
@@ -222,9 +222,11 @@ def _make_domain(
     used = len(rows.step)
     middle, spread = rows.x.mean(axis=1), rows.x.std(axis=1)
     size = np.maximum(np.abs(middle), np.abs(rows.x).max(axis=1))
-    spread = np.where(spread > SPREAD * size, spread, np.where(size > 0, size, 1.0))
+    spread = np.where(
+        spread > LEAST_SPREAD_SHARE * size, spread, np.where(size > 0, size, 1.0)
+    )
     unit = (rows.x - middle[:, None]) / spread[:, None]
-    at = np.unique(np.linspace(0, unit.shape[1] - 1, MANY).astype(int))
+    at = np.unique(np.linspace(0, unit.shape[1] - 1, POOL_SAMPLES).astype(int))
     stored = _spread_out(unit[:, at].T * weight[None], points)
     value = rows.x[:used]
     leaves = (
@@ -316,9 +318,9 @@ def _border(domain: Domain, rows: InputRows) -> Float[np.ndarray, " layers"]:
         reach = values.max(axis=0)
         return np.where(reach > 0, reach, 1.0)
     values = values[rows.group >= 0]
-    each = np.quantile(values, 1 - ALARMS, axis=0)
+    each = np.quantile(values, 1 - BEYOND_SHARE, axis=0)
     # Ranges and steps of the training itself are known, however seldom they are met.
     own = np.isin(LAYERS, ("range", "rate"))
     each = np.where(own, np.maximum(each, 1.0), each)
     each = np.where(each > 0, each, 1.0)
-    return each * np.quantile((values / each[None]).max(axis=1), 1 - ALARMS)
+    return each * np.quantile((values / each[None]).max(axis=1), 1 - BEYOND_SHARE)

@@ -11,16 +11,16 @@ from jaxnarx.confidence.domain_fit import InputRows, feature_rows, fold_layers
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.models import GROWTH, LEVELS, ErrorModel, Network
+from jaxnarx.models import GROWTH_EXPONENT, STORED_PROBABILITIES, ErrorModel, Network
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
-KNOTS = 6
+KNOTS_PER_VARIABLE = 6
 """Of every variable, at quantiles of the records."""
-LEAST = 0.05
+LEAST_ERROR_SHARE = 0.05
 """Errors below this share of their root mean square count as that."""
-RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+RIDGES_TRIED = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 """Pull of heights to zero, in shares of what a sample says, that are tried."""
-FEWEST = 200
+FEWEST_ERRORS = 200
 """Errors below which nothing is learnt."""
 
 
@@ -80,7 +80,7 @@ def fit_error_model(
         own = _rows(network, data, run, rows, index, o)
         if left_out is not None:
             own = _as_left_out(own, left_out[o])
-        if len(own.error) < FEWEST or not own.error.max() > 0:
+        if len(own.error) < FEWEST_ERRORS or not own.error.max() > 0:
             return dataclasses.replace(network, errors=None)
         # Channels in extreme units may overflow.
         with np.errstate(all="ignore"):
@@ -162,16 +162,16 @@ def _learnt(rows: ErrorRows) -> tuple:
     knots = np.stack([_knots(z) for z in rows.z])
     hats = np.concatenate([_hats(z, k) for z, k in zip(rows.z, knots, strict=True)])
     hats = np.concatenate([np.ones((1, hats.shape[1])), hats])
-    floor = LEAST * _rms(rows.error)
+    floor = LEAST_ERROR_SHARE * _rms(rows.error)
     y = np.log(np.maximum(rows.error, floor)) - _outside(rows.z)
     labels = [g for g in np.unique(rows.group) if g >= 0]
     parts = [_normal(hats[:, rows.group == g], y[rows.group == g]) for g in labels]
     if len(parts) < 2:
         parts, labels = [_normal(hats, y)], []
     whole = sum(part[0] for part in parts), sum(part[1] for part in parts)
-    ridge = RIDGES[-1]
+    ridge = RIDGES_TRIED[-1]
     if labels:
-        ridge = min(RIDGES, key=lambda r: _cross_validate(parts, whole, r))
+        ridge = min(RIDGES_TRIED, key=lambda r: _cross_validate(parts, whole, r))
     theta = _solve(*whole, ridge)
     relative, weight = [], []
     for g, (a, b, *_) in zip(labels, parts, strict=True) if labels else ():
@@ -196,14 +196,14 @@ def _rms(error: Float[np.ndarray, " time"]) -> float:
 
 def _outside(z: Float[np.ndarray, "variables time"]) -> Float[np.ndarray, " time"]:
     """Logarithm of what the index beyond the border adds."""
-    return GROWTH * np.log(np.maximum(z[-1], 1.0))
+    return GROWTH_EXPONENT * np.log(np.maximum(z[-1], 1.0))
 
 
 def _knots(z: Float[np.ndarray, " time"]) -> Float[np.ndarray, " knots"]:
     """At quantiles, apart from one another."""
-    knots = np.quantile(z, np.linspace(0.01, 0.99, KNOTS))
+    knots = np.quantile(z, np.linspace(0.01, 0.99, KNOTS_PER_VARIABLE))
     least = 1e-6 * max(float(np.abs(z).max()), 1e-300)
-    return knots + least * np.arange(KNOTS)
+    return knots + least * np.arange(KNOTS_PER_VARIABLE)
 
 
 def _hats(
@@ -219,7 +219,7 @@ def _normal(hats, y):
 
 def _solve(a, b, ridge):
     """Ridge regression, its constant free; in shares of what the samples say."""
-    pull = ridge * a[0, 0] * np.eye(len(a)) / KNOTS
+    pull = ridge * a[0, 0] * np.eye(len(a)) / KNOTS_PER_VARIABLE
     pull[0, 0] = 0.0
     return np.linalg.solve(a + pull + 1e-12 * a[0, 0] * np.eye(len(a)), b)
 
@@ -240,5 +240,5 @@ def _quantiles(
     other."""
     order = np.argsort(relative)
     share = np.cumsum(weight[order]) / weight.sum()
-    at = np.searchsorted(share, LEVELS).clip(max=len(order) - 1)
+    at = np.searchsorted(share, STORED_PROBABILITIES).clip(max=len(order) - 1)
     return relative[order][at]

@@ -10,7 +10,7 @@ from jaxnarx.errors import JaxnarxError
 from jaxnarx.models import FLAG, LINEAR, Network, hold_to_range, set_bounds
 from jaxnarx.refinement import attach_certificate
 
-WIDE = 1e6
+CERTIFIED_BOUND_WIDTHS = 1e6
 """Bounds of the feedback of a network with a certificate, in widths of the range: such
 a network runs away from nothing, however far its polynomials reach where inputs come
 together as they never did (100 widths and more on a measured engine)."""
@@ -54,4 +54,4 @@ def apply_release_limits(network: Network) -> Network:
             break
     else:
         return network
-    return set_bounds(network, WIDE)
+    return set_bounds(network, CERTIFIED_BOUND_WIDTHS)

@@ -16,32 +16,32 @@ from jaxnarx.data.low_order import (
 )
 from jaxnarx.data.pieces import Piece, pieces, usual_length
 
-_RIDGE = 1e-6
-_LONGEST = 1024
+_RESPONSE_RIDGE = 1e-6
+_LONGEST_RESPONSE = 1024
 """Largest lag of the first, joint response [samples]."""
 
-REACH = 500
+LONGEST_DEAD_TIME = 500
 """Longest dead time looked for [samples]."""
 
-_CLEAR = 6.0
+_CLEAR_DEVIATIONS = 6.0
 """Standard deviations of chance above which an answer is believed.
 
 Of 288 pairs of independent records, random walks among them, one exceeded 6; answers
 that explain a tenth of the variance of 4,000 rows have 16 and more.
 """
 
-_NEIGHBOURS = 17
+_AVERAGED_FREQUENCIES = 17
 """Frequencies over which the power of the residuals is averaged."""
 
-_LEAST = 1e-3
+_LEAST_VARIANCE_SHARE = 1e-3
 """Part of an output's variance that an answer has; less is misfit of the others."""
 
-_STILL = 1e-9
+_STILL_DEVIATIONS = 1e-9
 """Move within a piece, in standard deviations over all, that counts as rounding."""
 
-_CYCLES = 3
+_LEAST_CYCLES = 3
 
-_COARSER = 8
+_COARSENING_FACTOR = 8
 """Factor by which samples are averaged where time constants are long for a piece."""
 
 
@@ -121,7 +121,7 @@ _KNOWN: weakref.WeakKeyDictionary[Dataset, dict[int, Dynamics]]
 _KNOWN = weakref.WeakKeyDictionary()
 
 
-def dynamics(data: Dataset, *, reach: int = REACH) -> Dynamics:
+def dynamics(data: Dataset, *, reach: int = LONGEST_DEAD_TIME) -> Dynamics:
     """Systems of low order with dead time that best explain the outputs in free run.
 
     Every output is a sum of answers to the inputs and a rest. Each answer is fitted to
@@ -164,8 +164,8 @@ def _dynamics(data: Dataset, reach: int, every: int = 1) -> Dynamics:
     found = _Fitting(parts, reach, [0.0, *_grid(top)]).run()
     answers = {p: dataclasses.replace(a, every=every) for p, a in found.items()}
     slow = [p for p, a in answers.items() if a.clear and a.fit.slowest > top / 2]
-    if slow and max(len(r) for r in data) > _COARSER * longest * every:
-        coarse = _dynamics(data, reach, _COARSER * every).answers
+    if slow and max(len(r) for r in data) > _COARSENING_FACTOR * longest * every:
+        coarse = _dynamics(data, reach, _COARSENING_FACTOR * every).answers
         answers |= {p: coarse[p] for p in slow if p in coarse and coarse[p].clear}
     return Dynamics(answers, reach)
 
@@ -197,7 +197,7 @@ class _Fitting:
             first = {i: self._lags(i, self.outputs) for i in self.inputs}
             for i, fits in first.items():
                 self._put(i, fits)
-            for _ in range(_CYCLES if len(self.inputs) > 1 else 1):
+            for _ in range(_LEAST_CYCLES if len(self.inputs) > 1 else 1):
                 for i in self.inputs:
                     clear = [o for o in self.outputs if self._judged(i, o).clear]
                     faint = [o for o in self.outputs if o not in clear]
@@ -257,10 +257,14 @@ class _Fitting:
             left += float(e @ e)
             whole += float(y @ y)
             chance += _chance(s, e)
-        clear = explained > _CLEAR * np.sqrt(chance) or explained > 0.5 * whole
+        clear = (
+            explained > _CLEAR_DEVIATIONS * np.sqrt(chance) or explained > 0.5 * whole
+        )
         share = explained / (explained + left) if explained else 0.0
         return Answer(
-            self.fits[i, o], share, bool(clear and explained > _LEAST * whole)
+            self.fits[i, o],
+            share,
+            bool(clear and explained > _LEAST_VARIANCE_SHARE * whole),
         )
 
 
@@ -272,7 +276,7 @@ def _moving_channels(channels: list[Float[np.ndarray, "channels _"]]) -> list[in
     """Channels that move within a piece: differences between pieces have no
     dynamics."""
     moves = np.max([np.abs(c).max(axis=1) for c in channels], axis=0)
-    return np.flatnonzero(moves > _STILL).tolist()
+    return np.flatnonzero(moves > _STILL_DEVIATIONS).tolist()
 
 
 def _chance(s: Float[np.ndarray, " time"], e: Float[np.ndarray, " time"]) -> float:
@@ -282,7 +286,7 @@ def _chance(s: Float[np.ndarray, " time"], e: Float[np.ndarray, " time"]) -> flo
 
     size = int(next_fast_len(2 * len(s), real=True) or 0)
     power = [np.abs(np.asarray(rfft(x, size))) ** 2 for x in (s, e)]
-    smooth = uniform_filter1d(power[1], _NEIGHBOURS, mode="mirror")
+    smooth = uniform_filter1d(power[1], _AVERAGED_FREQUENCIES, mode="mirror")
     return float(2 * np.sum(power[0] * smooth) / size / len(s))
 
 
@@ -296,7 +300,7 @@ def joint_response(
     0, 1, 2, 3, 4, 6, 8, 11, 16, ... Only rows from `reach` on count, without their mean
     in each piece. Zeros where there are fewer than ten rows for a coefficient.
     """
-    edges = _edges(min(max(len(p) for p in parts) // 4, _LONGEST))
+    edges = _edges(min(max(len(p) for p in parts) // 4, _LONGEST_RESPONSE))
     inputs, bins = len(parts[0].u), len(edges) - 1
     rows = sum(len(p) - reach for p in parts)
     if not inputs or rows < 10 * inputs * bins:
@@ -311,7 +315,7 @@ def joint_response(
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     alive = np.diag(gram) > 1e-9 * rows
     scale = np.where(alive, 1 / scale, 0.0)
-    gram = gram * scale[:, None] * scale[None] + _RIDGE * np.eye(len(gram))
+    gram = gram * scale[:, None] * scale[None] + _RESPONSE_RIDGE * np.eye(len(gram))
     theta = scale[:, None] * np.linalg.solve(gram, scale[:, None] * cross)
     theta = theta.reshape(inputs, bins, -1)
     return [np.einsum("ibo,ibt->iot", theta, _bin_lags(p.u, edges)) for p in parts]

@@ -20,13 +20,13 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.repeated_cycles import Cycle, cycles
 from jaxnarx.errors import DataError, SpecError
 
-FEWEST = 3
+FEWEST_RECORDS = 3
 """With fewer independent records than this blocks are left out, not records."""
-GAPS = 0.1
+MAX_GAP_SHARE = 0.1
 """Share of a record that gaps may take: runs go on through them, so that they only part
 what is correlated beyond the model. With half of a record, models of single records of
 virtual engines were a fifth worse on other records."""
-SHORTEST = 10
+SHORTEST_BLOCK = 10
 """Rows of the shortest block worth leaving out."""
 
 
@@ -283,7 +283,10 @@ def _groups_by_name(
 def _dealt(data: Dataset, found: list[Cycle], folds: int) -> Groups | None:
     """Groups of whole records, where enough are independent."""
     parts = [list(cycle.records) for cycle in found]
-    if len(parts) < FEWEST or 2 * max(_rows(data, p) for p in parts) > data.samples:
+    if (
+        len(parts) < FEWEST_RECORDS
+        or 2 * max(_rows(data, p) for p in parts) > data.samples
+    ):
         return None
     members = _deal(parts, data, folds)
     return _whole(data, members, [_describe(data, part) for part in members])
@@ -320,7 +323,7 @@ def _whole(data: Dataset, members: list[list[int]], names: list[str]) -> Groups:
 
 def block_labels(rows: int, folds: int, gap: int) -> Int[np.ndarray, " rows"]:
     """Numbers of `folds` equal blocks of `rows` samples, -1 in the gaps between."""
-    gap = min(gap, int(GAPS * rows) // (folds - 1))
+    gap = min(gap, int(MAX_GAP_SHARE * rows) // (folds - 1))
     edges = np.arange(folds + 1) * (rows - (folds - 1) * gap) // folds
     labels = np.full(rows, -1)
     for k in range(folds):
@@ -333,7 +336,7 @@ def _blocks(data: Dataset, found: list[Cycle], folds: int, gap: int) -> Groups:
     short = []
     for cycle in found:
         rows = max(len(data.records[n]) for n in cycle.records)
-        if rows < folds * SHORTEST:
+        if rows < folds * SHORTEST_BLOCK:
             short.append(list(cycle.records))
             continue
         own = block_labels(rows, folds, gap)
@@ -344,9 +347,9 @@ def _blocks(data: Dataset, found: list[Cycle], folds: int, gap: int) -> Groups:
         longest = max(data, key=len)
         raise DataError(
             f"{longest.name}, the longest record, has {len(longest)} rows, too few for "
-            f"{folds} blocks of {SHORTEST} rows to be left out in turn. Take fewer "
-            "folds, or give longer records, or at least three that do not repeat each "
-            "other.",
+            f"{folds} blocks of {SHORTEST_BLOCK} rows to be left out in turn. Take "
+            "fewer folds, or give longer records, or at least three that do not "
+            "repeat each other.",
         )
     sizes = sum(np.bincount(v[v >= 0], minlength=folds) for v in labels.values())
     sizes = np.asarray(sizes)

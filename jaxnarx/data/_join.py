@@ -8,7 +8,7 @@ from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.errors import SpecError
 
-STEP = 1e-6
+SAMPLE_TIME_TOLERANCE = 1e-6
 """Sample times may differ by this share."""
 
 
@@ -33,7 +33,10 @@ def join(datasets: Sequence[Dataset]) -> Dataset:
     records, notes = list(first.records), list(first.notes)
     taken = set(first.names)
     for number, other in enumerate(others, 2):
-        if abs(other.sample_time - first.sample_time) > STEP * first.sample_time:
+        if (
+            abs(other.sample_time - first.sample_time)
+            > SAMPLE_TIME_TOLERANCE * first.sample_time
+        ):
             raise SpecError(
                 f"dataset {number} has a sample time of {other.sample_time:g} s, "
                 f"the first of {first.sample_time:g} s. Resample one of them first.",

@@ -5,12 +5,12 @@ import dataclasses
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
 
-STRETCHES = 8
+MAX_STRETCHES = 8
 """Most stretches of one record ..."""
-USUAL = 500
+STRETCH_SAMPLES = 500
 """... which hold so many samples or more, where the record allows it."""
 
-GOLDEN = (5**0.5 - 1) / 2
+GOLDEN_RATIO = (5**0.5 - 1) / 2
 """Its multiples, less whole numbers, are spread evenly whatever their count."""
 
 
@@ -28,14 +28,14 @@ def shortened(data: Dataset, rows: int) -> Dataset:
     records = [
         part
         for n, record in enumerate(data)
-        for part in _stretches(record, share, n * GOLDEN % 1.0)
+        for part in _stretches(record, share, n * GOLDEN_RATIO % 1.0)
     ]
     return dataclasses.replace(data, records=tuple(records))
 
 
 def _stretches(record: Record, share: float, place: float) -> list[Record]:
     kept = max(int(share * len(record)), 1)
-    count = min(STRETCHES, max(kept // USUAL, 1))
+    count = min(MAX_STRETCHES, max(kept // STRETCH_SAMPLES, 1))
     if count == 1:
         first = int(place * (len(record) - kept + 1))
         return [record.part(first, first + kept)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data.families import MARK, Family, find_family
+from jaxnarx.data.families import NUMBER_MARK, Family, find_family
 from jaxnarx.data.files import file_layout
 from jaxnarx.data.readers import KINDS, contents
 from jaxnarx.data.readers.columns import (
@@ -29,16 +29,16 @@ from jaxnarx.data.roles import (
     look_at,
 )
 from jaxnarx.data.runs import Run, find_cycles, find_odd, propose_parts
-from jaxnarx.data.sampling import STATIC, find_sampling, time_unit_in
+from jaxnarx.data.sampling import STATIC_ADVICE, find_sampling, time_unit_in
 from jaxnarx.errors import DataError, DataFileError, JaxnarxError, SpecError, suggest
 
 AT_ONCE = 40
 """Columns read at a time."""
-ROWS = 20_000
+SURVEY_SAMPLES = 20_000
 """Samples of a file that are kept for a look, evenly spaced."""
 
 
-_TIME = re.compile(
+_TIME_NAMES = re.compile(
     r"((t|ts|time|zeit|timestamp|uhrzeit)(_(s|sec|ms|us|min|h))?|date.*|datum.*)\b.*"
     r"|.*\btime",
     re.I,
@@ -160,7 +160,7 @@ def survey(
 
 
 def _family(columns: Sequence[Column]) -> Family | None:
-    return find_family(columns, _TIME)
+    return find_family(columns, _TIME_NAMES)
 
 
 def _length(
@@ -239,7 +239,9 @@ def _time(
 ) -> tuple[str, str, float | None, list[str]]:
     """Time column, its unit where it must be stated, sample time, and remarks."""
     given = sample_time
-    likely = [n for n in columns if _TIME.fullmatch(n.replace(MARK, "").strip())]
+    likely = [
+        n for n in columns if _TIME_NAMES.fullmatch(n.replace(NUMBER_MARK, "").strip())
+    ]
     others = [n for n in columns if n not in likely][:1]  # files often begin with it
     for name in likely + others:
         table = run.read([name], asked)
@@ -276,7 +278,7 @@ def _time(
     if given is None:
         raise DataFileError(
             f"{run.file}: no column tells the time. Give --sample-time in seconds. "
-            f"{STATIC}",
+            f"{STATIC_ADVICE}",
             path=run.file,
         )
     return "", "", given, []
@@ -316,5 +318,5 @@ def _short(error: Exception) -> str:
 
 def _thin(table: Table, name: str) -> Float[np.ndarray, " rows"]:
     x = numbers(table.columns[name], channel=name, place=table.place)
-    x = x[:: max(1, -(-len(x) // ROWS))].astype(np.float64)
+    x = x[:: max(1, -(-len(x) // SURVEY_SAMPLES))].astype(np.float64)
     return np.where(np.isfinite(x), x, np.nan)

@@ -17,7 +17,7 @@ def require_plain(text: str, what: str, *, field: str) -> None:
     Names go to terminals, reports and files. Control and format characters, line ends
     and half surrogates are not in any that a person means to read.
     """
-    odd = [c for c in text if unicodedata.category(c) in _UNSEEN]
+    odd = [c for c in text if unicodedata.category(c) in _UNSEEN_CATEGORIES]
     if odd:
         raise SpecError(
             f"{what} must be of characters that are seen, got {odd[0]!r} in "
@@ -26,7 +26,7 @@ def require_plain(text: str, what: str, *, field: str) -> None:
         )
 
 
-_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_UNSEEN_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 @guard_fields

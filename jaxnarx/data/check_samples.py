@@ -11,18 +11,18 @@ from jaxnarx.data.findings import Finding
 from jaxnarx.data.record import Record
 from jaxnarx.data.scaling import unit_of
 
-_SHOWN = 20
+_SHOWN_ROWS = 20
 _MIN_RUN = 20
 """Shortest run of equal values, in samples, that is called stuck."""
 
-_BLOCK = 1 << 15
+_BLOCK_ROWS = 1 << 15
 """Rows looked at together: few enough for the processor's cache."""
 
 
 def blocks(record: Record) -> Iterator[tuple[int, Float[np.ndarray, "rows signals"]]]:
-    """Every `_BLOCK` rows of all signals, with the number of the first."""
-    for first in range(0, len(record), _BLOCK):
-        rows = slice(first, first + _BLOCK)
+    """Every `_BLOCK_ROWS` rows of all signals, with the number of the first."""
+    for first in range(0, len(record), _BLOCK_ROWS):
+        rows = slice(first, first + _BLOCK_ROWS)
         yield first, np.concatenate([record.u[rows], record.y[rows]], axis=1)
 
 
@@ -53,7 +53,7 @@ def spans(
 ) -> tuple[tuple[int, int], ...]:
     """The first 20 of (first, stop) data rows as (first, last) rows of the source."""
     row = record.start_row
-    return tuple((int(a) + row, int(b) - 1 + row) for a, b in pairs[:_SHOWN])
+    return tuple((int(a) + row, int(b) - 1 + row) for a, b in pairs[:_SHOWN_ROWS])
 
 
 def constant(data: Dataset) -> Iterator[Finding]:
@@ -295,8 +295,8 @@ def _far(x: Float[np.ndarray, " time"], limit: float) -> Int[np.ndarray, " rows"
     p = np.concatenate([x[:2], x, x[-2:]])
     found = [
         first + np.flatnonzero(np.abs(part[2:-2] - _median5(part)) > limit)
-        for first in range(0, len(x), _BLOCK)
-        for part in [p[first : first + _BLOCK + 4]]
+        for first in range(0, len(x), _BLOCK_ROWS)
+        for part in [p[first : first + _BLOCK_ROWS + 4]]
     ]
     return np.concatenate(found)
 
@@ -347,7 +347,7 @@ def gaps(data: Dataset) -> Iterator[Finding]:
             )
 
 
-HUGE = 1e3
+HUGE_OFFSET_DEVIATIONS = 1e3
 """Mean in standard deviations from which a channel is named: cubic terms then cancel to
 1e-9 of themselves, quadratic ones to 1e-6."""
 
@@ -360,7 +360,7 @@ def offsets(data: Dataset) -> Iterator[Finding]:
             continue
         unit = unit_of(x)
         mean, spread = float((x / unit).mean() * unit), float((x / unit).std() * unit)
-        if abs(mean) <= HUGE * spread:
+        if abs(mean) <= HUGE_OFFSET_DEVIATIONS * spread:
             continue
         ratio = abs(mean) / spread if spread > 0 else np.inf
         yield Finding(

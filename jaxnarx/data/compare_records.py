@@ -20,32 +20,32 @@ from jaxnarx.data.units import conversion
 
 LEAST_RECORDS = 4
 """Fewer have no usual range."""
-BLOCKS = 50
+BLOCKS_PER_RECORD = 50
 """Averages that represent a record in the regression."""
 RANGE_SAMPLES = 5_000
 """Samples of a record that its range is taken from, evenly spaced."""
-OUTLYING = 5.0
+OUTLYING_DEVIATIONS = 5.0
 """Scaled median absolute deviations, of logarithms, from which a record stands out."""
-SCATTER = 0.08
+LEAST_SCATTER = 0.08
 """Least scaled deviation of logarithms: records are never more alike than so."""
-FACTOR = 1.5
+LEAST_FACTOR = 1.5
 """Least factor between what a channel is and what the others say."""
-AGREE = 2.5
+MAX_DISAGREEMENT = 2.5
 """Most factor between what the level and what the movement of a channel say."""
-LEVELLED = 5.0
+LEVEL_DEVIATIONS = 5.0
 """Level, in standard deviations of the regression's error, from which it counts."""
-FOLLOWS = 0.6
+LEAST_CORRELATION = 0.6
 """Correlation with what the others say from which their word counts."""
-MENDED = 0.5
+MAX_REST_SHARE = 0.5
 """Share of the difference from what the others say that a mend leaves at most."""
-FAR = 5.0
+RANGE_FACTOR = 5.0
 """Factor between ranges that is noted although the other channels do not tell."""
-RIDGE = 1e-6
+REGRESSION_RIDGE = 1e-6
 """Of the regressions, as a share of the variance of each channel."""
-KELVIN = 273.15
-NEAR = 0.15
+ZERO_CELSIUS_IN_KELVIN = 273.15
+UNIT_TOLERANCE = 0.15
 """Relative distance from which a factor is told to be that of two units."""
-FACTORS = {
+UNIT_FACTORS = {
     60.0: "per minute and per second",
     1000.0: "a prefix such as k or m",
     100.0: "a share and percent",
@@ -57,7 +57,7 @@ FACTORS = {
 }
 
 
-LEVELS = 5.0
+LEVEL_RATIO = 5.0
 """Deviation over all records, in deviations within them, from which it is told."""
 
 
@@ -78,7 +78,7 @@ def far_levels(data: Dataset) -> Iterator[Finding]:
         level = np.array([(x / unit).mean() for x in known])
         within = np.average([(x / unit).var() for x in known], weights=size)
         apart = np.average((level - np.average(level, weights=size)) ** 2, weights=size)
-        if not within > 0 or apart + within <= LEVELS**2 * within:
+        if not within > 0 or apart + within <= LEVEL_RATIO**2 * within:
             continue
         apart, within = np.sqrt(apart) * unit, np.sqrt(within) * unit
         yield Finding(
@@ -163,7 +163,7 @@ def _averages(record: Record, unit) -> Float[np.ndarray, "blocks channels"]:
     """Averages over blocks of the rows that are valid in all channels; one of NaN where
     there are too few rows."""
     x = record.signals[record.valid.all(axis=1)] / unit
-    count = min(BLOCKS, len(x))
+    count = min(BLOCKS_PER_RECORD, len(x))
     if count < max(10, 2 * x.shape[1]):
         return np.full((1, x.shape[1]), np.nan)
     edges = np.linspace(0, len(x), count, endpoint=False).astype(int)
@@ -227,14 +227,14 @@ class _Beside:
         """A sign, scale or offset that mends channel `j`, as the others say."""
         size = self.spread[j] * self.said[j]
         slopes = self.slopes[self.slopes[:, j] > 0, j]
-        if self.follows[j] < FOLLOWS:
+        if self.follows[j] < LEAST_CORRELATION:
             return _by_range(self.blocks, self.r, j)
         if not size > 0 or len(slopes) < 3:
             return None
-        if abs(self.both[j]) < FOLLOWS * size:
+        if abs(self.both[j]) < LEAST_CORRELATION * size:
             return None
         moves = float(self.both[j] / self.spread[j] ** 2 / np.median(slopes))
-        if abs(np.log(abs(moves))) < np.log(FACTOR):
+        if abs(np.log(abs(moves))) < np.log(LEAST_FACTOR):
             return self._shifted(j, unit) if moves > 0 else self._negated(j)
         return self._scaled(j, moves, slopes) if moves > 0 else None
 
@@ -245,9 +245,9 @@ class _Beside:
         stands_out = abs(np.log(moves)) > _least(np.log(slopes))
         ordinary = abs(np.log(self.said[j] / self.usually_said[j]))
         factor = moves
-        if abs(says) > LEVELLED * self.rest[j] and says * level > 0:
+        if abs(says) > LEVEL_DEVIATIONS * self.rest[j] and says * level > 0:
             factor = float(says / level)
-            if abs(np.log(factor / moves)) > np.log(AGREE):
+            if abs(np.log(factor / moves)) > np.log(MAX_DISAGREEMENT):
                 return None
             there = self.they_say[:, j] * self.levels[:, j] > 0
             ratios = self.they_say[there, j] / self.levels[there, j]
@@ -264,9 +264,14 @@ class _Beside:
         """Kelvin among degrees Celsius, or the reverse."""
         size = self.blocks.unit[j]
         is_temperature = not unit or conversion(unit, "K") is not None
-        if not is_temperature or OUTLYING * self.rest[j] * size > KELVIN:
+        if (
+            not is_temperature
+            or OUTLYING_DEVIATIONS * self.rest[j] * size > ZERO_CELSIUS_IN_KELVIN
+        ):
             return None
-        offset = float(np.copysign(KELVIN, self.says[j] - self.level[j]))
+        offset = float(
+            np.copysign(ZERO_CELSIUS_IN_KELVIN, self.says[j] - self.level[j])
+        )
         text = f"its unit (offset {offset:+.2f}, degC and K)"
         return self._mended(j, 1.0, offset / size, text)
 
@@ -275,7 +280,7 @@ class _Beside:
     ) -> Suspicion | None:
         """The suspicion where the mend brings the channel clearly nearer."""
         before, after = self._square(j, 1.0, 0.0), self._square(j, factor, offset)
-        if after > MENDED**2 * before:
+        if after > MAX_REST_SHARE**2 * before:
             return None
         told = f"{_ranges(self.blocks, self.r, j)}, while the other channels move as "
         gain = (before - after) / max(self.rest[j], 1e-300) ** 2
@@ -294,7 +299,9 @@ def _regressions(gram: Float[np.ndarray, "channels channels"]):
     covariance over its diagonal, and the standard deviation that it leaves."""
     size = np.sqrt(np.diag(gram))
     size = np.where(size > 0, size, 1.0)
-    inverse = np.linalg.inv(gram / size / size[:, None] + RIDGE * np.eye(len(gram)))
+    inverse = np.linalg.inv(
+        gram / size / size[:, None] + REGRESSION_RIDGE * np.eye(len(gram))
+    )
     precise = np.diag(inverse)
     weights = -inverse / precise[:, None]
     np.fill_diagonal(weights, 0.0)
@@ -304,7 +311,9 @@ def _regressions(gram: Float[np.ndarray, "channels channels"]):
 def _least(logs: Float[np.ndarray, " records"]) -> float:
     """Logarithm from which a record stands out among others."""
     scatter = 1.4826 * float(np.median(np.abs(logs - np.median(logs))))
-    return max(OUTLYING * max(scatter, SCATTER), float(np.log(FACTOR)))
+    return max(
+        OUTLYING_DEVIATIONS * max(scatter, LEAST_SCATTER), float(np.log(LEAST_FACTOR))
+    )
 
 
 def _by_range(blocks: Blocks, r: int, j: int) -> Suspicion | None:
@@ -315,7 +324,10 @@ def _by_range(blocks: Blocks, r: int, j: int) -> Suspicion | None:
         return None
     logs = np.log(np.delete(reach, r)) - np.log(reach[r])
     log = float(np.median(logs))
-    if abs(log) < max(np.log(FAR), _least(logs)) or min(logs * np.sign(log)) < 1:
+    if (
+        abs(log) < max(np.log(RANGE_FACTOR), _least(logs))
+        or min(logs * np.sign(log)) < 1
+    ):
         return None
     factor = _describe_factor(float(np.exp(log)))
     told = f"{_ranges(blocks, r, j)}. Look at its unit ({factor}), "
@@ -337,7 +349,7 @@ def _describe_factor(factor: float) -> str:
     """`factor 9.2, near the 9.549 of rpm and rad/s`; of reciprocals likewise."""
     size = max(factor, 1 / factor)
     text = f"factor {factor:.2g}"
-    near = min(FACTORS, key=lambda known: abs(np.log(size / known)))
-    if abs(np.log(size / near)) > NEAR:
+    near = min(UNIT_FACTORS, key=lambda known: abs(np.log(size / known)))
+    if abs(np.log(size / near)) > UNIT_TOLERANCE:
         return text
-    return f"{text}, near the {near:.4g} of {FACTORS[near]}"
+    return f"{text}, near the {near:.4g} of {UNIT_FACTORS[near]}"

@@ -93,15 +93,15 @@ def _floats(data: Any, names: list[str], field: str) -> np.ndarray:
         ) from error
     if x.dtype.kind not in "fiub":
         raise SpecError(
-            f"{field} holds {_KINDS.get(x.dtype.kind, str(x.dtype))}, expected real "
-            f"numbers of shape {_expected(names)}. Convert it first, with NaN where a "
-            f"sample is missing.",
+            f"{field} holds {_REFUSED_KINDS.get(x.dtype.kind, str(x.dtype))}, "
+            f"expected real numbers of shape {_expected(names)}. Convert it first, "
+            "with NaN where a sample is missing.",
             field=field,
         )
     return x if x.dtype == np.float32 else x.astype(np.float64)
 
 
-_KINDS = {
+_REFUSED_KINDS = {
     "c": "complex numbers",
     "O": "Python objects",
     "U": "text",

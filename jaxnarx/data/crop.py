@@ -21,12 +21,12 @@ from jaxtyping import Bool, Float
 from jaxnarx.data.missing import Source
 from jaxnarx.errors import DataError, SpecError
 
-LEAST = 10
+SHORTEST_RECORD = 10
 """Rows of the shortest record."""
-_MARK = " @ "
-_SPAN = re.compile(r"\s*([0-9.eE+-]*)\s*:\s*([0-9.eE+-]*)\s*")
-_MEMBERS = re.compile(r"#\s*(\w+(?:\s*,\s*\w+)*)")
-_WHILE = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
+_SPAN_MARK = " @ "
+_SPAN_PATTERN = re.compile(r"\s*([0-9.eE+-]*)\s*:\s*([0-9.eE+-]*)\s*")
+_MEMBERS_PATTERN = re.compile(r"#\s*(\w+(?:\s*,\s*\w+)*)")
+_WHILE_PATTERN = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Cut:
             spans = [(min(first, rows), min(last, rows))]
         else:
             spans = _stretches(self._holds(trigger))
-        spans = [(a, b) for a, b in spans if b - a >= LEAST]
+        spans = [(a, b) for a, b in spans if b - a >= SHORTEST_RECORD]
         if not spans:
             raise DataError(
-                f"{source.place.lead}{self.text!r} leaves no stretch of {LEAST} rows "
-                f"of its {rows} ({rows * step:g} s). Correct it."
+                f"{source.place.lead}{self.text!r} leaves no stretch of "
+                f"{SHORTEST_RECORD} rows of its {rows} ({rows * step:g} s). Correct it."
             )
         name = f"{source.name} @ {self.text}"
         if trigger is None:
@@ -93,14 +93,14 @@ def _piece(source: Source, first: int, stop: int, name: str) -> Source:
 def parse_cut(pattern: str, field: str) -> tuple[str, Cut | None]:
     """The pattern of files, and what is cut from each; SpecError for what is neither
     a span nor a comparison."""
-    files, mark, text = pattern.partition(_MARK)
+    files, mark, text = pattern.partition(_SPAN_MARK)
     if not mark:
         return pattern, None
     text = text.strip()
-    if members := _MEMBERS.fullmatch(text):
+    if members := _MEMBERS_PATTERN.fullmatch(text):
         own = tuple(one.strip() for one in members[1].split(","))
         return files.strip(), Cut(text, members=own)
-    span, comparison = _SPAN.fullmatch(text), _WHILE.fullmatch(text)
+    span, comparison = _SPAN_PATTERN.fullmatch(text), _WHILE_PATTERN.fullmatch(text)
     try:
         if span:
             first, stop = float(span[1] or 0), float(span[2] or math.inf)
@@ -113,9 +113,9 @@ def parse_cut(pattern: str, field: str) -> tuple[str, Cut | None]:
     except ValueError:
         pass
     raise SpecError(
-        f"behind {_MARK.strip()} stands a span of seconds, such as 0:500 or 700:, a "
-        "comparison, such as speed > 500, or numbers of numbered columns, such as "
-        f"#1,2; got {text!r}",
+        f"behind {_SPAN_MARK.strip()} stands a span of seconds, such as 0:500 or "
+        "700:, a comparison, such as speed > 500, or numbers of numbered columns, "
+        f"such as #1,2; got {text!r}",
         field=field,
     )
 

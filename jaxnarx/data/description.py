@@ -14,7 +14,7 @@ from typing import Any
 from jaxnarx.data.channels import Channel, Channels, require_plain
 from jaxnarx.data.missing import require_missing
 from jaxnarx.data.readers.columns import Asked, CsvLayout
-from jaxnarx.data.sampling import STATIC, positive_sample_time, require_time_unit
+from jaxnarx.data.sampling import STATIC_ADVICE, positive_sample_time, require_time_unit
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 
 PARTS = ("train", "validate", "test")
@@ -48,7 +48,7 @@ class Description:
         if self.sample_time is None and self.time is None:
             raise SpecError(
                 "[data] needs sample_time in seconds, or time, the name of a time "
-                f"column. {STATIC}",
+                f"column. {STATIC_ADVICE}",
                 field="data.sample_time",
             )
 
@@ -95,7 +95,7 @@ def load_toml(path: Path) -> dict[str, Any]:
             ) from error
 
 
-_DATA: dict[str, type] = {
+_DATA_KEYS: dict[str, type] = {
     "root": str,
     "sample_time": float,
     "time": str,
@@ -111,7 +111,7 @@ _DATA: dict[str, type] = {
     "preparation": str,
 }
 
-_KINDS = {
+_KIND_WORDS = {
     str: "text",
     float: "a number",
     list: "a list of text",
@@ -125,8 +125,10 @@ def parse_description(table: Mapping[str, Any]) -> Description:
     """The description in an already parsed TOML table; SpecError names the field."""
     _require_keys(table, ("data", "channels", "records"), "")
     data = _section(table, "data")
-    _require_keys(data, _DATA, "data")
-    settings = {k: _require_type(v, _DATA[k], f"data.{k}") for k, v in data.items()}
+    _require_keys(data, _DATA_KEYS, "data")
+    settings = {
+        k: _require_type(v, _DATA_KEYS[k], f"data.{k}") for k, v in data.items()
+    }
     if "sample_time" in settings:
         positive_sample_time(settings["sample_time"])
     require_missing(settings.get("missing", "refuse"))
@@ -187,7 +189,8 @@ def _require_type(value: Any, kind: type, field: str) -> Any:
         good = abs(value) < 1e300
     if not good:
         raise SpecError(
-            f"{field} must be {_KINDS[kind]}, got {reprlib.repr(value)}", field=field
+            f"{field} must be {_KIND_WORDS[kind]}, got {reprlib.repr(value)}",
+            field=field,
         )
     return float(value) if kind is float else value
 

@@ -16,12 +16,12 @@ from jaxnarx.data.readers import contents, read_table
 from jaxnarx.data.readers.columns import Asked, Column, Table, is_text
 from jaxnarx.errors import DataFileError
 
-MARK = "#"
-_WORDS = "est|val|train|test|valid|validation"
-_CAPITAL = "Est|Val|Train|Test|Valid|Validation"
-_MEMBER = re.compile(
-    rf"\d+|(?<![A-Za-z])(?:{_WORDS})(?![a-z])|(?:{_CAPITAL})(?![a-z])"
-    rf"|(?<=\b[uyxz])(?:{_WORDS})\b"
+NUMBER_MARK = "#"
+_PART_WORDS = "est|val|train|test|valid|validation"
+_CAPITAL_WORDS = "Est|Val|Train|Test|Valid|Validation"
+_MEMBER_PATTERN = re.compile(
+    rf"\d+|(?<![A-Za-z])(?:{_PART_WORDS})(?![a-z])|(?:{_CAPITAL_WORDS})(?![a-z])"
+    rf"|(?<=\b[uyxz])(?:{_PART_WORDS})\b"
 )
 LEAST_NUMBERS = 5
 """Numbers of equally long columns that make records; fewer may be cylinders."""
@@ -42,7 +42,7 @@ def find_family(columns: Sequence[Column], is_time: re.Pattern) -> Family | None
     columns of different numbers are equally long there must be five numbers, or words.
     """
     known = [c for c in columns if not c.text]
-    places = max((len(_MEMBER.findall(c.name)) for c in known), default=0)
+    places = max((len(_MEMBER_PATTERN.findall(c.name)) for c in known), default=0)
     found = [f for k in range(places) for f in [_family(known, k, is_time)] if f]
     return max(found, key=lambda f: len(f.members), default=None)
 
@@ -51,12 +51,12 @@ def _family(columns: Sequence[Column], place: int, is_time) -> Family | None:
     kinds: dict[str, dict[str, Column]] = {}
     common: dict[str, Column] = {}
     for column in columns:
-        spans = list(_MEMBER.finditer(column.name))
+        spans = list(_MEMBER_PATTERN.finditer(column.name))
         if place >= len(spans):
             common[column.name] = column
             continue
         a, b = spans[place].span()
-        name = f"{column.name[:a]}{MARK}{column.name[b:]}"
+        name = f"{column.name[:a]}{NUMBER_MARK}{column.name[b:]}"
         kinds.setdefault(name, {})[column.name[a:b]] = column
     members = list(next(iter(kinds.values()), ()))
     same = all(set(own) == set(members) for own in kinds.values())
@@ -81,23 +81,23 @@ def _order(member: str) -> tuple[int, str]:
 
 def plain_name(column: str) -> str:
     """A name for a channel whose column is numbered: `u` of `uEst`, `m_1` of `m3_1`."""
-    name = column.replace(MARK, "").replace("()", "").replace("[]", "")
+    name = column.replace(NUMBER_MARK, "").replace("()", "").replace("[]", "")
     return re.sub(r"([._ -])\1+", r"\1", name).strip("._ -") or column
 
 
 def is_numbered(description: Description) -> bool:
     """Whether names of columns have a `#`."""
-    return any(MARK in column for column in description.wanted)
+    return any(NUMBER_MARK in column for column in description.wanted)
 
 
 def members_of(file: Path, description: Description) -> tuple[str, ...]:
     """Numbers or words with which a file has all columns of a description; none where
     it has columns of just these names."""
     names = {column.name for column in contents(file, description.asked)}
-    wanted = [column for column in description.wanted if MARK in column]
+    wanted = [column for column in description.wanted if NUMBER_MARK in column]
     if not wanted or names.issuperset(wanted):
         return ()
-    before, _, behind = wanted[0].partition(MARK)
+    before, _, behind = wanted[0].partition(NUMBER_MARK)
     found = {
         name[len(before) : len(name) - len(behind)]
         for name in names
@@ -106,12 +106,12 @@ def members_of(file: Path, description: Description) -> tuple[str, ...]:
     there = [
         one
         for one in found
-        if _MEMBER.fullmatch(one)
-        and names.issuperset(column.replace(MARK, one) for column in wanted)
+        if _MEMBER_PATTERN.fullmatch(one)
+        and names.issuperset(column.replace(NUMBER_MARK, one) for column in wanted)
     ]
     if not there:
         raise DataFileError(
-            f"{file}: no number in place of {MARK} makes columns of "
+            f"{file}: no number in place of {NUMBER_MARK} makes columns of "
             f"{', '.join(wanted)}. Correct the names of the columns.",
             path=file,
         )
@@ -128,10 +128,12 @@ def read_member(
     """
     if not member:
         return read_table(file, wanted, asked)
-    actual = {name: name.replace(MARK, member) for name in wanted}
+    actual = {name: name.replace(NUMBER_MARK, member) for name in wanted}
     table = read_table(file, list(actual.values()), asked)
     own = {n: table.columns[a] for n, a in actual.items()}
-    rows = max((_drop_empty_end(c) for n, c in own.items() if MARK in n), default=0)
+    rows = max(
+        (_drop_empty_end(c) for n, c in own.items() if NUMBER_MARK in n), default=0
+    )
     return dataclasses.replace(
         table,
         columns={n: c[:rows] for n, c in own.items()},

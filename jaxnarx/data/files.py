@@ -12,7 +12,7 @@ from jaxnarx.data.crop import Cut, columns_of
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.digest import fingerprint
-from jaxnarx.data.families import MARK, is_numbered, members_of, read_member
+from jaxnarx.data.families import NUMBER_MARK, is_numbered, members_of, read_member
 from jaxnarx.data.file_patterns import find_files, find_groups, require_inside
 from jaxnarx.data.frames import one_sample_time
 from jaxnarx.data.missing import Source, alike, assemble
@@ -214,7 +214,7 @@ def _assemble_records(
                 table,
                 channels,
                 description.columns,
-                name=f"{names[file]} {MARK}{member}" if member else names[file],
+                name=f"{names[file]} {NUMBER_MARK}{member}" if member else names[file],
                 time=description.time,
                 time_unit=description.time_unit,
                 sample_time=description.sample_time,

@@ -7,11 +7,11 @@ from typing import Any, Literal
 from jaxnarx.formatting import page
 
 Severity = Literal["error", "warning", "note"]
-SHOWN = 3
+SHOWN_FINDINGS = 3
 """Lines of a kind of finding that has more."""
-NAMED = 6
+NAMED_CHANNELS = 6
 """Channels that are named of the others."""
-_ORDER: tuple[Severity, ...] = ("error", "warning", "note")
+_SEVERITY_ORDER: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Findings:
     items: tuple[Finding, ...]
 
     def __post_init__(self):
-        ranked = sorted(self.items, key=lambda f: _ORDER.index(f.severity))
+        ranked = sorted(self.items, key=lambda f: _SEVERITY_ORDER.index(f.severity))
         object.__setattr__(self, "items", tuple(ranked))
 
     def __len__(self) -> int:
@@ -66,7 +66,7 @@ class Findings:
         """Plain types for JSON: `is_okay`, `counts` by severity and the `findings`."""
         return {
             "is_okay": self.is_okay,
-            "counts": {s: sum(f.severity == s for f in self) for s in _ORDER},
+            "counts": {s: sum(f.severity == s for f in self) for s in _SEVERITY_ORDER},
             "findings": [
                 dataclasses.asdict(f)
                 | {"rows": [list(r) for r in f.rows]}
@@ -89,15 +89,15 @@ class Findings:
 
 def _group_lines(own: list[Finding]) -> list[str]:
     """Lines of the findings of one kind and severity."""
-    if len(own) <= SHOWN + 1:
+    if len(own) <= SHOWN_FINDINGS + 1:
         return [str(f) for f in own]
     first = {f.channel: n for n, f in reversed(list(enumerate(own)))}
     order = sorted(range(len(own)), key=lambda n: (first[own[n].channel] != n, n))
-    shown, rest = order[:SHOWN], order[SHOWN:]
+    shown, rest = order[:SHOWN_FINDINGS], order[SHOWN_FINDINGS:]
     names = list(dict.fromkeys(own[n].channel or "" for n in sorted(rest)))
-    of = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} others" * (
-        len(names) > NAMED
-    )
+    of = ", ".join(
+        names[:NAMED_CHANNELS]
+    ) + f" and {len(names) - NAMED_CHANNELS} others" * (len(names) > NAMED_CHANNELS)
     of = f" of {of}" if any(names) else ""
     more = f"{own[0].severity}: ... and {len(rest)} more ({own[0].kind}{of})"
     return [str(own[n]) for n in shown] + [more]

@@ -50,12 +50,12 @@ def bank_times(
     return np.geomspace(first, 2 * longest, count).tolist()
 
 
-_LADDER = (0, 1, 2, 4, 8, 16, 32, 64)
+_LAG_LADDER = (0, 1, 2, 4, 8, 16, 32, 64)
 
-_USUAL = 16
+_USUAL_MEMORY = 16
 """Memory [samples] to begin with where none is seen: that of `identify`."""
 
-_FILTERS = 3
+_MOST_FILTERS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,11 +130,13 @@ def suggest_lags(data: Dataset, *, max_lag: int = 64) -> LagSuggestion:
             settled[u, y] = None if answer is None else answer.settling
             if answer is not None and (answer.settling or 0) > max_lag:
                 slow.append(answer.rise * data.sample_time)
-    need = min(max((s for s in settled.values() if s is not None), default=_USUAL), top)
-    below = [lag for lag in _LADDER if lag < need]
-    above = [lag for lag in _LADDER if need <= lag <= top][:1] or [need]
+    need = min(
+        max((s for s in settled.values() if s is not None), default=_USUAL_MEMORY), top
+    )
+    below = [lag for lag in _LAG_LADDER if lag < need]
+    above = [lag for lag in _LAG_LADDER if need <= lag <= top][:1] or [need]
     delays = [_delay(dead, u) for u in data.channels.input_names]
-    bank = bank_times(slow, _FILTERS, sample_time=data.sample_time) if slow else []
+    bank = bank_times(slow, _MOST_FILTERS, sample_time=data.sample_time) if slow else []
     return LagSuggestion(
         tuple(sorted({0, 1, *below, *above, *delays})),
         (1, 2),

@@ -24,10 +24,10 @@ class Filter(NamedTuple):
 
 System = tuple[Filter, ...]
 
-NEARLY = 0.95
+NEARLY_BEST_SHARE = 0.95
 """Share of what the best dead time explains that others explain nearly as well."""
-_DAMPINGS = (0.2, 0.4, 0.7)
-_ZOOM = tuple(2.0 ** (k / 6) for k in (-2, -1, 0, 1, 2))
+_DAMPING_RATIOS = (0.2, 0.4, 0.7)
+_ZOOM_FACTORS = tuple(2.0 ** (k / 6) for k in (-2, -1, 0, 1, 2))
 
 
 def filter_signal(
@@ -56,7 +56,8 @@ class LowOrderFit:
     """A system, its dead time [samples] and its gains.
 
     `score` is Akaike's criterion up to a constant: the less the better. Dead times
-    between the two of `range`, both included, explain nearly as much (`NEARLY`).
+    between the two of `range`, both included, explain nearly as much
+    (`NEARLY_BEST_SHARE`).
     """
 
     system: System
@@ -118,7 +119,7 @@ def second_order(times: Sequence[float], about: Iterable[float]) -> list[System]
             ]
         )
     swings = [t * 6 for t in times if 1 <= t <= times[-1] / 3]
-    found |= dict.fromkeys(_swing(p, d) for p in swings for d in _DAMPINGS)
+    found |= dict.fromkeys(_swing(p, d) for p in swings for d in _DAMPING_RATIOS)
     parallel = itertools.combinations(times[::2], 2)
     found |= dict.fromkeys((*_lags(a), *_lags(b)) for a, b in parallel)
     return list(found)
@@ -131,12 +132,12 @@ def nearby(system: System) -> list[System]:
     kind, values = next(iter(system))
     if kind == "swing":
         period, damping = values
-        each = itertools.product(_ZOOM, _ZOOM)
+        each = itertools.product(_ZOOM_FACTORS, _ZOOM_FACTORS)
         return [_swing(period * a, min(damping * b, 0.95)) for a, b in each]
     if len(values) == 2:
-        each = itertools.product(_ZOOM, _ZOOM)
+        each = itertools.product(_ZOOM_FACTORS, _ZOOM_FACTORS)
         return [_lags(values[0] * a, values[1] * b) for a, b in each]
-    return [_lags(*(v * a for v in values)) for a in _ZOOM]
+    return [_lags(*(v * a for v in values)) for a in _ZOOM_FACTORS]
 
 
 def _lags(*times: float) -> System:
@@ -189,7 +190,7 @@ def fit_systems(
         s, d = divmod(int(np.argmin(score)), score.shape[1])
         gains = (float(g1[s, d]), float(g2[s, d]))[: len(systems[s])]
         explained = np.where(bad, 0.0, 1 - left).max(axis=0)
-        near = np.flatnonzero(explained >= NEARLY * explained[d])
+        near = np.flatnonzero(explained >= NEARLY_BEST_SHARE * explained[d])
         ends = (int(min(near[0], d)), int(max(near[-1], d))) if near.size else (d, d)
         fits.append(LowOrderFit(systems[s], d, gains, float(score[s, d]), ends))
     return fits

@@ -11,7 +11,7 @@ from jaxnarx.data.channels import Channels, require_plain
 from jaxnarx.data.record import Record, RowSource
 from jaxnarx.errors import DataError, SpecError
 
-_HUGE = {"float64": 1e151, "float32": 1e18}
+_LARGEST_VALUE = {"float64": 1e151, "float32": 1e18}
 """Beyond this, or below its inverse, sums of squares soon leave the type, and the ratio
 of two channels, the coefficient of a linear term, may as well."""
 
@@ -171,7 +171,7 @@ def _require_values(source: Source, channels: Channels):
 def _require_moderate(sources, channels):
     """Refuse magnitudes whose squares overflow or vanish in the data's type."""
     tops = [_largest(s.x) for s in sources]
-    limit = _HUGE[str(sources[0].x.dtype)]
+    limit = _LARGEST_VALUE[str(sources[0].x.dtype)]
     for j, name in enumerate(channels.names):
         top = max(t[j] for t in tops)
         if top > limit or 0 < top < 1 / limit:

@@ -10,10 +10,10 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
 from jaxnarx.data.scaling import unit_of
 
-_ROWS = 1 << 15
+_ANALYSED_ROWS = 1 << 15
 """About as many rows are looked at; statistics gain little from more."""
 
-_LONGEST = 1 << 12
+_LONGEST_PIECE = 1 << 12
 """Rows of the pieces that longer data are cut into."""
 
 
@@ -36,9 +36,9 @@ def pieces(data: Dataset, *, every: int = 1) -> list[Piece]:
     constant channel is zero.
     """
     spans = [(r, 0, len(r)) for r in data if len(r)]
-    if data.samples > _ROWS * every:
-        spans = [s for r in data for s in _cut(r, _LONGEST * every)]
-        count = max(_ROWS * every * len(spans) // data.samples, 1)
+    if data.samples > _ANALYSED_ROWS * every:
+        spans = [s for r in data for s in _cut(r, _LONGEST_PIECE * every)]
+        count = max(_ANALYSED_ROWS * every * len(spans) // data.samples, 1)
         chosen = np.linspace(0, len(spans) - 1, count).round().astype(int)
         spans = [spans[i] for i in np.unique(chosen)]
     u = [average_samples(r.u[a:b].T, every) for r, a, b in spans]

@@ -21,15 +21,15 @@ from jaxtyping import Complex, Float, Int
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.pieces import average_samples, standardise
 
-ROWS = 1 << 12
+COMPARED_SAMPLES = 1 << 12
 """Longer records are compared by means over as many samples as bring them below."""
-SHIFT = 0.1
+MAX_SHIFT_SHARE = 0.1
 """Largest shift between two records, as a share of the shorter one."""
-LEAST, SURE = 0.65, 0.95
+LEAST_LIKENESS, SURE_LIKENESS = 0.65, 0.95
 """Records less alike than the first are not tied; more alike than the second always."""
-CHANCE = 5.0
+CHANCE_DEVIATIONS = 5.0
 """In between, likeness must be this many of its standard deviations under chance."""
-STILL = 0.05**2
+STILL_VARIANCE = 0.05**2
 """Variance [of an input's own over all records] that counts as agreement: records that
 rest at one point throughout repeat each other."""
 
@@ -110,7 +110,7 @@ def _courses(data: Dataset) -> tuple[list[InputCourse], int]:
     their thinning."""
     from scipy.fft import next_fast_len
 
-    every = -(-max(map(len, data), default=0) // ROWS)
+    every = -(-max(map(len, data), default=0) // COMPARED_SAMPLES)
     chosen = _comparable_inputs(data)
     if not chosen:
         return [], 1
@@ -153,7 +153,11 @@ def _course(x: Float[np.ndarray, "inputs time"], size: int) -> InputCourse:
 def shift_between(a: InputCourse, b: InputCourse) -> int | None:
     """The sample of `a` at which `b` begins, None where they do not repeat."""
     likeness, chance, lag = likeness_of(a, b)
-    return lag if likeness > np.clip(CHANCE * chance, LEAST, SURE) else None
+    return (
+        lag
+        if likeness > np.clip(CHANCE_DEVIATIONS * chance, LEAST_LIKENESS, SURE_LIKENESS)
+        else None
+    )
 
 
 def likeness_of(a: InputCourse, b: InputCourse) -> tuple[float, float, int]:
@@ -170,7 +174,7 @@ def likeness_of(a: InputCourse, b: InputCourse) -> tuple[float, float, int]:
     size = 2 * (a.spectrum.shape[1] - 1)
     product = np.sum(a.spectrum * b.spectrum.conj(), axis=0)
     cross = np.asarray(irfft(product, size))
-    reach = int(SHIFT * min(n_a, n_b))
+    reach = int(MAX_SHIFT_SHARE * min(n_a, n_b))
     lags = np.arange(-reach, reach + 1)
     lags = lags[np.argsort(np.abs(lags), kind="stable")]
     low, high = np.maximum(lags, 0), np.minimum(n_a, n_b + lags)
@@ -180,7 +184,7 @@ def likeness_of(a: InputCourse, b: InputCourse) -> tuple[float, float, int]:
     gap = (a.mean - b.mean)[:, None] + (sum_a - sum_b) / count
     covariance = cross[lags] - np.sum(sum_a * sum_b, axis=0) / count
     spread = square_a + square_b - np.sum(sum_a**2 + sum_b**2, axis=0) / count
-    still = STILL * count
+    still = STILL_VARIANCE * count
     both = spread + count * np.sum(gap**2, axis=0) + still
     likeness = (2 * covariance + still * min(n_a, n_b) / max(n_a, n_b)) / both
     best = int(np.argmax(likeness))

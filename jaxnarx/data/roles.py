@@ -8,26 +8,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data.families import MARK, plain_name
+from jaxnarx.data.families import NUMBER_MARK, plain_name
 from jaxnarx.data.readers.columns import Column
 
-SAME = 1e-9
+SAME_CHANNEL_SHARE = 1e-9
 """Two channels are one where they differ by no more than this share of their spread."""
-STEPS = 0.6
+STEPPING_SHARE = 0.6
 """A channel that keeps its value from sample to sample this often moves in steps."""
-SINGLE, LEVELS = 0.8, 6
+SMALLEST_STEP_SHARE, SENSOR_LEVELS = 0.8, 6
 """Share of a coarse sensor's moves that are its smallest step, and its levels."""
-NAMELESS = "it moves smoothly, and its name says nothing"
-EMPTY = 0.5
+NAMELESS_REASON = "it moves smoothly, and its name says nothing"
+MAX_MISSING_SHARE = 0.5
 """A channel with more missing samples than this share is left out."""
 
-_OUTPUT = re.compile(
+_OUTPUT_NAMES = re.compile(
     r"no_?x|(?<![a-z])(co2?|[tu]?hc|pn|pm|o2|md|be)(?![a-z])|soot|smoke|fsn|opac|emiss"
     r"|afr|exh|abgas|egt|cat(?![a-z])|catalyst|turbine|torque|trq|power|imep|pmi|bsfc"
     r"|consum|knock|noise|vib|oil|cool|temp|^t_",
     re.I,
 )
-_INPUT = re.compile(
+_INPUT_NAMES = re.compile(
     r"speed|rpm|n_?mot|(?<![a-z])(n|sa)(?![a-z])|drehzahl|load|last|throttle|thr|pedal"
     r"|inj|fue?l|fpw|ign|spark|zw|valve|vgt|wastegate|duty|cam|vvt|phi|rail|boost|set"
     r"|soll|cmd|demand|cut",
@@ -59,7 +59,7 @@ class ChannelGuess:
     @property
     def channel(self) -> str:
         """The name of the channel, where `name` is that of numbered columns."""
-        return plain_name(self.name) if MARK in self.name else self.name
+        return plain_name(self.name) if NUMBER_MARK in self.name else self.name
 
 
 def look_at(
@@ -73,7 +73,7 @@ def look_at(
         (float(known.min()), float(known.max())) if len(known) else (np.nan,) * 2
     )
     role, reason = "", ""
-    if missing > EMPTY:
+    if missing > MAX_MISSING_SHARE:
         role, reason = "left out", f"{missing:.0%} of the samples are missing"
     elif all(len(v) > 2 and counts_rows(v) for v in values):
         role, reason = "left out", "counts its rows"
@@ -100,7 +100,7 @@ def find_twins(seen: Sequence[ChannelGuess], looked) -> dict[str, str]:
     x = x - x.mean(axis=1, keepdims=True)
     size = np.sqrt((x**2).sum(axis=1, keepdims=True))
     x = x / np.where(size > 0, size, 1.0)
-    alike = np.abs(x @ x.T) > 1 - SAME
+    alike = np.abs(x @ x.T) > 1 - SAME_CHANNEL_SHARE
     found = {}
     for i, name in enumerate(alive):
         earlier = [alive[j] for j in range(i) if alike[i, j] and alive[j] not in found]
@@ -141,9 +141,9 @@ def assign_roles(
         if by_name:
             return by_name, "by its name"
         still = _share_still([values[one.name] for values, _ in looked])
-        if still > STEPS:
+        if still > STEPPING_SHARE:
             return "input", f"moves in steps ({still:.0%} of the samples keep still)"
-        return "output", NAMELESS
+        return "output", NAMELESS_REASON
 
     told = [
         dataclasses.replace(one, role=found[0], reason=found[1])
@@ -157,9 +157,9 @@ def _by_name(name: str) -> str:
     """`"input"`, `"output"`, or nothing."""
     if _SAID_INPUT.search(name):
         return "input"
-    if _SAID_OUTPUT.search(name) or _OUTPUT.search(name):
+    if _SAID_OUTPUT.search(name) or _OUTPUT_NAMES.search(name):
         return "output"
-    return "input" if _INPUT.search(name) else ""
+    return "input" if _INPUT_NAMES.search(name) else ""
 
 
 def _both(guessed: list[ChannelGuess]) -> list[ChannelGuess]:
@@ -197,7 +197,10 @@ def _share_still(values: Sequence[Float[np.ndarray, " rows"]]) -> float:
     if not jumps.size:
         return 1.0
     single = np.mean(jumps < 1.5 * jumps.min())
-    if single > SINGLE and len(np.unique(np.round(x / jumps.min()))) >= LEVELS:
+    if (
+        single > SMALLEST_STEP_SHARE
+        and len(np.unique(np.round(x / jumps.min()))) >= SENSOR_LEVELS
+    ):
         return 0.0
     return float(np.mean(moves == 0))
 

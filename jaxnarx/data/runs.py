@@ -12,20 +12,20 @@ from jaxtyping import Float
 from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.compare_records import other_units
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.families import MARK, read_member
+from jaxnarx.data.families import NUMBER_MARK, read_member
 from jaxnarx.data.missing import Source, alike, assemble
 from jaxnarx.data.readers.columns import Asked, Table
 from jaxnarx.data.repeated_cycles import cycles
 from jaxnarx.data.roles import ChannelGuess
 from jaxnarx.errors import DataError
 
-TEST = 5
+CYCLES_PER_TEST = 5
 """One cycle in so many tests."""
-LONG = 200
+DIVIDED_SAMPLES = 200
 """Samples from which one record alone is divided."""
-TRAINS, PAUSE = 0.7, 0.05
+TRAINING_SHARE, PAUSE_SHARE = 0.7, 0.05
 """Shares of it: what trains, and what lies between that and what tests."""
-_SAID = {"train": "train|est(?![a-z])", "validate": "val", "test": "test"}
+_PART_WORDS = {"train": "train|est(?![a-z])", "validate": "val", "test": "test"}
 """What names say records are for."""
 
 Looked = Sequence[tuple[Mapping[str, Float[np.ndarray, " rows"]], Mapping[str, str]]]
@@ -52,7 +52,7 @@ class Run:
     @property
     def behind(self) -> str:
         """The text behind the file's name in a description."""
-        cut = f"{MARK}{self.member}" if self.member else self.span
+        cut = f"{NUMBER_MARK}{self.member}" if self.member else self.span
         return f" @ {cut}" if cut else ""
 
     @property
@@ -138,7 +138,7 @@ def propose_parts(
         part: tuple(
             r for r in runs if re.search(rf"(?<![a-z])({words})", r.label, re.I)
         )
-        for part, words in _SAID.items()
+        for part, words in _PART_WORDS.items()
     }
     if said["train"] and sum(map(len, said.values())) == len(runs) > 1:
         if not said["test"]:
@@ -149,8 +149,8 @@ def propose_parts(
     if len(tied) < 2:
         return {"files": runs}
     order = sorted(tied, key=lambda own: runs.index(own[0]))
-    last = min(TEST, len(order)) - 1
-    testing = {run for own in order[last::TEST] for run in own}
+    last = min(CYCLES_PER_TEST, len(order)) - 1
+    testing = {run for own in order[last::CYCLES_PER_TEST] for run in own}
     return {
         "train": tuple(r for r in runs if r not in testing),
         "test": tuple(r for r in runs if r in testing),
@@ -160,9 +160,12 @@ def propose_parts(
 def _divide_record(run: Run, rows: int, step: float) -> dict[str, tuple[Run, ...]]:
     """The beginning of a long record trains, and its end tests, a pause between them;
     a short one is not divided."""
-    if rows < LONG or not step > 0:
+    if rows < DIVIDED_SAMPLES or not step > 0:
         return {"files": (run,)}
-    end, begin = (_rounded(share * rows * step) for share in (TRAINS, TRAINS + PAUSE))
+    end, begin = (
+        _rounded(share * rows * step)
+        for share in (TRAINING_SHARE, TRAINING_SHARE + PAUSE_SHARE)
+    )
     return {
         "train": (dataclasses.replace(run, span=f"0:{end:g}"),),
         "test": (dataclasses.replace(run, span=f"{begin:g}:"),),

@@ -12,18 +12,18 @@ from jaxnarx.errors import DataError, SpecError
 MAX_JITTER = 0.01
 """Largest deviation of a time step that still counts as uniform, as a fraction."""
 
-JUMP = 1.5
+GAP_FACTOR = 1.5
 """A step longer than this many sample times is a gap between samples."""
 
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of time [s] that a column of numbers may be in."""
 
-_NAMED = re.compile(r"(?:^|[\s\[(_/.])(s|ms|us|µs|min|h|sec|msec)[\])]?$")
-_SPELT = {"µs": "us", "sec": "s", "msec": "ms"}
+_UNIT_PATTERN = re.compile(r"(?:^|[\s\[(_/.])(s|ms|us|µs|min|h|sec|msec)[\])]?$")
+_UNIT_SPELLINGS = {"µs": "us", "sec": "s", "msec": "ms"}
 
 
-STATIC = (
+STATIC_ADVICE = (
     "Operating points without time take any sample time, such as 1, and a model "
     "without lags: jaxnarx identify engine.toml --input-lags 0 --output-lags "
     "--partition tree."
@@ -40,9 +40,9 @@ def require_time_unit(unit: object) -> None:
 def time_unit_in(*texts: str) -> str | None:
     """The unit that a file states, beside the column's name or in it ("t [ms]")."""
     for text in texts:
-        found = _NAMED.search(text.strip())
+        found = _UNIT_PATTERN.search(text.strip())
         if found:
-            return _SPELT.get(found[1], found[1])
+            return _UNIT_SPELLINGS.get(found[1], found[1])
     return None
 
 
@@ -102,7 +102,7 @@ def _gaps(t, steps, usual: float):
     Medians over up to five stamps before and after tell lateness, so that a single late
     stamp is no gap.
     """
-    long = np.flatnonzero(steps > JUMP * usual)
+    long = np.flatnonzero(steps > GAP_FACTOR * usual)
     if long.size > 0.1 * steps.size:
         return long[:0]  # not gaps in a raster: there is no raster
     big = steps[long] > 2 * usual
@@ -121,7 +121,7 @@ def _gaps(t, steps, usual: float):
 def _require_seconds(t, usual: float, column, place):
     """Refuse stamps that make better sense in milliseconds; nothing says what is."""
     whole = usual >= 1 and not np.any(t % 1)
-    if usual < _SLOW and not (whole and t[-1] - t[0] > _LONG):
+    if usual < _SLOW_SECONDS and not (whole and t[-1] - t[0] > _LONG_SECONDS):
         return
     raise DataError(
         f"{place.lead}time column {column!r} advances by {usual:.6g} a row to "
@@ -131,7 +131,7 @@ def _require_seconds(t, usual: float, column, place):
     )
 
 
-_SLOW, _LONG = 20.0, 3 * 86_400.0
+_SLOW_SECONDS, _LONG_SECONDS = 20.0, 3 * 86_400.0
 """Numbers of seconds between samples, and in one run, that are seldom meant."""
 
 

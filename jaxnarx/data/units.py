@@ -32,7 +32,7 @@ class Conversion(NamedTuple):
     _repr_html_ = page
 
 
-_SPELT: dict[str, dict[str, tuple[float, float]]] = {
+_UNIT_SPELLINGS: dict[str, dict[str, tuple[float, float]]] = {
     "dimensionless": {"-|1": (1.0, 0.0), "%|pct|percent": (0.01, 0.0)},
     "speed of rotation": {
         "rpm|1/min|min-1|min^-1|U/min|r/min|rev/min|/min": (1.0, 0.0),
@@ -86,9 +86,9 @@ _SPELT: dict[str, dict[str, tuple[float, float]]] = {
         "vol%|Vol%|% vol|Vol.-%|%vol": (1e-2, 0.0),
     },
 }
-_KNOWN = {
+_KNOWN_UNITS = {
     name: (dimension, *scale)
-    for dimension, units in _SPELT.items()
+    for dimension, units in _UNIT_SPELLINGS.items()
     for names, scale in units.items()
     for name in names.split("|")
 }
@@ -106,9 +106,9 @@ def conversion(old: str, new: str) -> Conversion | None:
     old, new = bare(old), bare(new)
     if old == new:
         return Conversion(1.0, 0.0)
-    if old not in _KNOWN or new not in _KNOWN:
+    if old not in _KNOWN_UNITS or new not in _KNOWN_UNITS:
         return None
-    (one, factor, offset), (other, scale, shift) = _KNOWN[old], _KNOWN[new]
+    (one, factor, offset), (other, scale, shift) = _KNOWN_UNITS[old], _KNOWN_UNITS[new]
     if one != other:
         return None
     return Conversion(factor / scale, (offset - shift) / scale)
@@ -121,4 +121,4 @@ def same_unit(a: str, b: str) -> bool:
 
 def is_known(unit: str) -> bool:
     """Whether it is one of the table."""
-    return bare(unit) in _KNOWN
+    return bare(unit) in _KNOWN_UNITS

@@ -84,7 +84,7 @@ def _require_inputs(plan: AprbsPlan, names: list[str]) -> None:
         )
 
 
-SEGMENTS = 32
+SEGMENT_MULTIPLE = 32
 """Plans are padded to a multiple of this many segments, so that one compiled step
 serves plans of about the same size."""
 
@@ -94,7 +94,7 @@ def _pad_segments(plan: AprbsPlan) -> AprbsPlan:
     hold = np.array(plan.hold)
     # The last segment lasts to the end: said outright, else a pad segment would begin.
     hold[-1] += np.maximum(plan.length - hold.sum(axis=0), 0)
-    extra = (0, -plan.level.shape[0] % SEGMENTS), (0, 0)
+    extra = (0, -plan.level.shape[0] % SEGMENT_MULTIPLE), (0, 0)
     level = np.pad(np.asarray(plan.level), extra, mode="edge")
     # Every pad segment starts behind the end, whatever the last hold is.
     hold = np.pad(hold, extra, constant_values=plan.length)

@@ -27,24 +27,24 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, memory_of
 from jaxnarx.solution import RESULTS, Solution
 
-HOLDS = 0.5, 4.0
+HOLD_MEMORIES = 0.5, 4.0
 """Shortest and longest hold, in memories of the network: long ones show gains, short
 ones dynamics."""
-STRETCH, LEAD = 0.75, 5.0
+STRETCH_HOLDS, LEAD_MEMORIES = 0.75, 5.0
 """Length of a stretch in longest holds, and what is run before and behind it in
 memories."""
-ROWS = 24
+STRETCH_SAMPLES = 24
 """Samples of a stretch that are asked what they tell."""
-CANDIDATES = 48
+CANDIDATE_STRETCHES = 48
 """Stretches to choose the next one from."""
-SCREENED = 4
+SCREENED_FACTOR = 4
 """Times as many are drawn where there are limits that they may break."""
-OUTWARD = 0.2
+OUTWARD_SHARE = 0.2
 """Share of the plan in which levels move from the trained ranges to the allowed."""
-REFUSED = 0.75
+REFUSED_SHARE = 0.75
 """Share of stretches refused for limits of outputs from which that is told: there a
 record that fills the space told more (`experiments/edge/README.md`)."""
-LEVEL = 0.99
+LIMIT_PROBABILITY = 0.99
 """Probability of the intervals that keep a limit of an output."""
 
 
@@ -166,7 +166,7 @@ class Maker:
         information = tuple(np.eye(n) for n in unknowns)
         steps: list[Step] = []
         while len(u) < self.lead + length:
-            share = (len(u) - self.lead) / (OUTWARD * length)
+            share = (len(u) - self.lead) / (OUTWARD_SHARE * length)
             tests, refused = self.candidates(u, _between(self.known, self.space, share))
             k, step, information = self.choose(tests, refused, information)
             steps.append(step)
@@ -180,7 +180,7 @@ class Maker:
         share that limits of outputs refuse; the first stays where it is, which is
         allowed always."""
         bounded = bool(self.limits.forbidden) or self.limits.bounds_outputs
-        count = CANDIDATES * (SCREENED if bounded else 1)
+        count = CANDIDATE_STRETCHES * (SCREENED_FACTOR if bounded else 1)
         near = count // 2 if bounded else 0
         drawn = stretches(
             *(self.random, space, u[-1], count, self.size, self.hold), near=near
@@ -192,7 +192,7 @@ class Maker:
         good = np.ones(len(tests), bool)
         if self.limits.bounds_outputs:
             good[1:] = self.keeps(tests)[1:]
-        return tests[good][:CANDIDATES], 1.0 - float(good.mean())
+        return tests[good][:CANDIDATE_STRETCHES], 1.0 - float(good.mean())
 
     @property
     def behind(self) -> int:
@@ -209,7 +209,11 @@ class Maker:
 
     def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
         """The view of tests by the network, on the host; always of as many."""
-        count = CANDIDATES * SCREENED if len(tests) > CANDIDATES else CANDIDATES
+        count = (
+            CANDIDATE_STRETCHES * SCREENED_FACTOR
+            if len(tests) > CANDIDATE_STRETCHES
+            else CANDIDATE_STRETCHES
+        )
         seen = watch(self.view, jax.device_put(_fill_up(tests, count)))
         return Seen(*(np.asarray(a)[: len(tests)] for a in seen))
 
@@ -221,9 +225,9 @@ class Maker:
     ) -> tuple[int, Step, tuple[Float[np.ndarray, "_ _"], ...]]:
         """The test that adds most, and the information with it."""
         last = self.lead + self.size
-        at = np.unique(np.linspace(self.lead, last - 1, ROWS).astype(int))
+        at = np.unique(np.linspace(self.lead, last - 1, STRETCH_SAMPLES).astype(int))
         lower = tuple(map(np.linalg.cholesky, information))
-        u = _fill_up(tests[:, :last], CANDIDATES)
+        u = _fill_up(tests[:, :last], CANDIDATE_STRETCHES)
         added, rows = gains(self.view, *jax.device_put((lower, u, at)))
         gain = np.sum(added, axis=0)[: len(tests)]
         gain = np.where(np.isfinite(gain), gain, -math.inf)
@@ -243,7 +247,7 @@ class Maker:
         middle = np.where(self.space.binary, self.known.low, middle)
         points = [middle[None]]
         points += [
-            space.points(self.random, CANDIDATES * SCREENED - 1)
+            space.points(self.random, CANDIDATE_STRETCHES * SCREENED_FACTOR - 1)
             for space in (self.known, self.space)
         ]
         for some in points:
@@ -278,14 +282,16 @@ def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outpu
         step = np.abs(np.diff(y, axis=1, prepend=y[:, :1]))
         own = np.stack([y.ravel(), step.ravel()])
         z = error_variables(x, own, seen.far.ravel())
-        half[..., o] = (known.reach(o, LEVEL) * known.size(o, z)).reshape(y.shape)
+        half[..., o] = (known.reach(o, LIMIT_PROBABILITY) * known.size(o, z)).reshape(
+            y.shape
+        )
     return half
 
 
 def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
     """Shortest and longest hold [samples]."""
     if asked is None:
-        pair = tuple(h * memory_of(network) for h in HOLDS)
+        pair = tuple(h * memory_of(network) for h in HOLD_MEMORIES)
     else:
         pair = tuple(t / float(network.sample_time) for t in span(asked, "hold"))
         require(pair[0] > 0, "hold", f"hold must be of times above zero, got {asked}")
@@ -305,10 +311,10 @@ def _make(
     space = Space(limits.low, limits.high, limits.rate, binary, limits.allows)
     low, high = (np.clip(a, limits.low, limits.high) for a in _training_range(network))
     known = dataclasses.replace(space, low=low, high=high)
-    size = min(max(2, round(STRETCH * hold[1])), max(length, 2))
-    lead = math.ceil(LEAD * memory_of(network)) + network.history
+    size = min(max(2, round(STRETCH_HOLDS * hold[1])), max(length, 2))
+    lead = math.ceil(LEAD_MEMORIES * memory_of(network)) + network.history
     middle = 0.5 * (space.low + space.high)
-    drawn = stretches(random, space, middle, CANDIDATES, size, hold)[1:]
+    drawn = stretches(random, space, middle, CANDIDATE_STRETCHES, size, hold)[1:]
     sensitivity = run_sensitivity(network, lead)
     view = make_view(
         sensitivity, space, drawn[: max(1, 1000 // size)].reshape(-1, len(middle))
@@ -408,7 +414,7 @@ def _describe(stats: dict, maker: Maker) -> str:
         f"stretches), {100 * stats['outside']:.3g} % of the samples outside of the "
         "domain"
     )
-    if stats["refused"] > REFUSED:
+    if stats["refused"] > REFUSED_SHARE:
         told += (
             f"; limits of outputs refuse {100 * stats['refused']:.3g} % of all "
             "stretches, with what the network may err so far out: a record that fills "

@@ -12,7 +12,7 @@ from jaxnarx.checks import Number, Pair, positive, require, require_known, span
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 
-_COMPARISON = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
+_COMPARISON_PATTERN = re.compile(r"\s*(.+?)\s*([<>])\s*([-+0-9.eE]+)\s*")
 NO_DOMAIN = (
     "the network has no domain, so nothing says what it knows: "
     "jnx.confidence.fit_domain(network, data) fits one to the records of its training"
@@ -114,7 +114,7 @@ def _combination(text: str, names: list[str]) -> tuple[InputComparison, ...]:
     """`speed > 3000 & load < 5` as comparisons."""
     found = []
     for part in text.split("&"):
-        match = _COMPARISON.fullmatch(part)
+        match = _COMPARISON_PATTERN.fullmatch(part)
         number = _number(match[3]) if match else math.nan
         if match is None or not math.isfinite(number):
             raise SpecError(

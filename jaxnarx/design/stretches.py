@@ -19,7 +19,7 @@ def all_combinations(u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "
     return np.ones(u.shape[:-1], bool)
 
 
-AGAIN = 20
+MAX_REDRAWS = 20
 """Times that levels which are not allowed are drawn anew."""
 
 
@@ -41,7 +41,7 @@ class Space:
         determined worst, served local models worse (`experiments/edge/plans.py`).
         Combinations that are not allowed are drawn again, some times."""
         share = self._drawn(random, shape)
-        for _ in range(AGAIN):
+        for _ in range(MAX_REDRAWS):
             bad = ~self.allows(share)
             if not bad.any():
                 break

@@ -31,16 +31,16 @@ from jaxnarx.design.stretches import Space
 from jaxnarx.models import Domain, Network
 from jaxnarx.regressors import Variables, record_columns
 
-DIRECTIONS = 40
+MAX_DIRECTIONS = 40
 """Most directions of the coefficients."""
-WEAKEST = 1e-4
+WEAKEST_SHARE = 1e-4
 """Directions whose outputs are smaller than this share of the largest are left out."""
-NOISE = 0.1
+ROW_NOISE = 0.1
 """Standard deviation of a row's noise, in that of the outputs over the space: what is
 left of both kinds of unknowns where a test has been once."""
-DOUBT = 0.5, 2.0
+ERROR_SIZE_RANGE = 0.5, 2.0
 """Least and largest size of the error: the index between."""
-CUBIC = 8
+CUBIC_INPUTS = 8
 """Most inputs for which the error has terms of third degree."""
 
 
@@ -98,7 +98,7 @@ class View(eqx.Module):
             return rest_run(moved, u, self.sensitivity.lead)[at]
 
         zero = jnp.zeros(self.directions.shape[1], p.dtype)
-        size = _gain(network) / (self.spread * NOISE)
+        size = _gain(network) / (self.spread * ROW_NOISE)
         rows = jax.jacfwd(run)(zero) * size[None, :, None]
         return rows.reshape(-1, rows.shape[-1])
 
@@ -111,7 +111,9 @@ class View(eqx.Module):
         z = z / self.half[:, None]
         v = jnp.concatenate([jnp.ones_like(z[:1]), z])
         terms = jnp.prod(v[_factors(len(self.table) // 2)], axis=1)
-        return (terms * jnp.clip(self.index(u)[at], *DOUBT)[None] / NOISE).T
+        return (
+            terms * jnp.clip(self.index(u)[at], *ERROR_SIZE_RANGE)[None] / ROW_NOISE
+        ).T
 
 
 def _factors(inputs: int) -> Int[np.ndarray, "terms degree"]:
@@ -119,7 +121,7 @@ def _factors(inputs: int) -> Int[np.ndarray, "terms degree"]:
     inputs."""
     rows = list(combinations_with_replacement(range(1 + 2 * inputs), 2))
     rows = [(0, *row) for row in rows]
-    if inputs <= CUBIC:
+    if inputs <= CUBIC_INPUTS:
         rows += list(combinations_with_replacement(range(1, 1 + inputs), 3))
     return np.array(rows)
 
@@ -143,8 +145,8 @@ def make_view(
     rows = (slope / spread[None, :, None]).reshape(-1, slope.shape[-1])
     rows = rows[np.isfinite(rows).all(axis=1)]
     _, size, right = np.linalg.svd(rows, full_matrices=False)
-    kept = (size > WEAKEST * size[0])[:DIRECTIONS]
-    size, right = size[:DIRECTIONS][kept], right[:DIRECTIONS][kept]
+    kept = (size > WEAKEST_SHARE * size[0])[:MAX_DIRECTIONS]
+    size, right = size[:MAX_DIRECTIONS][kept], right[:MAX_DIRECTIONS][kept]
     inputs = range(len(space.low))
     slow = next(f for *_, f in network.domain.features.entries if f is not None)
     table = [(s, 0, f) for f in (None, slow) for s in inputs]

@@ -16,7 +16,7 @@ from jaxnarx.formatting import page
 # Of records of different lengths, which one axis name would not allow.
 Signals = Float[Array, "_ inputs"] | Float[np.ndarray, "_ inputs"]
 
-_SHORTEST, _LONGEST = 64, 8192
+_SHORTEST_WINDOW, _LONGEST_WINDOW = 64, 8192
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def bandwidth(spectrum: Spectrum, share: Number = 0.95) -> Float[np.ndarray, " i
 
 def _segment(longest: int) -> int:
     eighth = 1 << max((longest // 8).bit_length() - 1, 0)
-    return min(longest, max(_SHORTEST, min(eighth, _LONGEST)))
+    return min(longest, max(_SHORTEST_WINDOW, min(eighth, _LONGEST_WINDOW)))
 
 
 def _records(signals: Signals | Sequence[Signals]) -> list[np.ndarray]:

@@ -59,7 +59,7 @@ def _finite(levels: Sequence[Number]) -> list[float]:
 
 Phase = Literal["urban", "extra-urban"]
 
-_CORNERS = {
+_COURSE_CORNERS = {
     "urban": (
         *((0, 0), (11, 0), (15, 15), (23, 15), (25, 10), (28, 0), (49, 0), (54, 15)),
         *((56, 15), (61, 32), (85, 32), (93, 10), (96, 0), (117, 0), (122, 15)),
@@ -73,13 +73,13 @@ _CORNERS = {
     ),
 }
 """Time [s] and speed [km/h] between which the speed is a straight line."""
-WHOLE: tuple[Phase, ...] = ("urban", "urban", "urban", "urban", "extra-urban")
+WHOLE_COURSE: tuple[Phase, ...] = ("urban", "urban", "urban", "urban", "extra-urban")
 
 
 def driving_cycle(
     *,
     sample_time: Number,
-    phases: Sequence[Phase] = WHOLE,
+    phases: Sequence[Phase] = WHOLE_COURSE,
 ) -> Float[Array, " time"]:
     """Vehicle speed in km/h at 0, sample_time [s], ... over `phases` in turn.
 
@@ -92,7 +92,9 @@ def driving_cycle(
     step = positive(sample_time, "sample_time")
     times, speeds, end = [0.0], [0.0], 0.0
     for phase in phases:
-        corners = np.array(_CORNERS[choice(phase, _CORNERS, "phases")], float)
+        corners = np.array(
+            _COURSE_CORNERS[choice(phase, _COURSE_CORNERS, "phases")], float
+        )
         times += (end + corners[1:, 0]).tolist()
         speeds += corners[1:, 1].tolist()
         end = times[-1]

@@ -18,7 +18,7 @@ from jaxnarx.exporters.form import WEIGHTS as WEIGHTS
 from jaxnarx.exporters.form import SampleProgram as SampleProgram
 from jaxnarx.exporters.interpret import Instance as Instance
 from jaxnarx.exporters.parameters import stored_for_weights as stored_for_weights
-from jaxnarx.exporters.proof import DOUBLE as DOUBLE
+from jaxnarx.exporters.proof import DOUBLE_TOLERANCE as DOUBLE_TOLERANCE
 from jaxnarx.exporters.proof import Case as Case
 from jaxnarx.exporters.proof import ExportError as ExportError
 from jaxnarx.exporters.proof import cases_of as cases_of
@@ -29,7 +29,7 @@ from jaxnarx.exporters.target import Target as Target
 __all__ = [
     "BOTH",
     "Case",
-    "DOUBLE",
+    "DOUBLE_TOLERANCE",
     "ExportError",
     "Exported",
     "Instance",

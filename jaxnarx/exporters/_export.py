@@ -49,7 +49,7 @@ _OWN: dict[str, Target] = {
 }
 TARGETS = Registry("target", _OWN)
 """What a model can be exported to."""
-GOLDEN = 200
+GOLDEN_SAMPLES = 200
 """Samples of the self-test."""
 
 
@@ -187,7 +187,7 @@ def export(
 
 def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
-    inputs = case.inputs[: program.history + GOLDEN]
+    inputs = case.inputs[: program.history + GOLDEN_SAMPLES]
     instance = Instance(program)
     instance.begin(inputs[0], case.measured[0])
     for u, y in zip(inputs[: program.history], case.measured, strict=False):

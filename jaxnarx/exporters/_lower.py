@@ -40,7 +40,7 @@ from jaxnarx.exporters.parameters import (
     tables_at,
 )
 from jaxnarx.exporters.validities import Tables, weights
-from jaxnarx.models import FARTHEST, LINEAR, Network, OutputModel
+from jaxnarx.models import LARGEST_INDEX, LINEAR, Network, OutputModel
 from jaxnarx.regressors import AbstractFilter, Variables, realise
 
 
@@ -437,7 +437,7 @@ class _Lowering:
             for s, now in zip(domain.inputs, raw, strict=True)
         ]
         far = domain_index(b, domain, x, step)
-        far = b.op("where", self.entrance.missing, b.const(FARTHEST), far)
+        far = b.op("where", self.entrance.missing, b.const(LARGEST_INDEX), far)
         flags = {INDEX: far} if index else {}
         if level is None or errors is None:
             return flags

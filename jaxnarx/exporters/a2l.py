@@ -22,7 +22,7 @@ from jaxnarx.exporters.names import identifiers
 from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, Proof
 
-LARGEST = 3.4e38
+LARGEST_SINGLE = 3.4e38
 """Where no range is known: all of single precision."""
 
 
@@ -109,7 +109,7 @@ def _characteristic(name: str, table: ParameterTable) -> Iterable[str]:
     symbol = f"{name}_{table.name}"
     size = " ".join(map(str, table.values.shape[::-1]))
     yield f"/begin CHARACTERISTIC {symbol} {quote(table.about)} VAL_BLK 0x0"
-    yield f"  {name}_numbers 0 NO_COMPU_METHOD {-LARGEST} {LARGEST}"
+    yield f"  {name}_numbers 0 NO_COMPU_METHOD {-LARGEST_SINGLE} {LARGEST_SINGLE}"
     yield f"  MATRIX_DIM {size}"
     yield f'  SYMBOL_LINK "{symbol}" 0'
     yield "/end CHARACTERISTIC"
@@ -118,8 +118,8 @@ def _characteristic(name: str, table: ParameterTable) -> Iterable[str]:
 def _measurement(
     program: SampleProgram, word: str, port: Port, symbol: str
 ) -> Iterable[str]:
-    low, high = -LARGEST, LARGEST
-    wide = np.abs([port.low, port.high]).max() < LARGEST / 4
+    low, high = -LARGEST_SINGLE, LARGEST_SINGLE
+    wide = np.abs([port.low, port.high]).max() < LARGEST_SINGLE / 4
     if port.high > port.low and wide:
         low, high = 2 * port.low - port.high, 2 * port.high - port.low
     yield f"/begin MEASUREMENT {word} {quote(port.name)} {_type(program)}"

@@ -69,11 +69,11 @@ _DEVIATIONS = [
 ]
 
 
-_IEEE = (
+_IEEE_NOTE = (
     "Comparisons tell whether a value is missing, so the compiler must keep to IEEE "
     "754: -ffast-math, -Ofast and -ffinite-math-only are refused."
 )
-_REFUSED = [
+_REFUSED_FLAGS = [
     "#ifdef __FAST_MATH__",
     '#error "compile without -ffast-math: a missing input would not be found"',
     "#endif",
@@ -98,7 +98,7 @@ def _header(program: SampleProgram) -> str:
         *(f" *   u[{k}] {_port(p)}" for k, p in enumerate(program.inputs)),
         *(f" *   y[{k}] {_port(p)}" for k, p in enumerate(program.computed)),
         *wrap_paragraphs(program.notes, " * "),
-        *wrap_paragraphs([_IEEE, f"{program.cost.capitalize()}."], " * "),
+        *wrap_paragraphs([_IEEE_NOTE, f"{program.cost.capitalize()}."], " * "),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
@@ -200,7 +200,7 @@ def _source(program: SampleProgram) -> str:
         "",
         "#include <math.h>",
         "",
-        *_REFUSED,
+        *_REFUSED_FLAGS,
         f"#ifdef {upper}_SINGLE",
         *(f"#define {upper}_{f.upper()}(x) {f}f(x)" for f in functions),
         f"#define {upper}_STILL ({name}_real)1e-6",

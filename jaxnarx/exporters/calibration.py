@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from jaxnarx.errors import DataFileError
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,15 +30,15 @@ class CalibrationBlock:
     lines: tuple[int, ...]
 
 
-VALUES = ("FESTWERT", "FESTWERTEBLOCK")
+VALUE_BLOCKS = ("FESTWERT", "FESTWERTEBLOCK")
 """Blocks of nothing but values."""
-OVER = (
+MAP_BLOCKS = (
     *("KENNLINIE", "FESTKENNLINIE", "GRUPPENKENNLINIE", "KENNFELD", "FESTKENNFELD"),
     *("GRUPPENKENNFELD", "STUETZSTELLENVERTEILUNG"),
 )
 """Blocks that have points as well, of curves and maps."""
-TEXTS = ("TEXTSTRING",)
-FIELDS = (
+TEXT_BLOCKS = ("TEXTSTRING",)
+OTHER_LINES = (
     *("LANGNAME", "DISPLAYNAME", "FUNKTION", "EINHEIT_X", "EINHEIT_Y", "EINHEIT_W"),
     *("VAR", "ST/X", "ST/Y", "ST_TX/X", "ST_TX/Y"),
 )
@@ -56,7 +56,7 @@ def read_dcm(text: str, source: str) -> list[CalibrationBlock]:
         kind, *words = line.split()
         if kind == "FUNKTIONEN":
             _skip(lines, source, number)
-        elif kind in (*VALUES, *OVER, *TEXTS):
+        elif kind in (*VALUE_BLOCKS, *MAP_BLOCKS, *TEXT_BLOCKS):
             blocks.append(_block(kind, words, lines, source, number))
         else:
             raise _wrong(source, number, f"{kind[:40]!r} begins no block of DCM 2.0")
@@ -97,9 +97,9 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
         if field == "WERT":
             values += [number_of(w, source, number, name) for w in rest]
             places += [number] * len(rest)
-        elif field == "TEXT" and kind in VALUES:
+        elif field == "TEXT" and kind in VALUE_BLOCKS:
             raise _wrong(source, number, f"block {name} has a text in place of numbers")
-        elif field not in (*FIELDS, "TEXT"):
+        elif field not in (*OTHER_LINES, "TEXT"):
             raise _wrong(source, number, f"block {name} has a line {field[:40]!r}")
     raise _wrong(source, begun, f"block {name} has no END")
 
@@ -107,7 +107,7 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
 def _count_values(block: CalibrationBlock, source: str) -> CalibrationBlock:
     """A block of values with as many as it says."""
     right = math.prod(block.size)
-    if block.kind in VALUES and len(block.values) != right:
+    if block.kind in VALUE_BLOCKS and len(block.values) != right:
         raise _wrong(
             source,
             block.line,
@@ -131,7 +131,7 @@ def _single(blocks: list[CalibrationBlock], source: str) -> list[CalibrationBloc
 
 def number_of(word: str, source: str, line: int, block: str) -> float:
     """A finite number with a decimal point."""
-    value = float(word) if NUMBER.fullmatch(word) else math.nan
+    value = float(word) if NUMBER_PATTERN.fullmatch(word) else math.nan
     if not math.isfinite(value):
         raise _wrong(
             source, line, f"block {block} has {word[:40]!r} in place of a finite number"
@@ -139,20 +139,20 @@ def number_of(word: str, source: str, line: int, block: str) -> float:
     return value
 
 
-ARRAY = re.compile(
+ARRAY_PATTERN = re.compile(
     r"\bconst\s+\w+\s+(\w+)\s*\[\s*(\d{1,9})\s*\]\s*=\s*\{([^{}]*)\}\s*;"
 )
-CAST = re.compile(r"\(\s*\w+\s*\)")
-ASIDE = re.compile(r'"(?:\\.|[^"\\\n])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
+CAST_PATTERN = re.compile(r"\(\s*\w+\s*\)")
+COMMENT_PATTERN = re.compile(r'"(?:\\.|[^"\\\n])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
 
 
 def read_arrays(text: str, source: str, names: Iterable[str]) -> list[CalibrationBlock]:
     """Constant arrays of numbers in a C source whose names end with one of `names`."""
-    bare = ASIDE.sub(
+    bare = COMMENT_PATTERN.sub(
         lambda m: '""' if m[0][0] == '"' else "\n" * m[0].count("\n"), text
     )
     endings, blocks = tuple(names), []
-    for found in ARRAY.finditer(bare):
+    for found in ARRAY_PATTERN.finditer(bare):
         name, size, body = found[1], int(found[2]), found[3]
         if not name.endswith(endings):
             continue
@@ -162,7 +162,7 @@ def read_arrays(text: str, source: str, names: Iterable[str]) -> list[Calibratio
         entries = body.rstrip().removesuffix(",").split(",")
         for entry in entries:
             at += entry[: len(entry) - len(entry.lstrip())].count("\n")
-            word = CAST.sub("", entry).strip()
+            word = CAST_PATTERN.sub("", entry).strip()
             word = re.sub(r"(?<=[\d.])[fFlL]$", "", word)
             values.append(number_of(word, source, at, name))
             places.append(at)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxnarx.exporters.form import Builder, Value
-from jaxnarx.models import FARTHEST, GROWTH, Domain, ErrorModel
+from jaxnarx.models import GROWTH_EXPONENT, LARGEST_INDEX, Domain, ErrorModel
 
 
 def domain_index(
@@ -42,7 +42,7 @@ def domain_index(
     joint = b.add(*(b.square(row) for row in rows))
     near = _nearest(b, domain, border[3], unit)
     far = b.op("sqrt", b.op("max", joint, near))
-    return b.op("min", b.largest([far, *alone, *fast]), b.const(FARTHEST))
+    return b.op("min", b.largest([far, *alone, *fast]), b.const(LARGEST_INDEX))
 
 
 def _nearest(b: Builder, domain: Domain, border: float, unit: list[Value]) -> Value:
@@ -95,6 +95,6 @@ def half_width(
             total.append(b.mul(s, b.clip(over, zero, b.const(high - low))))
     beyond = b.op("max", z[-1], b.const(1.0))
     size = b.op("exp", b.add(*total))
-    for _ in range(round(GROWTH)):
+    for _ in range(round(GROWTH_EXPONENT)):
         size = b.mul(size, beyond)
     return b.mul(b.const(errors.reach(output, level)), size)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxnarx.exporters.calibration import CalibrationBlock, read_dcm
 from jaxnarx.exporters.code import digits
 from jaxnarx.exporters.form import ParameterTable, Port, SampleProgram
-from jaxnarx.exporters.maps import REST, RestMap, rest_maps
+from jaxnarx.exporters.maps import REST_NAME, RestMap, rest_maps
 from jaxnarx.exporters.names import identifiers
 from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, Proof
@@ -36,8 +36,8 @@ def plain(text: str) -> str:
 def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
     name, names = program.name, map_names(program)
     yield f"* {name}: {_from(program)}"
-    yield f"* Blocks {name}_{REST}_... are what the model does at rest. They are for"
-    yield "* reading: who changes the other blocks changes the model."
+    yield f"* Blocks {name}_{REST_NAME}_... are what the model does at rest. They are"
+    yield "* for reading: who changes the other blocks changes the model."
     yield ""
     yield "KONSERVIERUNG_FORMAT 2.0"
     yield ""
@@ -63,7 +63,7 @@ def map_names(program: SampleProgram) -> dict[Port, str]:
     """The names of an output's map and its axes."""
     words = identifiers(port.name for port in program.computed)
     return {
-        port: f"{program.name}_{REST}_{word}"
+        port: f"{program.name}_{REST_NAME}_{word}"
         for port, word in zip(program.reported, words, strict=False)
     }
 

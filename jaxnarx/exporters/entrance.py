@@ -12,7 +12,7 @@ import numpy as np
 from jaxnarx.exporters.form import Builder, StateValue, Value
 from jaxnarx.models import Network, largest_sizes, trusted_samples
 
-GAP = "gap"
+GAP_STATE = "gap"
 """State: for how many samples in a row an input has been missing."""
 
 
@@ -77,13 +77,13 @@ class Entrance:
             return held
         never = b.const(float(trusted_samples(self.network)))
         start = b.op("where", self.missing, never, b.const(0.0))
-        return [*held, StateValue(GAP, self._count(), start)]
+        return [*held, StateValue(GAP_STATE, self._count(), start)]
 
     def _count(self) -> Value:
         b = self.b
         if not self.network.used:
             return b.const(0.0)
-        more = b.add(b.op("state", source=GAP), b.const(1.0))
+        more = b.add(b.op("state", source=GAP_STATE), b.const(1.0))
         return b.op("where", self.missing, more, b.const(0.0))
 
     def _is_there(self, raw: Value, signal: int) -> Value:

@@ -35,7 +35,7 @@ INDEX, HALF = "index", "half_"
 TERMS, WEIGHTS, BLEND, FILTERS, FRAME = "terms", "weights", "blend", "filters", "frame"
 """Purposes of operations; the frame are scales, limits, flags and what is missing."""
 
-SOURCES = ("const", "table", "input", "measured", "delay", "state")
+SOURCE_KINDS = ("const", "table", "input", "measured", "delay", "state")
 """Kinds that take no arithmetic."""
 
 Value = int
@@ -189,7 +189,7 @@ class SampleProgram:
         return found
 
     def _count(self, values: Iterable[Value]) -> int:
-        return sum(self.ops[n].kind not in SOURCES for n in values)
+        return sum(self.ops[n].kind not in SOURCE_KINDS for n in values)
 
     @property
     def cost(self) -> str:
@@ -332,7 +332,7 @@ class Builder:
 
     def _folded(self, kind: str, args: tuple[Value, ...]) -> Value | None:
         """The value that needs no operation, if there is one."""
-        if kind in SOURCES:
+        if kind in SOURCE_KINDS:
             return None
         numbers = [self._number(n) for n in args]
         if kind == "add" and 0.0 in numbers:

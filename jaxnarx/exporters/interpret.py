@@ -15,11 +15,11 @@ from jaxnarx.exporters.form import Op, SampleProgram
 
 Inputs = Float[np.ndarray, "inputs *runs"] | Float[Array, "inputs *runs"]
 Outputs = Float[np.ndarray, "computed *runs"] | Float[Array, "computed *runs"]
-SETTLED, LONGEST = 1e-10, 100_000
+SETTLED_SHARE, LONGEST_SETTLING = 1e-10, 100_000
 """Share of an output's range within which it stands still, and samples for it."""
 SETTLED_SINGLE = 1e-6
 """The same in single precision."""
-STILL = 10
+STILL_SAMPLES = 10
 """It rests when it has stood still for more samples than this."""
 STARTS = {
     "steady": "the steady state at the first inputs, solved",
@@ -89,7 +89,7 @@ class Instance:
     def settle(self, inputs: Inputs) -> Int[np.ndarray, "*runs"]:
         """Start from the steady state at these inputs: where the free run comes to rest
         from the middle of the trained ranges. Returns how many samples that took,
-        `LONGEST` where it did not."""
+        `LONGEST_SETTLING` where it did not."""
         samples, self.delays, self.states = _samples_to_rest(self.program, inputs)
         return samples
 
@@ -199,7 +199,7 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
     """
     u = jnp.asarray(inputs)
     u = u.astype(jnp.result_type(u, float))
-    settled = SETTLED if u.dtype == jnp.float64 else SETTLED_SINGLE
+    settled = SETTLED_SHARE if u.dtype == jnp.float64 else SETTLED_SINGLE
     instance = Instance(program, jnp)
     middle, width = (jnp.asarray(a, u.dtype) for a in instance._ranges(inputs))
     runs = u.shape[1:]
@@ -212,7 +212,7 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
 
     def goes_on(carry):
         n, rested, *_ = carry
-        return (n < LONGEST) & jnp.any(rested == LONGEST)
+        return (n < LONGEST_SETTLING) & jnp.any(rested == LONGEST_SETTLING)
 
     def after(carry):
         n, rested, still, before, held = carry
@@ -221,14 +221,16 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
         # what is not a number does not rest
         rests = jnp.all(jnp.abs(now - before) <= settled * width, axis=0)
         still = jnp.where(rests, still + 1, 0)
-        rested = jnp.where((still > STILL) & (rested == LONGEST), n, rested)
+        rested = jnp.where(
+            (still > STILL_SAMPLES) & (rested == LONGEST_SETTLING), n, rested
+        )
         return n + 1, rested, still, now, kept()
 
     @jax.jit
     def run():
         instance.begin(u, middle)
         none = jnp.zeros(runs, int)
-        start = 0, none + LONGEST, none, middle, kept()
+        start = 0, none + LONGEST_SETTLING, none, middle, kept()
         _, rested, _, _, held = jax.lax.while_loop(goes_on, after, start)
         return rested, held
 

@@ -9,7 +9,7 @@ from jaxnarx.exporters.form import Builder, StateValue, Value
 from jaxnarx.models import NAN, Network, overshoot_rule
 
 States = dict[str, StateValue]
-OVERSHOOT = "overshoot"
+OVERSHOOT_NAME = "overshoot"
 
 
 def limited_outputs(
@@ -59,10 +59,10 @@ def _overshoot(
     if not moved:
         return b.const(0.0), {}
     low, high = (np.asarray(a, float) for a in (network.low, network.high))
-    found = [b.mul(b.op("state", source=OVERSHOOT), b.const(rate))]
+    found = [b.mul(b.op("state", source=OVERSHOOT_NAME), b.const(rate))]
     for s in moved:
         raw, scale = entrance.signal(s), b.const(1 / (high[s] - low[s]))
         found.append(b.mul(b.op("sub", b.const(low[s]), raw), scale))
         found.append(b.mul(b.op("sub", raw, b.const(high[s])), scale))
     value = b.largest(found)
-    return value, {OVERSHOOT: StateValue(OVERSHOOT, value, b.const(0.0))}
+    return value, {OVERSHOOT_NAME: StateValue(OVERSHOOT_NAME, value, b.const(0.0))}

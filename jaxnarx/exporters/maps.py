@@ -8,16 +8,16 @@ from jaxtyping import Float, Int
 
 from jaxnarx.checks import require, require_known
 from jaxnarx.exporters.form import Port, SampleProgram
-from jaxnarx.exporters.interpret import LONGEST, Instance
+from jaxnarx.exporters.interpret import LONGEST_SETTLING, Instance
 from jaxnarx.models import Network
 
-REST = "rest"
+REST_NAME = "rest"
 """How maps are called: `NAME_rest_NOx`."""
-POINTS = 11
+AXIS_POINTS = 11
 """Points along each axis of a map."""
-LOOK = 5
+SEARCH_POINTS = 5
 """Points along every input where those that matter are looked for."""
-FREE = -1
+FREE_AXIS = -1
 """An axis that is chosen when the maps are made."""
 
 
@@ -37,7 +37,8 @@ def axes_of(
 ) -> Int[np.ndarray, "reported two"]:
     """The inputs that every output's map goes over, by their places in the program.
 
-    Those named, or the first two that schedule the output; `FREE` where it has fewer.
+    Those named, or the first two that schedule the output; `FREE_AXIS` where it has
+    fewer.
     """
     names = [port.name for port in program.inputs]
     count = len(program.reported)
@@ -48,14 +49,14 @@ def axes_of(
             "over",
             f"over must name two inputs, got {', '.join(over) or 'none'}",
         )
-        return np.tile([*chosen, FREE][:2], (count, 1))
+        return np.tile([*chosen, FREE_AXIS][:2], (count, 1))
     channels = network.channels.names
     rows = []
     for model in network.models[:count]:
         known = network.tells(model.scheduling)
         signals = [channels[s] for s, _ in model.scheduling] if known else []
         found = list(dict.fromkeys(names.index(n) for n in signals if n in names))
-        rows.append([*found, FREE, FREE][:2])
+        rows.append([*found, FREE_AXIS, FREE_AXIS][:2])
     return np.array(rows)
 
 
@@ -80,9 +81,9 @@ def rest_maps(
         if not one:
             continue
         found = np.where(rested[part], values[o, part], np.nan)
-        points = [np.linspace(low[i], high[i], POINTS) for i in one]
+        points = [np.linspace(low[i], high[i], AXIS_POINTS) for i in one]
         ports = tuple(inputs[i] for i in one)
-        shape = (POINTS,) * len(one)
+        shape = (AXIS_POINTS,) * len(one)
         port = program.reported[o]
         maps.append(RestMap(port, ports, tuple(points), found.reshape(shape)))
     return maps
@@ -90,7 +91,7 @@ def rest_maps(
 
 def _grid(low, high, axes: Sequence[int]) -> Float[np.ndarray, "inputs points"]:
     """Inputs at all points of a map, the last axis first to change."""
-    levels = [np.linspace(low[i], high[i], POINTS) for i in axes]
+    levels = [np.linspace(low[i], high[i], AXIS_POINTS) for i in axes]
     crossed = np.meshgrid(*levels, indexing="ij") if levels else []
     middle = 0.5 * (low + high)[:, None]
     grid = np.repeat(middle, crossed[0].size if crossed else 0, axis=1)
@@ -101,14 +102,16 @@ def _grid(low, high, axes: Sequence[int]) -> Float[np.ndarray, "inputs points"]:
 
 def _fill_inputs(program: SampleProgram, axes, low, high, moved) -> list[list[int]]:
     """The inputs of every map, those that move most where an axis is free."""
-    known = [[int(i) for i in row if i != FREE and i in moved] for row in axes]
+    known = [[int(i) for i in row if i != FREE_AXIS and i in moved] for row in axes]
     if all(len(one) == min(2, len(moved)) for one in known):
         return known
-    grid = np.repeat(0.5 * (low + high)[:, None], LOOK * len(moved), axis=1)
+    grid = np.repeat(0.5 * (low + high)[:, None], SEARCH_POINTS * len(moved), axis=1)
     for n, i in enumerate(moved):
-        grid[i, n * LOOK : (n + 1) * LOOK] = np.linspace(low[i], high[i], LOOK)
+        grid[i, n * SEARCH_POINTS : (n + 1) * SEARCH_POINTS] = np.linspace(
+            low[i], high[i], SEARCH_POINTS
+        )
     values, _ = _rest(program, grid)
-    effect = np.ptp(values.reshape(len(values), len(moved), LOOK), axis=2)
+    effect = np.ptp(values.reshape(len(values), len(moved), SEARCH_POINTS), axis=2)
     found = []
     for one, row in zip(known, effect, strict=True):
         order = [int(moved[n]) for n in np.argsort(-row, kind="stable")]
@@ -120,4 +123,4 @@ def _rest(program: SampleProgram, grid: Float[np.ndarray, "inputs points"]):
     """Reported outputs at rest, side by side, and where they are at rest."""
     instance = Instance(program)
     samples = instance.settle(grid)
-    return instance.step(grid)["outputs"], samples < LONGEST
+    return instance.step(grid)["outputs"], samples < LONGEST_SETTLING

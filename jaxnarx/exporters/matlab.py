@@ -18,7 +18,7 @@ from jaxnarx.exporters.interpret import MEAN, STEADY, ZEROS, Instance
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
 
-TAKEN = frozenset(
+TAKEN_WORDS = frozenset(
     "abs all any begun break case catch clear compare double else elseif empty end "
     "error exp for fprintf function global if invalid isempty isnan length max min "
     "missing nan nargin observed ones otherwise parameters parfor persistent realmin "
@@ -26,9 +26,9 @@ TAKEN = frozenset(
     "zeros".split()
 )
 """Words of the language, and of the page, that a function cannot be called."""
-STARTED = 10
+STARTED_SAMPLES = 10
 """Samples of every start that the script looks at."""
-SETTLING = 2000
+SETTLING_SAMPLES = 2000
 """Samples within which a steady state must be found for the script to look for it:
 Octave takes a millisecond for one."""
 
@@ -37,10 +37,14 @@ def matlab_files(program: SampleProgram, golden: Golden) -> Files:
     """The function and its script; `golden` has the `inputs` and `measured` outputs of
     a stretch, and the `outputs` that are to come."""
     name = program.name
-    require(name.lower() not in TAKEN, "name", f"name {name!r} is a word of MATLAB")
+    require(
+        name.lower() not in TAKEN_WORDS, "name", f"name {name!r} is a word of MATLAB"
+    )
     flags = "".join(f", {flag}" for flag in program.flags)
     uses = {
-        stage: _PARAMETERS if any(program.ops[n].kind == "table" for n in ops) else ""
+        stage: _PARAMETERS_LINE
+        if any(program.ops[n].kind == "table" for n in ops)
+        else ""
         for stage, ops in (
             *(("begin_tables", program.begin), ("observe_tables", program.observe)),
             ("step_tables", program.step),
@@ -58,7 +62,7 @@ def matlab_files(program: SampleProgram, golden: Golden) -> Files:
     }
 
 
-_PARAMETERS = "    p = parameters();"
+_PARAMETERS_LINE = "    p = parameters();"
 
 
 def _ports(letter: str, ports) -> str:
@@ -114,15 +118,17 @@ def _test(program: SampleProgram, golden: Golden) -> str:
     inputs = golden["inputs"]
     matrices = [_matrix(k, golden[k]) for k in ("inputs", "measured")]
     matrices.append(_matrix("expected", golden["outputs"]))
-    settles = samples_to_rest(program, inputs[0]) <= SETTLING
+    settles = samples_to_rest(program, inputs[0]) <= SETTLING_SAMPLES
     for kind in (STEADY, MEAN, ZEROS) if settles else (MEAN, ZEROS):
         instance = Instance(program)
         instance.start(kind, inputs[0])
-        rows = [instance.step(u)["outputs"] for u in inputs[:STARTED]]
+        rows = [instance.step(u)["outputs"] for u in inputs[:STARTED_SAMPLES]]
         matrices.append(_matrix(f"from_{kind}", np.array(rows)))
-    return _TEST.substitute(
+    return _TEST_PAGE.substitute(
         name=program.name,
-        steady=_STEADY.substitute(name=program.name) if settles else _UNSETTLED,
+        steady=_STEADY_PAGE.substitute(name=program.name)
+        if settles
+        else _UNSETTLED_NOTE,
         history=program.history,
         matrices="\n".join(line for matrix in matrices for line in matrix),
     )
@@ -247,7 +253,7 @@ end
 )
 """Columns of doubles; what is kept is a structure that functions hand on."""
 
-_TEST = Template("""function ${name}_test()
+_TEST_PAGE = Template("""function ${name}_test()
 % Golden vectors: what the model does in its home. An error tells of a difference.
 $matrices
 clear $name
@@ -276,9 +282,11 @@ end
 fprintf('%s: differs by %.3g of the largest value\\n', what, max(off(:)));
 end
 """)
-_STEADY = Template("clear $name\ncompare('steady', from_steady, 1e-8, inputs);\n")
+_STEADY_PAGE = Template("clear $name\ncompare('steady', from_steady, 1e-8, inputs);\n")
 """Where a steady state is found depends on rounding, by a sample."""
-_UNSETTLED = f"% 'steady' takes more than {SETTLING} samples: it is not tried here.\n"
+_UNSETTLED_NOTE = (
+    f"% 'steady' takes more than {SETTLING_SAMPLES} samples: it is not tried here.\n"
+)
 
 
 def samples_to_rest(

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 from jaxnarx.exporters.form import INDEX
 from jaxnarx.models import (
-    FARTHEST,
+    LARGEST_INDEX,
     Network,
     describe_missing,
     limits_of,
@@ -14,7 +14,7 @@ from jaxnarx.models import (
 
 def notes_of(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
     """A paragraph for each policy."""
-    index = f", its index is {FARTHEST:g}" if INDEX in flags else ""
+    index = f", its index is {LARGEST_INDEX:g}" if INDEX in flags else ""
     missing = describe_missing(network, index)
     return (
         f"{missing} Measured outputs of the start are treated alike.",

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.exporters.form import SampleProgram
-from jaxnarx.exporters.interpret import LONGEST
-from jaxnarx.exporters.matlab import SETTLING, samples_to_rest
-from jaxnarx.exporters.proof import DOUBLE, Case, ExportError, Runner, worst
+from jaxnarx.exporters.interpret import LONGEST_SETTLING
+from jaxnarx.exporters.matlab import SETTLING_SAMPLES, samples_to_rest
+from jaxnarx.exporters.proof import DOUBLE_TOLERANCE, Case, ExportError, Runner, worst
 from jaxnarx.exporters.target import Proof
 
-SAMPLES = 1000
+RUN_SAMPLES = 1000
 """Samples of the first record that Octave runs: it interprets every operation."""
 
 
@@ -46,7 +46,7 @@ def octave_runner(folder: Path, program: SampleProgram) -> Runner:
             np.savetxt(folder / f"{name}_kind.txt", kind, fmt="%d")
             np.savetxt(folder / f"{name}.txt", np.where(kind, 0.0, values), fmt="%.17g")
         text = run_octave(
-            folder, _RUN.format(name=program.name, history=program.history)
+            folder, _RUN_PAGE.format(name=program.name, history=program.history)
         )
         return _rows(text, len(program.reported))
 
@@ -57,7 +57,7 @@ def _rows(text: str, columns: int) -> Float[np.ndarray, "time reported"]:
     return np.array(text.split(), float).reshape(-1, columns)
 
 
-_RUN = """
+_RUN_PAGE = """
 u = load('-ascii', 'u.txt'); k = load('-ascii', 'u_kind.txt');
 u(k == 1) = NaN; u(k == 2) = Inf; u(k == 3) = -Inf;
 y = load('-ascii', 'y.txt'); k = load('-ascii', 'y_kind.txt');
@@ -74,14 +74,20 @@ def prove_matlab(program: SampleProgram, folder: Path, cases: Sequence[Case]) ->
     if octave() is None:
         return {}, ["matlab: there is no Octave here"]
     run_octave(folder, f"{program.name}_test")
-    first, *_, last = (case.beginning(SAMPLES) for case in (*cases[:1], *cases[-1:]))
+    first, *_, last = (
+        case.beginning(RUN_SAMPLES) for case in (*cases[:1], *cases[-1:])
+    )
     run = octave_runner(folder, program)
-    found = worst([first, last], run, DOUBLE, "MATLAB function")
+    found = worst([first, last], run, DOUBLE_TOLERANCE, "MATLAB function")
     left_out = []
-    if (count := samples_to_rest(program, first.inputs[0])) > SETTLING:
-        took = f"{count} samples" if count < LONGEST else f"more than {LONGEST} samples"
+    if (count := samples_to_rest(program, first.inputs[0])) > SETTLING_SAMPLES:
+        took = (
+            f"{count} samples"
+            if count < LONGEST_SETTLING
+            else f"more than {LONGEST_SETTLING} samples"
+        )
         left_out.append(
             f"matlab: the start 'steady', which takes {took} at the first inputs; the "
-            f"test tries it up to {SETTLING}"
+            f"test tries it up to {SETTLING_SAMPLES}"
         )
     return {f"matlab by Octave, {len(first.inputs)} samples": found}, left_out

@@ -20,11 +20,11 @@ from jaxnarx.simulation import (
     stack_fitting,
 )
 
-DOUBLE, SINGLE = 1e-10, 1e-3
+DOUBLE_TOLERANCE, SINGLE_TOLERANCE = 1e-10, 1e-3
 """Largest difference to the model in shares of an output's largest value; beyond it an
 export does not come into being."""
 
-DROPPED, SHARE_DROPPED = 240, 0.08
+DROPPED_SAMPLES, SHARE_DROPPED = 240, 0.08
 """Samples of the proof with missing inputs, and the share of them that is missing."""
 
 Runner = Callable[
@@ -142,13 +142,13 @@ def dropouts(network: Network, data: Dataset, seed: int = 0) -> Dataset:
     long gap among them."""
     matched = match_records(network, data)
     rng, record = np.random.default_rng(seed), matched.records[0]
-    record = record.part(0, DROPPED + network.before)
+    record = record.part(0, DROPPED_SAMPLES + network.before)
     inputs = [s for s in network.used if s not in network.signals]
     valid = record.valid.copy()
     gone = rng.uniform(size=(len(record), len(inputs))) < SHARE_DROPPED
     gone[0] = True
-    gone[len(record) // 2 :][: DROPPED // 8, :1] = True
-    gone[-(DROPPED // 8) :] = False
+    gone[len(record) // 2 :][: DROPPED_SAMPLES // 8, :1] = True
+    gone[-(DROPPED_SAMPLES // 8) :] = False
     valid[:, inputs] &= ~gone
     return dataclasses.replace(
         matched, records=(dataclasses.replace(record, valid=valid),)

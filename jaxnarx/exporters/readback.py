@@ -9,15 +9,15 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import DataFileError, suggest
 from jaxnarx.exporters._lower import lower
 from jaxnarx.exporters.calibration import (
-    OVER,
+    MAP_BLOCKS,
     CalibrationBlock,
     read_arrays,
     read_dcm,
 )
 from jaxnarx.exporters.form import ParameterTable
-from jaxnarx.exporters.maps import REST
+from jaxnarx.exporters.maps import REST_NAME
 from jaxnarx.exporters.parameters import OutputAt, tables_of
-from jaxnarx.models import LEVELS, Network, require_consistent, set_bounds
+from jaxnarx.models import STORED_PROBABILITIES, Network, require_consistent, set_bounds
 from jaxnarx.refinement import attach_certificate
 
 
@@ -51,7 +51,9 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
         print(changed is network)
     """
     known = network.errors is not None and network.domain is not None
-    program = lower(network, level=LEVELS[0] if known else None)  # with all its tables
+    program = lower(
+        network, level=STORED_PROBABILITIES[0] if known else None
+    )  # with all its tables
     found = {t.name: t for t in program.tables if t.values.size}
     if "KONSERVIERUNG_FORMAT" in text:
         blocks = read_dcm(text, source)
@@ -91,7 +93,7 @@ def _match_blocks(
         name = block.name.removeprefix(prefix)
         if name in found and block.name != name:
             matched[name] = block
-        elif block.kind not in OVER or not name.startswith(f"{REST}_"):
+        elif block.kind not in MAP_BLOCKS or not name.startswith(f"{REST_NAME}_"):
             known = [prefix + one for one in found]
             raise DataFileError(
                 f"{source}, line {block.line}: block {block.name} is no table of the "

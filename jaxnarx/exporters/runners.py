@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.exporters import form
-from jaxnarx.exporters.compilers import WARNINGS, compiler, compilers
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler, compilers
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.proof import (
-    DOUBLE,
-    SINGLE,
+    DOUBLE_TOLERANCE,
+    SINGLE_TOLERANCE,
     Case,
     ExportError,
     Runner,
@@ -61,7 +61,7 @@ def javascript_runner(path: Path) -> Runner:
             for name, values in (("u", inputs), ("y", measured)):
                 # JSON has no NaN
                 Path(folder, name).write_bytes(values.astype("<f8").tobytes())
-            main.write_text(_NODE)
+            main.write_text(_NODE_PAGE)
             done = subprocess.run(
                 [program, str(main)], capture_output=True, text=True, cwd=folder
             )
@@ -73,7 +73,7 @@ def javascript_runner(path: Path) -> Runner:
     return run
 
 
-_NODE = """import { readFileSync } from 'node:fs';
+_NODE_PAGE = """import { readFileSync } from 'node:fs';
 import { Model, HISTORY, INPUTS, OUTPUTS } from './model.mjs';
 function rows(file, width) {
   const all = new Float64Array(new Uint8Array(readFileSync(file)).buffer);
@@ -99,12 +99,12 @@ def c_runner(
     """The C files of `folder`, compiled in `build`; warnings are errors."""
     name, upper = program.name, program.name.upper()
     harness = build / "harness.c"
-    harness.write_text(_HARNESS.replace("NAME", name).replace("UPPER", upper))
+    harness.write_text(_HARNESS_PAGE.replace("NAME", name).replace("UPPER", upper))
     chosen = cc or compiler()
     assert chosen is not None
     kind = "single" if single else "double"
     library = build / f"{name}_{kind}_{Path(chosen).name}.so"
-    command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
+    command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
     command += [f"-D{upper}_SINGLE"] if single else []
     command += [str(folder / f"{name}.c"), str(harness), "-lm", "-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -122,7 +122,7 @@ def c_runner(
     return run
 
 
-_HARNESS = """#include "NAME.h"
+_HARNESS_PAGE = """#include "NAME.h"
 void run(int n, const double *u, const double *y, double *out);
 void run(int n, const double *u, const double *y, double *out)
 {
@@ -156,7 +156,7 @@ void run(int n, const double *u, const double *y, double *out)
 def prove_python(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
     """The module of `folder` beside the model."""
     run = python_runner(folder / f"{program.name}.py")
-    return {"python": worst(cases, run, DOUBLE, "Python")}, []
+    return {"python": worst(cases, run, DOUBLE_TOLERANCE, "Python")}, []
 
 
 def prove_javascript(
@@ -166,7 +166,7 @@ def prove_javascript(
     if node() is None:
         return {}, ["javascript: there is no node here"]
     run = javascript_runner(folder / f"{program.name}.mjs")
-    return {"javascript": worst(cases, run, DOUBLE, "JavaScript")}, []
+    return {"javascript": worst(cases, run, DOUBLE_TOLERANCE, "JavaScript")}, []
 
 
 def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proof:
@@ -174,7 +174,10 @@ def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proo
     if compiler() is None:
         return {}, ["c: there is no C compiler here"]
     found: dict[str, float] = {}
-    for kind, most in ((form.ONLY_DOUBLE, DOUBLE), (form.ONLY_SINGLE, SINGLE)):
+    for kind, most in (
+        (form.ONLY_DOUBLE, DOUBLE_TOLERANCE),
+        (form.ONLY_SINGLE, SINGLE_TOLERANCE),
+    ):
         if program.precision not in (kind, form.BOTH):
             continue
         for n, cc in enumerate(compilers()):

@@ -12,7 +12,7 @@ from string import Template
 
 from jaxnarx.exporters.code import Syntax, comment, digits, statements, symbol_of
 from jaxnarx.exporters.form import ParameterTable, SampleProgram, Value
-from jaxnarx.exporters.interpret import LONGEST, SETTLED
+from jaxnarx.exporters.interpret import LONGEST_SETTLING, SETTLED_SHARE
 from jaxnarx.exporters.notes import wrap_paragraphs
 
 
@@ -98,8 +98,8 @@ def write_page(
         "reported": str(len(program.reported)),
         "middle": row(digits(0.5 * (p.low + p.high)) for p in computed),
         "width": row(digits(p.high - p.low) for p in computed),
-        "settled": digits(SETTLED),
-        "longest": str(LONGEST),
+        "settled": digits(SETTLED_SHARE),
+        "longest": str(LONGEST_SETTLING),
         "tables": "\n".join(tables),
         "fields": block(fields),
         "begin": stage(program.begin, begun),

@@ -16,7 +16,7 @@ from jaxnarx.identification.pools import joint_pool, make_pool, terms_of
 from jaxnarx.identification.search_folder import CANDIDATES_FOLDER as CANDIDATES_FOLDER
 from jaxnarx.identification.search_folder import SEARCH_FILE as SEARCH_FILE
 from jaxnarx.identification.search_folder import SearchFolder, read_search
-from jaxnarx.identification.verb import VALIDATION, identify, with_group
+from jaxnarx.identification.verb import VALIDATION_GROUP, identify, with_group
 
 __all__ = [
     "CANDIDATES",
@@ -25,7 +25,7 @@ __all__ = [
     "Events",
     "Leaderboard",
     "SearchFolder",
-    "VALIDATION",
+    "VALIDATION_GROUP",
     "describe",
     "figure",
     "identify",

@@ -15,17 +15,20 @@ from jaxnarx.extensions import Registry
 from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
-from jaxnarx.identification.state_space_candidates import SHORT, propose_state_space
+from jaxnarx.identification.state_space_candidates import (
+    SHORT_RECORDS,
+    propose_state_space,
+)
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, best_sum
 from jaxnarx.refinement import largest_local_pole
 from jaxnarx.settings import HiddenStates, Identification, Partitioner, Preset
 
-SUMMED = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
+SUMMED_FAMILIES = "OE", "OE with filtered inputs", "polynomial", "shared feedback"
 """Families of which sums are made."""
 MOST_ADDED = 20
 """Methods that are tried of each family that another package adds."""
-NEAR = 1.5
+NEAR_BEST_FACTOR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
 Trial = tuple[str, list[str], Identification | HiddenStates]
@@ -96,7 +99,11 @@ class CandidateSearch:
                 row, network = found, None
             else:
                 row, network = self._closed(found, time.perf_counter() - begin)
-                if row.eligible and found.family in SUMMED and self.preset.sums > 1:
+                if (
+                    row.eligible
+                    and found.family in SUMMED_FAMILIES
+                    and self.preset.sums > 1
+                ):
                     parts.append(found.part(network))
             yield row, network
             if self.late():
@@ -118,7 +125,7 @@ class CandidateSearch:
         hidden = propose_state_space(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
-        if self.data.samples <= SHORT:
+        if self.data.samples <= SHORT_RECORDS:
             most = patience = 2 * most
         yield from self._trained(hidden, most, patience)
         fed = propose_narx(self.data, self.profile)
@@ -210,7 +217,9 @@ class CandidateSearch:
         """Whether a candidate came near the best so far."""
         if not row.eligible or self.best is None:
             return row.eligible
-        return bool(np.nansum(_losses(row)) <= NEAR**2 * np.nansum(self.best))
+        return bool(
+            np.nansum(_losses(row)) <= NEAR_BEST_FACTOR**2 * np.nansum(self.best)
+        )
 
     def _judge(
         self, method: Identification | HiddenStates, trying: Trying

@@ -14,10 +14,10 @@ from jaxnarx.models import Network, hold_to_range, set_ranges
 from jaxnarx.settings import HiddenStates, Identification
 from jaxnarx.simulation import match_records, predict, simulate
 
-FIRST = 3.0
+FIRST_STEPS_FACTOR = 3.0
 """Error in training after the first steps of a start, as a multiple of the best
 candidate's on groups left out, beyond which it is not trained."""
-HOPELESS = 2.0, 1.5
+HOPELESS_FACTORS = 2.0, 1.5
 """Error on the first group, and on the first two or more, as a multiple of the best
 candidate's there, beyond which the other groups are not tried."""
 
@@ -153,7 +153,7 @@ class _Judging:
         """Why no further group is tried, or ""."""
         if self.diverged:
             return "diverges"
-        done, worst = slice(g + 1), HOPELESS[min(g, 1)] ** 2
+        done, worst = slice(g + 1), HOPELESS_FACTORS[min(g, 1)] ** 2
         mine = np.nansum(self.losses[done])
         if best is None or mine <= worst * np.nansum(best[done]):
             return ""
@@ -179,7 +179,9 @@ def fit_full(
 
     `DataError` where all are far beyond the `best` candidate after their first steps.
     """
-    limit = np.inf if best is None else FIRST * float(np.nanmean(best)) ** 0.5
+    limit = (
+        np.inf if best is None else FIRST_STEPS_FACTOR * float(np.nanmean(best)) ** 0.5
+    )
     fit = fit_states(_some(data, rows), method, hopeless=limit)
     return _hold_to_range(fit.stats["path"], data)
 

@@ -6,13 +6,19 @@ from typing import Any
 from jaxnarx.formatting import ratio_text
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 
-LINEAR = ("constant", "arx", "oe", "filtered inputs", "oe with filtered inputs")
+LINEAR_FAMILIES = (
+    "constant",
+    "arx",
+    "oe",
+    "filtered inputs",
+    "oe with filtered inputs",
+)
 """Families without products and regions, in small letters."""
-UNEVEN = 1.25
+UNEVEN_FACTOR = 1.25
 """Times the pooled error from which a group is said to be served worse."""
-DIGITS = 7
+OPERATION_DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
-RULES = {
+RULE_WORDS = {
     "near": "the cheapest to compute within one standard error of the best (that of "
     "the difference, group by group: column `above best`) and 5 %",
     "share": "the cheapest to compute within 5 % of the best",
@@ -24,7 +30,7 @@ NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %
 
 def is_linear(row: Candidate) -> bool:
     """Whether a candidate is of a linear family."""
-    return row.family.lower() in LINEAR
+    return row.family.lower() in LINEAR_FAMILIES
 
 
 def title(row: Candidate) -> str:
@@ -39,7 +45,7 @@ def figure(row: Candidate) -> str:
     if not row.standard_error:
         return ratio_text(row.free_run)
     digits = max(1 - math.floor(math.log10(row.standard_error)), 0)
-    if digits > DIGITS:
+    if digits > OPERATION_DIGITS:
         return f"{row.free_run:.3g} ± {row.standard_error:.2g}"
     return f"{row.free_run:.{digits}f} ± {row.standard_error:.{digits}f}"
 
@@ -130,7 +136,9 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
         return f"{told}: taken by hand in place of {title(chosen)}, {figure(chosen)}."
     if row == board.best(output) and board.rule in NONE_NEAR:
         return f"{told}: the best, and {NONE_NEAR[board.rule]} is cheaper."
-    return f"{told}: {RULES.get(board.rule, f'chosen by the rule {board.rule!r}')}."
+    return (
+        f"{told}: {RULE_WORDS.get(board.rule, f'chosen by the rule {board.rule!r}')}."
+    )
 
 
 def _best(board: Leaderboard, row: Candidate) -> list[str]:
@@ -207,7 +215,7 @@ def _groups(board: Leaderboard, row: Candidate) -> list[str]:
     if worst is None or len(known) < 2 or not row.free_run:
         return []
     name, error = worst
-    if error < UNEVEN * row.free_run:
+    if error < UNEVEN_FACTOR * row.free_run:
         return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [
         f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "

@@ -13,11 +13,11 @@ from jaxnarx.errors import SpecError
 from jaxnarx.files import cell
 from jaxnarx.formatting import align_columns, page, some
 
-LIMIT = 1.0
+EQUAL_STANDARD_ERRORS = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
-SHARE = 0.05
+EQUAL_ERROR_SHARE = 0.05
 """Share of the error that a cheaper model may give away."""
-LARGEST = 1e100
+LARGEST_FIGURE = 1e100
 """Largest figure of a candidate in a file; its square is a number too."""
 
 
@@ -172,32 +172,38 @@ class Leaderboard:
         """A table with one line a candidate."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["rank", "chosen", *HEAD, *MORE])
+        writer.writerow(["rank", "chosen", *ROW_COLUMNS, *BOARD_COLUMNS])
         for output in self.outputs:
             chosen = self.chosen(output)
             for rank, row in enumerate(self.of(output), 1):
                 name, error = self.worst_group(row) or ("", None)
-                values = [rank, int(row == chosen), *(getattr(row, k) for k in HEAD)]
+                values = [
+                    rank,
+                    int(row == chosen),
+                    *(getattr(row, k) for k in ROW_COLUMNS),
+                ]
                 values += [name, error, *(self.above_best(row) or (None, None))]
                 writer.writerow(cell(v) if isinstance(v, str) else v for v in values)
         return file.getvalue()
 
 
-HEAD = (
+ROW_COLUMNS = (
     "output number family name free_run standard_error one_step diverged operations "
     "parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
-MORE = "worst_group worst_group_error above_best above_best_standard_error".split()
+BOARD_COLUMNS = (
+    "worst_group worst_group_error above_best above_best_standard_error".split()
+)
 """Columns that follow from all rows."""
 
 
 def _require_figures(name: str, value: Any) -> None:
     """SpecError where a figure is negative, or larger than a file may hold."""
     for one in value if isinstance(value, list | tuple) else (value,):
-        if isinstance(one, int | float) and not 0 <= one <= LARGEST:
+        if isinstance(one, int | float) and not 0 <= one <= LARGEST_FIGURE:
             raise SpecError(
-                f"{name} is {one}, but must be from 0 to {LARGEST:g}", field=name
+                f"{name} is {one}, but must be from 0 to {LARGEST_FIGURE:g}", field=name
             )
 
 
@@ -224,21 +230,21 @@ def _place(row: Candidate) -> tuple[bool, float, float]:
 
 
 def _is_within(row: Candidate, best: Candidate) -> bool:
-    """Whether the error is at most `SHARE` above that of the best."""
-    return _error(row) <= (1 + SHARE) * _error(best)
+    """Whether the error is at most `EQUAL_ERROR_SHARE` above that of the best."""
+    return _error(row) <= (1 + EQUAL_ERROR_SHARE) * _error(best)
 
 
 def _is_near(row: Candidate, best: Candidate) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
     Of the difference, group by group: groups differ in how hard they are, which says
-    nothing about the candidates. With few groups that error is large; more than `SHARE`
-    is not given away.
+    nothing about the candidates. With few groups that error is large; more than
+    `EQUAL_ERROR_SHARE` is not given away.
     """
     if not _is_within(row, best):
         return False
     difference, error = _excess(row, best)
-    return difference <= LIMIT * error
+    return difference <= EQUAL_STANDARD_ERRORS * error
 
 
 def _excess(row: Candidate, best: Candidate) -> tuple[float, float]:

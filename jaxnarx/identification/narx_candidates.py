@@ -14,14 +14,14 @@ from jaxnarx.settings import (
     SimulationError,
 )
 
-HORIZONS = (10, 100)
-TRIED = (
+WINDOW_HORIZONS = (10, 100)
+LAGS_DEGREES_TERMS = (
     *((3, 3, 20), (2, 3, 12), (2, 2, 10), (2, 1, 0), (2, 3, 30)),
     *((3, 2, 20), (4, 3, 30), (4, 2, 30), (3, 1, 0), (2, 3, 6), (4, 3, 50)),
 )
 """Longest lag, degree and number of terms; of degree one local models. The order is
 that of `experiments/open_sets/order.py`: what lowered errors most for its seconds."""
-LARGEST = 600
+LARGEST_POOL = 600
 """Candidate terms of a pool."""
 
 
@@ -29,7 +29,7 @@ def propose_narx(
     data: Dataset, profile: DataProfile
 ) -> Iterator[tuple[str, list[str], Identification]]:
     """(family, its one name, method), those that pay most often first."""
-    for lags, degree, terms in TRIED:
+    for lags, degree, terms in LAGS_DEGREES_TERMS:
         if degree == 1:
             yield from _local(data, profile, lags)
             continue
@@ -64,7 +64,7 @@ def pool_of(data: Dataset, profile: DataProfile, lags: int, degree: int) -> Pool
     """
     names = data.channels.input_names
     variables = len(names) * (lags + 1) + lags
-    if math.comb(variables + degree, degree) > LARGEST and degree > 1:
+    if math.comb(variables + degree, degree) > LARGEST_POOL and degree > 1:
         return None
     return polynomial_pool(
         data.channels,
@@ -80,7 +80,7 @@ def pool_of(data: Dataset, profile: DataProfile, lags: int, degree: int) -> Pool
 
 def _method(pool: Pool, terms: int, grow) -> Identification:
     refine = SimulationError(
-        horizons=HORIZONS, window_steps=8, max_steps=20, train="coefficients"
+        horizons=WINDOW_HORIZONS, window_steps=8, max_steps=20, train="coefficients"
     )
     return Identification(
         pool=pool, select=ForwardOLS(max_terms=terms), grow=grow, refine=refine

@@ -21,7 +21,7 @@ from jaxnarx.data import groups as make_groups
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.identification.candidates import CANDIDATES, Trying
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
-from jaxnarx.identification.search_folder import ROWS, SearchFolder, open_search
+from jaxnarx.identification.search_folder import ROW_VERSION, SearchFolder, open_search
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
 from jaxnarx.models import Network, combine_outputs
@@ -30,9 +30,9 @@ from jaxnarx.settings import PARTITIONS, PRESETS
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
-SHARE = 1000
+NUMBERS_PER_OUTPUT = 1000
 """Numbers that the candidates of one output have."""
-POLL = 0.2
+POLL_SECONDS = 0.2
 """Seconds between looks at what the processes have found."""
 
 
@@ -61,7 +61,7 @@ def search(
         "preset": preset,
         "outputs": list(outputs),
         "groups": list(groups.names),
-        "rows": ROWS,
+        "rows": ROW_VERSION,
     }
     if states is not None:
         key["states"] = states
@@ -150,7 +150,7 @@ class SearchRunner:
     def _next(self, output: str) -> int:
         """Number of the next candidate of an output."""
         own = (r.number for r in self.store.leaderboard.rows if r.output == output)
-        return 1 + max(own, default=SHARE * self.outputs.index(output))
+        return 1 + max(own, default=NUMBERS_PER_OUTPUT * self.outputs.index(output))
 
     def add(self, output: str, row: Candidate, network: Network | None) -> None:
         """Keep one candidate and tell of it."""
@@ -206,7 +206,7 @@ class SearchRunner:
                         side.close()
                         del running[name]
                         self._finish(name, tasks[name])
-                time.sleep(POLL)
+                time.sleep(POLL_SECONDS)
         finally:
             for side in running.values():
                 side.close()

@@ -19,13 +19,13 @@ from typing import Any
 from jaxnarx.argument_checks import is_fit
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, guard_reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
-from jaxnarx.identification.leaderboard import LARGEST, Candidate, Leaderboard
+from jaxnarx.identification.leaderboard import LARGEST_FIGURE, Candidate, Leaderboard
 from jaxnarx.models import Network, load, save
 
 SEARCH_FILE = "search.json"
 CANDIDATES_FOLDER = "candidates"
-FORMAT = 1
-ROWS = 2
+FORMAT_VERSION = 1
+ROW_VERSION = 2
 """Definition of what a row says, part of the key, so that rows of one leaderboard
 compare. Since 2 operations are those of the exported program."""
 
@@ -110,7 +110,7 @@ class SearchFolder:
         """Write `search.json`, whole or not at all."""
         board = self.leaderboard
         told = {
-            "format": FORMAT,
+            "format": FORMAT_VERSION,
             "key": dict(self.key),
             "group_names": list(board.group_names),
             "rule": board.rule,
@@ -170,7 +170,9 @@ class FolderLock:
             weakref.finalize(self, os.close, handle)
 
 
-_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+_OWN_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = (
+    weakref.WeakValueDictionary()
+)
 """Those of this process, which may open a folder again."""
 
 
@@ -180,8 +182,8 @@ def _lock(place: Path) -> FolderLock:
     except OSError as error:
         raise unwritable(place, error) from error
     known = place.resolve()
-    lock = _LOCKS.get(known) or FolderLock(place)
-    _LOCKS[known] = lock
+    lock = _OWN_LOCKS.get(known) or FolderLock(place)
+    _OWN_LOCKS[known] = lock
     return lock
 
 
@@ -208,7 +210,7 @@ def read_search(path: Path) -> SearchFolder:
         file, "the record of a search", advice="Begin anew with --force."
     ):
         told = json.loads(file.read_text(encoding="utf-8"))
-        if told["format"] > FORMAT:
+        if told["format"] > FORMAT_VERSION:
             raise ModelFileError(f"{file}: written by a newer jaxnarx", path=file)
         return SearchFolder(path, dict(told["key"]), _board(file, told))
 
@@ -248,7 +250,9 @@ def _finite(row: Candidate) -> Candidate:
     """Drop figures beyond the largest that a file holds."""
 
     def kept(value: Any) -> Any:
-        return None if isinstance(value, float) and not value <= LARGEST else value
+        return (
+            None if isinstance(value, float) and not value <= LARGEST_FIGURE else value
+        )
 
     plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
     return Candidate(**plain, groups=tuple(kept(e) for e in row.groups))

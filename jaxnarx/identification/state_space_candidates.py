@@ -13,28 +13,28 @@ MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
 """Number of states and degree, in the order they are tried: of one or two inputs, of
 more, and of short records."""
-IN_REGIONS, REGIONS = (3, 2, 4), 3
+IN_REGIONS, REGION_STATES = (3, 2, 4), 3
 """Numbers of states tried in up to so many regions, on short records, in turn with
 products: a training step takes several times as long."""
-FEW = 2
+UNASKED_INPUTS = 2
 """Inputs up to which they are tried unasked, on long records products of three factors
 first."""
-PULLS = 0.1, 0.01, 0.001
-SHORT, SHORT_PULLS = 2000, (0.3, *PULLS)
+PULLS_TRIED = 0.1, 0.01, 0.001
+SHORT_RECORDS, SHORT_PULLS = 2000, (0.3, *PULLS_TRIED)
 """Samples up to which a training begins with a stronger one: of the cascaded tanks'
 1,024 it makes the best model with hidden states."""
-LARGEST = 600
+MOST_COEFFICIENTS = 600
 """Coefficients of a candidate: of 840 (Wiener-Hammerstein, six states, degree three) it
 took longer than all others together."""
-SAMPLES = 6
+SAMPLES_PER_COEFFICIENT = 6
 """Samples for each coefficient."""
-ORDERS = 6
+MOST_LINEAR_STATES = 6
 """Most states of the linear models that are looked at."""
-ROWS = 10_000
+SEARCH_SAMPLES = 10_000
 """Samples, in stretches of all records, of that look."""
-STEPS = 25
+STEPS_PER_PULL = 25
 """Accepted steps at each pull."""
-SHARE, WINDOW = 40, (10, 50)
+WINDOW_SHARE, WINDOW_LIMITS = 40, (10, 50)
 """The window that starts are estimated from: this part of the shortest record, but not
 less and not more samples than these."""
 
@@ -47,18 +47,18 @@ def propose_state_space(
     The first has as many states as a linear model asks for. One method makes a
     candidate for every pull towards the linear model, and for every number of regions.
     """
-    low, high = WINDOW
-    window = min(max(min(map(len, data)) // SHARE, low), high)
+    low, high = WINDOW_LIMITS
+    window = min(max(min(map(len, data)) // WINDOW_SHARE, low), high)
     for states, degree, regions in _structures(data, output, preset):
-        short = data.samples <= SHORT and regions == 1
+        short = data.samples <= SHORT_RECORDS and regions == 1
         method = HiddenStates(
             outputs=(output,),
             states=states,
             degree=degree,
             regions=regions,
-            shrink=SHORT_PULLS if short else PULLS,
+            shrink=SHORT_PULLS if short else PULLS_TRIED,
             window=window,
-            max_steps=STEPS,
+            max_steps=STEPS_PER_PULL,
         )
         names = [
             f"{states} states, "
@@ -74,7 +74,10 @@ def _structures(
 ) -> Iterator[tuple[int, int, int]]:
     """Number of states, degree, most regions; nothing is looked at before the first is
     wanted."""
-    most, inputs = min(LARGEST, data.samples / SAMPLES), len(data.channels.inputs)
+    most, inputs = (
+        min(MOST_COEFFICIENTS, data.samples / SAMPLES_PER_COEFFICIENT),
+        len(data.channels.inputs),
+    )
 
     def borne(states: int, degree: int) -> int:
         """Regions that the data bear."""
@@ -82,20 +85,23 @@ def _structures(
         return int(most / count)
 
     states = preset.orders or IN_REGIONS
-    sizes = ((n, min(borne(n, 1), REGIONS)) for n in states)
+    sizes = ((n, min(borne(n, 1), REGION_STATES)) for n in states)
     in_regions = (size for size in sizes if size[1] > 1)
     for n, degree in _products(data, output, preset):
         if not borne(n, degree):
             continue
         yield n, degree, 1
-        size = next(in_regions, None) if data.samples <= SHORT else None
+        size = next(in_regions, None) if data.samples <= SHORT_RECORDS else None
         if size is not None:
             yield size[0], 1, size[1]
 
 
 def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int, int]]:
     """Number of states and degree."""
-    few, short = len(data.channels.inputs) <= FEW, data.samples <= SHORT
+    few, short = (
+        len(data.channels.inputs) <= UNASKED_INPUTS,
+        data.samples <= SHORT_RECORDS,
+    )
     if not (few or preset.orders or preset.rule == "best"):
         # On virtual engines none came near the closed form, at minutes for each; on the
         # 1,600 samples of the Bouc-Wen damper blocks left out promised half the error.
@@ -105,6 +111,6 @@ def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int,
         yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
         return
     usual = FEW_SAMPLES if short else FEW_INPUTS if few else MANY_INPUTS
-    n = linear_order(shortened(data, ROWS), output, ORDERS)
+    n = linear_order(shortened(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
     own = () if n is None else ((n, degree) for degree in degrees)
     yield from dict.fromkeys([*own, *usual])

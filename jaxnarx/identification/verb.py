@@ -18,7 +18,7 @@ from jaxnarx.models import Network
 from jaxnarx.settings import PRESETS, Identification
 from jaxnarx.solution import Solution
 
-VALIDATION = "validation"
+VALIDATION_GROUP = "validation"
 """The group of the records that are for validation."""
 
 
@@ -176,7 +176,7 @@ def _search(
             field="groups",
         )
     if validation is not None:
-        data = with_group(data, validation, VALIDATION)
+        data = with_group(data, validation, VALIDATION_GROUP)
     _require_moving(data)
     return search(
         data,

@@ -33,10 +33,16 @@ from jaxnarx.models import Network, load, save
 from jaxnarx.partition import DataProfile
 from jaxnarx.settings import PRESETS, Partitioner
 
-TASK, END, ERROR, NOW, SAID = "task", "end", "error", "now", "said.txt"
-START = f"import sys; from {__name__} import main; main(sys.argv[1])"
+TASK_FILE, END_FILE, ERROR_FILE, TRYING_KEY, OUTPUT_FILE = (
+    "task",
+    "end",
+    "error",
+    "now",
+    "said.txt",
+)
+START_CODE = f"import sys; from {__name__} import main; main(sys.argv[1])"
 """The module by its name, so that classes of pickles are its own."""
-WATCH = 1.0
+WATCH_SECONDS = 1.0
 """Seconds between looks whether the process that has started this one is there."""
 
 
@@ -91,10 +97,10 @@ class SearchWorker:
         self._folder = TemporaryFolder()
         self.place, self.read = self._folder.path, 0
         self.told: Trying | None = None
-        _write(self.place / TASK, (task, _settings()))
-        with open(self.place / SAID, "wb") as said:
+        _write(self.place / TASK_FILE, (task, _settings()))
+        with open(self.place / OUTPUT_FILE, "wb") as said:
             self.process = subprocess.Popen(
-                python_command(START, str(self.place)),
+                python_command(START_CODE, str(self.place)),
                 env=python_environment(one_thread()),
                 stdin=subprocess.DEVNULL,
                 stdout=said,
@@ -104,7 +110,7 @@ class SearchWorker:
     @property
     def ended(self) -> bool:
         """Whether all candidates are there to be read."""
-        return (self.place / END).exists() or self.process.poll() is not None
+        return (self.place / END_FILE).exists() or self.process.poll() is not None
 
     def found(self) -> Iterator[Tried]:
         """Candidates that are new; what has stopped the search is raised here."""
@@ -112,10 +118,12 @@ class SearchWorker:
             row, has = _read(path)
             yield row, self._network() if has else None
             self.read += 1
-        if (self.place / ERROR).exists():
-            raise _read(self.place / ERROR)
-        if self.process.poll() and not (self.place / END).exists():
-            said = (self.place / SAID).read_text(errors="replace").strip()[-2000:]
+        if (self.place / ERROR_FILE).exists():
+            raise _read(self.place / ERROR_FILE)
+        if self.process.poll() and not (self.place / END_FILE).exists():
+            said = (
+                (self.place / OUTPUT_FILE).read_text(errors="replace").strip()[-2000:]
+            )
             raise RuntimeError(
                 f"the search in process {self.process.pid} ended with "
                 f"{self.process.returncode}: {said or 'it said nothing'}"
@@ -123,7 +131,7 @@ class SearchWorker:
 
     def trying(self) -> Trying | None:
         """The candidate that is being tried, where that is new."""
-        path = self.place / NOW
+        path = self.place / TRYING_KEY
         if not path.exists() or (now := _read(path)) == self.told:
             return None
         self.told = now
@@ -156,7 +164,7 @@ def _read(path: Path) -> Any:
 def _leave_with(parent: int) -> None:
     """End at once when the process that has started this one is gone."""
     while os.getppid() == parent:
-        time.sleep(WATCH)
+        time.sleep(WATCH_SECONDS)
     os._exit(1)
 
 
@@ -165,10 +173,10 @@ def main(folder: str) -> None:
     place = Path(folder)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
-    task, settings = _read(place / TASK)
+    task, settings = _read(place / TASK_FILE)
 
     def watch(trying: Trying) -> None:
-        _write(place / NOW, trying)
+        _write(place / TRYING_KEY, trying)
 
     for name, value in settings.items():
         jax.config.update(name, value)
@@ -177,6 +185,6 @@ def main(folder: str) -> None:
             if network is not None:
                 save(network, place / f"{n}.safetensors")
             _write(place / str(n), (row, network is not None))
-        _write(place / END, None)
+        _write(place / END_FILE, None)
     except Exception as error:
-        _write(place / ERROR, error)
+        _write(place / ERROR_FILE, error)

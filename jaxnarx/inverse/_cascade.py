@@ -17,7 +17,7 @@ from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import has_diverged
 from jaxnarx.solution import NAMES, RESULTS, Solution
 
-NEAR = 1e-9
+LIMIT_TOLERANCE = 1e-9
 """Share of a range, or of a largest change, within which a limit counts as reached."""
 
 
@@ -110,7 +110,7 @@ def _tracking(
     low, high = np.asarray(loop.low), np.asarray(loop.high)
     count, shown = len(low), len(forward.models)
     lower, upper = np.asarray(forward.lower), np.asarray(forward.upper)
-    near = NEAR * (high - low)
+    near = LIMIT_TOLERANCE * (high - low)
     columns: tuple[list, ...] = ([], [], [], [], [], [], [], [])
     at = list(loop.command_signals)
     inputs = len(forward.channels.inputs)

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import (
-    NEVER,
+    UNREACHED_STEPS,
     Driver,
     Levenberg,
     Progress,
@@ -117,7 +117,7 @@ class _Search:
     ) -> tuple[np.ndarray, RESULTS]:
         method = self.method
         whole = horizon is None
-        patience = method.patience if whole else NEVER
+        patience = method.patience if whole else UNREACHED_STEPS
         rules = StoppingRules(method.tolerance, patience)
         levenberg = Levenberg(self._problem(self.task, horizon))
         driver = Driver(levenberg, self.guard.loss, rules)

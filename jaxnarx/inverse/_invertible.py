@@ -25,14 +25,14 @@ from jaxnarx.models import Network
 from jaxnarx.settings import ActuatorLimits
 from jaxnarx.solution import RESULTS, Solution
 
-SOME = 0.02
+NAMED_SHARE = 0.02
 """Share of the points from which on a property is named."""
-WEAK = 0.02
+WEAK_SHARE = 0.02
 """A command is weak where its whole range moves the target by less than this share of
 the target's range; gains below this share of their median count as zero."""
-LEFT = 0.05
+MAX_REST_SHARE = 0.05
 """What a delayed inverse of a zero outside the unit circle may leave undone."""
-LONGEST = 60
+LONGEST_LEAD = 60
 """Additional lead [samples] beyond which no delayed inverse is offered."""
 
 
@@ -167,8 +167,8 @@ def _outside(
         outside = size[size >= 1]
         if len(outside):
             nearest = float(outside.min())
-            wait = math.log(1 / LEFT) / math.log(max(nearest, 1 + 1e-9))
-            extra[p] = math.ceil(wait) if wait <= LONGEST else -1
+            wait = math.log(1 / MAX_REST_SHARE) / math.log(max(nearest, 1 + 1e-9))
+            extra[p] = math.ceil(wait) if wait <= LONGEST_LEAD else -1
     return largest, extra
 
 
@@ -179,7 +179,11 @@ def _needed_lead(
 ) -> dict[str, int]:
     """Lead of every target: its dead time and what zeros ask for at most points."""
     offered = extra[extra >= 0]
-    more = int(np.quantile(offered, 1 - SOME, method="higher")) if len(offered) else 0
+    more = (
+        int(np.quantile(offered, 1 - NAMED_SHARE, method="higher"))
+        if len(offered)
+        else 0
+    )
     longest = [row[np.isfinite(row)].max(initial=0) for row in dead]
     return {name: int(d) + more for name, d in zip(targets, longest, strict=True)}
 
@@ -243,11 +247,11 @@ class _Notes:
         known = np.isfinite(value)
         if not known.any():
             return
-        least = WEAK * np.median(np.abs(value[known]))
+        least = WEAK_SHARE * np.median(np.abs(value[known]))
         above, below = value > least, value < -least
         rare = above if above.sum() < below.sum() else below
         share = rare.sum() / known.sum()
-        if share < SOME:
+        if share < NAMED_SHARE:
             return
         region = self.region(rare)
         sign = "positive" if rare is above else "negative"
@@ -260,14 +264,16 @@ class _Notes:
     def zeros(self, zero, extra, needed: dict[str, int]) -> None:
         """Points with zeros outside the unit circle."""
         for flag, severity in ((extra > 0, "warning"), (extra < 0, "error")):
-            if flag.mean() < SOME:
+            if flag.mean() < NAMED_SHARE:
                 continue
             region = self.region(flag) if not flag.all() else None
             where = str(region) if region is not None else "everywhere"
             leads = ", ".join(f"{n} {k} samples" for n, k in needed.items())
             offer = f"a delayed inverse needs the lead {leads}"
             if severity == "error":
-                offer = f"no lead of up to {LONGEST} samples more helps; slow it down"
+                offer = (
+                    f"no lead of up to {LONGEST_LEAD} samples more helps; slow it down"
+                )
             text = (
                 f"from {', '.join(self.commands)} to {', '.join(self.targets)} the "
                 f"plant is not minimum phase at {flag.mean():.0%} of the points, "
@@ -282,8 +288,8 @@ class _Notes:
         for i, target in enumerate(self.targets):
             for j, command in enumerate(self.commands):
                 moved = np.abs(gain[:, i, j]) * self.wide[command]
-                weak = moved < WEAK * self.wide[target]
-                if weak.mean() < max(SOME, 0.1):
+                weak = moved < WEAK_SHARE * self.wide[target]
+                if weak.mean() < max(NAMED_SHARE, 0.1):
                     continue
                 region = self.region(weak) if not weak.all() else None
                 where = str(region) if region is not None else "everywhere"
@@ -295,7 +301,7 @@ class _Notes:
 
     def stability(self, stable: Bool[np.ndarray, " points"]) -> None:
         """Points that say nothing about static gains."""
-        if (~stable).mean() >= SOME:
+        if (~stable).mean() >= NAMED_SHARE:
             region = self.region(~stable) if stable.any() else None
             where = str(region) if region is not None else "everywhere"
             text = (

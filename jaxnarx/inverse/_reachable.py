@@ -21,9 +21,9 @@ from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import match_records
 from jaxnarx.solution import RESULTS, Solution
 
-REFINEMENTS = 12
+REFINEMENT_TRIALS = 12
 """Damped Gauss-Newton trials from the best command of the grid."""
-BLOCK = 64
+BLOCK_SAMPLES = 64
 """Samples solved at a time."""
 
 
@@ -114,7 +114,7 @@ def reachable(
     )
     # Held references repeat: what is the same is solved once.
     ones, back = np.unique(flat[real], axis=0, return_inverse=True)
-    pad = -len(ones) % BLOCK
+    pad = -len(ones) % BLOCK_SAMPLES
     ones = np.concatenate([ones, np.repeat(ones[-1:], pad, axis=0)])
     best = _nearest(aim, jnp.asarray(ones), jnp.asarray(shares.astype(flat.dtype)))
     u, y, left = (np.asarray(part)[back.reshape(-1)] for part in best)
@@ -167,7 +167,7 @@ def _nearest(
         rest = jnp.sqrt(jnp.mean(aim.missing(row, share) ** 2))
         return u, aim.outputs(row, share)[0], rest
 
-    return jax.lax.map(one, signals, batch_size=BLOCK)
+    return jax.lax.map(one, signals, batch_size=BLOCK_SAMPLES)
 
 
 def _refine(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"]):
@@ -190,4 +190,4 @@ def _refine(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"])
         return jnp.where(better, trial, share), damping
 
     start = share, jnp.asarray(1e-3, share.dtype)
-    return jax.lax.fori_loop(0, REFINEMENTS, step, start)
+    return jax.lax.fori_loop(0, REFINEMENT_TRIALS, step, start)

@@ -16,7 +16,7 @@ from jaxnarx.models import Network
 Lead = int | Mapping[str, int]
 """Samples by which an inverse sees its references ahead, for all targets or by name."""
 
-_AHEAD = re.compile(r"^(?P<name>.+)_ahead(?P<lead>\d+)$", re.DOTALL)
+_AHEAD_PATTERN = re.compile(r"^(?P<name>.+)_ahead(?P<lead>\d+)$", re.DOTALL)
 
 
 def ahead_name(name: str, lead: int) -> str:
@@ -26,7 +26,7 @@ def ahead_name(name: str, lead: int) -> str:
 
 def parse_ahead(name: str) -> tuple[str, int] | None:
     """Channel and lead of such a name; None for any other."""
-    match = _AHEAD.match(name)
+    match = _AHEAD_PATTERN.match(name)
     return None if match is None else (match["name"], int(match["lead"]))
 
 

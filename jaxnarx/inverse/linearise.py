@@ -27,7 +27,7 @@ from jaxnarx.regressors import (
 )
 from jaxnarx.simulation import match_records, tables
 
-SMALL = 1e-8
+SMALL_LEADING_SHARE = 1e-8
 """Leading coefficients of a polynomial below this share of its largest are zero."""
 
 
@@ -235,7 +235,9 @@ def _coefficients(
 
 def _roots(rising: Float[np.ndarray, " _"]) -> Complex[np.ndarray, " _"]:
     """z = 1/w for the roots w other than zero of a polynomial in w."""
-    there = np.flatnonzero(np.abs(rising) > SMALL * np.abs(rising).max(initial=0.0))
+    there = np.flatnonzero(
+        np.abs(rising) > SMALL_LEADING_SHARE * np.abs(rising).max(initial=0.0)
+    )
     if not len(there):
         return np.zeros(0, complex)
     # In z the same coefficients stand in falling powers.

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.formatting import page
 
-GAIN = 0.05
+SECOND_BORDER_GAIN = 0.05
 """A second border is named where it tells so much more of the points right."""
 
 
@@ -80,7 +80,7 @@ def find_region(
         return first
     corner = inside & second.holds(place, names)
     right = float(0.5 * (corner[flag].mean() + 1 - corner[~flag].mean()))
-    if right < first.agreement + GAIN:
+    if right < first.agreement + SECOND_BORDER_GAIN:
         return first
     second = dataclasses.replace(second, agreement=right)
     return dataclasses.replace(first, also=second)

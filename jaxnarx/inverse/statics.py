@@ -9,9 +9,9 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.models import Network, respond
 from jaxnarx.regressors import Variables, realise
 
-STEPS = 12
+NEWTON_STEPS = 12
 """Newton steps to the equilibrium; quadratic convergence needs about six."""
-CLOSE = 1e-6
+EQUILIBRIUM_TOLERANCE = 1e-6
 """What may be missing at an equilibrium, scaled."""
 
 
@@ -59,9 +59,9 @@ class Statics(eqx.Module):
             return jnp.clip(moved, network.lower, network.upper)
 
         held = jax.lax.stop_gradient(signals)
-        y = jax.lax.fori_loop(0, STEPS, step, held[own] / network.gain[own])
+        y = jax.lax.fori_loop(0, NEWTON_STEPS, step, held[own] / network.gain[own])
         y = jax.lax.stop_gradient(y)
-        found = jnp.all(jnp.abs(self(y, held) - y) < CLOSE)
+        found = jnp.all(jnp.abs(self(y, held) - y) < EQUILIBRIUM_TOLERANCE)
         # One step more at the equilibrium carries the derivative of the implicit
         # function; the slope's own derivative meets a zero there.
         return newton(y, signals), found

@@ -17,7 +17,7 @@ from jaxnarx.models import Network
 from jaxnarx.settings import ActuatorLimits
 from jaxnarx.solution import RESULTS, Solution
 
-REST = 1e-3
+SETTLED_SHARE = 1e-3
 """Change over the last quarter of the settling time, as a share of the training range,
 below which an output has settled."""
 
@@ -157,7 +157,9 @@ def _value(
     rest = at - 1 - max(k for _, k in loop.wiring.source)
     moved = np.abs(y[:, rest] - y[:, rest - settle // 4]) / wide
     tail = np.abs(pulse[..., -max(settle // 4, 1) :]).sum(axis=-1)
-    died = (tail < REST * np.maximum(np.abs(pulse).sum(axis=-1), 1e-12)).all((1, 2))
+    died = (tail < SETTLED_SHARE * np.maximum(np.abs(pulse).sum(axis=-1), 1e-12)).all(
+        (1, 2)
+    )
     hertz = 0.5 / float(forward.sample_time)
     frequency = np.geomspace(hertz / settle, hertz, frequencies)
     instant = (np.arange(z.shape[1]) - at) * float(forward.sample_time)
@@ -171,7 +173,7 @@ def _value(
         gain=pulse.sum(axis=-1),
         frequency=frequency,
         response=np.einsum("pijt,ft->pfij", pulse, kernel),
-        settled=(moved < REST).all(axis=1) & died,
+        settled=(moved < SETTLED_SHARE).all(axis=1) & died,
         held=_at_limit(loop, z[:, rest]),
     )
 

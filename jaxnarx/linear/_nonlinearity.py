@@ -33,8 +33,8 @@ from jaxnarx.data import Channel, Dataset, match_channels
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.formatting import page
 from jaxnarx.linear._spectra import (
-    OVERLAP,
-    WINDOW,
+    OVERLAP_SHARE,
+    WINDOW_NAME,
     Spectra,
     default_segment,
     independent,
@@ -43,7 +43,7 @@ from jaxnarx.linear._spectra import (
 )
 from jaxnarx.linear.orders import output_place
 
-LEAKAGE = 0.01
+LEAKAGE_SHARE = 0.01
 """Share of the output's spectrum that is excused as leakage."""
 
 
@@ -95,7 +95,7 @@ def nonlinearity(
     inputs: Sequence[str] | None = None,
     output: str | None = None,
     segment: int | None = None,
-    leakage: float | int = LEAKAGE,
+    leakage: float | int = LEAKAGE_SHARE,
     level: float = 0.05,
 ) -> NonlinearityCheck:
     """Hold the spectrum that the linear response leaves against that of the noise.
@@ -156,9 +156,9 @@ def _check(
 def _still(noise: Dataset, data: Dataset, output: str | None, segment: int):
     """Spectrum of the output in records without motion, and its degrees of freedom."""
     noise, _ = match_channels(noise, data.channels)
-    step = segment - int(round(segment * OVERLAP))
+    step = segment - int(round(segment * OVERLAP_SHARE))
     place = output_place(noise, output)
-    x, taper = segment_transforms(noise, (), place, segment, step, WINDOW)
+    x, taper = segment_transforms(noise, (), place, segment, step, WINDOW_NAME)
     density = np.mean(np.abs(x[:, :, -1]) ** 2, axis=0)
     density *= 2 * data.sample_time / float(np.sum(taper**2))
     return density, 2 * independent(len(x), taper, step)

@@ -22,8 +22,8 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.orders import output_place
 
-WINDOW = "hann"
-OVERLAP = 0.5
+WINDOW_NAME = "hann"
+OVERLAP_SHARE = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ def spectra(
     inputs: str | Sequence[str] | None = None,
     output: str | None = None,
     segment: int | None = None,
-    overlap: float = OVERLAP,
-    window: str = WINDOW,
+    overlap: float = OVERLAP_SHARE,
+    window: str = WINDOW_NAME,
 ) -> Spectra:
     """Response from `inputs` (default: all) to `output`, with coherence.
 

@@ -104,7 +104,7 @@ def place(
     return eqx.tree_at(lambda n: [m.local.coefficient for m in n.models], network, new)
 
 
-FLOOR = 1e-4
+LEAST_ERROR_SHARE = 1e-4
 """Root mean square error, as a share of an output's gain, below which no window is
 undone: a start that is exact has no error to compare with."""
 
@@ -218,7 +218,7 @@ def _judge(
     Back means to the last good coefficients, and from there, should the next window
     fail as well, to those of the start.
     """
-    most = limits.growth**2 * jnp.maximum(mse_start, FLOOR**2)
+    most = limits.growth**2 * jnp.maximum(mse_start, LEAST_ERROR_SHARE**2)
     finite = jnp.all(jnp.isfinite(output.packed))
     undone = ~((mse <= most) & finite)
     again = _fresh(output.good, joint, limits.start)

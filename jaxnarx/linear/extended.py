@@ -17,7 +17,7 @@ from jaxtyping import Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, gains
 from jaxnarx.errors import SpecError
-from jaxnarx.linear.fit import WORST
+from jaxnarx.linear.fit import WORST_CONDITION
 from jaxnarx.linear.orders import output_place
 from jaxnarx.linear.triangle import factorise
 from jaxnarx.models import Network, assemble, global_model
@@ -94,7 +94,7 @@ def extended_least_squares(
         "samples": design.shape[1],
     }
     status, detail = found.status, ""
-    if found.condition > WORST:
+    if found.condition > WORST_CONDITION:
         status = RESULTS.unidentifiable
         names = [*value.terms, *(f"e[t-{k + 1}]" for k in range(residual_lags))]
         detail = "the data do not tell " + ", ".join(names[n] for n in found.weak)

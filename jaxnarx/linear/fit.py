@@ -88,7 +88,7 @@ def _mapped(structure: Structure, parameters, mean, spread):
     return value, slope
 
 
-WORST = 1 / np.sqrt(np.finfo(float).eps)
+WORST_CONDITION = 1 / np.sqrt(np.finfo(float).eps)
 """Condition of the unit-norm columns, or of the information, from which on parameters
 are not told apart."""
 
@@ -163,7 +163,7 @@ def _least_squares(data: Dataset, structure: Structure, output: int) -> Solution
         "steps": 0,
     }
     weak = ()
-    if fit.condition > WORST:
+    if fit.condition > WORST_CONDITION:
         names = structure.names(data.channels.input_names)
         weak = tuple(names[n] for n in fit.weak)
     figures = (fit.sse, table.samples, table.total)
@@ -234,7 +234,7 @@ def _physical(
     )
     condition = float(np.sqrt(value[-1] / value[0])) if keep.all() else float("inf")
     weak = ()
-    if condition > WORST:
+    if condition > WORST_CONDITION:
         names = structure.names(data.channels.input_names)
         weak = tuple(names[int(n)] for n in np.flatnonzero(np.abs(vector[:, 0]) > 0.2))
     model = _model(data, structure, output, theta, covariance)

@@ -15,7 +15,7 @@ from jaxnarx.settings import ARX
 
 CRITERIA = ("aic", "aicc", "mdl", "fpe", "unexplained")
 
-PERFECT = 1e-20
+ROUNDING_SHARE = 1e-20
 """Share of the output's sum of squares below which errors are rounding: without noise
 all structures that hold the true one fit alike, and the smallest is to win."""
 
@@ -126,7 +126,7 @@ def order_search(
     samples = table.samples
     parameters = na + nb.sum(axis=1)
     n = parameters + int(table.constant)
-    found = information(sse, n, samples, least=PERFECT * table.total)
+    found = information(sse, n, samples, least=ROUNDING_SHARE * table.total)
     return OrderSearch(
         na,
         nb,

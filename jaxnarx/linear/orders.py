@@ -24,7 +24,7 @@ from jaxnarx.linear.structure import by_input
 from jaxnarx.linear.triangle import Triangle, triangle
 from jaxnarx.solution import RESULTS, Solution
 
-LARGEST = 200_000
+MOST_STRUCTURES = 200_000
 """Structures of one search."""
 
 Lengths = Sequence[int] | Mapping[str, Sequence[int]]
@@ -223,10 +223,11 @@ class _Grid:
         if not used and grid.na == (0,):
             raise SpecError("there is no input, and na allows 0 only", field="na")
         count = grid.count()
-        if count > LARGEST:
+        if count > MOST_STRUCTURES:
             raise SpecError(
-                f"the grid has {count:,} structures, more than {LARGEST:,}; give "
-                "narrower ranges, or together=True for the same orders of all inputs",
+                f"the grid has {count:,} structures, more than {MOST_STRUCTURES:,}; "
+                "give narrower ranges, or together=True for the same orders of all "
+                "inputs",
                 field="nb",
             )
         return grid

@@ -36,7 +36,7 @@ from jaxnarx.linear.recursion import (
 from jaxnarx.linear.structure import Structure
 from jaxnarx.solution import RESULTS
 
-CUT = 1e-12
+LEAST_INFORMATION_SHARE = 1e-12
 """Directions of the initial states with less than this share of the information of the
 best known one are taken as known."""
 
@@ -161,5 +161,7 @@ def eliminate(
         return a
     size = np.sqrt(np.diagonal(c))
     unit = 1 / np.where(size > 0, size, 1.0)
-    scaled = np.linalg.pinv(c * np.outer(unit, unit), rcond=CUT, hermitian=True)
+    scaled = np.linalg.pinv(
+        c * np.outer(unit, unit), rcond=LEAST_INFORMATION_SHARE, hermitian=True
+    )
     return a - b @ (scaled * np.outer(unit, unit)) @ b.T

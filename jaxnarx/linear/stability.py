@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-INSIDE = 0.99
+LARGEST_RADIUS = 0.99
 """Where a root on the circle is put."""
 
 
@@ -19,14 +19,14 @@ def reflect_roots(polynomial: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"
     """The same, with every root outside the unit circle at its mirror image inside.
 
     1/(q-polynomial) then is stable, with the same amplitude at all frequencies but for
-    a factor. Roots within 1 % of the circle go to `INSIDE`.
+    a factor. Roots within 1 % of the circle go to `LARGEST_RADIUS`.
     """
-    if radius(polynomial) < INSIDE:
+    if radius(polynomial) < LARGEST_RADIUS:
         return polynomial
     roots = np.roots(np.trim_zeros(polynomial, "b"))
     size = np.abs(roots)
     inside = np.minimum(
-        np.where(size > 1, 1 / np.where(size > 0, size, 1), size), INSIDE
+        np.where(size > 1, 1 / np.where(size > 0, size, 1), size), LARGEST_RADIUS
     )
     moved = np.poly(roots / np.where(size > 0, size, 1) * inside).real
     return np.concatenate([moved, np.zeros(len(polynomial) - len(moved))])

@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float
 from jaxnarx.linear.stability import reflect_roots
 from jaxnarx.linear.structure import Polynomials, Structure
 
-LONG = 30
+LONG_ORDER = 30
 """Largest order of the long ARX model."""
-ROUNDS = 3
+REFILTERING_ROUNDS = 3
 """Rounds of Steiglitz and McBride."""
 
 Records = Float[np.ndarray, "records time"]
@@ -74,7 +74,7 @@ class _LongModel:
         inputs, one = u.shape[2], np.ones_like(y)
         most = valid.sum() // (8 * (1 + inputs))
         shortest = int(valid.sum(axis=1).max(initial=0)) // 4
-        order = max(1, min(LONG, 10 + 3 * structure.longest, int(most), shortest))
+        order = max(1, min(LONG_ORDER, 10 + 3 * structure.longest, int(most), shortest))
         columns: list[Column] = [(y, k) for k in range(1, order + 1)]
         for i in range(inputs):
             columns += [(u[:, :, i], structure.nk[i] + k) for k in range(order)]
@@ -136,7 +136,7 @@ def _output_errors(structure: Structure, u, y, valid, long: _LongModel):
         f = reflect_roots(np.asarray(arx.a))
         same = [(np.asarray(b), f) for b in arx.b]
         found += _with_noise(structure, u, y, valid, same)
-    for _ in range(ROUNDS):
+    for _ in range(REFILTERING_ROUNDS):
         pairs = _steiglitz_mcbride(structure, u, y, valid, pairs)
         found += _with_noise(structure, u, y, valid, pairs)
     return found
@@ -223,7 +223,7 @@ def _with_noise(structure: Structure, u, y, valid, pairs) -> list[Polynomials]:
 
 def _noise(structure: Structure, v: Records, valid):
     """C and D of v = C/D e, the innovations from a long autoregression of v."""
-    order = min(LONG, 10 + 3 * max(structure.nc, structure.nd), v.shape[1] // 8)
+    order = min(LONG_ORDER, 10 + 3 * max(structure.nc, structure.nd), v.shape[1] // 8)
     past: list[Column] = [(v, k) for k in range(1, max(order, 1) + 1)]
     theta = solve(v, past, valid)
     e = v - sum(t * _shift(x, lag) for t, (x, lag) in zip(theta, past, strict=True))

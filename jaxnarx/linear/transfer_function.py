@@ -10,7 +10,7 @@ from jaxnarx.data import Channel
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 
-EDGE = 1e-12
+ZERO_DENOMINATOR_SHARE = 1e-12
 """A denominator below this share of its coefficients' sum counts as zero at z = 1."""
 
 
@@ -76,7 +76,9 @@ class TransferFunction:
         Of an unstable function this is G(1) too, but nothing settles there.
         """
         top, bottom = float(self.numerator.sum()), float(self.denominator.sum())
-        if abs(bottom) <= EDGE * float(np.abs(self.denominator).sum()):
+        if abs(bottom) <= ZERO_DENOMINATOR_SHARE * float(
+            np.abs(self.denominator).sum()
+        ):
             return float(np.copysign(np.inf, top))
         return top / bottom
 

@@ -12,12 +12,12 @@ from jaxnarx.models._assemble import training_bounds as training_bounds
 from jaxnarx.models._combine_outputs import combine_outputs as combine_outputs
 from jaxnarx.models._combine_outputs import hidden_names as hidden_names
 from jaxnarx.models._total import total as total
-from jaxnarx.models.domain import FARTHEST as FARTHEST
+from jaxnarx.models.domain import LARGEST_INDEX as LARGEST_INDEX
 from jaxnarx.models.domain import LAYERS as LAYERS
 from jaxnarx.models.domain import Domain as Domain
 from jaxnarx.models.drop_channels import drop_outputs as drop_outputs
-from jaxnarx.models.error_model import GROWTH as GROWTH
-from jaxnarx.models.error_model import LEVELS as LEVELS
+from jaxnarx.models.error_model import GROWTH_EXPONENT as GROWTH_EXPONENT
+from jaxnarx.models.error_model import STORED_PROBABILITIES as STORED_PROBABILITIES
 from jaxnarx.models.error_model import ErrorModel as ErrorModel
 from jaxnarx.models.feedback import advance as advance
 from jaxnarx.models.feedback import collapse as collapse
@@ -56,7 +56,7 @@ from jaxnarx.models.network import MISSING as MISSING
 from jaxnarx.models.network import LocalModels as LocalModels
 from jaxnarx.models.network import Network as Network
 from jaxnarx.models.network import OutputModel as OutputModel
-from jaxnarx.models.observer import PRIOR as PRIOR
+from jaxnarx.models.observer import PRIOR_WEIGHT as PRIOR_WEIGHT
 from jaxnarx.models.observer import hidden_start as hidden_start
 from jaxnarx.models.observer import scales as scales
 from jaxnarx.models.observer import with_hidden_start as with_hidden_start
@@ -101,14 +101,14 @@ __all__ = [
     "Compact",
     "Domain",
     "ErrorModel",
-    "FARTHEST",
+    "LARGEST_INDEX",
     "FLAG",
-    "GROWTH",
+    "GROWTH_EXPONENT",
     "Gaps",
     "Gaussians",
     "HOLD",
     "LAYERS",
-    "LEVELS",
+    "STORED_PROBABILITIES",
     "LINEAR",
     "LocalModels",
     "LogSigmoids",
@@ -118,7 +118,7 @@ __all__ = [
     "OUTSIDE",
     "OUTSIDE_WORDS",
     "OutputModel",
-    "PRIOR",
+    "PRIOR_WEIGHT",
     "SigmoidTree",
     "StateForm",
     "VALIDITIES",

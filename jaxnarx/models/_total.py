@@ -16,7 +16,7 @@ from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.validity import SigmoidTree
 from jaxnarx.regressors import Variables
 
-SAME = "gain lower upper low high sample_time hold outside".split()
+COMMON_FIELDS = "gain lower upper low high sample_time hold outside".split()
 """Fields that networks which are added have in common: they are made of one dataset."""
 
 
@@ -74,7 +74,7 @@ class _Part(NamedTuple):
 
 def _require_fit(network: Network, first: Network) -> None:
     (model, *more), known = network.models, network.channels == first.channels
-    same = [_equal(getattr(network, f), getattr(first, f)) for f in SAME]
+    same = [_equal(getattr(network, f), getattr(first, f)) for f in COMMON_FIELDS]
     if more or not known or network.modelled != first.modelled or not all(same):
         raise SpecError(
             "networks that are added have one output and the same channels, sample "

@@ -30,9 +30,9 @@ from jaxnarx.arrays import map_blocks, twin
 from jaxnarx.regressors import Variables
 
 LAYERS = ("range", "rate", "joint", "distance")
-BLOCK = 256
+BLOCK_SAMPLES = 256
 """Samples whose distances to all points are held at a time."""
-FARTHEST = 1e6
+LARGEST_INDEX = 1e6
 """The largest value of a layer: a channel that was constant has no width to leave."""
 
 
@@ -86,7 +86,9 @@ class Domain(eqx.Module):
         `x` are the features and `step` the inputs' steps from the sample before, both
         in physical units.
         """
-        return map_blocks(lambda columns: self._layers(*columns), (x, step), BLOCK)
+        return map_blocks(
+            lambda columns: self._layers(*columns), (x, step), BLOCK_SAMPLES
+        )
 
     def _layers(self, x, step):
         value = x[: len(self.inputs)]
@@ -102,7 +104,7 @@ class Domain(eqx.Module):
         shares = self._by_input(unit * (self.whiten.T @ white))
         blamed = [alone, rate, shares, self._by_input(apart)]
         at = jnp.stack([jnp.argmax(one, axis=0) for one in blamed])
-        return jnp.minimum(values / self.border[:, None], FARTHEST).T, at.T
+        return jnp.minimum(values / self.border[:, None], LARGEST_INDEX).T, at.T
 
     def _apart(self, unit: Float[Array, "features time"]) -> Array:
         """Squared parts of the distance to the nearest point."""

@@ -22,9 +22,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.925, 0.95, 0.975, 0.99)
+STORED_PROBABILITIES = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.925, 0.95, 0.975, 0.99)
 """Probabilities of which a quantile is stored."""
-GROWTH = 3.0
+GROWTH_EXPONENT = 3.0
 """Exponent n of the index beyond the border: what nine in ten errors of 15 outputs of
 virtual engines kept to grew about so (`experiments/edge`)."""
 
@@ -33,7 +33,7 @@ class ErrorModel(eqx.Module):
     """Sizes of the errors of all outputs; see the module.
 
     `height` is f_j at the `knots`, which rise strictly, `constant` c in the logarithm
-    of the output's unit, `quantile` q_p for all `LEVELS`.
+    of the output's unit, `quantile` q_p for all `STORED_PROBABILITIES`.
     """
 
     knots: Float[Array, "outputs variables knots"]
@@ -49,8 +49,10 @@ class ErrorModel(eqx.Module):
         total = np.full(z.shape[1], float(np.asarray(self.constant)[output]))
         for k, h, value in zip(knots, height, z, strict=True):
             total += np.interp(value, k, h)
-        return np.exp(total) * np.maximum(z[-1], 1.0) ** GROWTH
+        return np.exp(total) * np.maximum(z[-1], 1.0) ** GROWTH_EXPONENT
 
     def reach(self, output: int, level: float) -> float:
         """q_p of one output; `level` is one of those stored, or between two."""
-        return float(np.interp(level, LEVELS, np.asarray(self.quantile)[output]))
+        return float(
+            np.interp(level, STORED_PROBABILITIES, np.asarray(self.quantile)[output])
+        )

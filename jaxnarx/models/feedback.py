@@ -29,7 +29,7 @@ from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.scheduling import scheduling_values
 from jaxnarx.regressors import Variables, evaluate
 
-WIDEST = 128
+MOST_COLLAPSED_MONOMIALS = 128
 """Feedback monomials up to which the collapsed loop is used; beyond, a step that
 evaluates the terms is no slower and needs less memory."""
 
@@ -66,7 +66,9 @@ def collapses(network: Network) -> bool:
     scheduled = any(fed_back(m.scheduling, network.signals) for m in network.models)
     count = len(fed_back(network.variables, network.signals))
     degree = max(m.local.factor.shape[1] for m in network.models)
-    return not scheduled and math.comb(count + degree, degree) <= WIDEST
+    return (
+        not scheduled and math.comb(count + degree, degree) <= MOST_COLLAPSED_MONOMIALS
+    )
 
 
 def _collapse_one(

@@ -48,13 +48,16 @@ from jaxnarx.models.missing import memory_of
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR
 
-WIDER = 0.02
+OUTPUT_MARGIN_SHARE = 0.02
 """Reported outputs may leave the training range by this share of it on either side."""
 
 
 @guard_arguments
 def hold_to_range(
-    network: Network, margin: float | int | None = WIDER, *, outside: str | None = None
+    network: Network,
+    margin: float | int | None = OUTPUT_MARGIN_SHARE,
+    *,
+    outside: str | None = None,
 ) -> Network:
     """The network with its inputs and reported outputs held to their trained ranges.
 

@@ -13,8 +13,8 @@ reported of it:
 
 Once an input has been missing for `invalid_after` samples in a row, or has not been
 there since the beginning of the run, the samples are `invalid` until all inputs are
-back. The default is the model's memory, at least `LEAST` samples: by then the outputs
-are at rest at the held inputs and know nothing of the engine.
+back. The default is the model's memory, at least `LEAST_HELD_SAMPLES` samples: by then
+the outputs are at rest at the held inputs and know nothing of the engine.
 """
 
 import dataclasses
@@ -30,16 +30,16 @@ from jaxtyping import Bool, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive
 from jaxnarx.data import Batch
-from jaxnarx.models.domain import FARTHEST
+from jaxnarx.models.domain import LARGEST_INDEX
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD
 from jaxnarx.regressors import Variables
 
-LEAST = 10
+LEAST_HELD_SAMPLES = 10
 """Samples for which held inputs are trusted at least."""
-ROUNDING = 1e-12
+ZERO_SIZE = 1e-12
 """Largest size of a channel that counts as zero throughout, in its unit."""
-HISTORIES = 10
+MEMORY_HISTORIES = 10
 """Memory of a network without a domain or filters, in samples of its history."""
 
 
@@ -88,7 +88,7 @@ def memory_of(network: Network) -> Any:
     samples = slowest / (step if isinstance(step, Tracer) else float(step))
     if network.domain is not None and slowest > 0:
         return samples
-    least = float(HISTORIES * max(network.history, 1))
+    least = float(MEMORY_HISTORIES * max(network.history, 1))
     if isinstance(samples, Tracer):
         return jnp.maximum(samples, least)
     return max(samples, least)
@@ -102,14 +102,14 @@ def trusted_samples(network: Network) -> int:
     """Samples in a row with an input missing from which outputs are invalid."""
     if network.invalid_after is not None:
         return network.invalid_after
-    return max(LEAST, math.ceil(memory_of(network)))
+    return max(LEAST_HELD_SAMPLES, math.ceil(memory_of(network)))
 
 
 def largest_sizes(network: Network) -> Float[np.ndarray, " signals"]:
     """Size from which a value of every signal is none, physical units."""
     ends = np.abs([np.asarray(network.low, float), np.asarray(network.high, float)])
     size = ends.max(axis=0)
-    return FARTHEST * np.where(size > ROUNDING, size, 1.0)
+    return LARGEST_INDEX * np.where(size > ZERO_SIZE, size, 1.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

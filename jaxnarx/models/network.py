@@ -43,9 +43,9 @@ Arrays = Array | np.ndarray
 MISSING = HOLD, NAN
 """What outputs are where an input is missing: those of the last finite input, or not a
 number."""
-FAR = 1e4
+UNBOUNDED_WIDTHS = 1e4
 """Feedback bounds of more trained widths than these are none to speak of."""
-SHOWN = 6
+SHOWN_TERMS = 6
 """Terms of a local model that `print` shows; `equations` has them all."""
 
 
@@ -192,9 +192,9 @@ class Network(eqx.Module):
             )
             for m in active:
                 where = _where(self.regions(o)[m]) if len(active) > 1 else ""
-                left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN
+                left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN_TERMS
                 more = f" + {count(left_out, 'term')} more" if left_out > 0 else ""
-                text = self._equation(o, m, "text", SHOWN)["text"]
+                text = self._equation(o, m, "text", SHOWN_TERMS)["text"]
                 lines.append(f"  {m + 1}{where}: {text}{more}")
         return "\n".join(lines)
 
@@ -208,7 +208,7 @@ class Network(eqx.Module):
             float(np.asarray(a)[s]) for a in (self.gain, self.low, self.high)
         )
         low, high = (float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper))
-        if high - low > FAR * (most - least) > 0:
+        if high - low > UNBOUNDED_WIDTHS * (most - least) > 0:
             return ""
         unit = f" {unit}" if (unit := self.computed[o].unit) else ""
         return f"{low:.4g} to {high:.4g}{unit}"

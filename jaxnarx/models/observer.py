@@ -25,12 +25,12 @@ from jaxnarx.models.feedback import depth
 from jaxnarx.models.network import Network
 from jaxnarx.models.record_run import run_record
 
-PRIOR = 1e-3
+PRIOR_WEIGHT = 1e-3
 """Weight of a hidden value's squared distance from the middle of its range."""
-STEPS = 15
+MOST_STEPS = 15
 """Steps of Levenberg-Marquardt, rejected ones with them."""
-DAMPING = 1e-3
-POINTS = 16
+FIRST_DAMPING = 1e-3
+FIRST_POINTS = 16
 """Points in the trained range that are looked at first."""
 
 
@@ -64,7 +64,7 @@ def hidden_start(
 
     def residual(s):
         e = (outputs(s)[1][:, :count] - measured[:, :count]) * weight
-        return jnp.concatenate([e.ravel(), jnp.sqrt(PRIOR) * s])
+        return jnp.concatenate([e.ravel(), jnp.sqrt(PRIOR_WEIGHT) * s])
 
     starts = spread_out(lags * network.hidden).astype(measured.dtype)
     losses = jax.lax.map(lambda s: jnp.sum(residual(s) ** 2), jnp.asarray(starts))
@@ -112,7 +112,7 @@ def spread_out(n: int) -> Float[np.ndarray, "points n"]:
     for _ in range(50):
         root = (1.0 + root) ** (1.0 / (n + 1))
     step = root ** -np.arange(1.0, n + 1)
-    return 4.0 * ((0.5 + np.arange(POINTS)[:, None] * step[None]) % 1.0) - 2.0
+    return 4.0 * ((0.5 + np.arange(FIRST_POINTS)[:, None] * step[None]) % 1.0) - 2.0
 
 
 def _least(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -135,8 +135,8 @@ def _least(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
         return jnp.where(lower, new, s), jnp.where(lower, other, r), damping
 
     def minimise(_, s):
-        start = s, residual(s), jnp.asarray(DAMPING, s.dtype)
-        return jax.lax.fori_loop(0, STEPS, step, start)[0]
+        start = s, residual(s), jnp.asarray(FIRST_DAMPING, s.dtype)
+        return jax.lax.fori_loop(0, MOST_STEPS, step, start)[0]
 
     def slope(s):
         return jax.grad(lambda s: 0.5 * jnp.sum(residual(s) ** 2))(s)

@@ -10,13 +10,13 @@ exported code) takes its words from here, so that none can differ from the model
 - the samples that a free run begins with (`history`, `window`).
 """
 
-from jaxnarx.models.domain import FARTHEST
+from jaxnarx.models.domain import LARGEST_INDEX
 from jaxnarx.models.limits import overshoot_rule
 from jaxnarx.models.missing import memory_of, trusted_samples
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD, NAN, OUTSIDE_WORDS
 
-SILENT = {
+SILENT_SENTENCES = {
     HOLD: "outputs are those of the held inputs",
     NAN: "outputs are NaN, while the states go on with held inputs",
 }
@@ -95,11 +95,12 @@ def describe_missing(network: Network, exported: str | None = None) -> str:
     where = ' in exported code and in runs with missing="hold"' * (exported is None)
     counted = " missing counts such samples in a row." * (exported is not None)
     return (
-        f"An input that is NaN, infinite, or {FARTHEST:,.0f} times as large as in "
+        f"An input that is NaN, infinite, or {LARGEST_INDEX:,.0f} times as large as in "
         f"training is missing:{where} its last value is held, before the first one the "
         f"middle of its trained range.{counted} The sample is extrapolated"
-        f"{exported or ''}, and {SILENT[policy]}. invalid is 1 from {count} samples in "
-        f"a row ({time}) on, and where an input has been missing since the start."
+        f"{exported or ''}, and {SILENT_SENTENCES[policy]}. invalid is 1 from {count} "
+        f"samples in a row ({time}) on, and where an input has been missing since the "
+        "start."
     )
 
 

@@ -46,7 +46,7 @@ from jaxnarx.models.network import (
     Network,
     OutputModel,
 )
-from jaxnarx.models.validate import LONGEST, require_consistent
+from jaxnarx.models.validate import LARGEST_LAG, require_consistent
 from jaxnarx.models.validity import VALIDITIES, Gaussians
 from jaxnarx.regressors import (
     Variables,
@@ -54,10 +54,10 @@ from jaxnarx.regressors import (
     filter_to_dict,
 )
 
-FORMAT = 10
+FORMAT_VERSION = 10
 """Newest format read."""
-WINDOW = "the window of hidden channels"
-AFTER = "the number of samples from which outputs are invalid"
+WINDOW_WORDS = "the window of hidden channels"
+AFTER_WORDS = "the number of samples from which outputs are invalid"
 
 
 def _header(network: Network, about: dict[str, Any] | None) -> dict[str, Any]:
@@ -342,10 +342,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         raise ModelFileError(
             f"{path}: its header cannot be read (format {version!r})", path=path
         )
-    if version > FORMAT:
+    if version > FORMAT_VERSION:
         raise ModelFileError(
             f"{path}: format {version!r}, written by jaxnarx {header.get('jaxnarx')}; "
-            f"this program reads formats up to {FORMAT}. Update jaxnarx.",
+            f"this program reads formats up to {FORMAT_VERSION}. Update jaxnarx.",
             path=path,
         )
     if not _has_its_digest(text, tensors):
@@ -371,7 +371,7 @@ def _whole(value: object, what: str) -> int:
 
 def _variables(entry: dict[str, Any], name: str, signals: int) -> Variables:
     table = tuple((int(s), int(d)) for s, d in entry[name])
-    if any(not 0 <= s < signals or not 0 <= d <= LONGEST for s, d in table):
+    if any(not 0 <= s < signals or not 0 <= d <= LARGEST_LAG for s, d in table):
         raise ValueError("a lagged variable points outside the channels, or too far")
     filters = entry.get(f"{name}_filters", ())
     return Variables(
@@ -434,10 +434,10 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
         hold=hold,
-        window=_whole(header["window"], WINDOW) if channels.hidden else 0,
+        window=_whole(header["window"], WINDOW_WORDS) if channels.hidden else 0,
         outside=_text(header.get("outside", _usual(hold))),
         nan=_text(header.get("nan", HOLD)),
-        invalid_after=None if after is None else _whole(after, AFTER),
+        invalid_after=None if after is None else _whole(after, AFTER_WORDS),
         domain=_domain(header, get),
         certificate=get(".certificate") if ".certificate" in tensors else None,
         errors=_errors(get) if ".errors.knots" in tensors else None,

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.models.domain import LAYERS, Domain
-from jaxnarx.models.error_model import LEVELS, ErrorModel
+from jaxnarx.models.error_model import STORED_PROBABILITIES, ErrorModel
 from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.regressors import require_sampled
 
-DEGREE = 8
+LARGEST_DEGREE = 8
 """Largest degree read; the recursion's tables grow without bound with it."""
-LONGEST = 10**6
+LARGEST_LAG = 10**6
 """Largest lag read [samples]."""
 
 
@@ -42,7 +42,7 @@ def require_consistent(network: Network) -> None:
         "a modelled output is not among the channels, or is twice",
     )
     _check_magnitudes(network)
-    _require(0 <= network.window <= LONGEST, "the window of hidden channels")
+    _require(0 <= network.window <= LARGEST_LAG, "the window of hidden channels")
     own = network.signals
     tables = [network.variables, *(m.scheduling for m in network.models)]
     _require(
@@ -73,7 +73,10 @@ def _check_errors(errors: ErrorModel, network: Network) -> None:
     )
     _require(errors.height.shape == shape, "heights of the errors")
     _require(errors.constant.shape == (outputs,), "sizes of the errors")
-    _require(errors.quantile.shape == (outputs, len(LEVELS)), "quantiles of the errors")
+    _require(
+        errors.quantile.shape == (outputs, len(STORED_PROBABILITIES)),
+        "quantiles of the errors",
+    )
     _require(np.all(np.diff(errors.knots) > 0), "knots of the errors do not rise")
     _require(
         np.all(np.asarray(errors.quantile) >= 0)
@@ -137,7 +140,7 @@ def _check_model(model: OutputModel, limit: int) -> None:
     )
     _require(local.index.shape[:1] == models, "local models and validities differ")
     _require(local.index.ndim == local.factor.ndim == 2, "a table of terms has no rows")
-    _require(1 <= local.factor.shape[1] <= DEGREE, "the degree of the terms")
+    _require(1 <= local.factor.shape[1] <= LARGEST_DEGREE, "the degree of the terms")
     for table, top in ((local.factor, limit), (local.index, len(local.factor))):
         entries = np.asarray(table)
         _require(

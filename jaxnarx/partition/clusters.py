@@ -16,11 +16,11 @@ from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import Lolimot, Placed, SigmoidTree
 
-ROUNDS = 10
+CLUSTER_ROUNDS = 10
 """Rounds of the search for clusters."""
 WIDTH_BAND = (0.5, 2.0)
 """Limits of a width that is moved, as multiples of its start."""
-NARROWEST = 0.1
+NARROWEST_SHARE = 0.1
 """Least extension of a cluster, as a share of one of as many equal boxes."""
 
 
@@ -61,7 +61,7 @@ def place(
     extension = jnp.full_like(centre, 1.0) * even
     if at == "clusters":
         centre, spread = clusters(z, weight, centre, active)
-        extension = jnp.maximum(jnp.sqrt(12.0) * spread, NARROWEST * even)
+        extension = jnp.maximum(jnp.sqrt(12.0) * spread, NARROWEST_SHARE * even)
     return Gaussians(centre, jnp.log(k_sigma * extension))
 
 
@@ -89,7 +89,7 @@ def clusters(
         own, there = shares(centre)
         return jnp.where(there, own @ z.T, centre)
 
-    centre = jax.lax.fori_loop(0, ROUNDS, move, centre)
+    centre = jax.lax.fori_loop(0, CLUSTER_ROUNDS, move, centre)
     own, _ = shares(centre)
     square = jnp.maximum(own @ z.T**2 - (own @ z.T) ** 2, 0.0)
     return centre, jnp.sqrt(square)

@@ -21,7 +21,7 @@ from jaxnarx.partition.local_terms import own_terms
 from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.settings import Given, Grid
 
-SHARPNESS = 5.0
+BORDER_SHARPNESS = 5.0
 """Steepness of log-sigmoids times the distance between borders: at the middle of a
 region its model weighs 0.85."""
 
@@ -134,7 +134,7 @@ def _log_sigmoids(training: TrainingRows, method: Grid) -> LogSigmoids:
     else:
         (border,) = _borders(training, method)
     apart = float(np.mean(np.diff(border))) if len(border) > 1 else 0.5
-    steepness = SHARPNESS / apart
+    steepness = BORDER_SHARPNESS / apart
     if method.steepness is not None:
         steepness = float(method.steepness * training.span[0])
     dtype = training.z.dtype

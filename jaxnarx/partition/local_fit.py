@@ -10,19 +10,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import ridge_solve
 
-TAU = 1e-8
+LEAST_NORM_SHARE = 1e-8
 """Candidates whose orthogonal part falls below this share of their own squared norm are
 passed over: normal equations hold no more digits."""
 
 
-TOGETHER = 2**16
+NUMBERS_AT_ONCE = 2**16
 """Numbers that several local models' weighted columns may have when they are treated at
 once: short loops cost more than their work, long columns more memory."""
 
 
 def at_once(p: Float[Array, "terms rows"], most: int) -> int:
     """The number of local models, `most` of them, to treat at once."""
-    return max(1, min(most, TOGETHER // p.size))
+    return max(1, min(most, NUMBERS_AT_ONCE // p.size))
 
 
 def local_fit(
@@ -86,7 +86,7 @@ def pick(
 
     def choose(n: Int[Array, ""], s):
         basis, d, b, used = s
-        free = ~used & (d > TAU)
+        free = ~used & (d > LEAST_NORM_SHARE)
         gain = jnp.where(free, b**2 / jnp.where(free, d, 1.0), -jnp.inf)
         if first is not None:
             gain = gain.at[first].set(jnp.where(n == 0, jnp.inf, gain[first]))

@@ -16,7 +16,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.models import Network, fed_back
 from jaxnarx.partition.stages import free_run_nrmse
 
-PASSES = 2
+CHOICE_PASSES = 2
 """How often every local model is looked at."""
 
 Own = Bool[np.ndarray, " models"]
@@ -91,7 +91,7 @@ def _choose(network: Network, data: Dataset, every: Own) -> tuple[Own, dict]:
     own, least = nobody, figures["network"]
     if figures["own"] < least:
         own, least = every, figures["own"]
-    for m in np.flatnonzero(every).tolist() * PASSES:
+    for m in np.flatnonzero(every).tolist() * CHOICE_PASSES:
         turned = own.copy()
         turned[m] = ~turned[m]
         if (now := error(turned)) < least:

@@ -34,14 +34,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays import ridge_solve
 from jaxnarx.partition.local_fit import local_fit
 
-STEEPNESS = 16.0
+USUAL_STEEPNESS = 16.0
 """Of a gate of smoothness one."""
-FLAT = 1e-6
+LEAST_CENTRE_DISTANCE = 1e-6
 """Least centre distance D, in units of the training range: data spread less along a
 direction do not tell its two sides apart."""
-TOLERANCE = 1e-4
+GATE_TOLERANCE = 1e-4
 """The search for a gate ends when a step lowers the loss by less than this share."""
-STIFFEST = 1e8
+LARGEST_DAMPING = 1e8
 """Damping at which it gives up."""
 
 
@@ -136,7 +136,7 @@ def steepness(
     direction: Float[Array, " dims"], leaf: Leaf, smoothness: Float[Array, ""]
 ) -> Float[Array, ""]:
     """Steepness of a gate across a unit direction."""
-    return STEEPNESS / (smoothness * extent(direction, leaf))
+    return USUAL_STEEPNESS / (smoothness * extent(direction, leaf))
 
 
 def argument(
@@ -156,7 +156,7 @@ def unit(direction: Float[Array, " dims"]) -> Float[Array, " dims"]:
 def extent(direction: Float[Array, " dims"], leaf: Leaf) -> Float[Array, ""]:
     """Distance D between the children's centres along a unit direction."""
     square = 3 * direction @ leaf.covariance @ direction
-    return jnp.sqrt(jnp.maximum(square, FLAT**2))
+    return jnp.sqrt(jnp.maximum(square, LEAST_CENTRE_DISTANCE**2))
 
 
 def divide(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Children:
@@ -186,7 +186,7 @@ def _sse(gate, phi, error, leaf: Leaf, rows: SplitRows) -> Float[Array, ""]:
     sse = jnp.sum(rows.weight * error**2)
     mass = jnp.sum(jnp.where(rows.weight[None] > 0, phi, 0.0), axis=1)
     allowed = jnp.all(mass >= rows.least) & jnp.isfinite(sse)
-    allowed &= extent(unit(gate[:-1]), leaf) > FLAT
+    allowed &= extent(unit(gate[:-1]), leaf) > LEAST_CENTRE_DISTANCE
     return jnp.where(allowed, sse, jnp.inf)
 
 
@@ -234,10 +234,10 @@ def search(
     def step(s: DirectionSearch) -> DirectionSearch:
         new = linearise(_damped_step(s.best, s.damping), leaf, rows)
         better = new.sse < s.best.sse
-        small = s.best.sse - new.sse < TOLERANCE * s.best.sse
+        small = s.best.sse - new.sse < GATE_TOLERANCE * s.best.sse
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, s.best)
         damping = jnp.where(better, s.damping / 10, s.damping * 4)
-        going = jnp.where(better, ~small, damping < STIFFEST)
+        going = jnp.where(better, ~small, damping < LARGEST_DAMPING)
         return DirectionSearch(best, damping, going, s.steps + 1)
 
     start = linearise(gate, leaf, rows)

@@ -31,7 +31,7 @@ from jaxnarx.arrays import (
 )
 from jaxnarx.refinement.problem import Problem
 
-TRIALS = 40
+IDLE_STEPS = 40
 """Steps of a solver without a new point, at most."""
 
 
@@ -189,7 +189,9 @@ class AnySolver(AbstractMethod):
 
         no = jnp.asarray(False)
         w, inner, _, moved, done = jax.lax.while_loop(
-            lambda c: ~c[3] & ~c[4] & (c[2] < TRIALS), trial, (s.w, s.inner, 0, no, no)
+            lambda c: ~c[3] & ~c[4] & (c[2] < IDLE_STEPS),
+            trial,
+            (s.w, s.inner, 0, no, no),
         )
         stalled = jnp.asarray(STALLED, s.status.dtype)
         return jax.lax.cond(

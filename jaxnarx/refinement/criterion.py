@@ -28,7 +28,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
 
-CLEAR = 1e-6
+LOGARITHM_EXPONENT = 1e-6
 """Exponents nearer to zero than this are the logarithm."""
 
 
@@ -54,7 +54,7 @@ class Criterion(eqx.Module):
         power, floor = self.power[lead], self.floor[lead]
         inside = jnp.maximum(y, floor)
         logarithm = jnp.log(inside)
-        bent = jnp.abs(power) > CLEAR
+        bent = jnp.abs(power) > LOGARITHM_EXPONENT
         safe = jnp.where(bent, power, 1.0)
         value = jnp.where(bent, jnp.expm1(safe * logarithm) / safe, logarithm)
         slope = jnp.exp((power - 1.0) * logarithm)
@@ -77,7 +77,7 @@ class Criterion(eqx.Module):
         beyond = jnp.maximum(x, 1.0)
         if self.loss == "huber":
             return 1.0 / beyond
-        small = x < CLEAR
+        small = x < LOGARITHM_EXPONENT
         return jnp.where(small, 1.0, jnp.tanh(x) / jnp.where(small, 1.0, x))
 
     def __call__(
@@ -111,7 +111,7 @@ class Criterion(eqx.Module):
         corner = self.corner[(None,) * (e.ndim - 1)]
         x = jnp.abs(e) / corner
         rho = self._rho(x)
-        near = x < CLEAR
+        near = x < LOGARITHM_EXPONENT
         return root * jnp.where(
             near, e, jnp.sign(e) * corner * jnp.sqrt(jnp.where(near, 1.0, rho))
         )

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.models import PRIOR, Network, depth, fed_back, scales
+from jaxnarx.models import PRIOR_WEIGHT, Network, depth, fed_back, scales
 from jaxnarx.refinement.training_data import TrainingData
 
 
@@ -93,7 +93,7 @@ def initial_conditions(
     each = weight.max(axis=1)
     square = scales(network, np)[1] ** 2
     unit = (each * square[None])[:, :count].max(axis=1, keepdims=True)
-    each[:, count:] = PRIOR * unit / square[None, count:]
+    each[:, count:] = PRIOR_WEIGHT * unit / square[None, count:]
     each[:, :count] *= measured
     each = each[:, None] * np.ones((1, depth(network), 1))
     at = start[:, None] - 1 - np.arange(depth(network))[None]

@@ -61,7 +61,7 @@ def _where(network: Network) -> list:
     return [leaf for output in _pieces(network) for leaf in output]
 
 
-EDGE = 1e-3
+LIMIT_MARGIN = 1e-3
 """Share of its range that a bounded parameter keeps from its limits: at a limit the
 slope vanishes and it could never leave."""
 
@@ -108,14 +108,14 @@ class Layout(eqx.Module):
         bounded = jnp.isfinite(self.low)
         low = jnp.where(bounded, self.low, 0.0)
         span = jnp.where(bounded, self.high - self.low, 1.0)
-        share = jnp.clip((p - low) / span, EDGE, 1 - EDGE)
+        share = jnp.clip((p - low) / span, LIMIT_MARGIN, 1 - LIMIT_MARGIN)
         share = jnp.where(bounded, share, 0.5)
         return jnp.where(bounded, jnp.log(share / (1 - share)), p)
 
     @program
     def wall(self) -> Float[Array, " params"]:
         """Largest useful magnitude of each coordinate: where a limit is EDGE away."""
-        edge = jnp.log((1 - EDGE) / EDGE)
+        edge = jnp.log((1 - LIMIT_MARGIN) / LIMIT_MARGIN)
         return jnp.where(jnp.isfinite(self.low), edge, jnp.inf).astype(self.low.dtype)
 
     def physical(self, u: Float[Array, " params"]) -> Float[Array, " params"]:

@@ -29,9 +29,9 @@ from jaxnarx.refinement.any_solver import (
 from jaxnarx.refinement.problem import Problem
 from jaxnarx.simulation import RunInputs, run
 
-UPDATES = 25
+UPDATES_PER_STEP = 25
 """Updates in one step of the stage, between two looks at the whole loss."""
-CLIP = 1.0
+LARGEST_GRADIENT = 1.0
 """Largest norm of a gradient, in scaled parameters."""
 
 
@@ -74,7 +74,7 @@ def clip_gradients(
     optimiser: optax.GradientTransformation,
 ) -> optax.GradientTransformation:
     """Bound the size of gradients. Made where it is used: two are never equal."""
-    return optax.chain(optax.clip_by_global_norm(CLIP), optimiser)
+    return optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optimiser)
 
 
 class Moments(eqx.Module):
@@ -117,7 +117,7 @@ class RandomWindows(AbstractMethod):
                 )
             return (w + step, moments), None
 
-        start, keys = (s.w, s.inner.optimiser), jax.random.split(now, UPDATES)
+        start, keys = (s.w, s.inner.optimiser), jax.random.split(now, UPDATES_PER_STEP)
         (w, moments), _ = jax.lax.scan(update, start, keys)
         return end_of_step(self.scaled, s, w, Moments(moments, key), s.done)
 

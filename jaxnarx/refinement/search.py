@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxnarx.arrays import (
-    NEVER,
+    UNREACHED_STEPS,
     Driver,
     Incumbents,
     Levenberg,
@@ -165,7 +165,7 @@ class Search:
         noisy = takes_windows(self.solver)
         rules = StoppingRules(
             -np.inf if noisy else self.method.tolerance,
-            self.method.patience if stage is self.last else NEVER,
+            self.method.patience if stage is self.last else UNREACHED_STEPS,
         )
         problem = self.problem(u, stage)
         driver = Driver(Levenberg(problem), self.validate, rules)

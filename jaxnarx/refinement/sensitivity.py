@@ -36,7 +36,7 @@ from jaxnarx.models import (
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.simulation import RunInputs
 
-SAMPLES = 4096
+BLOCK_SAMPLES = 4096
 """Samples per block over all records: the block's Jacobian then stays near the
 cache.
 """
@@ -200,7 +200,7 @@ def stream(
     """
     records, time, states = y.shape
     outputs, lags = len(network.models), depth(network)
-    blocks = -(-time // max(16, SAMPLES // records))
+    blocks = -(-time // max(16, BLOCK_SAMPLES // records))
     size = -(-time // blocks)
     past, own = seen_history(network, y, drive.measured, anchor)
 

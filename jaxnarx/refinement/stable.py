@@ -22,9 +22,9 @@ from jaxnarx.refinement._stability import attach_certificate, certificate
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 
-HALVINGS = 10
+MOST_HALVINGS = 10
 """Of the way back to the start."""
-STILL = 1e-6
+STILL_DEVIATION_SHARE = 1e-6
 """Standard deviation of a coefficient that stays, in shares of its size."""
 
 Refine = Callable[[Network, Network | None], Solution[Network]]
@@ -86,7 +86,7 @@ def _pull_towards(start: Network, end: Network) -> Network:
     if certificate(between(1.0)) is not None:
         return between(1.0)
     low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(MOST_HALVINGS):
         middle = 0.5 * (low + high)
         if certificate(between(middle)) is None:
             high = middle
@@ -109,7 +109,7 @@ def _only_feedback_still(network: Network) -> Network:
     models = []
     for own, model in zip(network.models, free.models, strict=True):
         value = jnp.abs(own.local.coefficient)
-        size = STILL * jnp.maximum(value, STILL)
+        size = STILL_DEVIATION_SHARE * jnp.maximum(value, STILL_DEVIATION_SHARE)
         still = jnp.where(_of_past(network, own), size, jnp.inf)
         models.append(eqx.tree_at(lambda m: m.local.coefficient, model, still))
     return dataclasses.replace(free, models=tuple(models))

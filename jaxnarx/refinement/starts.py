@@ -16,13 +16,13 @@ from jaxnarx.refinement.search import Search
 from jaxnarx.refinement.separable import solve_coefficients
 from jaxnarx.refinement.training_data import TrainingData
 
-REACH = 0.7
+PARTITION_DEVIATION = 0.7
 """Standard deviation of a random move of the partition, in solver coordinates."""
-JITTER = 0.3
+COEFFICIENT_DEVIATION = 0.3
 """... and of coefficients where there is no partition, as a share of their value."""
 FEEDBACK_FACTORS = (0.98, 0.95, 0.9, 0.8, 0.6, 0.3, 0.0)
 """Factors on the fed-back terms that are tried one after another."""
-EXTRA = 3
+EXTRA_STARTS = 3
 """Random starts in the last remedy."""
 
 
@@ -59,14 +59,16 @@ def random_start(
     bounded = np.isfinite(np.asarray(layout.low))
     wall = np.asarray(layout.wall())
     if bounded.any():
-        moved = u + np.where(bounded, REACH * rng.normal(size=u.size), 0.0)
+        moved = u + np.where(
+            bounded, PARTITION_DEVIATION * rng.normal(size=u.size), 0.0
+        )
         moved = np.clip(moved, -wall, wall).astype(u.dtype)
         if layout.base.hidden:
             # One step ahead begins at hidden values that nobody knows.
             return moved
         return one_step_least_squares(layout, task, moved)
     own = np.arange(u.size) < layout.parameters
-    factor = 1.0 + JITTER * rng.normal(size=u.size)
+    factor = 1.0 + COEFFICIENT_DEVIATION * rng.normal(size=u.size)
     return np.where(own, u * factor, u).astype(u.dtype)
 
 
@@ -109,5 +111,5 @@ def remedies(search: Search) -> Iterator[tuple[str, np.ndarray]]:
             yield f"feedback shrunk to {factor:g}", u
             break
     rng = np.random.default_rng(search.method.seed)
-    for n in range(0 if layout.base.hidden else EXTRA):
+    for n in range(0 if layout.base.hidden else EXTRA_STARTS):
         yield f"random start {n + 1}", random_start(layout, task, search.start, rng)

@@ -24,7 +24,7 @@ from jaxnarx.simulation import (
     window_anchors,
 )
 
-CONSTANT = 1e-12
+CONSTANT_SHARE = 1e-12
 """Standard deviation, as a share of the largest value, up to which an output rests."""
 
 
@@ -189,7 +189,7 @@ def require_motion(network: Network, task: TrainingData) -> None:
     for o, name in enumerate(network.computed_names):
         counted = np.asarray(task.drive.measured)[..., o][task.masks.scored[..., o]]
         # A constant's own standard deviation is a rounding error, not zero.
-        if counted.size and counted.std() <= CONSTANT * np.abs(counted).max():
+        if counted.size and counted.std() <= CONSTANT_SHARE * np.abs(counted).max():
             raise DataError(
                 f"{name} is constant over all samples that count; there is nothing to "
                 "refine: leave it out of the model or add records in which it moves",

@@ -16,9 +16,11 @@ from jaxnarx.regressors.filters import (
     Orthonormal,
 )
 
-_FORM = re.compile(r"^(?P<kind>lp|laguerre|kautz|basis)\((?P<inside>.*)\)$", re.DOTALL)
-_ARGUMENTS = {"lp": 1, "laguerre": 2, "kautz": 3, "basis": 2}
-FORMS = (
+_FORM_PATTERN = re.compile(
+    r"^(?P<kind>lp|laguerre|kautz|basis)\((?P<inside>.*)\)$", re.DOTALL
+)
+_ARGUMENT_COUNTS = {"lp": 1, "laguerre": 2, "kautz": 3, "basis": 2}
+WRITTEN_FORMS = (
     "'lp(name, 4 s)', 'laguerre(name, 4 s, 2)', 'kautz(name, 2 rad/s, 0.5, 1)' or "
     "'basis(name, -0.25 -1+2j 1/s, 3)'"
 )
@@ -55,12 +57,12 @@ def parse_filter(
     `names` are the known channels: one of them is found as it is written, otherwise
     blanks around it do not count. Numbers out of range raise `SpecError`.
     """
-    match = _FORM.match(text.strip())
+    match = _FORM_PATTERN.match(text.strip())
     if match is None:
         return None
     kind = match["kind"]
-    name, *numbers = match["inside"].rsplit(",", _ARGUMENTS[kind])
-    if len(numbers) != _ARGUMENTS[kind]:
+    name, *numbers = match["inside"].rsplit(",", _ARGUMENT_COUNTS[kind])
+    if len(numbers) != _ARGUMENT_COUNTS[kind]:
         return None
     try:
         filter_ = _read(kind, [n.strip() for n in numbers])
@@ -68,7 +70,7 @@ def parse_filter(
         raise
     except ValueError as error:
         raise SpecError(
-            f"{text!r} is not a filter; write {FORMS}", field="filters"
+            f"{text!r} is not a filter; write {WRITTEN_FORMS}", field="filters"
         ) from error
     return (name if name in names else name.strip()), filter_
 

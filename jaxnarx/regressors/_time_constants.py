@@ -14,10 +14,10 @@ from jaxnarx.regressors.filters import low_pass_bank
 from jaxnarx.regressors.pool import polynomial_pool
 from jaxnarx.regressors.rows import regression_rows
 
-GRID = 16
+GRID_SIZE = 16
 """Time constants that a search may choose from."""
 
-SWEEPS = 2
+EXCHANGE_SWEEPS = 2
 """How often every chosen one may be exchanged for a better one."""
 
 
@@ -48,7 +48,7 @@ def time_constants(
     known = data.channels.output_names
     require_known(output, known, "output")
     choice(method, ("step", "search"), "method")
-    most = GRID if method == "search" else 30
+    most = GRID_SIZE if method == "search" else 30
     if not 1 <= count <= most:
         raise SpecError(f"count must be 1 to {most}, got {count}", field="count")
     if not data.channels.inputs:
@@ -75,22 +75,25 @@ def _by_step(data: Dataset, output: str, count: int) -> list[float]:
 def _by_search(data: Dataset, output: str, count: int) -> list[float]:
     longest = max(len(r) for r in data) * data.sample_time
     top = max(longest / 4, 4 * data.sample_time)
-    grid = np.geomspace(data.sample_time, top, GRID)
+    grid = np.geomspace(data.sample_time, top, GRID_SIZE)
     table = _triangle(data, output, grid.tolist())
     inputs = len(data.channels.inputs)
     # columns: one, inputs, then by input the lags of the grid, last the output
     start = list(range(1 + inputs))
-    lags = [[1 + inputs + i * GRID + g for i in range(inputs)] for g in range(GRID)]
+    lags = [
+        [1 + inputs + i * GRID_SIZE + g for i in range(inputs)]
+        for g in range(GRID_SIZE)
+    ]
 
     def best(kept: list[int]) -> int:
         have = start + [c for g in kept for c in lags[g]]
-        errors = {g: _error(table, have + lags[g]) for g in range(GRID)}
+        errors = {g: _error(table, have + lags[g]) for g in range(GRID_SIZE)}
         return min(errors.keys() - set(kept), key=lambda g: errors[g])
 
     chosen: list[int] = []
     for _ in range(count):
         chosen.append(best(chosen))
-    for _ in range(SWEEPS):
+    for _ in range(EXCHANGE_SWEEPS):
         for n in range(count):
             chosen[n] = best(chosen[:n] + chosen[n + 1 :])
     return [float(grid[g]) for g in chosen]

@@ -27,13 +27,13 @@ from jaxnarx.data import Batch, Channels
 from jaxnarx.regressors.pool import evaluate
 from jaxnarx.regressors.variables import Variables
 
-FAR = 50.0
+FAR_DEVIATIONS = 50.0
 """Offset in standard deviations from which a channel is treated as far from zero: from
 there on greedy choices take products for their parts."""
-LOST = 1e-3
+LOST_SHARE = 1e-3
 """Share of an output's spread that rounding of its terms may reach."""
 
-CLOSE = 1e5
+CLOSE_ROUNDINGS = 1e5
 """Spread in rounding errors of the offset below which there is nothing to centre."""
 
 Row = tuple[int, ...]
@@ -191,7 +191,7 @@ class Centring:
         largest = np.max(np.abs(theta) * np.prod(of[factor], axis=1), initial=0.0)
         kind = np.finfo(theta.dtype)
         share = float(kind.eps * largest / max(size, kind.tiny))
-        if share <= LOST:
+        if share <= LOST_SHARE:
             return ""
         used = np.unique(factor)
         ratio = np.abs(self.shift[used]) / self.spread[used]
@@ -206,9 +206,12 @@ class Centring:
 def is_far(
     mean: Float[np.ndarray, " signals"], spread: Float[np.ndarray, " signals"]
 ) -> Bool[np.ndarray, " signals"]:
-    """Whether the mean is more than `FAR` spreads from zero, and these are no noise."""
+    """Whether the mean is more than `FAR_DEVIATIONS` spreads from zero, and these
+    are no noise."""
     size = np.abs(mean)
-    return (size > FAR * spread) & (spread > CLOSE * np.finfo(mean.dtype).eps * size)
+    return (size > FAR_DEVIATIONS * spread) & (
+        spread > CLOSE_ROUNDINGS * np.finfo(mean.dtype).eps * size
+    )
 
 
 def far_signals(batch: Batch) -> Bool[np.ndarray, " signals"]:

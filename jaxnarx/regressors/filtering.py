@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.regressors.filters import AbstractFilter, require_sampled
 
-BLOCK = 64
+BLOCK_SAMPLES = 64
 """Samples done at once by one matrix product; the time loop runs over such blocks."""
 
 _product = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
@@ -80,19 +80,21 @@ class FilterSystem(eqx.Module):
         contributes, so that the loop over time makes one step per block.
         """
         length = u.shape[0]
-        blocks = -(-length // BLOCK)
-        rows = jnp.pad(u, (0, blocks * BLOCK - length)).reshape(blocks, BLOCK)
+        blocks = -(-length // BLOCK_SAMPLES)
+        rows = jnp.pad(u, (0, blocks * BLOCK_SAMPLES - length)).reshape(
+            blocks, BLOCK_SAMPLES
+        )
         # reached[k] = A^k b and seen[k] = c A^(k+1)
         _, reached = jax.lax.scan(
-            lambda x, _: (_product(self.a, x), x), self.b, length=BLOCK
+            lambda x, _: (_product(self.a, x), x), self.b, length=BLOCK_SAMPLES
         )
         _, seen = jax.lax.scan(
             lambda x, _: (_product(x, self.a), x),
             _product(self.c, self.a),
-            length=BLOCK,
+            length=BLOCK_SAMPLES,
         )
-        whole = _power(self.a, BLOCK)
-        at = jnp.arange(BLOCK)
+        whole = _power(self.a, BLOCK_SAMPLES)
+        at = jnp.arange(BLOCK_SAMPLES)
         delay = at[:, None] - at[None]
         pulse = _product(reached, self.c)
         lower = jnp.where(delay >= 0, pulse[jnp.maximum(delay, 0)], 0.0)

@@ -28,7 +28,7 @@ from jaxnarx.errors import SpecError
 LARGEST_ORDER = 30
 """Functions a cascade may have; the state grows with them."""
 
-SLOWEST = 1e8
+SLOWEST_SAMPLES = 1e8
 """Time constant, in samples, beyond which a pole cannot be told from an integrator."""
 
 
@@ -286,15 +286,16 @@ def require_sampled(filters: Iterable[AbstractFilter | None], sample_time: float
                     f"{math.pi / sample_time:.6g} rad/s",
                     field="filters",
                 )
-            if -pole.real * sample_time * SLOWEST < 1:
+            if -pole.real * sample_time * SLOWEST_SAMPLES < 1:
                 raise SpecError(
                     f"{filter_} decays over {-1 / pole.real:.6g} s, more than "
-                    f"{SLOWEST:g} samples of {sample_time:g} s; use a shorter one",
+                    f"{SLOWEST_SAMPLES:g} samples of {sample_time:g} s; use a shorter "
+                    "one",
                     field="filters",
                 )
 
 
-_KINDS: dict[str, type[AbstractFilter]] = {
+_FILTER_KINDS: dict[str, type[AbstractFilter]] = {
     "low_pass": LowPass,
     "laguerre": Laguerre,
     "kautz": Kautz,
@@ -304,7 +305,7 @@ _KINDS: dict[str, type[AbstractFilter]] = {
 
 def filter_to_dict(filter_: AbstractFilter) -> dict[str, Any]:
     """Plain values for JSON; complex poles as pairs of real and imaginary part."""
-    (kind,) = (k for k, c in _KINDS.items() if c is type(filter_))
+    (kind,) = (k for k, c in _FILTER_KINDS.items() if c is type(filter_))
     out: dict[str, Any] = {"kind": kind}
     out |= dataclasses.asdict(filter_)  # type: ignore[call-overload]
     if isinstance(filter_, Orthonormal):
@@ -315,12 +316,12 @@ def filter_to_dict(filter_: AbstractFilter) -> dict[str, Any]:
 
 def filter_from_dict(values: dict[str, Any]) -> AbstractFilter:
     """The filter that `filter_to_dict` described; anything else is a `SpecError`."""
-    if not isinstance(values, dict) or values.get("kind") not in _KINDS:
+    if not isinstance(values, dict) or values.get("kind") not in _FILTER_KINDS:
         raise SpecError(
-            f"a filter must be one of {', '.join(_KINDS)}, got {values!r}",
+            f"a filter must be one of {', '.join(_FILTER_KINDS)}, got {values!r}",
             field="filters",
         )
-    kind = _KINDS[values["kind"]]
+    kind = _FILTER_KINDS[values["kind"]]
     settings = {k: v for k, v in values.items() if k != "kind"}
     known = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if set(settings) != known:

@@ -21,7 +21,7 @@ from jaxnarx.regressors.filters import AbstractFilter, LowPass, require_filter
 from jaxnarx.regressors.text import term_name, variable_names
 from jaxnarx.regressors.variables import Entry, Variables
 
-LARGEST = 5_000_000
+MOST_TERMS = 5_000_000
 """Terms a pool may hold; beyond that its index table alone takes over 100 MB."""
 
 Lags = Sequence[int] | Mapping[str, Sequence[int]]
@@ -221,10 +221,10 @@ def polynomial_pool(
             field="input_lags",
         )
     size = math.comb(len(rows) + degree, degree)
-    if size > LARGEST:
+    if size > MOST_TERMS:
         raise SpecError(
             f"{len(rows)} lagged variables at degree {degree} make {size:,} terms, "
-            f"more than {LARGEST:,}; use fewer lags or a lower degree",
+            f"more than {MOST_TERMS:,}; use fewer lags or a lower degree",
             field="degree",
         )
     factor = np.fromiter(

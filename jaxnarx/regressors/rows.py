@@ -14,7 +14,7 @@ from jaxnarx.regressors.centring import Centring, centring
 from jaxnarx.regressors.columns import row_columns
 from jaxnarx.regressors.variables import Variables
 
-MOST = 2
+SAMPLES_PER_ROW = 2
 """Samples for every usable row up to which a program serves all samples."""
 
 
@@ -114,7 +114,7 @@ def row_places(
     require_samples(data, counted, history=history, need=need)
     at = np.flatnonzero(np.any(counted, axis=2).reshape(-1))
     rows = len(at)
-    size = data.samples if data.samples <= MOST * rows else rows
+    size = data.samples if data.samples <= SAMPLES_PER_ROW * rows else rows
     at = np.pad(at, (0, 0 if exact else bucket(size) - rows), mode="edge")
     gain = gains(data) if gain is None else gain
     weight = batch.valid.reshape(-1, batch.valid.shape[-1])[at][:, targets].T

@@ -12,11 +12,13 @@ import numpy as np
 
 from jaxnarx.data import Channels
 from jaxnarx.errors import SpecError
-from jaxnarx.regressors._filter_text import FORMS, filter_text, parse_filter
+from jaxnarx.regressors._filter_text import WRITTEN_FORMS, filter_text, parse_filter
 from jaxnarx.regressors.filters import AbstractFilter
 from jaxnarx.regressors.variables import Entry, Variables
 
-_LAG = re.compile(r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$", re.DOTALL)
+_LAG_PATTERN = re.compile(
+    r"^(?P<name>.+)\[\s*t\s*(?:-\s*(?P<lag>\d{1,6})\s*)?\]$", re.DOTALL
+)
 
 
 def variable_name(
@@ -40,11 +42,11 @@ def parse_variable(channels: Channels, text: str) -> Entry:
     The exact name of a channel wins, whatever it looks like. Unknown names and other
     forms raise SpecError.
     """
-    match = _LAG.match(text.rstrip())
+    match = _LAG_PATTERN.match(text.rstrip())
     if match is None:
         raise SpecError(
             f"{text!r} is not a lagged variable; write 'name[t]' or 'name[t-3]', or of "
-            f"a filtered one {FORMS} in place of the name",
+            f"a filtered one {WRITTEN_FORMS} in place of the name",
             field="scheduling",
         )
     name, filter_ = match["name"], None
@@ -78,7 +80,7 @@ def term_name(variables: Sequence[str], factors: Sequence[int]) -> str:
     return "*".join(parts) or "1"
 
 
-_SPECIAL = {
+_LATEX_SPECIALS = {
     "\\": r"\backslash ",
     "_": r"\_",
     "%": r"\%",
@@ -96,7 +98,7 @@ _SPECIAL = {
 def latex_variable(name: str) -> str:
     """`speed[t-3]` as LaTeX mathematics, special characters escaped."""
     stem, _, time = name.rpartition("[")
-    escaped = "".join(_SPECIAL.get(c, c) for c in stem)
+    escaped = "".join(_LATEX_SPECIALS.get(c, c) for c in stem)
     return rf"\mathrm{{{escaped}}}({time.rstrip(']').strip()})"
 
 

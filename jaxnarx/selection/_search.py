@@ -46,13 +46,13 @@ from jaxnarx.selection.basis import (
 from jaxnarx.selection.path import PartialFHistory
 
 ENTERING, EXCHANGING, DONE = range(3)
-WORTH = 1e-9
+LEAST_EXCHANGE_GAIN = 1e-9
 """Share of the squared error an exchange must save ..."""
-FEIGNED = 1e-12
+ROUNDING_POWER_SHARE = 1e-12
 """... beside this share of the output's power, which rounding can feign."""
 
 
-TIE = 1e-10
+TIE_SHARE = 1e-10
 """Share by which the scores of equal columns may differ: their sums round apart."""
 
 
@@ -250,7 +250,7 @@ def _candidate(program: Program, lane: Lane, s: LaneState):
     usable &= _enough_left(program, lane, d)
     score = jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf)
     # Of copies the first, whatever rounding says; in a pool that is the simplest one.
-    best = jnp.argmax(score >= (1.0 - TIE) * jnp.max(score))
+    best = jnp.argmax(score >= (1.0 - TIE_SHARE) * jnp.max(score))
     found, asked = jnp.any(usable), jnp.asarray(False)
     if program.parents is not None:
         best = _awaited_product(s, usable, best)
@@ -371,7 +371,10 @@ def _best_exchange(program: Program, lane: Lane, s: LaneState, active):
     saved, term = swaps(basis, lane, usable, program.tau, program.parents)
     saved = jnp.where(_terms_that_stay(program, s), -jnp.inf, saved)
     slot = jnp.argmax(saved)
-    least = WORTH * squared_error(basis, lane) + FEIGNED * lane.power
+    least = (
+        LEAST_EXCHANGE_GAIN * squared_error(basis, lane)
+        + ROUNDING_POWER_SHARE * lane.power
+    )
     worth = active & (saved[slot] > least)
     return (
         dataclasses.replace(s, basis=leave(basis, slot, worth)),

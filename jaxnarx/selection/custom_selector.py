@@ -7,14 +7,14 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.regressors import Pool, Rows, evaluate
 from jaxnarx.settings import Selector
 
-LARGEST = 2**31
+MOST_BYTES = 2**31
 """Bytes that the columns of all candidate terms may take where all are formed."""
 
 
 def require_room(terms: int, rows: Rows, field: str, advice: str) -> None:
     """`SpecError` where the columns of so many candidate terms would be too large."""
     size = terms * rows.v.shape[1] * rows.v.dtype.itemsize
-    if size > LARGEST:
+    if size > MOST_BYTES:
         raise SpecError(
             f"{terms} candidate terms on {rows.v.shape[1]} rows are "
             f"{size / 2**30:.1f} GiB; {advice}",

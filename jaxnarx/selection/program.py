@@ -15,7 +15,7 @@ from jaxnarx.settings import Backward, ForwardOLS, StepwiseF
 
 Method = ForwardOLS | StepwiseF | Backward
 
-ROUNDS = 3
+ENTRY_ROUNDS = 3
 """Times that a stepwise search enters anew after exchanges changed the model."""
 
 
@@ -155,7 +155,7 @@ def plan(
         "stages": stages,
         "limits": np.asarray(limits),
         "keep": kept,
-        "rounds": np.asarray(ROUNDS if _enters_anew(method) else 0),
+        "rounds": np.asarray(ENTRY_ROUNDS if _enters_anew(method) else 0),
         "parents": parents,
     }
     arrays |= {name: np.asarray(x, dtype) for name, x in numbers.items()}

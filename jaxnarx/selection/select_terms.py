@@ -48,8 +48,8 @@ from jaxnarx.settings import (
 )
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
-COLLINEAR = "collinear with the chosen terms"
-ROOM = 8
+COLLINEAR_WORDS = "collinear with the chosen terms"
+ROOM_MULTIPLE = 8
 """Least squares of given terms are compiled for this many, twice, ... of them."""
 
 # Three programs rather than one: compiled together they take twice the memory.
@@ -312,7 +312,7 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
     own, back, target = rows.of_lanes(slice(lane, lane + 1)), None, None
     index, y = np.asarray(terms), own.y
     size = len(index)
-    room = -(-size // ROOM) * ROOM
+    room = -(-size // ROOM_MULTIPLE) * ROOM_MULTIPLE
     # What fills the room is not asked for and may not enter.
     filled = np.resize(np.arange(size), room)
     centre = own.centring(pool.variables)
@@ -405,7 +405,7 @@ def solution_of(
     value = selection_of(pool, rows, path)
     stats = figures_of(value, path)
     terms = np.flatnonzero(choice.collinear.any(axis=0)).tolist()
-    dropped = {pool.name(term): COLLINEAR for term in terms}
+    dropped = {pool.name(term): COLLINEAR_WORDS for term in terms}
     stats |= {"passed_over": passed_over | dropped, "candidates": len(pool)}
     if made.removes:
         stats |= {"f_level": made.f_level, "history": histories_of(pool, path)}

@@ -47,7 +47,7 @@ from jaxnarx.settings import SimulationError, SimulationOLS
 from jaxnarx.simulation import RunInputs, run
 from jaxnarx.solution import RESULTS
 
-HORIZONS = (10, 30, 100, 300)
+WINDOW_HORIZONS = (10, 30, 100, 300)
 """Windows of the first refinement, in samples."""
 
 
@@ -135,7 +135,7 @@ class _Rounds:
         """Coefficients after refinement on the free run, and how it ended."""
         network = self.network(terms, theta, self.slots)
         steps = SimulationError(
-            horizons=HORIZONS if first else (),
+            horizons=WINDOW_HORIZONS if first else (),
             max_steps=self.method.steps,
             window_steps=10,
         )

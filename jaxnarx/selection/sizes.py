@@ -15,9 +15,9 @@ from jaxnarx.selection.criteria import GREATER_IS_BETTER, criteria
 from jaxnarx.selection.selection import Selection
 from jaxnarx.simulation import Trajectories, predict, simulate
 
-MEASURED = ("one_step", "free_run")
+VALIDATION_CRITERIA = ("one_step", "free_run")
 """Criteria that need validation records."""
-ALIASES = {"mdl": "bic"}
+CRITERION_ALIASES = {"mdl": "bic"}
 
 
 def criteria_of(
@@ -91,8 +91,8 @@ def choose(
     `selection.head(size)` is the selection of that size.
     """
     place = _place(selection, output)
-    name = ALIASES.get(criterion, criterion)
-    if name in MEASURED:
+    name = CRITERION_ALIASES.get(criterion, criterion)
+    if name in VALIDATION_CRITERIA:
         if train is None or validation is None:
             raise SpecError(
                 f"criterion {criterion!r} needs `train` and `validation` records",
@@ -103,7 +103,7 @@ def choose(
     noise = _noise(selection, train, place) if name == "cp" else None
     table = criteria_of(selection, place, variance=noise)
     if name not in table:
-        known = [*table, *ALIASES, *MEASURED]
+        known = [*table, *CRITERION_ALIASES, *VALIDATION_CRITERIA]
         raise SpecError(
             f"unknown criterion {criterion!r}. {suggest(criterion, known)}",
             field="criterion",

@@ -11,7 +11,7 @@ from jaxnarx.selection.selection import Selection
 
 Numbers = Sequence[float | None] | np.ndarray
 
-STYLES = (
+COLUMN_STYLES = (
     (100, ".5f", 10),
     (1, ".6g", 13),
     (1, ".3g", 11),
@@ -68,7 +68,7 @@ def coefficient_lines(
     for name, row in zip(names, zip(err, value, error, t, p, strict=True), strict=True):
         cells = [
             format("-" if x is None else format(x * factor, style), f">{size}")
-            for x, (factor, style, size) in zip(row, STYLES, strict=True)
+            for x, (factor, style, size) in zip(row, COLUMN_STYLES, strict=True)
         ]
         lines.append(f"{name:{width}s} " + " ".join(cells))
     return lines

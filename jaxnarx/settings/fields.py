@@ -82,13 +82,13 @@ def _settings(kind: Any, *, eq: bool) -> Any:
     return _plainly_annotated(dataclasses.dataclass(frozen=True, eq=eq)(kind))
 
 
-_HELD: dict[type, dict[str, Any]] = {}
+_HELD_ANNOTATIONS: dict[type, dict[str, Any]] = {}
 """Annotations of classes of settings, with the rules that `help` does not show."""
 
 
 def _plainly_annotated(kind: Any) -> Any:
     """A class whose annotations are plain types, as people read them."""
-    _HELD[kind] = dict(vars(kind).get("__annotations__", {}))
+    _HELD_ANNOTATIONS[kind] = dict(vars(kind).get("__annotations__", {}))
     parts: tuple[Any, ...] = (kind, kind.__init__)
     for one in parts:
         one.__annotations__ = _hints_of(kind.__module__, one.__annotations__)
@@ -109,7 +109,7 @@ def fields_of(kind: type) -> dict[str, Any]:
     """The fields of a class of settings and what they may hold."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
-        own = _HELD.get(base) or vars(base).get("__annotations__") or {}
+        own = _HELD_ANNOTATIONS.get(base) or vars(base).get("__annotations__") or {}
         hints |= _hints_of(base.__module__, own, rules=True)
     return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 
@@ -170,7 +170,12 @@ def fits(hint: Any, value: Any) -> bool:
     return isinstance(hint, type) and isinstance(value, hint)
 
 
-_WORDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+_TYPE_WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+}
 
 
 def words(hint: Any) -> str:
@@ -190,7 +195,7 @@ def words(hint: Any) -> str:
     if origin is Mapping:
         return "a table by name"
     none = "none" if kind is type(None) else f"a {getattr(kind, '__name__', kind)}"
-    return _WORDS.get(kind, none)
+    return _TYPE_WORDS.get(kind, none)
 
 
 def _as_tuples(hint: Any, value: Any) -> Any:

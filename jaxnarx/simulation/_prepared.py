@@ -25,7 +25,7 @@ from jaxnarx.models import HOLD, Gaps, Network, driving, hold_missing
 from jaxnarx.simulation.masks import Masks, make_masks
 from jaxnarx.simulation.runs import RunInputs, drive_of, make_drive
 
-RATE = 1e-6
+SAMPLE_TIME_TOLERANCE = 1e-6
 """Share by which the sample time of data may differ from the network's."""
 
 
@@ -375,7 +375,7 @@ def require_finite(network: Network) -> None:
 
 def _require_same_sample_time(network: Network, found: float) -> None:
     for expected in np.unique(np.asarray(network.sample_time)).tolist():
-        if abs(found - expected) > RATE * expected:
+        if abs(found - expected) > SAMPLE_TIME_TOLERANCE * expected:
             raise SpecError(
                 f"the model was identified at a sample time of {expected:g} s, the "
                 f"data have {found:g} s; resample the data",

@@ -9,7 +9,7 @@ from jaxnarx.arrays import program
 from jaxnarx.models import Network, depth, hidden_start, with_hidden_start
 from jaxnarx.simulation.runs import RunInputs
 
-BATCH = 256
+WINDOWS_AT_ONCE = 256
 """Windows estimated together."""
 
 
@@ -59,7 +59,7 @@ def _observe(
             return hidden_start(network, v, x, measured, known, end - network.window)[1]
 
         ends = 1 + jnp.arange(time)
-        hidden = jax.lax.map(at, ends, batch_size=min(BATCH, time))
+        hidden = jax.lax.map(at, ends, batch_size=min(WINDOWS_AT_ONCE, time))
         early = ends - network.window < depth(network)
         return measured.at[:, count:].set(jnp.where(early[:, None], 0.0, hidden))
 

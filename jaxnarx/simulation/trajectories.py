@@ -12,7 +12,7 @@ from jaxnarx.formatting import align_columns, brief, page, some
 from jaxnarx.models import NAN, Network, report_outputs
 from jaxnarx.simulation.masks import tables
 
-SHARE = 0.05
+DIVERGED_SHARE = 0.05
 """A record whose limited samples exceed this share has diverged ..."""
 
 
@@ -99,7 +99,7 @@ def has_diverged(
     counted = xp.ones_like(held) if counted is None else counted
     held = held & counted
     count, total = held.sum(axis=-1), counted.sum(axis=-1)
-    bad = count.astype(float) > SHARE * total.astype(float)
+    bad = count.astype(float) > DIVERGED_SHARE * total.astype(float)
     if held.shape[-1] < IN_A_ROW:
         return bad
     so_far = xp.cumsum(held, axis=-1)

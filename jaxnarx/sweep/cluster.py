@@ -12,12 +12,12 @@ from distributed import CancelledError, Client, Future, KilledWorker
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.sweep.folder.claims import Claims
 from jaxnarx.sweep.folder.run_folder import RunFolder
-from jaxnarx.sweep.loop import PAUSE
+from jaxnarx.sweep.loop import PAUSE_SECONDS
 from jaxnarx.sweep.precision import is_float64, number_type
 from jaxnarx.sweep.rows import Row, compute_rows
 from jaxnarx.sweep.work import Work
 
-AHEAD = 2
+CHUNKS_PER_THREAD = 2
 """Chunks in flight for every thread of the cluster."""
 
 Part = tuple[int, Sequence[int]]
@@ -49,7 +49,7 @@ def compute_on_cluster(
                     run.write(number, rows)
                     claims.release(number)
                 if not finished:
-                    time.sleep(PAUSE)
+                    time.sleep(PAUSE_SECONDS)
                 tell()
         finally:
             crew.dismiss()
@@ -106,7 +106,7 @@ class _Crew:
     def is_full(self) -> bool:
         """Whether every thread of the cluster has enough to do, or a trial is on."""
         threads = sum(threads_of(self.client).values())
-        busy = len(self.tasks) >= AHEAD * max(threads, 1)
+        busy = len(self.tasks) >= CHUNKS_PER_THREAD * max(threads, 1)
         return busy or self.on_trial or bool(self.suspects)
 
     def submit(self, number: int, members: Sequence[int]) -> None:

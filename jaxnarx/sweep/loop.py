@@ -8,7 +8,7 @@ from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.rows import compute_rows
 from jaxnarx.sweep.work import Work
 
-PAUSE = 0.2
+PAUSE_SECONDS = 0.2
 """Seconds between two looks at a folder whose open chunks others compute."""
 
 
@@ -37,5 +37,5 @@ def work_through(run: RunFolder, work: Work, tell: Callable[[], None]) -> None:
                     claims.release(number)
                 tell()
             if not took:
-                time.sleep(PAUSE)
+                time.sleep(PAUSE_SECONDS)
                 tell()

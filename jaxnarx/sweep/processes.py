@@ -22,11 +22,11 @@ from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.precision import is_float64
 from jaxnarx.sweep.work import Work
 
-SILENT = logging.CRITICAL + 1
+SILENT_LEVEL = logging.CRITICAL + 1
 """What dask would log is told by this package, or does not matter."""
 
-_WAIT = {"distributed.deploy.lost-worker-timeout": "1 day"}
-_SETTINGS = {
+_WAIT_SETTINGS = {"distributed.deploy.lost-worker-timeout": "1 day"}
+_SCHEDULER_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.no-workers-timeout": "5 minutes",
     "distributed.scheduler.worker-ttl": None,  # a compilation may keep Python waiting
@@ -48,7 +48,7 @@ def compute_in_processes(
     """
     with (
         _environment(_child_environment()),
-        silence_logging_cmgr(SILENT),
+        silence_logging_cmgr(SILENT_LEVEL),
         _cluster(workers) as client,
     ):
         crew = set(threads_of(client))
@@ -71,8 +71,8 @@ def _cluster(workers: int) -> Iterator[Client]:
     successor however long it takes to start."""
     with contextlib.ExitStack() as stack:
         # This dask reads when a process is lost, the others when the cluster begins.
-        stack.enter_context(dask.config.set(_WAIT))
-        with _deaf(), dask.config.set(_SETTINGS):
+        stack.enter_context(dask.config.set(_WAIT_SETTINGS))
+        with _deaf(), dask.config.set(_SCHEDULER_SETTINGS):
             cluster = _start_cluster(workers)
             stack.callback(_end, cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
@@ -89,7 +89,7 @@ def _start_cluster(workers: int) -> LocalCluster:
             scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # the system's own
             security=True,
-            silence_logs=SILENT,
+            silence_logs=SILENT_LEVEL,
             plugins=(_Place(_cores()),),
         )
     except RuntimeError as error:

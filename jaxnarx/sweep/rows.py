@@ -8,10 +8,10 @@ from jaxnarx.errors import SpecError
 from jaxnarx.sweep.work import Work
 
 Row = dict[str, Any]
-LEAD = ("status", "message", "seconds")
+LEADING_COLUMNS = ("status", "message", "seconds")
 """Columns between the labels and the scores."""
 
-LONGEST = 500
+LONGEST_MESSAGE = 500
 """Characters of an error message that a row keeps."""
 
 
@@ -50,7 +50,7 @@ def compute_rows(
     share = (time.perf_counter() - begin) / max(len(indices), 1)
     _require_apart(found, labels)
     return [
-        {"index": i, **label, **dict.fromkeys(LEAD), "seconds": share, **row}
+        {"index": i, **label, **dict.fromkeys(LEADING_COLUMNS), "seconds": share, **row}
         for i, label, row in zip(indices, labels, found, strict=True)
     ], size
 
@@ -65,7 +65,7 @@ def _attempt(work: Work, piece: Sequence[int]) -> tuple[list[Row] | None, str]:
     try:
         rows = work.run(piece)
     except Exception as error:
-        return None, f"{type(error).__name__}: {error}"[:LONGEST]
+        return None, f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]
     if len(rows) != len(piece) or any("status" not in row for row in rows):
         raise SpecError(
             f"work.run must return a row with a status for each of {len(piece)} "

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from oracles import full_pool, term_matrix
 
-from jaxnarx.arrays.contraction import BLOCK, LANES, contract, plan, positions
+from jaxnarx.arrays.contraction import (
+    BLOCK_SAMPLES,
+    WIDTH_MULTIPLE,
+    contract,
+    plan,
+    positions,
+)
 
 compiled = jax.jit(contract, static_argnames=("degree", "squared"))
 
@@ -41,9 +47,9 @@ def assert_products(found, v, q, factor, *, eps=2.2e-16):
 # rounded width, and enough of them for one, two and many groups. At degree 4 the right
 # side holds pairs: 3, 15, 36 and 66.
 SIZES = [
-    *((1, n) for n in (1, LANES - 1, LANES)),
-    *((2, n) for n in (1, LANES - 1, LANES, 3 * LANES)),
-    *((3, n) for n in (1, LANES - 1, LANES, 27)),
+    *((1, n) for n in (1, WIDTH_MULTIPLE - 1, WIDTH_MULTIPLE)),
+    *((2, n) for n in (1, WIDTH_MULTIPLE - 1, WIDTH_MULTIPLE, 3 * WIDTH_MULTIPLE)),
+    *((3, n) for n in (1, WIDTH_MULTIPLE - 1, WIDTH_MULTIPLE, 27)),
     *((4, n) for n in (1, 4, 7, 10)),
 ]
 
@@ -58,7 +64,10 @@ def test_equals_the_formed_pool(degree, variables):
     )
 
 
-@pytest.mark.parametrize("time", [1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK, 1100])
+@pytest.mark.parametrize(
+    "time",
+    [1, BLOCK_SAMPLES - 1, BLOCK_SAMPLES, BLOCK_SAMPLES + 1, 2 * BLOCK_SAMPLES, 1100],
+)
 @pytest.mark.parametrize("degree", [3, 4])
 def test_every_remainder_of_a_block_counts_once(time, degree):
     v, q = problem(3, time)
@@ -69,7 +78,7 @@ def test_every_remainder_of_a_block_counts_once(time, degree):
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_several_vectors_are_each_alone(degree):
-    v, q = problem(5, BLOCK + 8, vectors=3)
+    v, q = problem(5, BLOCK_SAMPLES + 8, vectors=3)
     together = np.asarray(compiled(v, q, degree=degree))
     factor = full_pool(5, degree)
     assert_products(np.asarray(together)[:, positions(factor, 6)], v, q, factor)
@@ -91,7 +100,7 @@ def test_a_zero_in_the_vector_removes_the_sample_whatever_it_holds():
     )
 
 
-@pytest.mark.parametrize("time", [40, BLOCK + 8])
+@pytest.mark.parametrize("time", [40, BLOCK_SAMPLES + 8])
 def test_squared_is_the_contraction_of_the_squares(time):
     v, q = problem(4, time)
     factor = full_pool(4, 3)
@@ -101,7 +110,7 @@ def test_squared_is_the_contraction_of_the_squares(time):
 
 @pytest.mark.parametrize("squared", [False, True])
 def test_no_copy_of_the_variables_is_made(squared):
-    v, q = (np.zeros((n, 64 * BLOCK)) for n in (10, 1))
+    v, q = (np.zeros((n, 64 * BLOCK_SAMPLES)) for n in (10, 1))
     lowered = compiled.lower(v, q, degree=3, squared=squared)
     memory = lowered.compile().memory_analysis()
     assert memory is not None
@@ -120,7 +129,7 @@ def test_vmap_over_data_is_a_loop():
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 def test_float32_stays_float32(degree):
-    v, q = (a.astype(np.float32) for a in problem(3, BLOCK + 5))
+    v, q = (a.astype(np.float32) for a in problem(3, BLOCK_SAMPLES + 5))
     found = compiled(v, q, degree=degree)
     assert found.dtype == jnp.float32
     factor = full_pool(3, degree)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.arrays import gram, ridge_solve
-from jaxnarx.arrays.normal_equations import WIDE
+from jaxnarx.arrays.normal_equations import PANEL_COLUMNS
 
 in_program = jax.jit(ridge_solve)
 
@@ -17,7 +17,9 @@ def equations(seed=0, terms=4):
     return p @ p.T, p @ random.normal(size=60)
 
 
-@pytest.mark.parametrize("columns", [3, WIDE - 1, WIDE, WIDE + 1])
+@pytest.mark.parametrize(
+    "columns", [3, PANEL_COLUMNS - 1, PANEL_COLUMNS, PANEL_COLUMNS + 1]
+)
 def test_products(columns):
     a = np.random.default_rng(columns).normal(size=(40, columns))
     found = np.asarray(jax.jit(gram)(a))

@@ -14,9 +14,9 @@ def system(tmp_path, monkeypatch):
     maps, most = tmp_path / "maps", tmp_path / "max_map_count"
     maps.write_text("one\n")
     most.write_text("10\n")
-    monkeypatch.setattr(programs, "MAPS", maps)
+    monkeypatch.setattr(programs, "MEMORY_MAP_FILES", maps)
     monkeypatch.setattr(programs, "MOST_MAPS", most)
-    monkeypatch.setattr(programs, "LOOK", 1)
+    monkeypatch.setattr(programs, "PROGRAMS_BETWEEN_CHECKS", 1)
     return maps
 
 

@@ -117,7 +117,7 @@ def test_a_cell_far_away_is_refused(tmp_path, place):
 def test_cells_are_counted_across_pieces_of_a_sheet(tmp_path, monkeypatch):
     path = workbook(tmp_path / "a.xlsx", *(f"{c}{r}" for c in "AC" for r in (1, 7)))
     for size in (10, 64, 1000):
-        monkeypatch.setattr("jaxnarx.data.readers.spreadsheet_size._CHUNK", size)
+        monkeypatch.setattr("jaxnarx.data.readers.spreadsheet_size._CHUNK_BYTES", size)
         assert count_cells(path) == 3 * 7
 
 
@@ -138,7 +138,7 @@ def test_repeated_cells_of_opendocument_are_counted(tmp_path, monkeypatch):
         text = row % (200_000, filled) + row % (1_048_576, empty)
         archive.writestr("content.xml", text)
     for size in (10, 1 << 20):
-        monkeypatch.setattr("jaxnarx.data.readers.spreadsheet_size._CHUNK", size)
+        monkeypatch.setattr("jaxnarx.data.readers.spreadsheet_size._CHUNK_BYTES", size)
         assert count_cells(path) == 200_000 * 50
     refused(path, "far more")
 

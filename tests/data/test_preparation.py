@@ -26,7 +26,7 @@ from jaxnarx.data import (
     prepare,
 )
 from jaxnarx.data.preparation.cleaning import outliers
-from jaxnarx.data.preparation.codec import KINDS
+from jaxnarx.data.preparation.codec import STEP_KINDS
 from jaxnarx.errors import DataError, SpecError
 
 STEPS = [
@@ -114,7 +114,7 @@ def test_a_fitted_step_survives_json(step, data):
     table = json.loads(json.dumps(fitted.to_dict(), allow_nan=False))
     whole = Preparation((fitted,), data.channels, data.sample_time)
     read = Preparation.from_dict(json.loads(json.dumps(whole.to_dict())))
-    assert KINDS[table["kind"]] is type(fitted)
+    assert STEP_KINDS[table["kind"]] is type(fitted)
     assert read == whole
     same(read.apply(data), fitted.apply(data))
     assert fitted.describe() == read.steps[0].describe()

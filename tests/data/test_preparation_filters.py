@@ -17,7 +17,7 @@ from jaxnarx.data import (
     prepare,
 )
 from jaxnarx.data.preparation.crank_angle import crank_angles, event_times
-from jaxnarx.data.preparation.resample import LEAST, on_grid, sinc
+from jaxnarx.data.preparation.resample import LEAST_SAMPLES, on_grid, sinc
 from jaxnarx.data.preparation.step import bridge_gaps
 from jaxnarx.errors import DataError, SpecError
 
@@ -120,7 +120,7 @@ def test_decimation_keeps_slow_signals_and_removes_fast_ones(factor):
     record, rows = done.records[0], np.arange(0, 2001, factor)
     assert done.sample_time == pytest.approx(factor * STEP, rel=1e-12)
     assert len(record) == len(rows)
-    middle = slice(2 * LEAST, -2 * LEAST)
+    middle = slice(2 * LEAST_SAMPLES, -2 * LEAST_SAMPLES)
     expected = data.records[0].y[rows][middle, 0]
     np.testing.assert_allclose(record.y[middle, 0], expected, atol=1 / 300)
     assert np.abs(record.y[middle, 1]).max() < 1 / 300

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset, read_split
-from jaxnarx.data.repeated_cycles import STILL, cycles
+from jaxnarx.data.repeated_cycles import STILL_VARIANCE, cycles
 
 
 def staircase(rng: np.random.Generator, rows: int, inputs: int = 2, hold: int = 20):
@@ -42,7 +42,7 @@ def likeness(a: np.ndarray, b: np.ndarray, lag: int) -> float:
     """The formula of the module's docstring over the overlap, sample by sample."""
     pairs = [(a[t], b[t - lag]) for t in range(len(a)) if 0 <= t - lag < len(b)]
     x, y = (np.array(side) for side in zip(*pairs, strict=True))
-    still = STILL * len(x)
+    still = STILL_VARIANCE * len(x)
     top, bottom = still * min(len(a), len(b)) / max(len(a), len(b)), still
     for i in range(a.shape[1]):
         p, q = x[:, i] - x[:, i].mean(), y[:, i] - y[:, i].mean()

@@ -6,7 +6,7 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import Dataset
-from jaxnarx.design._plan import HOLDS, REFUSED
+from jaxnarx.design._plan import HOLD_MEMORIES, REFUSED_SHARE
 from jaxnarx.design.limits import limits_for
 from jaxnarx.design.stretches import Space, stretches
 from jaxnarx.design.views import information_gain
@@ -89,7 +89,7 @@ def test_no_limit_is_broken(known, found):
 
 def test_how_much_limits_of_outputs_refuse_is_told(known, found):
     tight = made(known, limits={"temp": (-0.25, 0.3)})
-    assert 0 < found.stats["refused"] < REFUSED < tight.stats["refused"]
+    assert 0 < found.stats["refused"] < REFUSED_SHARE < tight.stats["refused"]
     assert "limits of outputs refuse" in tight.detail
     assert "refuse" not in found.detail
 
@@ -122,7 +122,7 @@ def test_it_tells_more_than_random_stretches(known, found):
     )
     length = round(DURATION / TIME)
     rng = np.random.default_rng(2)
-    shortest, longest = (max(1, round(h * memory_of(known))) for h in HOLDS)
+    shortest, longest = (max(1, round(h * memory_of(known))) for h in HOLD_MEMORIES)
     hold = shortest, longest
     drawn = stretches(rng, space, free.value.inputs[0], 41, length, hold)
     worth = np.array([log_det(u) for u in drawn[1:]])

@@ -52,7 +52,8 @@ def silent(run):
 
 
 def test_it_is_in_text_json_and_page(register, tmp_path):
-    register(largest), register(broken), register(silent)
+    for analysis in (largest, broken, silent):
+        register(analysis)
     network, records = fitted("tiny", "global").value, data()
     found = jnx.report(network, records, stability=False, diagnostics=False)
     assert list(found.sections) == ["largest", "broken"]

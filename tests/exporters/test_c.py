@@ -14,7 +14,7 @@ import pytest
 
 from jaxnarx.exporters import Instance, lower
 from jaxnarx.exporters.c99 import sources
-from jaxnarx.exporters.compilers import WARNINGS, compilers
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.interpret import STARTS
 from jaxnarx.models import Network
 
@@ -43,7 +43,7 @@ class Compiled:
 
     def __init__(self, net: Network, place: Path) -> None:
         source = written(net, place)
-        words = [compilers()[0], *WARNINGS, "-fPIC", "-shared", source, "-lm"]
+        words = [compilers()[0], *WARNING_FLAGS, "-fPIC", "-shared", source, "-lm"]
         subprocess.run([*map(str, words), "-o", str(place / "m.so")], check=True)
         self.own = ctypes.CDLL(str(place / "m.so"))
         self.state, self.out = (ctypes.create_string_buffer(ROOM) for _ in range(2))

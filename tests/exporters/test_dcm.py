@@ -46,7 +46,7 @@ def bytes_of(files: Files, name: str = "m") -> bytes:
 
 def text_of(net, name: str = "m") -> str:
     """Its DCM file, without the maps' cost."""
-    axes = np.full((len(net.modelled), 2), maps.FREE)
+    axes = np.full((len(net.modelled), 2), maps.FREE_AXIS)
     bare = dataclasses.replace(lower(net, name), reported=())
     return bytes_of(dcm_files(bare, {"axes": axes[:0]}), name).decode("iso-8859-1")
 
@@ -296,7 +296,7 @@ def test_an_input_that_was_never_moved_is_no_axis():
     program = lower(dataclasses.replace(net, low=jax.device_put(low)), "m")
     found = maps.rest_maps(program, maps.axes_of(net, program))
     assert [[p.name for p in one.axes] for one in found] == [["a"], ["a"]]
-    assert found[0].values.shape == (maps.POINTS,)
+    assert found[0].values.shape == (maps.AXIS_POINTS,)
     instance = Instance(program)
     instance.settle(np.array([found[0].points[0][3], 5.0]))
     rest = instance.step(np.array([found[0].points[0][3], 5.0]))["outputs"]

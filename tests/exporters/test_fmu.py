@@ -18,7 +18,7 @@ from common import some
 
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.exporters import ExportError, Instance, export, lower
-from jaxnarx.exporters.compilers import WARNINGS, compilers
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import pack
 from jaxnarx.exporters.interpret import STARTS
 from jaxnarx.exporters.proof import cases_of
@@ -646,7 +646,7 @@ def test_sources_compile_with_the_headers_of_the_standard(place, tmp_path):
     for name in ("m.c", "m.h", f"m_fmi{version}.c"):
         (tmp_path / name).write_text((place / "sources" / name).read_text())
     for cc in compilers():
-        command = [cc, *WARNINGS, "-isystem", str(headers), "-c"]
+        command = [cc, *WARNING_FLAGS, "-isystem", str(headers), "-c"]
         command += [str(tmp_path / f"m_fmi{version}.c"), "-o", str(tmp_path / "m.o")]
         subprocess.run(command, check=True)
 

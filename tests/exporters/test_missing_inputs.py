@@ -23,7 +23,7 @@ from jaxnarx.exporters.fmu.prove import fmu_runner
 from jaxnarx.exporters.fmu.variables import quantities
 from jaxnarx.exporters.proof import cases_of
 from jaxnarx.models import (
-    FARTHEST,
+    LARGEST_INDEX,
     LINEAR,
     NAN,
     largest_sizes,
@@ -195,7 +195,7 @@ def test_c_and_the_page_of_python_flag_as_the_form_does(tmp_path):
             assert getattr(out, flag) == value and getattr(model, flag) == value
         if expected["missing"]:
             absent.append(expected)
-            assert expected["extrapolated"] == 1 and expected["index"] == FARTHEST
+            assert expected["extrapolated"] == 1 and expected["index"] == LARGEST_INDEX
             assert expected["invalid"] == (expected["missing"] >= 3)
         else:
             assert expected["index"] < 1e3 and not expected["invalid"]

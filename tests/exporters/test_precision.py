@@ -20,7 +20,7 @@ pytestmark = needs_compiler
 @pytest.fixture
 def strict(monkeypatch):
     """Single precision is never good enough."""
-    monkeypatch.setattr(runners, "SINGLE", 1e-12)
+    monkeypatch.setattr(runners, "SINGLE_TOLERANCE", 1e-12)
 
 
 def compiled(files, place: Path, *flags: str) -> str:
@@ -28,7 +28,14 @@ def compiled(files, place: Path, *flags: str) -> str:
     for name, text in files.items():
         if name.endswith((".c", ".h")):
             (place / name).write_text(text)
-    words = [runners.compiler(), *runners.WARNINGS, *flags, "-c", place / "m.c", "-o"]
+    words = [
+        runners.compiler(),
+        *runners.WARNING_FLAGS,
+        *flags,
+        "-c",
+        place / "m.c",
+        "-o",
+    ]
     words = [*map(str, words), str(place / "m.o")]
     return subprocess.run(words, capture_output=True, text=True).stderr
 
@@ -56,7 +63,7 @@ def test_nothing_is_written_where_nothing_passes(strict, monkeypatch):
     net = common.named("one model")
     with pytest.raises(ExportError, match="single differs.*Nothing was written"):
         export(net, precision="single")
-    monkeypatch.setattr(runners, "DOUBLE", -1.0)
+    monkeypatch.setattr(runners, "DOUBLE_TOLERANCE", -1.0)
     with pytest.raises(ExportError, match="c, double differs.*Python differs"):
         export(net, to=["c", "python"])
 

@@ -16,7 +16,7 @@ from jaxnarx.errors import SpecError
 from jaxnarx.exporters import Instance, export, lower, octave, runners
 from jaxnarx.exporters._export import write_files
 from jaxnarx.exporters.interpret import STARTS
-from jaxnarx.exporters.matlab import TAKEN
+from jaxnarx.exporters.matlab import TAKEN_WORDS
 from jaxnarx.exporters.proof import cases_of
 
 FIRST = np.array([0.7, 0.2])
@@ -204,7 +204,7 @@ def test_words_of_a_language_name_no_model(word):
     to = "python" if word == "class" else "matlab"
     with pytest.raises(SpecError, match="is a word of"):
         export(common.named("one model"), to=[to], name=word, verify=False)
-    assert word == "class" or word.lower() in TAKEN
+    assert word == "class" or word.lower() in TAKEN_WORDS
 
 
 def test_a_model_without_memory_keeps_its_input_alone():

@@ -334,7 +334,7 @@ def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path, outside):
     checked = [
         "-fsanitize=address,undefined",
         "-fno-sanitize-recover",
-        *runners.WARNINGS,
+        *runners.WARNING_FLAGS,
     ]
     both = [tmp_path / "NOx_model.c", tmp_path / "NOx_model_selftest.c"]
     for extra in ([], ["-DNOX_MODEL_SINGLE"]):

@@ -10,7 +10,7 @@ from search_problems import LENGTHS, explosive, plant
 
 from jaxnarx.data import groups, shortened
 from jaxnarx.identification import cross_validate as module
-from jaxnarx.identification.cross_validate import HOPELESS, CrossValidation
+from jaxnarx.identification.cross_validate import HOPELESS_FACTORS, CrossValidation
 from jaxnarx.models._assemble import OUTPUT_MARGIN
 from jaxnarx.partition import ClosedSearch, profile_data
 from jaxnarx.settings import (
@@ -135,7 +135,7 @@ def test_one_that_is_far_behind_is_given_up(data, found):
     assert many.detail == f"given up after 1 of {len(LENGTHS)} groups"
     assert many.losses[0] == found.losses[0] and np.isnan(many.losses[1:]).all()
     # Between the two limits the first group is no reason yet, two are.
-    between = HOPELESS[0] * HOPELESS[1]
+    between = HOPELESS_FACTORS[0] * HOPELESS_FACTORS[1]
     two = judge(METHOD, data, groups(data), SPREAD, found.losses / between)
     assert two.detail == f"given up after 2 of {len(LENGTHS)} groups"
 

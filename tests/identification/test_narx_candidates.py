@@ -7,7 +7,7 @@ import pytest
 from search_problems import plant
 
 from jaxnarx.data import Dataset
-from jaxnarx.identification.narx_candidates import LARGEST, pool_of, propose_narx
+from jaxnarx.identification.narx_candidates import LARGEST_POOL, pool_of, propose_narx
 from jaxnarx.identification.pools import make_pool
 from jaxnarx.partition import DataProfile
 from jaxnarx.regressors import Pool, parse_variable
@@ -74,6 +74,6 @@ def test_pools_stay_small_however_many_inputs(inputs):
     assert every, "local models at least"
     for _, _, method in every:
         assert isinstance(method.pool, Pool)
-        assert isinstance(method.grow, Lolimot) or len(method.pool) <= LARGEST
+        assert isinstance(method.grow, Lolimot) or len(method.pool) <= LARGEST_POOL
     if inputs == 40:
         assert {family for family, _, _ in every} == {"LOLIMOT"}

@@ -20,17 +20,17 @@ from jaxnarx.identification.cross_validate import CrossValidation
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.state_space_candidates import (
     FAMILY,
-    FEW,
     FEW_INPUTS,
     IN_REGIONS,
-    LARGEST,
     MANY_INPUTS,
-    ORDERS,
-    PULLS,
-    SAMPLES,
-    SHORT,
+    MOST_COEFFICIENTS,
+    MOST_LINEAR_STATES,
+    PULLS_TRIED,
+    SAMPLES_PER_COEFFICIENT,
     SHORT_PULLS,
-    WINDOW,
+    SHORT_RECORDS,
+    UNASKED_INPUTS,
+    WINDOW_LIMITS,
     propose_state_space,
 )
 from jaxnarx.partition import ClosedSearch, profile_data
@@ -61,14 +61,14 @@ def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
     data, seen = plant(2), []
     for family, names, method in propose_state_space(data, "y", TINY):
         assert family == FAMILY and method.outputs == ("y",)
-        assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS)
+        assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS_TRIED)
         for name, (regions, pull) in zip(names, method.stages, strict=True):
             kind = f"degree {method.degree}" if regions == 1 else f"{regions} regions"
             assert name == f"{method.states} states, {kind}, pull {pull:g}"
         seen += names
     assert len(set(seen)) == len(seen) >= 6
-    _, _, long = next(propose_state_space(wide(1, SHORT + 1), "y", TINY))
-    assert long.shrink == PULLS
+    _, _, long = next(propose_state_space(wide(1, SHORT_RECORDS + 1), "y", TINY))
+    assert long.shrink == PULLS_TRIED
 
 
 def test_orders_that_are_asked_for_are_the_only_ones():
@@ -76,12 +76,14 @@ def test_orders_that_are_asked_for_are_the_only_ones():
     found = sizes(wide(1, 5000), asked)
     assert found == [(3, 3), (3, 2), (3, 1), (1, 3), (1, 2), (1, 1)]
     # Many inputs hold nobody back who asks.
-    many = sizes(wide(FEW + 1, 5000), dataclasses.replace(asked, orders=(1,)))
+    many = sizes(
+        wide(UNASKED_INPUTS + 1, 5000), dataclasses.replace(asked, orders=(1,))
+    )
     assert many == [(1, 2), (1, 3), (1, 1)]
 
 
 def test_many_inputs_are_not_tried_unasked():
-    data = wide(FEW + 1, 5000)
+    data = wide(UNASKED_INPUTS + 1, 5000)
     assert sizes(data) == []
     assert sizes(data, dataclasses.replace(TINY, rule="best"))
 
@@ -97,9 +99,9 @@ def test_a_linear_model_says_how_many_states_are_tried_first():
 
 
 def test_short_records_begin_with_products_of_two():
-    found = sizes(wide(1, SHORT))
+    found = sizes(wide(1, SHORT_RECORDS))
     assert found.index((2, 2)) < found.index((2, 3)) < found.index((3, 2)) < 5
-    long = sizes(wide(1, SHORT + 1))
+    long = sizes(wide(1, SHORT_RECORDS + 1))
     assert long.index((2, 3)) < long.index((2, 2))
 
 
@@ -111,12 +113,14 @@ def regional(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
 
 
 def test_short_records_try_regions_in_turn_with_products():
-    assert regional(wide(1, SHORT)) == [
+    assert regional(wide(1, SHORT_RECORDS)) == [
         (1 + 2 * n, s) for n, s in enumerate(IN_REGIONS)
     ]
-    assert not regional(wide(1, SHORT + 1)) and not regional(wide(FEW + 1, SHORT))
+    assert not regional(wide(1, SHORT_RECORDS + 1)) and not regional(
+        wide(UNASKED_INPUTS + 1, SHORT_RECORDS)
+    )
     asked = dataclasses.replace(TINY, orders=(1, 5))
-    assert [states for _, states in regional(wide(1, SHORT), asked)] == [1, 5]
+    assert [states for _, states in regional(wide(1, SHORT_RECORDS), asked)] == [1, 5]
     # 200 samples bear 33 coefficients: of two states twelve a region, but no two of
     # three or four states, of 20 and 30.
     found = [
@@ -130,18 +134,19 @@ def test_there_are_samples_enough_for_the_coefficients(inputs, rows):
     def count(states, degree):
         return (states + 1) * math.comb(states + inputs + degree, degree)
 
-    most = min(LARGEST, rows / SAMPLES)
+    most = min(MOST_COEFFICIENTS, rows / SAMPLES_PER_COEFFICIENT)
     found = sizes(wide(inputs, rows))
     assert all(count(*one) <= most and one[0] <= 8 for one in found)
     # Behind what the linear model asks for come those of the list that the data bear.
     usual = [one for one in FEW_INPUTS if count(*one) <= most]
     assert usual and (rows > 600) == (len(usual) == len(FEW_INPUTS))
     assert set(usual) <= set(found) and len(found) <= len(usual) + 2
-    assert all(n <= ORDERS for n, _ in set(found) - set(usual))
+    assert all(n <= MOST_LINEAR_STATES for n, _ in set(found) - set(usual))
 
 
 @pytest.mark.parametrize(
-    ("lengths", "window"), [((120,), 10), ((1000, 3000), 25), ((9000,), WINDOW[1])]
+    ("lengths", "window"),
+    [((120,), 10), ((1000, 3000), 25), ((9000,), WINDOW_LIMITS[1])],
 )
 def test_the_window_is_a_share_of_the_shortest_record(lengths, window):
     rng = np.random.default_rng(0)
@@ -250,7 +255,7 @@ def test_a_search_that_goes_on_does_not_try_them_again(closed, asked):
 def test_failed_ones_do_not_count_as_near(closed, asked, monkeypatch):
     asked["results"] = [DataError("too short"), DataError("too short")]
     rows = tried(closed)
-    monkeypatch.setattr(module, "SHORT", 0)  # of short records all are tried
+    monkeypatch.setattr(module, "SHORT_RECORDS", 0)  # of short records all are tried
     impatient = dataclasses.replace(TINY, states=3, patience=2)
     data, seen, _ = closed
     found = CandidateSearch(data, seen, groups(data), impatient, known=rows)
@@ -274,7 +279,8 @@ def fits(monkeypatch, closed):
     # With the measured outputs there were, and from how many trainings it came.
     calls: dict = {"all": [], "again": [], "from": []}
     networks = [
-        dataclasses.replace(closed[2].network(), window=n) for n in range(len(PULLS))
+        dataclasses.replace(closed[2].network(), window=n)
+        for n in range(len(PULLS_TRIED))
     ]
 
     def fit(data, method, hopeless=np.inf):
@@ -284,7 +290,7 @@ def fits(monkeypatch, closed):
     def refit(network, data, method, shrink):
         calls["again"].append((shrink, measured(data)))
         calls["from"].append(network.window)
-        if calls["again"][-1] == (PULLS[-1], sum(LENGTHS) - LENGTHS[1]):
+        if calls["again"][-1] == (PULLS_TRIED[-1], sum(LENGTHS) - LENGTHS[1]):
             raise DataError("runs away")
         return dataclasses.replace(network, window=network.window + 10)
 
@@ -293,7 +299,7 @@ def fits(monkeypatch, closed):
     return calls
 
 
-METHOD = HiddenStates(outputs=("y",), shrink=PULLS)
+METHOD = HiddenStates(outputs=("y",), shrink=PULLS_TRIED)
 
 
 def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed, fits):
@@ -302,7 +308,7 @@ def test_without_a_group_the_first_trains_from_where_it_stands_others_on(closed,
     assert fits["all"] == [(METHOD, sum(LENGTHS))]
     rest = [sum(LENGTHS) - n for n in LENGTHS]
     # What cannot be trained without a group is not tried without the others.
-    pulls = [(PULLS[0], *PULLS)[: 3 + (g < 2)] for g in range(len(rest))]
+    pulls = [(PULLS_TRIED[0], *PULLS_TRIED)[: 3 + (g < 2)] for g in range(len(rest))]
     expected = [(p, n) for own, n in zip(pulls, rest, strict=True) for p in own]
     assert fits["again"] == expected
     # The network of the strongest pull, then what has come of it without the group.
@@ -321,10 +327,10 @@ def test_behind_a_training_that_fails_the_next_starts_from_where_it_stands(
 
     def again(network, method, pull, *data):
         asked.append(network)
-        return None if pull == PULLS[0] else network
+        return None if pull == PULLS_TRIED[0] else network
 
     monkeypatch.setattr(judging, "refit", again)
-    networks, data = [closed[2].network() for _ in PULLS], closed[0]
+    networks, data = [closed[2].network() for _ in PULLS_TRIED], closed[0]
     found = judging.refit_stages(networks, METHOD, data, data)
     assert asked == [networks[0], networks[1], networks[1], networks[1]]
     assert found == [None, networks[1], networks[1]]

@@ -30,7 +30,7 @@ from jaxnarx.models import (
     set_nan_policy,
     validity,
 )
-from jaxnarx.models.storage import FORMAT, load_about
+from jaxnarx.models.storage import FORMAT_VERSION, load_about
 from jaxnarx.simulation import simulate
 
 
@@ -148,7 +148,7 @@ def test_a_program_of_before_says_that_it_cannot_read_hidden_channels(
     tmp_path, monkeypatch
 ):
     save(hidden_problems.network(), tmp_path / "m")
-    monkeypatch.setattr("jaxnarx.models.storage.FORMAT", 5)
+    monkeypatch.setattr("jaxnarx.models.storage.FORMAT_VERSION", 5)
     refused(tmp_path / "m", "format 6", "reads formats up to 5", "Update jaxnarx")
 
 
@@ -465,8 +465,8 @@ def test_a_foreign_safetensors_file_is_refused(tmp_path):
 
 def test_a_newer_format_names_the_version_that_wrote_it(path):
     tensors, header = contents(path)
-    write(path, tensors, header | {"format": FORMAT + 1, "jaxnarx": "9.8.7"})
-    refused(path, f"format {FORMAT + 1}", "9.8.7", "Update jaxnarx")
+    write(path, tensors, header | {"format": FORMAT_VERSION + 1, "jaxnarx": "9.8.7"})
+    refused(path, f"format {FORMAT_VERSION + 1}", "9.8.7", "Update jaxnarx")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_weights_are_shares_and_one_part_is_itself(parts, added):
 def test_the_step_that_evaluates_all_terms_gives_the_same(added, data, monkeypatch):
     """The loop on collapsed monomials, which a sum of few of them has."""
     quick = jnx.simulate(added, data).value.outputs
-    monkeypatch.setattr("jaxnarx.models.feedback.WIDEST", 0)
+    monkeypatch.setattr("jaxnarx.models.feedback.MOST_COLLAPSED_MONOMIALS", 0)
     # One record more: another program, and those of other tests stay.
     more = dataclasses.replace(data, records=(*data.records, data.records[0]))
     slow = jnx.simulate(added, more).value.outputs

@@ -287,7 +287,7 @@ def test_every_region_chooses_its_own_terms(make, local):
 
 
 def test_too_many_candidates_for_local_choice_are_refused(monkeypatch):
-    monkeypatch.setattr("jaxnarx.selection.custom_selector.LARGEST", 1000)
+    monkeypatch.setattr("jaxnarx.selection.custom_selector.MOST_BYTES", 1000)
     with pytest.raises(SpecError, match="choose among them first") as caught:
         grow(pool(degree=3), data(), Lolimot(SCHEDULE, local=ForwardOLS(max_terms=4)))
     assert caught.value.field == "local"

@@ -14,7 +14,7 @@ from hidden_problems import FREE, GAIN, WINDOW, X1, X2, begun_at, network, truth
 
 from jaxnarx.arrays.programs import program
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.models import PRIOR, scales
+from jaxnarx.models import PRIOR_WEIGHT, scales
 from jaxnarx.refinement import refine
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability import penalty_points
@@ -102,7 +102,7 @@ def test_a_start_pays_for_its_departure_as_the_prior_says():
     assert layout.initial is not None
     sigma = np.asarray(scales(net)[1])
     unit = np.asarray(task.weight).max(axis=(0, 1))[:2] * sigma[:2] ** 2
-    expected = PRIOR * unit.max() / sigma[2:] ** 2
+    expected = PRIOR_WEIGHT * unit.max() / sigma[2:] ** 2
     for own in np.asarray(layout.initial.weight)[:, 0, 2:]:
         np.testing.assert_allclose(own, expected, rtol=1e-12)
 

@@ -24,7 +24,7 @@ from jaxnarx.refinement._stability import (
     slowest,
     stability,
 )
-from jaxnarx.refinement._stability.bound import ALL, RUN
+from jaxnarx.refinement._stability.bound import ALL_WORDS, RUN_WORDS
 from jaxnarx.refinement._stability.hull import hull, power, product
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
 from jaxnarx.refinement._stability.points import companion, jacobians, points_of
@@ -167,7 +167,7 @@ def test_unstable_models_are_told_with_place_and_status():
 def test_the_bound_of_a_linear_model_is_its_pole(radius, angle):
     a1, a2 = from_poles(radius, angle)
     value = stability(pair((a1, a2)), data(), samples=200).value
-    assert value.contracts and value.bound.kind == ALL
+    assert value.contracts and value.bound.kind == ALL_WORDS
     assert (value.bound.samples, value.bound.of) == (200, sum(LENGTHS) - 6)
     # Limits at arbitrary times leave a common quadratic norm where Re H < 1 on the unit
     # circle, and only there (circle criterion, by the Kalman-Yakubovich-Popov lemma).
@@ -195,7 +195,7 @@ def test_two_stable_models_that_switch_into_instability_get_no_bound():
 def test_models_affine_in_their_outputs_are_proven_for_any_bound():
     nets = [pair((0.6, 0.1), (0.3, -0.3), bound) for bound in (1.0, 1e6)]
     rates = [stability(net, data()).value.bound for net in nets]
-    assert rates[0].kind == rates[1].kind == ALL
+    assert rates[0].kind == rates[1].kind == ALL_WORDS
     assert rates[0].rate == pytest.approx(rates[1].rate, rel=1e-9)
 
 
@@ -227,7 +227,7 @@ def test_any_two_runs_approach_each_other_as_proven(kind):
     net = common.named(kind, bound=1.0)
     solution = stability(net, data())
     bound = solution.value.bound
-    assert bound.kind == ALL and bound.holds and bound.limits
+    assert bound.kind == ALL_WORDS and bound.holds and bound.limits
     assert bound.average <= bound.rate < 1 <= bound.overshoot
     assert worst_ratio(net, bound) <= 1
     # The limits do act.
@@ -243,11 +243,11 @@ def _free(net: Network):
 def test_a_bound_that_needs_the_run_says_so():
     # Wide limits: the products of lagged outputs are then unstable somewhere.
     value = stability(common.named("by inputs", bound=50.0), data()).value
-    assert value.contracts and value.bound.kind == RUN
-    assert RUN in value.summary
+    assert value.contracts and value.bound.kind == RUN_WORDS
+    assert RUN_WORDS in value.summary
     # Scheduled on its own output: never more than sampled.
     own = stability(common.named("by own output", bound=1.0), data()).value
-    assert {b.kind for b in own.bounds} == {RUN}
+    assert {b.kind for b in own.bounds} == {RUN_WORDS}
 
 
 def test_a_model_without_feedback_forgets_at_once():

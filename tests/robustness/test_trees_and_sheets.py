@@ -30,7 +30,7 @@ SECRET = 123456.75
 
 def peak() -> float:
     """Of the reading process since it was last asked [MB]."""
-    process = sandbox._APART[0]._process
+    process = sandbox._READING_PROCESS[0]._process
     if process is None or process.poll() is not None:
         return 0.0
     place = Path(f"/proc/{process.pid}")

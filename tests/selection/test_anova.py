@@ -112,7 +112,7 @@ def test_cells_found_anew_for_every_step_give_the_same(monkeypatch):
     x = uniform(6, seed=3)
     y = x[:, 0] + 2 * x[:, 1] * x[:, 2] + 0.3 * noise()
     first = table(x, y)
-    monkeypatch.setattr(anova_sequence, "HELD", 0)
+    monkeypatch.setattr(anova_sequence, "MOST_HELD_NUMBERS", 0)
     assert table(x, y) == first and not first.together
 
 

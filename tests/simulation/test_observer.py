@@ -14,7 +14,7 @@ from hidden_problems import CHANNELS, GAIN, WINDOW, X1, X2, Truth, network, trut
 
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import DataError
-from jaxnarx.models.observer import POINTS, PRIOR, scales, spread_out
+from jaxnarx.models.observer import FIRST_POINTS, PRIOR_WEIGHT, scales, spread_out
 from jaxnarx.simulation import (
     begin_hidden,
     make_drive,
@@ -128,13 +128,13 @@ def test_without_information_hidden_channels_begin_in_the_middle_of_their_range(
 @pytest.mark.parametrize("n", [1, 2, 6])
 def test_points_that_are_looked_at_first_fill_the_range(n):
     points = spread_out(n)
-    assert points.shape == (POINTS, n)
+    assert points.shape == (FIRST_POINTS, n)
     np.testing.assert_array_equal(points[0], 0.0)
     assert np.abs(points).max() <= 2.0
     # Of 16 independent uniform numbers the mean strays by 0.29.
     assert np.all(np.abs(points.mean(axis=0)) < 2 * 0.29)
     assert np.all(np.ptp(points, axis=0) > 3.0)
-    assert 0 < PRIOR < 1
+    assert 0 < PRIOR_WEIGHT < 1
 
 
 # records that are short, or not whole ---------------------------------------------

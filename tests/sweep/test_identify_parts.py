@@ -21,7 +21,7 @@ from jaxnarx.settings.tree import replace_at
 from jaxnarx.simulation import has_diverged
 from jaxnarx.simulation.trajectories import IN_A_ROW
 from jaxnarx.sweep.identify.engine_data import Part
-from jaxnarx.sweep.identify.refine_step import FULL, schedule
+from jaxnarx.sweep.identify.refine_step import WHOLE_RECORD, schedule
 from jaxnarx.sweep.identify.score import count_samples
 from jaxnarx.sweep.identify.settings import shapes
 from jaxnarx.sweep.identify.work import IdentificationWork
@@ -97,7 +97,7 @@ def test_cases_choose_among_the_terms_of_one_pool():
 
 def test_the_schedule_takes_stock_at_the_head_of_every_stage():
     turns = schedule(SimulationError(horizons=(5, 20), window_steps=2), 3)
-    assert turns.horizon.tolist() == [5] * 3 + [20] * 3 + [FULL] * 7
+    assert turns.horizon.tolist() == [5] * 3 + [20] * 3 + [WHOLE_RECORD] * 7
     assert turns.step.tolist() == [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 3]
     # Coefficients alone, on full records too, before everything.
     assert turns.apart.tolist() == [True] * 9 + [False] * 4

@@ -173,7 +173,7 @@ def test_an_error_of_a_worker_or_of_its_files_is_raised_here(tmp_path, monkeypat
 @pytest.mark.slow
 def test_when_no_process_can_be_replaced_the_same_call_continues(tmp_path, monkeypatch):
     name = "distributed.scheduler.no-workers-timeout"
-    monkeypatch.setitem(processes._SETTINGS, name, "200ms")
+    monkeypatch.setitem(processes._SCHEDULER_SETTINGS, name, "200ms")
     toy = Toy(2, bad=(0, 1), trouble="kill")
     words = (
         "no others could be started, with 2 of 2 chunks open.*same command continues"

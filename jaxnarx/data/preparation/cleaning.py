@@ -25,10 +25,10 @@ from jaxnarx.data.preparation.step import (
 from jaxnarx.data.record import Record
 from jaxnarx.errors import DataError, SpecError
 
-SHARE = 0.1
+MAX_MASKED_WEIGHT = 0.1
 """Largest share of a filter's absolute weight that may fall on masked samples."""
 
-_SMALL = 1e-8
+_DECAYED = 1e-8
 """The impulse response is followed until it has decayed to this."""
 
 
@@ -100,7 +100,7 @@ class LowPass(AbstractStep, AbstractLossy):
         pad = min(len(weights) // 2, len(record) - 1)
         smooth = bridge_gaps(x, valid)[:, j]
         x[:, j] = sosfiltfilt(sos, smooth, axis=0, padlen=pad)
-        valid[:, j] &= masked_share(valid[:, j], weights) <= SHARE
+        valid[:, j] &= masked_share(valid[:, j], weights) <= MAX_MASKED_WEIGHT
         return x, valid
 
     def describe(self) -> str:
@@ -118,7 +118,7 @@ def _weights(sos: np.ndarray) -> Float[np.ndarray, " taps"]:
 
     poles = np.asarray(sos2zpk(sos)[1])
     slowest = float(np.max(np.abs(poles), initial=0.0))
-    length = 2 + int(np.ceil(np.log(_SMALL) / np.log(max(slowest, 1e-2))))
+    length = 2 + int(np.ceil(np.log(_DECAYED) / np.log(max(slowest, 1e-2))))
     response = sosfilt(sos, np.arange(length) == 0)
     return correlate(response, response)
 
@@ -156,7 +156,7 @@ def convolve_inside(
     return oaconvolve(x, weights[:, None], mode="valid", axes=0)
 
 
-_BLOCK = 4_000_000
+_SORTED_NUMBERS = 4_000_000
 """Numbers of all windows that are sorted at a time: 32 MB."""
 
 
@@ -260,7 +260,7 @@ def outliers(
     width, n = 2 * half_width + 1, len(x)
     known = np.where(valid, x, np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(known, width)
-    rows = max(1, _BLOCK // width)
+    rows = max(1, _SORTED_NUMBERS // width)
     parts = [_centre(windows[i : i + rows]) for i in range(0, len(windows), rows)]
     middle, scale = (np.concatenate(p) for p in zip(*parts, strict=True))
     own = np.clip(np.arange(n) - half_width, 0, n - width)

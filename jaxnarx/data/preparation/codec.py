@@ -13,7 +13,7 @@ from jaxnarx.data.preparation.resample import Decimate, Resample, Shift
 from jaxnarx.data.preparation.step import AbstractFitted
 from jaxnarx.errors import SpecError, suggest
 
-KINDS: dict[str, type[AbstractFitted]] = {
+STEP_KINDS: dict[str, type[AbstractFitted]] = {
     kind.__name__: kind
     for kind in (
         AtCrankAngle,
@@ -34,12 +34,12 @@ def decode_step(table: Any) -> AbstractFitted:
     """The step that `AbstractFitted.to_dict` wrote; anything else is a SpecError."""
     table = decode(table, dict[str, Any], "steps")
     kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in KINDS:
+    if not isinstance(kind, str) or kind not in STEP_KINDS:
         raise SpecError(
-            f"there is no preparation step {kind!r}. {suggest(str(kind), KINDS)}",
+            f"there is no preparation step {kind!r}. {suggest(str(kind), STEP_KINDS)}",
             field="kind",
         )
-    cls = KINDS[kind]
+    cls = STEP_KINDS[kind]
     fields = {k: v for k, v in table.items() if k != "kind"}
     return cls(**decode_fields(fields, cls, kind))
 

@@ -22,7 +22,7 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.errors import DataError, SpecError
 
-_RPM = {"", "rpm", "1/min", "r/min", "rev/min", "min-1", "min^-1", "u/min"}
+_RPM_UNITS = {"", "rpm", "1/min", "r/min", "rev/min", "min-1", "min^-1", "u/min"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -154,7 +154,7 @@ def _on(record: Record, data: Dataset, at, step: float) -> Record:
 def _speed_signal(data: Dataset, name: str) -> int:
     j = data.channels.signal(name)
     unit = data.channels.all[j].unit
-    if unit.strip(" []()").lower() not in _RPM:
+    if unit.strip(" []()").lower() not in _RPM_UNITS:
         raise SpecError(
             f"{name} is in {unit!r}; crank angle needs an engine speed in rpm, before "
             "any scaling",

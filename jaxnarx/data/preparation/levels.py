@@ -95,7 +95,7 @@ class OffsetRemoved(AbstractFitted):
 
 
 Kind = Literal["min-max", "mean", "standard"]
-_KINDS = ("min-max", "mean", "standard")
+_SCALINGS = ("min-max", "mean", "standard")
 _NEAR_ZERO = 0.01
 """A mean below this share of the root mean square is no measure of size."""
 
@@ -121,7 +121,7 @@ class Scale(AbstractStep):
     channels: tuple[str, ...] | None = None
 
     def __post_init__(self):
-        choice(self.kind, _KINDS, "kind")
+        choice(self.kind, _SCALINGS, "kind")
 
     def fit(self, data: Dataset) -> "Scaled":
         """Offsets and gains, from valid samples only."""
@@ -163,7 +163,7 @@ class Scaled(AbstractFitted):
     units: Mapping[str, str]
 
     def __post_init__(self):
-        choice(self.scaling, _KINDS, "kind")
+        choice(self.scaling, _SCALINGS, "kind")
         for gain in self.gain.values():
             positive(gain, "gain")
 
@@ -208,7 +208,7 @@ class Scaled(AbstractFitted):
 Lines = Mapping[str, Mapping[str, tuple[float, float]]]
 """Record name, then channel name: value at the record's first sample, slope per s."""
 
-_LEAST = 3
+_LEAST_SAMPLES = 3
 """Valid samples that a line needs, so that it does not fit them by necessity."""
 
 
@@ -248,11 +248,11 @@ class Detrend(AbstractStep, AbstractLossy):
 
     def _line(self, data: Dataset, record: Record, j: int) -> tuple[float, float]:
         known = record.valid[:, j]
-        if known.sum() < _LEAST:
+        if known.sum() < _LEAST_SAMPLES:
             name = data.channels.names[j]
             raise DataError(
                 f"{record.name}: {name} has {known.sum()} valid sample(s), a trend "
-                f"needs {_LEAST}. Leave out the channel or the record.",
+                f"needs {_LEAST_SAMPLES}. Leave out the channel or the record.",
                 channel=name,
             )
         t = (np.arange(len(record)) * data.sample_time)[known]

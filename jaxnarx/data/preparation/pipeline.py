@@ -127,7 +127,7 @@ def _spans(record: Record, lost) -> tuple[tuple[int, int], ...]:
     return spans(record, pairs)
 
 
-FORMAT = 1
+FORMAT_VERSION = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,7 +196,7 @@ class Preparation:
     def to_dict(self) -> dict[str, Any]:
         """Plain types for JSON; the report is not part of it."""
         return {
-            "format": FORMAT,
+            "format": FORMAT_VERSION,
             "sample_time": self.sample_time,
             "inputs": [[c.name, c.unit] for c in self.channels.inputs],
             "outputs": [[c.name, c.unit] for c in self.channels.outputs],
@@ -208,9 +208,10 @@ class Preparation:
         """Read what `to_dict` wrote, from JSON; anything else is a SpecError."""
         table = decode(table, dict[str, Any], "preparation")
         version = table.get("format")
-        if version != FORMAT:
+        if version != FORMAT_VERSION:
             raise SpecError(
-                f"the preparation has format {version!r}; this program reads {FORMAT}",
+                f"the preparation has format {version!r}; this program reads "
+                f"{FORMAT_VERSION}",
                 field="format",
             )
         parts = _Parts(**decode_fields(table, _Parts, "preparation"))

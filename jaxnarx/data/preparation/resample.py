@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.checks import require
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.preparation.cleaning import (
-    SHARE,
+    MAX_MASKED_WEIGHT,
     convolve_inside,
     masked_share,
     mirror_ends,
@@ -29,16 +29,16 @@ from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.errors import DataError, SpecError
 
-LEAST = 10
+LEAST_SAMPLES = 10
 """Samples that a record must keep."""
 
-HALF = 10
+HALF_FILTER_LENGTH = 10
 """Half the length of the anti-aliasing filter, in samples of the new grid."""
 
-_EDGE = 0.8
+_HALF_AMPLITUDE = 0.8
 """Its half-amplitude frequency, as a share of the new Nyquist frequency."""
 
-_LARGEST = 200_000_000
+_LARGEST_GRID = 200_000_000
 """Numbers of one record on the fine grid: 1.6 GB."""
 
 
@@ -80,12 +80,12 @@ def on_grid(
     first = at[0] if start is None else start
     count = int((at[-1] - first) / step * m + 1e-6) + 1
     kept = (count - 1) // m + 1
-    if kept < LEAST:
+    if kept < LEAST_SAMPLES:
         raise DataError(
-            f"{name}: of {len(at)} samples {kept} would be left, at least {LEAST} are "
-            "needed. Take shorter steps, or leave out the record."
+            f"{name}: of {len(at)} samples {kept} would be left, at least "
+            f"{LEAST_SAMPLES} are needed. Take shorter steps, or leave out the record."
         )
-    if count * x.shape[1] > _LARGEST:
+    if count * x.shape[1] > _LARGEST_GRID:
         raise SpecError(
             f"{name}: steps of {step:g} would make {count} samples of {len(at)}. Take "
             "longer steps.",
@@ -95,9 +95,11 @@ def on_grid(
     values, known = _between(at, bridge_gaps(x, valid), valid, fine)
     if m == 1:
         return Samples(values, known)
-    weights = sinc(_EDGE / m, HALF * m)
-    smooth = convolve_inside(mirror_ends(values, HALF * m, odd=True), weights)
-    return Samples(smooth[::m], masked_share(known, weights)[::m] <= SHARE)
+    weights = sinc(_HALF_AMPLITUDE / m, HALF_FILTER_LENGTH * m)
+    smooth = convolve_inside(
+        mirror_ends(values, HALF_FILTER_LENGTH * m, odd=True), weights
+    )
+    return Samples(smooth[::m], masked_share(known, weights)[::m] <= MAX_MASKED_WEIGHT)
 
 
 def _between(at, x, valid, grid):
@@ -236,11 +238,11 @@ class Shift(AbstractStep, AbstractFitted):
 
         def one(record: Record) -> Record:
             kept = len(record) - first - last
-            if kept < LEAST:
+            if kept < LEAST_SAMPLES:
                 raise DataError(
                     f"{record.name}: of {len(record)} rows {max(kept, 0)} would be "
-                    f"left after the shift, at least {LEAST} are needed. Leave out "
-                    "the record."
+                    f"left after the shift, at least {LEAST_SAMPLES} are needed. "
+                    "Leave out the record."
                 )
             rows = first + np.arange(kept)[:, None] + np.array(ahead)[None]
             x, valid = (

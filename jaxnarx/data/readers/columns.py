@@ -223,7 +223,12 @@ def seconds(
         ) from None
 
 
-_DATES = ("%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S")
+_DATE_FORMATS = (
+    "%d.%m.%Y %H:%M:%S",
+    "%m/%d/%Y %H:%M:%S",
+    "%Y/%m/%d %H:%M:%S",
+    "%H:%M:%S",
+)
 """How dates and times of day are written that pyarrow does not take by itself."""
 
 
@@ -241,7 +246,7 @@ def _moments(column) -> Float[np.ndarray, " time"] | None:
     whole, part = (pc.struct_field(parts, k) for k in ("whole", "part"))
     fraction = pc.if_else(pc.equal(part, ""), "0", part)
     fraction = pc.cast(pc.binary_join_element_wise("0", fraction, "."), pa.float64())
-    for form in _DATES:
+    for form in _DATE_FORMATS:
         ticks = pc.strptime(whole, format=form, unit="s", error_is_null=True)
         if ticks.null_count > text.null_count:
             continue

@@ -22,14 +22,26 @@ from jaxnarx.data.readers.columns import (
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, suggest
 
-_HEAD = 1 << 17  # fields of more characters are beyond what the csv module cuts
-_BLOCK = 1 << 20
-_CHUNK = 1 << 24
+_HEAD_BYTES = 1 << 17  # fields of more characters are beyond what the csv module cuts
+_BLOCK_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 24
 _LINE_END = re.compile(r"\r*\n|\r")
 """Of any system, mixed ones too; \\r\\r\\n is one line end that was converted twice."""
 _LINE_ENDS = re.compile(rb"\r*\n|\r")
 _EMPTY_LINE = re.compile(rb"\n[\r\n]|\r\r+(?!\r*\n)")
-_NULLS = ["", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL"]
+_NULL_WORDS = [
+    "",
+    "NaN",
+    "nan",
+    "NAN",
+    "-nan",
+    "NA",
+    "N/A",
+    "n/a",
+    "#N/A",
+    "null",
+    "NULL",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +89,10 @@ def contents(path: Path, asked: Asked) -> list[Column]:
     head = _inspect(path, [], asked.layout)
     units = _units(head, asked.layout)
     with path.open("rb") as file, _mapped(file) as m:
-        rows = sum(_line_ends(m[at : at + _CHUNK]) for at in range(0, len(m), _CHUNK))
+        rows = sum(
+            _line_ends(m[at : at + _CHUNK_BYTES])
+            for at in range(0, len(m), _CHUNK_BYTES)
+        )
     rows = max(rows - head.first, 0)
     return [Column(n, units.get(n, ""), rows=rows) for n in head.names if n]
 
@@ -131,8 +146,8 @@ def _inspect(path: Path, wanted: Sequence[str], layout: CsvLayout) -> _Head:
 def _lines(path: Path, encoding: str, first: int) -> tuple[list[str], int]:
     """The whole lines of the head, and as how many pyarrow counts the first ones."""
     with path.open("rb") as file:
-        raw = file.read(_HEAD)
-        whole = len(raw) < _HEAD
+        raw = file.read(_HEAD_BYTES)
+        whole = len(raw) < _HEAD_BYTES
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     if utf16 and not re.match("utf[-_]?(16|32)", encoding, re.IGNORECASE):
         raise DataFileError(
@@ -147,7 +162,7 @@ def _lines(path: Path, encoding: str, first: int) -> tuple[list[str], int]:
         lines.pop()
     if not whole and len(lines) <= first:
         raise DataFileError(
-            f"{path}: no line of data in the first {_HEAD:,} bytes; line "
+            f"{path}: no line of data in the first {_HEAD_BYTES:,} bytes; line "
             f"{len(lines) + 1} goes on behind them. Correct skip_rows, or the line "
             "ends of the file.",
             path=path,
@@ -273,8 +288,8 @@ def _require_size(head: _Head, columns: int, max_bytes: float):
     path = head.path
     size = path.stat().st_size
     with path.open("rb") as file, _mapped(file) as m:
-        chunks = range(0, size if size <= max_bytes else 0, _CHUNK)
-        rows = sum(_line_ends(m[at : at + _CHUNK]) for at in chunks)
+        chunks = range(0, size if size <= max_bytes else 0, _CHUNK_BYTES)
+        rows = sum(_line_ends(m[at : at + _CHUNK_BYTES]) for at in chunks)
         require_limit(path, max(size, 8 * columns * rows), max_bytes)
         _require_no_blank(head, m)
 
@@ -316,13 +331,13 @@ def _parse(head: _Head, wanted: Sequence[str], layout: CsvLayout):
                 column_names=keys,
                 skip_rows=head.skip,
                 encoding=layout.encoding,
-                block_size=_BLOCK,
+                block_size=_BLOCK_BYTES,
             ),
             reader.ParseOptions(delimiter=head.delimiter),
             reader.ConvertOptions(
                 include_columns=[str(head.names.index(n)) for n in wanted],
                 decimal_point=layout.decimal,
-                null_values=_NULLS,
+                null_values=_NULL_WORDS,
                 strings_can_be_null=True,
             ),
         )
@@ -339,6 +354,6 @@ def _explain(head: _Head, layout: CsvLayout, error: Exception) -> DataFileError:
         if fields and len(fields) != len(head.names):
             what = f"has {len(fields)} fields, expected {len(head.names)}"
             return head.row_error(n, what, line)
-        if len(line) > _BLOCK:
+        if len(line) > _BLOCK_BYTES:
             return head.row_error(n, f"is {len(line):,} characters long", line)
     return head.error(f"the file cannot be read as CSV ({error}).")

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from jaxnarx.data.readers.columns import CsvLayout, is_number
 
-_HEAD = 1 << 18
-_LINES = 400
+_HEAD_BYTES = 1 << 18
+_ANALYSED_LINES = 400
 """Lines that are looked at."""
-_MARKS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."))
+_DELIMITERS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."))
 """Delimiters and decimal marks; of those that serve as well the first is taken."""
-_BODY = 3
+_LEAST_BODY_ROWS = 3
 """Rows of numbers that are needed."""
 
 
@@ -29,14 +29,14 @@ def find_layout(path: Path) -> CsvLayout | None:
     Names that two lines could give are those of the upper one, the lower are units.
     """
     with path.open("rb") as file:
-        raw = file.read(_HEAD)
+        raw = file.read(_HEAD_BYTES)
     encoding, text = _decode(raw)
     lines = text.splitlines()
-    if len(raw) == _HEAD:
+    if len(raw) == _HEAD_BYTES:
         lines = lines[:-1]
-    lines = lines[:_LINES]
+    lines = lines[:_ANALYSED_LINES]
     best: tuple[int, CsvLayout] | None = None
-    for delimiter, decimal in _MARKS:
+    for delimiter, decimal in _DELIMITERS:
         rows = [_fields(line, delimiter) for line in lines]
         found = _body(rows, decimal)
         if found is None:
@@ -89,7 +89,7 @@ def _body(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, int, int] |
         if len(rows[k]) != width or 2 * count < filled or not count:
             break
         first, numbers = k, numbers + count
-    if last - first < _BODY:
+    if last - first < _LEAST_BODY_ROWS:
         return None
     return first, width, numbers
 

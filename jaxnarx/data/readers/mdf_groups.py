@@ -11,12 +11,12 @@ from jaxnarx.data.readers.columns import require_limit
 from jaxnarx.data.readers.mdf_formula import apply_formula
 from jaxnarx.errors import DataFileError, suggest
 
-_GROUP = re.compile(r"(.+) @ group (\d+)")
-_BUS = 0x2 | 0x4
+_GROUP_PATTERN = re.compile(r"(.+) @ group (\d+)")
+_BUS_FLAGS = 0x2 | 0x4
 """Flags of groups that hold frames of a bus, not channels."""
 _TO_TEXT = (7, 8, 11, 12)
 """Conversions that make text of numbers, in MDF 4 and in MDF 3."""
-LABELS = 40
+SHOWN_LABELS = 40
 """Labels of an enumeration that are told."""
 
 
@@ -96,7 +96,7 @@ def _channels(mdf: Any) -> Iterator[tuple[str, int, int]]:
 
 
 def _is_bus(group: Any) -> bool:
-    return bool(int(getattr(group.channel_group, "flags", 0) or 0) & _BUS)
+    return bool(int(getattr(group.channel_group, "flags", 0) or 0) & _BUS_FLAGS)
 
 
 def _notes(path: Path, mdf: Any) -> list[str]:
@@ -121,7 +121,7 @@ def _place(
 ) -> tuple[int, int]:
     """Group and place of a channel by its name."""
     found = known.get(name, [])
-    match = _GROUP.fullmatch(name)
+    match = _GROUP_PATTERN.fullmatch(name)
     if not found and match:
         found = [at for at in known.get(match[1], []) if at[0] == int(match[2])]
     if not found:
@@ -221,7 +221,7 @@ def _labels(channel: Any, x: np.ndarray) -> list[str]:
     conversion = channel.conversion
     if getattr(conversion, "conversion_type", 0) not in _TO_TEXT:
         return []
-    levels = np.unique(x[:100_000])[:LABELS]
+    levels = np.unique(x[:100_000])[:SHOWN_LABELS]
     told = np.asarray(conversion.convert(levels.astype(np.int64))).ravel()
     # in MDF 3 two of these numbers mean exponential and logarithm
     return [_text(v) for v in told] if told.dtype.kind in "SUO" else []

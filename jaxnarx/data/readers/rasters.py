@@ -24,12 +24,12 @@ from jaxtyping import Bool, Float, Shaped
 from jaxnarx.data.preparation.resample import on_grid
 from jaxnarx.data.readers.columns import Table
 from jaxnarx.data.record import RowSource
-from jaxnarx.data.sampling import JUMP
+from jaxnarx.data.sampling import GAP_FACTOR
 from jaxnarx.errors import DataError
 
-LEVELS = 32
+MOST_LEVELS = 32
 """Most different whole numbers of a channel that counts as one of steps."""
-SAME = 0.01
+RASTER_TOLERANCE = 0.01
 """Largest difference of rasters that are one, in shares of the sample time."""
 
 
@@ -63,7 +63,7 @@ class Signal:
             return False
         if np.any(known != np.round(known)):
             return False
-        return len(np.unique(known)) <= LEVELS
+        return len(np.unique(known)) <= MOST_LEVELS
 
 
 def one_raster(
@@ -128,19 +128,24 @@ def _same(a: np.ndarray, b: np.ndarray, step: float) -> bool:
     """Whether two rasters are one."""
     if a is b:
         return True
-    return len(a) == len(b) and bool(np.all(np.abs(a - b) <= SAME * step))
+    return len(a) == len(b) and bool(np.all(np.abs(a - b) <= RASTER_TOLERANCE * step))
 
 
 def _keeps(time: np.ndarray, step: float) -> bool:
     """Whether stamps keep to a grid of the step; gaps are the reader's to judge."""
     steps = np.diff(time)
-    return bool(len(steps)) and abs(float(np.median(steps)) - step) <= SAME * step
+    return (
+        bool(len(steps))
+        and abs(float(np.median(steps)) - step) <= RASTER_TOLERANCE * step
+    )
 
 
 def _lies_on(time: np.ndarray, start: float, step: float) -> bool:
     """Whether stamps are those of a grid of the step through `start`."""
     at = (time - start) / step
-    return _keeps(time, step) and bool(np.all(np.abs(at - np.round(at)) <= SAME))
+    return _keeps(time, step) and bool(
+        np.all(np.abs(at - np.round(at)) <= RASTER_TOLERANCE)
+    )
 
 
 def _at(
@@ -150,7 +155,7 @@ def _at(
     t, own = signal.time, signal.step
     left = np.clip(np.searchsorted(t, grid + 1e-6 * step, side="right") - 1, 0, None)
     right = np.minimum(left + 1, len(t) - 1)
-    gap = (t[right] - t[left] > JUMP * max(own, step)) & (grid > t[left] + own)
+    gap = (t[right] - t[left] > GAP_FACTOR * max(own, step)) & (grid > t[left] + own)
     valid = np.ones(len(t), bool) if signal.valid is None else signal.valid
     if signal.steps or not valid.any() or len(t) < 2:
         return np.asarray(signal.values, float)[left], valid[left] & ~gap
@@ -173,7 +178,7 @@ def _notes(
             continue
         if signal.steps:
             how["held"].append(signal.name)
-        elif signal.step < (1 - SAME) * step:
+        elif signal.step < (1 - RASTER_TOLERANCE) * step:
             how["filtered against aliasing"].append(signal.name)
         else:
             how["interpolated"].append(signal.name)

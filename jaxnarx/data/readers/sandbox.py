@@ -32,19 +32,19 @@ from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataFileError, JaxnarxError
 from jaxnarx.files import TemporaryFolder
 
-START = "from jaxnarx.data.readers.sandbox import serve; serve()"
-OWN = 1e9
+START_CODE = "from jaxnarx.data.readers.sandbox import serve; serve()"
+INTERPRETER_BYTES = 1e9
 """Bytes of memory beside those of the samples: the interpreter and its libraries."""
-LEAST, RATE = 60.0, 2e6
+LEAST_SECONDS, BYTES_PER_SECOND = 60.0, 2e6
 """Seconds for a file, and bytes of it that are read in one more."""
 
 
 def ask(module: str, function: str, path: Path, **given: Any) -> Any:
     """The answer of `function(path, folder, **given)` of a module, run in the
     process."""
-    if not _APART:
-        _APART.append(SandboxedReader())
-    return _APART[0].ask(module, function, path, **given)
+    if not _READING_PROCESS:
+        _READING_PROCESS.append(SandboxedReader())
+    return _READING_PROCESS[0].ask(module, function, path, **given)
 
 
 def table_of(
@@ -54,9 +54,9 @@ def table_of(
     given |= {"wanted": list(wanted), "max_bytes": asked.max_bytes}
     answer = ask(module, "signals", path, **given)
     place = RowSource(str(path), 1, ", counted from 1")
-    array = _APART[0].array
+    array = _READING_PROCESS[0].array
     found = answer["signals"]
-    _APART[0].require_limit(path, asked.max_bytes)
+    _READING_PROCESS[0].require_limit(path, asked.max_bytes)
     times = {key: array(key) for key in {one["time"] for one in found} - {None}}
     parts = [
         (
@@ -82,16 +82,16 @@ def table_file(name: str, path: Path, max_bytes: float) -> dict[str, Any]:
     """Columns of an arrow file that was the last answer about `path`."""
     import pyarrow as pa
 
-    _APART[0].require_limit(path, max_bytes)
-    with pa.OSFile(str(_APART[0].folder / name), "rb") as file:
+    _READING_PROCESS[0].require_limit(path, max_bytes)
+    with pa.OSFile(str(_READING_PROCESS[0].folder / name), "rb") as file:
         table = pa.ipc.open_file(file).read_all()
     return dict(zip(table.column_names, table.columns, strict=True))
 
 
 def close() -> None:
     """End the process, if there is one; the next file begins another."""
-    while _APART:
-        _APART.pop().close()
+    while _READING_PROCESS:
+        _READING_PROCESS.pop().close()
 
 
 class SandboxedReader:
@@ -117,7 +117,7 @@ class SandboxedReader:
         except OSError:
             self.close()
             raise self._fault(path, "ended before the file") from None
-        seconds = LEAST + path.stat().st_size / RATE
+        seconds = LEAST_SECONDS + path.stat().st_size / BYTES_PER_SECOND
         with selectors.DefaultSelector() as waiting:
             waiting.register(process.stdout, selectors.EVENT_READ)
             if not waiting.select(seconds):
@@ -169,7 +169,7 @@ class SandboxedReader:
     def _running(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(
-                python_command(START),
+                python_command(START_CODE),
                 env=python_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -194,7 +194,7 @@ class SandboxedReader:
         )
 
 
-_APART: list[SandboxedReader] = []
+_READING_PROCESS: list[SandboxedReader] = []
 """The process that reads, once there is one."""
 
 
@@ -222,7 +222,7 @@ def _answer(request: dict[str, Any]) -> Any:
     if "working_folder" in request:
         os.chdir(request["working_folder"])
     module = importlib.import_module(f"jaxnarx.data.readers.{request['module']}")
-    _limit_memory(OWN + float(request["given"].get("max_bytes", 0.0)))
+    _limit_memory(INTERPRETER_BYTES + float(request["given"].get("max_bytes", 0.0)))
     function = getattr(module, request["function"])
     return function(Path(request["path"]), Path(request["folder"]), **request["given"])
 

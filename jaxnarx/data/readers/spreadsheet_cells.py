@@ -21,7 +21,7 @@ from jaxnarx.data.readers.columns import (
 from jaxnarx.data.readers.spreadsheet_size import count_cells
 from jaxnarx.errors import DataFileError, suggest
 
-_TIMES = 200
+_MAX_EXPANSION = 200
 """A file that unfolds to more times its size is taken for a bomb."""
 _CELL_BYTES = 64
 """Bytes of a cell in memory while a sheet is read."""
@@ -131,7 +131,7 @@ def _require_size(path: Path, max_bytes: float) -> None:
         with zipfile.ZipFile(path) as archive:
             expanded = sum(part.file_size for part in archive.infolist())
     require_limit(path, expanded / _CELL_TEXT_BYTES * 8, max_bytes)
-    require_size(path, expanded, float("inf"), _TIMES)
+    require_size(path, expanded, float("inf"), _MAX_EXPANSION)
     cells = count_cells(path)
     most = max(SMALL_BYTES, MOST_TIMES * size)
     if 8 * cells > max_bytes or _CELL_BYTES * cells > most:

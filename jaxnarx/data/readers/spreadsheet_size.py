@@ -11,15 +11,15 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 """Bytes of a part that are looked at together."""
-_TAG = re.compile(rb"<(?:\w+:)?(row|c)(?=[\s/>])([^>]*)>")
-_PLACE = re.compile(rb"""\sr\s*=\s*["']([A-Z]{0,3})(\d{1,7})["']""")
-_OPEN = re.compile(
+_TAG_PATTERN = re.compile(rb"<(?:\w+:)?(row|c)(?=[\s/>])([^>]*)>")
+_PLACE_PATTERN = re.compile(rb"""\sr\s*=\s*["']([A-Z]{0,3})(\d{1,7})["']""")
+_OPEN_PATTERN = re.compile(
     rb"<table:(table|table-row|table-cell|covered-table-cell)(?=[\s/>])([^>]*)>"
 )
-_ROWS = re.compile(rb"""number-rows-repeated\s*=\s*["'](\d+)""")
-_COLUMNS = re.compile(rb"""number-columns-repeated\s*=\s*["'](\d+)""")
+_ROWS_PATTERN = re.compile(rb"""number-rows-repeated\s*=\s*["'](\d+)""")
+_COLUMNS_PATTERN = re.compile(rb"""number-columns-repeated\s*=\s*["'](\d+)""")
 
 
 def count_cells(path: Path) -> int:
@@ -44,8 +44,8 @@ def _rectangle(archive: zipfile.ZipFile, name: str) -> int:
     """
     row = column = last_row = last_column = 0
     for chunk in _chunks(archive, name):
-        for kind, attributes in _TAG.findall(chunk):
-            place = _PLACE.search(attributes)
+        for kind, attributes in _TAG_PATTERN.findall(chunk):
+            place = _PLACE_PATTERN.search(attributes)
             if kind == b"row":
                 row, column = int(place[2]) if place else row + 1, 0
                 continue
@@ -68,14 +68,14 @@ def _repeated_rectangles(archive: zipfile.ZipFile, name: str) -> int:
     """Rows times columns up to the farthest cell with a value, over all sheets."""
     total = row = rows = column = last_row = last_column = 0
     for chunk in _chunks(archive, name):
-        for kind, attributes in _OPEN.findall(chunk):
+        for kind, attributes in _OPEN_PATTERN.findall(chunk):
             if kind == b"table":
                 total += last_row * last_column
                 row = rows = last_row = last_column = 0
             elif kind == b"table-row":
-                row, rows, column = row + rows, _number(_ROWS, attributes), 0
+                row, rows, column = row + rows, _number(_ROWS_PATTERN, attributes), 0
             else:
-                column += _number(_COLUMNS, attributes)
+                column += _number(_COLUMNS_PATTERN, attributes)
                 if b"value-type=" in attributes:
                     last_row, last_column = row + rows, max(last_column, column)
     return total + last_row * last_column
@@ -90,7 +90,7 @@ def _chunks(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
     """A part of an archive piece by piece, cut where a tag begins."""
     kept = b""
     with archive.open(name) as part:
-        while chunk := part.read(_CHUNK):
+        while chunk := part.read(_CHUNK_BYTES):
             chunk = kept + chunk
             cut = max(chunk.rfind(b"<"), 0)
             kept = chunk[cut:]

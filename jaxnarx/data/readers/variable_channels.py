@@ -27,12 +27,12 @@ from jaxnarx.data.readers.variable_trees import (
 from jaxnarx.data.sampling import TIME_UNITS, time_unit_in
 from jaxnarx.errors import DataFileError, suggest
 
-_STEP = re.compile(r"(?i)(ts|dt|t_?s|sample_?time|sampling_?time|sample_?period)")
-_RATE = re.compile(r"(?i)(fs|sample_?rate|sampling_?(rate|frequency))")
-_TIME = re.compile(
+_STEP_NAMES = re.compile(r"(?i)(ts|dt|t_?s|sample_?time|sampling_?time|sample_?period)")
+_RATE_NAMES = re.compile(r"(?i)(fs|sample_?rate|sampling_?(rate|frequency))")
+_TIME_NAMES = re.compile(
     r"(?i)(time|t|time_?stamps?|zeit)(_(s|ms|us|min|h)|[ _]?[\[(]\w+[\])])?"
 )
-_NAMES = re.compile(
+_LABEL_NAMES = re.compile(
     r"(?i).*(name|label|channel|column|header|title|signal|items|vars).*"
 )
 
@@ -210,7 +210,9 @@ def _rename_vectors(
 def _with_time(own: list[Variable]) -> list[Variable]:
     """Vectors of one length beside one time get it."""
     times = [
-        one for one in own if _TIME.fullmatch(one.name) and _kind(one.values) in "iufmM"
+        one
+        for one in own
+        if _TIME_NAMES.fullmatch(one.name) and _kind(one.values) in "iufmM"
     ]
     if len(times) > 1:  # a T beside a time is a temperature, or a torque
         times = [one for one in times if one.name.lower() != "t"]
@@ -230,7 +232,7 @@ def _is_known_time(one: Variable) -> bool:
     """Whether it is a time, and channels have that already."""
     if one.name.lower() == "t" and one.time is not None and not one.stamps:
         return False
-    return bool(_TIME.fullmatch(one.name) and _step(one))
+    return bool(_TIME_NAMES.fullmatch(one.name) and _step(one))
 
 
 def _stamps(t: np.ndarray, unit: str | None) -> np.ndarray:
@@ -267,7 +269,9 @@ def _texts(branch: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     }
     units = next((v for k, v in texts.items() if "unit" in k.lower()), [])
     names = [
-        v for k, v in texts.items() if _NAMES.fullmatch(k) and "unit" not in k.lower()
+        v
+        for k, v in texts.items()
+        if _LABEL_NAMES.fullmatch(k) and "unit" not in k.lower()
     ]
     items = [v for k, v in texts.items() if k.endswith("items")]
     return ([*items, *names, []])[0], units
@@ -281,9 +285,9 @@ def _own_step(branch: Mapping[str, Any]) -> float | None:
             if value.dtype.kind not in "iuf":
                 continue
             number = float(np.asarray(value[()]).ravel()[0])
-            if number > 0 and _STEP.fullmatch(name):
+            if number > 0 and _STEP_NAMES.fullmatch(name):
                 return number
-            if number > 0 and _RATE.fullmatch(name):
+            if number > 0 and _RATE_NAMES.fullmatch(name):
                 return 1 / number
     return None
 

@@ -158,7 +158,7 @@ def _hdf5(path: Path, file: Any) -> dict[str, Any]:
     _add_attributes(tree, file)
     for place, item in _walk(path, file):
         *above, name = place.split("/")
-        if len(above) > DEPTH:
+        if len(above) > MAX_DEPTH:
             continue
         branch = tree
         for part in above:
@@ -189,12 +189,12 @@ def _add_dataset(branch: dict[str, Any], name: str, item: Any) -> None:
     elif item.dtype.names:
         branch[name] = plain(item[()])
     elif item.dtype.kind != "O":
-        unit = next((item.attrs[n] for n in _UNIT if n in item.attrs), "")
+        unit = next((item.attrs[n] for n in _UNIT_NAMES if n in item.attrs), "")
         branch[name] = WithUnit(item, _text(unit))
 
 
-_UNIT = ("unit", "units", "Unit", "Units")
-DEPTH = 12
+_UNIT_NAMES = ("unit", "units", "Unit", "Units")
+MAX_DEPTH = 12
 """Levels of groups and structs that are looked into."""
 
 
@@ -225,7 +225,7 @@ def _is_number(kind: str) -> bool:
 def plain(value: Any, depth: int = 0) -> Any:
     """A variable as one of the forms of this module; `None` for what has none."""
     properties = getattr(value, "properties", None)
-    if depth > DEPTH:
+    if depth > MAX_DEPTH:
         return None
     if isinstance(properties, Mapping):
         branch = {str(k): plain(v, depth + 1) for k, v in properties.items()}

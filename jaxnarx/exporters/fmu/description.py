@@ -9,7 +9,7 @@ from jaxnarx.exporters.fmu.variables import Quantity, units
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import STARTS
 
-NUMBERS = {"real": "Float64", "boolean": "Boolean", "choice": "Enumeration"}
+NUMBER_TYPES = {"real": "Float64", "boolean": "Boolean", "choice": "Enumeration"}
 """Types of FMI 3.0."""
 
 
@@ -80,7 +80,7 @@ def fmi3(program: SampleProgram, variables: Sequence[Quantity], token: str) -> s
     _experiment(root, program)
     listed = ET.SubElement(root, "ModelVariables")
     for n, v in enumerate(variables):
-        kind = NUMBERS.get(v.kind, "Float64")
+        kind = NUMBER_TYPES.get(v.kind, "Float64")
         one = ET.SubElement(listed, kind, name=v.name, valueReference=str(n))
         _common(one, v)
         _typed(one, v)

@@ -7,42 +7,44 @@ from jaxnarx.exporters.fmu.variables import Quantity
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import STARTS
 
-SAMPLES = """The model is sampled: y(t) is made from u(t) and from what came before, and
-is known at t = start time + n T only, with n counted and T = {step} s. Inputs and
-outputs are discrete: they are held, not interpolated."""
-INITIAL = """In initialization mode the outputs are y at the start time, from the inputs
-as they are set; the run starts from what the parameter <code>start</code> says."""
-LATE = """<code>doStep(t, T)</code> takes the sample at t, with the inputs that are set,
-and returns its outputs: behind it, at the communication point t + T, they are y(t). A
-recording by communication points therefore lies one sample behind the model's own.
-Whoever wants it to match sets u(t + T) before <code>doStep(t, T)</code>: then y(t + T)
-is there at t + T, and what is before the first step belongs to what the run starts
+SAMPLES_TEXT = """The model is sampled: y(t) is made from u(t) and from what came
+before, and is known at t = start time + n T only, with n counted and T = {step} s.
+Inputs and outputs are discrete: they are held, not interpolated."""
+INITIAL_TEXT = """In initialization mode the outputs are y at the start time, from the
+inputs as they are set; the run starts from what the parameter <code>start</code>
+says."""
+DELAY_TEXT = """<code>doStep(t, T)</code> takes the sample at t, with the inputs that
+are set, and returns its outputs: behind it, at the communication point t + T, they are
+y(t). A recording by communication points therefore lies one sample behind the model's
+own. Whoever wants it to match sets u(t + T) before <code>doStep(t, T)</code>: then y(t
++ T) is there at t + T, and what is before the first step belongs to what the run starts
 from."""
-EVENTS = """With event mode there is no delay: in event mode at t, set u(t), call
+EVENTS_TEXT = """With event mode there is no delay: in event mode at t, set u(t), call
 <code>updateDiscreteStates</code> and get y(t), as often as inputs change; a later step
 keeps the last. Every <code>doStep</code> asks for the next event, because a sample is
 due at its end. Without event mode it is as in FMI 2.0:"""
-STEPS = """A step of k T takes k samples with the same inputs. A step that does not
+STEPS_TEXT = """A step of k T takes k samples with the same inputs. A step that does not
 begin where the last has ended, is no multiple of T (within a share of 1e-9 and the
 rounding of times), or ends behind the stop time, is refused with an error and changes
 nothing."""
-SLOPES = """Directional derivatives are exact: of the reported outputs by the inputs and
-by the past outputs <code>past.*</code>, of the sample that the next step takes (in
-event mode, of the sample at hand). Where an output is held at a bound they are zero."""
-STATE = """State is got, set and serialised as a whole, time and inputs included; what
-was serialised by another model is refused."""
-SOURCES = """For another platform, compile the files of <code>sources</code> as C99 into
-a shared library, with the mathematical library. Linked statically, define
+SLOPES_TEXT = """Directional derivatives are exact: of the reported outputs by the
+inputs and by the past outputs <code>past.*</code>, of the sample that the next step
+takes (in event mode, of the sample at hand). Where an output is held at a bound they
+are zero."""
+STATE_TEXT = """State is got, set and serialised as a whole, time and inputs included;
+what was serialised by another model is refused."""
+SOURCES_TEXT = """For another platform, compile the files of <code>sources</code> as C99
+into a shared library, with the mathematical library. Linked statically, define
 <code>FMI{version}_FUNCTION_PREFIX</code> as <code>{name}_</code>."""
 
 
 def page(program: SampleProgram, variables: Sequence[Quantity], version: int) -> str:
     """The page."""
-    texts = [SAMPLES.format(step=f"{program.sample_time:g}"), INITIAL]
-    texts += [EVENTS] if version == 3 else []
-    texts += [LATE, STEPS, SLOPES, STATE]
+    texts = [SAMPLES_TEXT.format(step=f"{program.sample_time:g}"), INITIAL_TEXT]
+    texts += [EVENTS_TEXT] if version == 3 else []
+    texts += [DELAY_TEXT, STEPS_TEXT, SLOPES_TEXT, STATE_TEXT]
     texts += [escape(note) for note in program.notes]
-    texts += [SOURCES.format(version=version, name=program.name)]
+    texts += [SOURCES_TEXT.format(version=version, name=program.name)]
     starts = "".join(f"<li><code>{k}</code>: {v}</li>\n" for k, v in STARTS.items())
     rows = "".join(
         f"<tr><td>{escape(v.name)}</td><td>{v.causality}</td><td>{escape(v.unit)}</td>"

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from jaxnarx.exporters import c99
-from jaxnarx.exporters.compilers import WARNINGS, compilers
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import description
 from jaxnarx.exporters.fmu.documentation import page
 from jaxnarx.exporters.fmu.glue import text_of, wrapper
@@ -22,12 +22,12 @@ from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, as_bytes
 from jaxnarx.files import TemporaryFolder
 
-LICENCE = """The functions of FMI in sources/ are part of jaxnarx, Apache-2.0,
+LICENCE_NOTE = """The functions of FMI in sources/ are part of jaxnarx, Apache-2.0,
 https://www.apache.org/licenses/LICENSE-2.0
 The model belongs to whoever has identified it.
 """
-MACHINES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64"}
-SYSTEMS = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
+MACHINE_NAMES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64"}
+SYSTEM_NAMES = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
 
 
 def fmu(version: int) -> Callable[[SampleProgram, Golden], Files]:
@@ -61,7 +61,7 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
         f"sources/{name}.c": str(code[f"{name}.c"]),
         f"sources/{sources[1]}": wrapper(program, variables, token, version),
         "documentation/index.html": page(program, variables, version),
-        "documentation/licenses/license.txt": LICENCE,
+        "documentation/licenses/license.txt": LICENCE_NOTE,
     }
     if version == 2:
         about = description.fmi2(program, variables, token, sources)
@@ -79,10 +79,10 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
 
 def place_of_binary(name: str, version: int) -> str | None:
     """The folder of the binary for this machine; None where FMI has no name for it."""
-    machine = MACHINES.get(platform.machine().lower(), platform.machine().lower())
-    if platform.system() not in SYSTEMS:
+    machine = MACHINE_NAMES.get(platform.machine().lower(), platform.machine().lower())
+    if platform.system() not in SYSTEM_NAMES:
         return None
-    system, end = SYSTEMS[platform.system()]
+    system, end = SYSTEM_NAMES[platform.system()]
     folder = f"{machine}-{system}"
     if version == 2 and (machine == "x86_64" or system == "darwin"):
         folder = f"{system}64"
@@ -103,7 +103,7 @@ def binary(
         Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
         own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
         library = Path(folder, Path(place).name)
-        command = [found[0], *WARNINGS, "-O2", "-fPIC", "-shared"]
+        command = [found[0], *WARNING_FLAGS, "-O2", "-fPIC", "-shared"]
         command += ["-fvisibility=hidden", *own, "-lm", "-o", str(library)]
         done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
         if done.returncode:

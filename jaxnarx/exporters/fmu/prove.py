@@ -9,12 +9,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from jaxnarx.exporters.compilers import WARNINGS, compiler
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
 from jaxnarx.exporters.fmu.glue import text_of
 from jaxnarx.exporters.fmu.pack import archive_name, place_of_binary
 from jaxnarx.exporters.fmu.variables import quantities
 from jaxnarx.exporters.form import SampleProgram
-from jaxnarx.exporters.proof import DOUBLE, Case, ExportError, Runner, worst
+from jaxnarx.exporters.proof import DOUBLE_TOLERANCE, Case, ExportError, Runner, worst
 from jaxnarx.exporters.target import Proof
 
 
@@ -34,7 +34,9 @@ def _proven(
     run = fmu_runner(folder, program, version)
     if run is None:
         return {}, [f"fmu{version}: sources only, there is no C compiler here"]
-    return {f"fmu{version}": worst(cases, run, DOUBLE, f"FMU {version}.0")}, []
+    return {
+        f"fmu{version}": worst(cases, run, DOUBLE_TOLERANCE, f"FMU {version}.0")
+    }, []
 
 
 def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | None:
@@ -78,7 +80,7 @@ def _loop(build: Path, version: int) -> ctypes.CDLL:
         (build / file).write_text(text_of(file))
     chosen, library = compiler(), build / f"loop{version}.so"
     assert chosen is not None, "there is a binary, so there was a compiler"
-    command = [chosen, *WARNINGS, "-O2", "-fPIC", "-shared"]
+    command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared"]
     command += [str(build / f"loop{version}.c"), "-ldl", "-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 from jaxnarx.exporters.form import Port, SampleProgram, Value
 
-LIMITED = "the bound of what is fed back has acted on"
-ABOUT = {
+LIMITED_TEXT = "the bound of what is fed back has acted on"
+FLAG_TEXTS = {
     "extrapolated": "1: an input is beyond its trained range, or missing",
     "index": "distance from the training, one at its border",
     "missing": "samples in a row at which an input is NaN or infinite; it is held",
@@ -59,7 +59,7 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         output(name(flag), n, "real", _flag(flag)) for flag, n in program.flags.items()
     ]
     limited = [
-        output(name(f"limited.{p.name}"), n, "boolean", f"{LIMITED} {p.name}")
+        output(name(f"limited.{p.name}"), n, "boolean", f"{LIMITED_TEXT} {p.name}")
         for p, n in zip(program.computed, program.limited, strict=True)
     ]
     past = [
@@ -120,7 +120,7 @@ def past_gains(program: SampleProgram) -> list[float]:
 
 
 def _flag(flag: str) -> str:
-    return ABOUT.get(flag, f"{flag} at this sample")
+    return FLAG_TEXTS.get(flag, f"{flag} at this sample")
 
 
 def _trained(port: Port) -> str:

@@ -42,13 +42,13 @@ from jaxnarx.simulation import match_records, simulate
 from jaxnarx.solution import Solution
 
 Tell = Callable[[dict[str, Any]], None]
-TOLERANCE = 5e-4
+PULL_TOLERANCE = 5e-4
 """Relative decrease, twice in a row, at which a value of the pull has done its work."""
-GROWN = 2
+DIVIDED_STARTS = 2
 """How many of the starts are divided into regions."""
-TRIED = 6
+DIVISION_STEPS = 6
 """Steps that a division is given before the best of them is taken."""
-HELD = 1e-4
+GATE_RIDGE = 1e-4
 """Ridge of what has gates."""
 
 
@@ -92,7 +92,7 @@ def fit_states(
     ends: list[_Start] = []
     errors = {start.name: start.error for start in starts}
     if method.regions > 1:
-        starts = sorted(starts, key=_training_error)[:GROWN]
+        starts = sorted(starts, key=_training_error)[:DIVIDED_STARTS]
         starts = [_roomy(start, method.regions) for start in starts]
     for regions, shrink in method.stages:
         if shrink == method.shrink[0]:
@@ -196,7 +196,7 @@ def _divide(
     found = []
     for network in split_candidates(start.fit.value, data):
         try:
-            fit = _train(network, data, TRIED, method.shrink[0], progress)
+            fit = _train(network, data, DIVISION_STEPS, method.shrink[0], progress)
         except (JaxnarxError, np.linalg.LinAlgError):
             continue
         network = set_state_ranges(fit.value, data)
@@ -257,9 +257,9 @@ def _train(
     method = SimulationError(
         max_steps=steps,
         train="joint" if gated else "staged",
-        ridge=HELD if gated else 0,
+        ridge=GATE_RIDGE if gated else 0,
         shrink=shrink,
-        tolerance=TOLERANCE,
+        tolerance=PULL_TOLERANCE,
         patience=steps + 1,
     )
     return refine(network, data, method, progress=progress)

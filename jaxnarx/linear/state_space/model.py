@@ -17,9 +17,9 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require
 from jaxnarx.errors import DataError
 
-EDGE = 1e-3
+CIRCLE_DISTANCE = 1e-3
 """How far from the unit circle poles are kept."""
-LEAST = 1e-8
+LEAST_DEVIATION_SHARE = 1e-8
 """Standard deviation that a state is scaled by at least, of the largest one."""
 
 
@@ -122,8 +122,9 @@ def stabilise(
 ) -> Float[np.ndarray, "states states"]:
     """`a` with all its eigenvalues inside the unit circle.
 
-    One outside goes to its mirror image, 1/conj, one within `EDGE` of the circle then
-    to 1 - `EDGE`. With `integrating`, real ones within `EDGE` of one become one.
+    One outside goes to its mirror image, 1/conj, one within `CIRCLE_DISTANCE` of the
+    circle then to 1 - `CIRCLE_DISTANCE`. With `integrating`, real ones within
+    `CIRCLE_DISTANCE` of one become one.
 
     All this keeps the angles, so that the diagonal blocks of the real Schur form are
     multiplied by numbers: no eigenvectors, which poles that coincide lack, are needed.
@@ -145,10 +146,10 @@ def stabilise(
 
 def _radius(pole: float, *, integrating: bool) -> float:
     """The modulus to which a pole, by its modulus if complex, is moved."""
-    if integrating and abs(pole - 1) <= EDGE:
+    if integrating and abs(pole - 1) <= CIRCLE_DISTANCE:
         return 1.0
     size = abs(pole)
-    return min(1 / size if size > 1 else size, 1 - EDGE)
+    return min(1 / size if size > 1 else size, 1 - CIRCLE_DISTANCE)
 
 
 def scale_states(
@@ -158,15 +159,19 @@ def scale_states(
 ) -> StateSpace:
     """The same model in `form`, with `states` of mean zero and standard deviation one.
 
-    A state that moves less than `LEAST` of the one that moves most is scaled as if it
-    moved that much: what is rounding is not blown up to one.
+    A state that moves less than `LEAST_DEVIATION_SHARE` of the one that moves most is
+    scaled as if it moved that much: what is rounding is not blown up to one.
     """
     basis = modal_basis(model.a) if form == "modal" else np.eye(model.order)
     mean = states.mean(axis=0)
     moved = np.linalg.solve(basis, (states - mean[None]).T)
     spread = moved.std(axis=1)
     most = float(spread.max())
-    spread = np.maximum(spread, LEAST * most) if most > 0 else np.ones(model.order)
+    spread = (
+        np.maximum(spread, LEAST_DEVIATION_SHARE * most)
+        if most > 0
+        else np.ones(model.order)
+    )
     found = transform(model, basis * spread[None], mean)
     if form != "modal":
         return found

@@ -23,7 +23,7 @@ from jaxnarx.models import OUTPUT_MARGIN, Network, global_model, hidden_names, r
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import make_masks, match_records, simulate
 
-FREE = 8.0
+FREE_DEVIATIONS = 8.0
 """Standard deviations a hidden state may reach while it is trained."""
 
 
@@ -60,7 +60,7 @@ def state_network(
     gain = np.append(gains(data), np.ones(states))
     low, high = (np.append(a, np.full(states, b)) for a, b in ((low, -2), (high, 2)))
     wider = OUTPUT_MARGIN * (high - low)[own]
-    wider[len(outputs) :] = FREE - 2
+    wider[len(outputs) :] = FREE_DEVIATIONS - 2
     table = products(len(rows), degree)
     theta = _coefficients(model, gain, own, table)
     return Network(

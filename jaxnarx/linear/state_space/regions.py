@@ -32,9 +32,9 @@ from jaxnarx.models import (
 )
 from jaxnarx.simulation import match_records, simulate
 
-STEEPNESS = 2.0
+FIRST_STEEPNESS = 2.0
 """Of a gate at first, for one standard deviation of what a leaf is valid for."""
-FLAT = 1e-6
+LEAST_DEVIATION = 1e-6
 """Least standard deviation across a gate, in units of the trained range."""
 
 
@@ -83,8 +83,8 @@ def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
     weight, z = every[leaf], scaled_points(first, points)
     centre = weight @ z / weight.sum()
     spread = np.sqrt(weight @ (z - centre) ** 2 / weight.sum())
-    for dim in np.flatnonzero(spread > FLAT).tolist():
-        gate = np.eye(len(spread))[dim], centre[dim], STEEPNESS / spread[dim]
+    for dim in np.flatnonzero(spread > LEAST_DEVIATION).tolist():
+        gate = np.eye(len(spread))[dim], centre[dim], FIRST_STEEPNESS / spread[dim]
         models = (_divide(model, leaf, *gate) for model in network.models)
         yield dataclasses.replace(network, models=tuple(models))
 

@@ -24,9 +24,9 @@ from jaxtyping import Float
 from jaxnarx.arrays import ROWS_AT_ONCE, accumulate
 from jaxnarx.linear.state_space.model import recursion
 
-RIDGE = 1e-10
+COLUMN_RIDGE = 1e-10
 """Ridge on columns of unit norm: what no output tells stays small."""
-WIDER = 3.0
+START_SPREAD = 3.0
 """Standard deviation of starting states over the one that is known of states."""
 
 
@@ -77,7 +77,9 @@ def regress(
         norm = np.sum(r**2, axis=0)
         square += norm
         known = np.zeros((n, width))
-        known[:, :n] = np.diag(np.hypot(prior / WIDER, np.sqrt(RIDGE * norm[:n])))
+        known[:, :n] = np.diag(
+            np.hypot(prior / START_SPREAD, np.sqrt(COLUMN_RIDGE * norm[:n]))
+        )
         r = accumulate([r, known], width)
         heads.append(r[:n])
         tails.append(r[n:, n:])
@@ -119,7 +121,9 @@ def _ridge(r: Float[np.ndarray, "rows columns"], square: Float[np.ndarray, " par
     """Coefficients of the last column of `r`; `square` are the norms of the others."""
     norm = np.sqrt(np.where(square > 0, square, 1.0))
     params = len(norm)
-    left = np.concatenate([r[:, :-1] / norm[None], np.sqrt(RIDGE) * np.eye(params)])
+    left = np.concatenate(
+        [r[:, :-1] / norm[None], np.sqrt(COLUMN_RIDGE) * np.eye(params)]
+    )
     right = np.concatenate([r[:, -1], np.zeros(params)])
     return np.linalg.lstsq(left, right, rcond=None)[0] / norm
 

@@ -22,7 +22,7 @@ from jaxnarx.linear.state_space.subspace import (
 
 BLOCK_ROWS = (None, 10, 15)
 """The default of `identify_subspace`, and two that short records bear."""
-SLACK = 1.05
+NEARLY_BEST_FACTOR = 1.05
 """Error of a linear model, over that of the best, that is nearly as good."""
 
 
@@ -59,8 +59,8 @@ def linear_starts(
 def linear_order(data: Dataset, output: str, most: int) -> int | None:
     """The fewest states of a linear model nearly as good as the best of up to `most`.
 
-    By the error of their free runs on the data, within `SLACK` of the least; None where
-    there is no such model.
+    By the error of their free runs on the data, within `NEARLY_BEST_FACTOR` of the
+    least; None where there is no such model.
     """
     every = _arrays(data, [data.channels.output_names.index(output)])
     try:
@@ -69,7 +69,9 @@ def linear_order(data: Dataset, output: str, most: int) -> int | None:
         return None
     errors = {n: model.free_run_error(**every) for n, model in models.items()}
     least = min(errors.values())
-    return min(n for n, error in errors.items() if error <= SLACK**2 * least)
+    return min(
+        n for n, error in errors.items() if error <= NEARLY_BEST_FACTOR**2 * least
+    )
 
 
 def _named(rows: int | None) -> str:

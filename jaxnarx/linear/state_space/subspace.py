@@ -42,13 +42,13 @@ from jaxnarx.linear.state_space.model import (
 )
 from jaxnarx.linear.state_space.regression import Segment, StateRegression, regress
 
-ROWS = 24
+MOST_BLOCK_ROWS = 24
 """Block rows where the records are long."""
-WINDOWS = 4
+WINDOWS_PER_ROW = 4
 """Windows per row of the matrix that the default number of block rows leaves."""
-CHAIN = (0.3, 0.003, 12)
+CHAIN_POLES = (0.3, 0.003, 12)
 """One less the largest and the smallest pole of a chain, and how many are tried."""
-PRIOR = 0.1
+CHAIN_NOISE = 0.1
 """Standard deviation of the noise over that of a state of a chain, for its start."""
 FORMS = ("balanced", "modal")
 
@@ -98,11 +98,11 @@ def subspace_models(
     at rows where they are False, whose numbers are not looked at. Pieces shorter than
     two block rows take no part in the choice of A and C.
 
-    `block_rows` is s: by default the largest number up to `ROWS`, and at least two more
-    than the largest order, that leaves windows enough. Without `feedthrough` D is zero.
-    All poles are put inside the unit circle (`stabilised`); with `integrating` those
-    next to one become one, and the offset of the state may drive them. An input that
-    does not change has no effect in the model.
+    `block_rows` is s: by default the largest number up to `MOST_BLOCK_ROWS`, and at
+    least two more than the largest order, that leaves windows enough. Without
+    `feedthrough` D is zero. All poles are put inside the unit circle (`stabilised`);
+    with `integrating` those next to one become one, and the offset of the state may
+    drive them. An input that does not change has no effect in the model.
 
     `form` says how states are chosen: `"balanced"` by singular vectors, or `"modal"`, A
     in blocks of 1 x 1 and 2 x 2 (few parameters; poles may not coincide). States have
@@ -146,17 +146,17 @@ def chain_model(
 
         z_k(t+1) = p z_k(t) + (1 - p) z_(k+1)(t) ,   y(t) = z_1(t) ,
 
-    which the inputs enter anywhere. Of `CHAIN` values of p the best is taken. Arguments
-    as in `subspace_models`; `SpecError` for several outputs.
+    which the inputs enter anywhere. Of `CHAIN_POLES` values of p the best is taken.
+    Arguments as in `subspace_models`; `SpecError` for several outputs.
     """
     order = whole(order, "order", 1)
     signals = _signals(u, y, valid)
     outputs = signals.width - signals.inputs
     require(outputs == 1, "y", f"a chain has one output, got {outputs}")
-    c, prior = np.eye(order)[:1], np.full(order, PRIOR)
+    c, prior = np.eye(order)[:1], np.full(order, CHAIN_NOISE)
     chains = [
         pole * np.eye(order) + (1 - pole) * np.eye(order, k=1)
-        for pole in 1 - np.geomspace(*CHAIN)
+        for pole in 1 - np.geomspace(*CHAIN_POLES)
     ]
     options = {"prior": prior, "feedthrough": feedthrough, "integrating": False}
     errors = [
@@ -295,11 +295,12 @@ def _block_rows(signals: _Signals, order: int, given: int | None) -> int:
 
 
 def _default(signals: _Signals, order: int) -> int:
-    """The most that leave half of all samples as windows, and `WINDOWS` for a row."""
+    """The most that leave half of all samples as windows, and `WINDOWS_PER_ROW` for
+    a row."""
     least = order + 2
     half = sum(len(p.y) for p in signals.pieces) / 2
-    for rows in range(max(ROWS, least), least, -1):
-        if signals.windows(rows) >= max(half, WINDOWS * signals.need(rows)):
+    for rows in range(max(MOST_BLOCK_ROWS, least), least, -1):
+        if signals.windows(rows) >= max(half, WINDOWS_PER_ROW * signals.need(rows)):
             return rows
     return least
 

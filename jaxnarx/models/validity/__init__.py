@@ -5,7 +5,7 @@ import dataclasses
 from jaxnarx.errors import SpecError
 from jaxnarx.extensions import Registry
 from jaxnarx.models.validity.abstract import (
-    EDGE,
+    CENTRE_ROOM,
     AbstractValidity,
     models_of,
     weights_of,
@@ -58,7 +58,7 @@ def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
 
 
 __all__ = [
-    "EDGE",
+    "CENTRE_ROOM",
     "AbstractValidity",
     "Boxes",
     "Compact",

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import bucket
 
-EDGE = 0.01
+CENTRE_ROOM = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""
 
 Region = dict[str, dict[str, float]]
@@ -75,7 +75,7 @@ class AbstractValidity(eqx.Module):
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
 
 
-MOST = 1024
+MOST_MODELS = 1024
 """Local models of one output that are thought of where no size tells their number."""
 
 
@@ -86,7 +86,7 @@ def models_of(validity: AbstractValidity, dims: int) -> int:
     """
     first = [leaf.shape[0] for leaf in jax.tree.leaves(validity) if leaf.ndim]
     refused = []
-    for models in (*first, *range(1, MOST + 1)):
+    for models in (*first, *range(1, MOST_MODELS + 1)):
         try:
             validity.check(models, dims)
         except ValueError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.models.validity.abstract import (
-    EDGE,
+    CENTRE_ROOM,
     AbstractValidity,
     Region,
     column,
@@ -67,9 +67,15 @@ class Compact(AbstractValidity):
         narrow, wide = jnp.log(jnp.asarray(width_band, self.low.dtype))
         return (
             Compact(
-                jnp.minimum(self.low - EDGE, 0.0), middle, self.log_margin + narrow
+                jnp.minimum(self.low - CENTRE_ROOM, 0.0),
+                middle,
+                self.log_margin + narrow,
             ),
-            Compact(middle, jnp.maximum(self.high + EDGE, 1.0), self.log_margin + wide),
+            Compact(
+                middle,
+                jnp.maximum(self.high + CENTRE_ROOM, 1.0),
+                self.log_margin + wide,
+            ),
         )
 
     def check(self, models: int, dims: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.models.validity.abstract import (
-    EDGE,
+    CENTRE_ROOM,
     AbstractValidity,
     Region,
     column,
@@ -55,8 +55,12 @@ class Gaussians(AbstractValidity):
         """
         low, high = jnp.log(jnp.asarray(width_band, self.log_width.dtype))
         return (
-            Gaussians(jnp.minimum(self.centre - EDGE, 0.0), self.log_width + low),
-            Gaussians(jnp.maximum(self.centre + EDGE, 1.0), self.log_width + high),
+            Gaussians(
+                jnp.minimum(self.centre - CENTRE_ROOM, 0.0), self.log_width + low
+            ),
+            Gaussians(
+                jnp.maximum(self.centre + CENTRE_ROOM, 1.0), self.log_width + high
+            ),
         )
 
     def check(self, models: int, dims: int) -> None:

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.models.validity.abstract import (
-    EDGE,
+    CENTRE_ROOM,
     AbstractValidity,
     Region,
     column,
@@ -58,8 +58,8 @@ class LogSigmoids(AbstractValidity):
         So their order holds. The steepness stays within the inverse of the band.
         """
         middle = (self.border[1:] + self.border[:-1]) / 2
-        first = jnp.minimum(self.border[:1] - EDGE, 0.0)
-        last = jnp.maximum(self.border[-1:] + EDGE, 1.0)
+        first = jnp.minimum(self.border[:1] - CENTRE_ROOM, 0.0)
+        last = jnp.maximum(self.border[-1:] + CENTRE_ROOM, 1.0)
         low, high = jnp.log(jnp.asarray(width_band, self.border.dtype))
         flat = self.log_steepness
         return (

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models.validity.abstract import (
-    EDGE,
+    CENTRE_ROOM,
     AbstractValidity,
     Region,
     column,
@@ -78,13 +78,13 @@ class SigmoidTree(AbstractValidity):
         return (
             SigmoidTree(
                 self.direction - 1.0,
-                jnp.minimum(self.border - EDGE, nearest),
+                jnp.minimum(self.border - CENTRE_ROOM, nearest),
                 flat - high,
                 self.path,
             ),
             SigmoidTree(
                 self.direction + 1.0,
-                jnp.maximum(self.border + EDGE, farthest),
+                jnp.maximum(self.border + CENTRE_ROOM, farthest),
                 flat - low,
                 self.path,
             ),

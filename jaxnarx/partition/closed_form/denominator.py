@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.arrays import has_stable_roots
 
-NEAREST = 1e-6
+STABILITY_MARGIN = 1e-6
 """Distance of a reflection coefficient from one that still counts as stable."""
 
 
@@ -19,4 +19,4 @@ def of_times(times: Sequence[float], sample_time: float) -> Float[np.ndarray, " 
 
 def is_stable(a: Float[np.ndarray, " _"]) -> bool:
     """Whether all poles are inside the unit circle."""
-    return bool(has_stable_roots(a, NEAREST))
+    return bool(has_stable_roots(a, STABILITY_MARGIN))

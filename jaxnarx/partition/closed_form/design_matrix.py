@@ -22,14 +22,14 @@ from jaxnarx.partition.closed_form.equations import NormalEquations
 from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
 from jaxnarx.regressors import evaluate
 
-WIDTH = 0.5
+GATE_WIDTH = 0.5
 """Standard deviation of the two Gaussians whose ratio a gate is, as a share of the half
 region's extension; O. Nelles, "Nonlinear System Identification", 2001, 13.2.2."""
-MARGIN = 0.02
+RANGE_MARGIN = 0.02
 """Share of the trained range by which predictions may leave it."""
-HARD = 60.0
+LEVEL_STEEPNESS = 60.0
 """Steepness of a gate between levels, over their distance."""
-TILE = 32_768
+TILE_NUMBERS = 32_768
 """Numbers that are taken through product, gates and filter together (256 kB)."""
 
 
@@ -174,7 +174,7 @@ class BlockDesign:
             counted = tuple(np.split(np.arange(len(at)), borders))
             z, x = z[:, at], x[:, at]
         gates = weight(region, x)[None]
-        step = max(1, TILE // max(z.shape[1], 1))
+        step = max(1, TILE_NUMBERS // max(z.shape[1], 1))
         for k in range(0, len(factor), step):
             raw = np.asarray(evaluate(factor[k : k + step], z)) * gates
             run = one.filtered(raw, self.a)
@@ -322,7 +322,7 @@ class BlockDesign:
         """The range of the output in all that is measured, widened as it is in use."""
         low = min(y.min(initial=np.inf) for y in self.measured)
         high = max(y.max(initial=-np.inf) for y in self.measured)
-        return low - MARGIN * (high - low), high + MARGIN * (high - low)
+        return low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
 
     def scheduling(self) -> list[Float[np.ndarray, "dims _"]]:
         """Scheduling variables at the samples that count, part by part."""

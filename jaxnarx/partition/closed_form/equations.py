@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float, Int
 
-POWERLESS = 1e-7
+LEAST_POWER_SHARE = 1e-7
 """Share of a column's power below which what others leave of it is rounding."""
 
 
@@ -92,7 +92,7 @@ class System:
         rows, gain_of = np.zeros((most, columns)), self.right.copy()
         order: list[int] = []
         for step in range(most):
-            usable = free & (power > POWERLESS)
+            usable = free & (power > LEAST_POWER_SHARE)
             if not usable.any():
                 break
             gain = np.where(usable, gain_of**2 / np.where(usable, power, 1.0), -1.0)

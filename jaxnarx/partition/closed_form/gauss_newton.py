@@ -26,19 +26,19 @@ from jaxnarx.partition.closed_form.design_matrix import (
 from jaxnarx.partition.closed_form.signals import Stretch
 from jaxnarx.regressors import evaluate
 
-STEPS, HALVINGS = 8, 6
-ENOUGH = 2e-3
+MOST_STEPS, MOST_HALVINGS = 8, 6
+LEAST_GAIN = 2e-3
 """Share of the loss that a step must bring to be followed by another."""
-FAR = 0.1, 0.5
+LARGEST_MOVE = 0.1, 0.5
 """Most that a step moves a border, in ranges, and the logarithm of a steepness."""
 NEVER_BEYOND = 0.02, 0.98
 """Where borders stay, in ranges."""
-PULL = 1e-3
+STEP_RIDGE = 1e-3
 """Ridge of a step, in units of the columns' own power."""
 
 
 def move_feedback_and_gates(
-    design: BlockDesign, ridge: float, *, steps: int = STEPS, gates: bool = False
+    design: BlockDesign, ridge: float, *, steps: int = MOST_STEPS, gates: bool = False
 ) -> tuple[BlockDesign, float]:
     """The same columns where feedback (and gates) are best; the mean squared error.
 
@@ -53,7 +53,7 @@ def move_feedback_and_gates(
         if better is None:
             break
         design, gain, loss = better[0], 1 - better[1] / loss, better[1]
-        if gain < ENOUGH:
+        if gain < LEAST_GAIN:
             break
     return design, loss
 
@@ -64,7 +64,7 @@ def _better(design: BlockDesign, loss: float, ridge: float, gates: bool):
     order = len(design.a) - 1
     if not step.size:
         return None
-    for halving in range(HALVINGS):
+    for halving in range(MOST_HALVINGS):
         own = 0.5**halving * step
         a = design.a.copy()
         a[1:] += own[:order]
@@ -94,8 +94,8 @@ def shift_gates(
     out = {}
     for place, border, steep in zip(places, step[:count], step[count:], strict=True):
         gate = place[1]
-        at = gate.border + float(np.clip(border, -FAR[0], FAR[0]))
-        by = float(np.exp(np.clip(steep, -FAR[1], FAR[1])))
+        at = gate.border + float(np.clip(border, -LARGEST_MOVE[0], LARGEST_MOVE[0]))
+        by = float(np.exp(np.clip(steep, -LARGEST_MOVE[1], LARGEST_MOVE[1])))
         out[place] = dataclasses.replace(
             gate,
             border=float(np.clip(at, *NEVER_BEYOND)),
@@ -126,7 +126,7 @@ def _step(
         every = np.concatenate([columns, by])
         gram += every @ every.T
         right += every @ (target - theta @ columns)
-    pull = np.where(np.arange(size) < size - 2 * len(places), 1e-9, PULL)
+    pull = np.where(np.arange(size) < size - 2 * len(places), 1e-9, STEP_RIDGE)
     return ridge_solve(gram, right, pull)[-count:]
 
 

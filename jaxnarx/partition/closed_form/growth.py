@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from jaxnarx.models import AbstractValidity, models_of
 from jaxnarx.partition.closed_form.design_matrix import (
-    HARD,
-    WIDTH,
+    GATE_WIDTH,
+    LEVEL_STEEPNESS,
     Block,
     BlockDesign,
     Gate,
@@ -22,11 +22,11 @@ from jaxnarx.partition.closed_form.design_matrix import (
 )
 from jaxnarx.partition.stages import BestStage
 
-RIDGES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-COARSE = 1e-4, 1e-2
+RIDGES_TRIED = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+COARSE_RIDGES = 1e-4, 1e-2
 """Of one region: it cannot tell what regions will make of its feedback, and finer ones
 rank by chance."""
-SIZES = (
+SIZES_TRIED = (
     *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
     *(380, 450),
 )
@@ -67,9 +67,11 @@ class Box:
                 return None
             middle = len(inside) // 2
             below, above = inside[middle - 1 : middle + 1]
-            return Gate(dim, (below + above) / 2, HARD / (above - below), hard=True)
+            return Gate(
+                dim, (below + above) / 2, LEVEL_STEEPNESS / (above - below), hard=True
+            )
         extent = self.high[dim] - self.low[dim]
-        return Gate(dim, self.low[dim] + extent / 2, 2 / (WIDTH**2 * extent))
+        return Gate(dim, self.low[dim] + extent / 2, 2 / (GATE_WIDTH**2 * extent))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -117,29 +119,31 @@ def constants(design: BlockDesign) -> list[int]:
 def choose_size(
     design: BlockDesign,
     leaves: tuple[Box, ...],
-    ridges: Sequence[float] = COARSE,
+    ridges: Sequence[float] = COARSE_RIDGES,
     *,
     search: bool = False,
 ) -> GrownStage:
     """Number of columns and ridge by the groups left out.
 
     The best of these ridges; with `search` from there on to the next smaller and larger
-    ones of `RIDGES` for as long as the groups gain.
+    ones of `RIDGES_TRIED` for as long as the groups gain.
     """
     equations = design.equations
     most = min(equations.columns, int(equations.samples.sum() / 8))
-    sizes = [s for s in SIZES if s < most] + [min(most, SIZES[-1])]
+    sizes = [s for s in SIZES_TRIED if s < most] + [min(most, SIZES_TRIED[-1])]
     first = constants(design)
 
     @functools.cache
     def stage(place: int) -> GrownStage:
-        curve = design.curve(RIDGES[place], sizes, first)
+        curve = design.curve(RIDGES_TRIED[place], sizes, first)
         n = int(curve.sum(axis=0).argmin())
-        return GrownStage(design, leaves, curve[:, n], sizes[n], RIDGES[place])
+        return GrownStage(design, leaves, curve[:, n], sizes[n], RIDGES_TRIED[place])
 
-    at = min((RIDGES.index(ridge) for ridge in ridges), key=lambda n: stage(n).score)
+    at = min(
+        (RIDGES_TRIED.index(ridge) for ridge in ridges), key=lambda n: stage(n).score
+    )
     for way in (-1, 1) if search else ():
-        while 0 <= at + way < len(RIDGES):
+        while 0 <= at + way < len(RIDGES_TRIED):
             if stage(at + way).score >= stage(at).score:
                 break
             at += way

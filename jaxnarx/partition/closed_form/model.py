@@ -14,7 +14,7 @@ from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.partition.closed_form.sums import Errors, Summand, root_mean_square
 from jaxnarx.simulation import has_diverged
 
-WILD = 1e30
+RUNAWAY_VALUE = 1e30
 """Stands for values that are not finite [standard deviations]."""
 
 
@@ -119,4 +119,4 @@ class ClosedForm:
 
 def tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
     """Replace values that are not finite by a large bound."""
-    return np.clip(np.nan_to_num(run, nan=WILD), -WILD, WILD)
+    return np.clip(np.nan_to_num(run, nan=RUNAWAY_VALUE), -RUNAWAY_VALUE, RUNAWAY_VALUE)

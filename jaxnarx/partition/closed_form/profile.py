@@ -7,17 +7,17 @@ import numpy as np
 from jaxnarx.data import Dataset, dynamics, usual_length
 from jaxnarx.errors import DataError
 
-FEW = 3
+FEW_LEVELS = 3
 """Distinct values up to which an input counts as binary or event-like."""
-RARE = 0.02
+BETWEEN_LEVELS_SHARE = 0.02
 """Share of the samples that may lie between these values: edges that were resampled."""
-COUNTED = 20_000
+COUNTED_SAMPLES = 20_000
 """Samples that judge; of longer data every k-th one counts."""
-SHORTEST = 15
+SHORTEST_REACHES = 15
 """Length of the records, in reaches of the lags."""
 
 
-HISTORY = 12
+HISTORY_SAMPLES = 12
 """Samples of history that some candidate needs, however short the records are: hidden
 states are estimated from ten, behind a lag or two."""
 
@@ -67,7 +67,7 @@ def profile_data(data: Dataset, output: str) -> DataProfile:
     memory = max((p.settling or 0 for p in clear), default=longest // 20)
     dead = [0 if p is None or not p.clear else int(p.dead_time or 0) for p in pairs]
     usual = usual_length(map(len, data))
-    reach = usual // SHORTEST
+    reach = usual // SHORTEST_REACHES
     return DataProfile(
         output,
         tuple(_levels(data, i) for i in range(inputs)),
@@ -75,8 +75,8 @@ def profile_data(data: Dataset, output: str) -> DataProfile:
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
         reach,
-        max(1, data.samples // COUNTED),
-        min(max(max(dead) + reach, HISTORY), usual // 4),
+        max(1, data.samples // COUNTED_SAMPLES),
+        min(max(max(dead) + reach, HISTORY_SAMPLES), usual // 4),
     )
 
 
@@ -94,8 +94,8 @@ def _levels(data: Dataset, place: int) -> tuple[float, ...] | None:
     """The few values at which nearly all samples of an input stand, if there are."""
     parts = [r.u[r.valid[:, place], place] for r in data]
     values, count = np.unique(np.concatenate(parts), return_counts=True)
-    often = np.sort(np.argsort(-count, kind="stable")[:FEW])
-    often = often[count[often] > RARE * count.sum()]
-    if count[often].sum() < (1 - RARE) * count.sum():
+    often = np.sort(np.argsort(-count, kind="stable")[:FEW_LEVELS])
+    often = often[count[often] > BETWEEN_LEVELS_SHARE * count.sum()]
+    if count[often].sum() < (1 - BETWEEN_LEVELS_SHARE) * count.sum():
         return None
     return tuple(float(v) for v in values[often])

@@ -39,18 +39,18 @@ from jaxnarx.partition.closed_form.terms import (
 from jaxnarx.partition.fixed import ask_partition
 from jaxnarx.settings import Partitioner
 
-ORDERS = 4
+LARGEST_ORDER = 4
 """Largest order of A(q)."""
-SETTLED = 1e-4
+FEEDBACK_RIDGE = 1e-4
 """Ridge while the feedback of linear models is sought."""
-FAMILIES = "filtered inputs", "OE with filtered inputs"
-SCALES = 5
+FILTERED_FAMILIES = "filtered inputs", "OE with filtered inputs"
+SCALES_TRIED = 5
 """Scales of lags and filters that are tried, each twice the last one."""
-SERVES = 0.995
+ROUND_ERROR_SHARE = 0.995
 """Share of the error that must be left at most for another round."""
-NEARLY = 1.1
+NEARLY_BEST_FACTOR = 1.1
 """Error of a partition, over that of the best, with which its gates are moved too."""
-GROWN = 2
+GROWN_ROOTS = 2
 """How many of the polynomials are grown."""
 
 
@@ -81,7 +81,7 @@ class ClosedSearch:
                     pool,
                     table,
                     *self.groups.parts(),
-                    history=ORDERS,
+                    history=LARGEST_ORDER,
                     every=self.profile.every,
                     begin=self.profile.begin,
                 )
@@ -119,7 +119,7 @@ class ClosedSearch:
         """
         for _ in range(most):
             new = self._retuned(stage, gates)
-            if new is None or new.score > SERVES * stage.score:
+            if new is None or new.score > ROUND_ERROR_SHARE * stage.score:
                 return stage if new is None or new.score > stage.score else new
             stage = new
         return stage
@@ -152,7 +152,7 @@ class ClosedSearch:
     def linear(self) -> Iterator[ClosedForm]:
         """Output-error models of rising order without filters (OE)."""
         last = np.ones(1)
-        for order in range(1, ORDERS + 1):
+        for order in range(1, LARGEST_ORDER + 1):
             signals = self.signals(Memory(1, tuple(range(order + 2)), ()), 1)
             a = self.feedback(signals, order, last)
             stage = self.root(signals, a)
@@ -168,10 +168,10 @@ class ClosedSearch:
         for a in starts:
             design = BlockDesign.of(signals, a)
             design = design.extended(design.block(()))
-            every.append(move_feedback_and_gates(design, SETTLED, steps=1))
+            every.append(move_feedback_and_gates(design, FEEDBACK_RIDGE, steps=1))
         every.sort(key=lambda one: one[1])
         return min(
-            (move_feedback_and_gates(one, SETTLED) for one, _ in every[:2]),
+            (move_feedback_and_gates(one, FEEDBACK_RIDGE) for one, _ in every[:2]),
             key=lambda one: one[1],
         )[0].a
 
@@ -195,7 +195,9 @@ class ClosedSearch:
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
             stage = self.root(signals, a)
-            yield self.found(FAMILIES[order], describe_memory(memory, a), stage)
+            yield self.found(
+                FILTERED_FAMILIES[order], describe_memory(memory, a), stage
+            )
 
     def polynomials(
         self, orders: dict[int, np.ndarray], degree: int
@@ -208,7 +210,7 @@ class ClosedSearch:
         """
         own = self.profile
         most = max(min(own.rise, own.reach), own.memory / 64, 1.0)
-        step = max(1, 2 ** int(np.log2(most) - SCALES + 1))
+        step = max(1, 2 ** int(np.log2(most) - SCALES_TRIED + 1))
         coarse, fine = [], []
         while step <= most:
             memory = self.memory(step)
@@ -233,7 +235,7 @@ class ClosedSearch:
         return float(one.spread * one.gain[o])
 
     def candidates(
-        self, max_models: int, degree: int = 2, grown_roots: int = GROWN
+        self, max_models: int, degree: int = 2, grown_roots: int = GROWN_ROOTS
     ) -> Iterator[ClosedForm]:
         """Candidates from the mean to regions, cheap ones first."""
         yield self.constant()
@@ -340,7 +342,11 @@ def _to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
 def _to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
     """The best, and the one with the most regions that is nearly as good: halvings may
     gain little before their gates have moved."""
-    near = [n for n, s in enumerate(stages) if s.score <= NEARLY * stages[best].score]
+    near = [
+        n
+        for n, s in enumerate(stages)
+        if s.score <= NEARLY_BEST_FACTOR * stages[best].score
+    ]
     return [stages[n] for n in dict.fromkeys((best, max(near))) if n]
 
 

@@ -13,7 +13,7 @@ from jaxnarx.models import Network, total
 Errors = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 """Places among all samples, and errors there [standard deviations]."""
 
-GAIN = 1.0
+LEAST_GAIN_ERRORS = 1.0
 """Standard errors by which a sum must be better than the best of its parts alone."""
 
 
@@ -112,7 +112,7 @@ def _gains(first: np.ndarray, second: np.ndarray, counts: np.ndarray) -> bool:
     if len(gain) < 2:
         return False
     mean = (first - second).sum() / counts.sum()
-    return bool(mean > GAIN * np.std(gain, ddof=1) / np.sqrt(len(gain)))
+    return bool(mean > LEAST_GAIN_ERRORS * np.std(gain, ddof=1) / np.sqrt(len(gain)))
 
 
 def align_errors(

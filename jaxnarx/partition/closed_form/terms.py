@@ -15,13 +15,13 @@ from jaxnarx.regressors import (
     polynomial_pool,
 )
 
-SPREAD = (0, 1, 2, 3, 4, 6, 8)
+LAG_STEPS = (0, 1, 2, 3, 4, 6, 8)
 """Lags behind the dead time, in steps."""
-RECENT = (0, 1, 2)
+RECENT_LAG_STEPS = (0, 1, 2)
 """Lags that every input has, in steps, however late it seems to act."""
-FEWEST = 4
+FEWEST_FILTERS = 4
 """Filters at least: slow parts of an answer are small and easily overlooked."""
-FIRST, APART = 2.5, 4.0
+FIRST_TIME_CONSTANT, TIME_CONSTANT_FACTOR = 2.5, 4.0
 """Shortest time constant of first-order lags of the inputs, in steps, and the factor
 from one to the next."""
 
@@ -31,7 +31,7 @@ class Memory:
     """The memory of inputs: lags in multiples of `step` samples, and filters."""
 
     step: int
-    lags: tuple[int, ...] = SPREAD
+    lags: tuple[int, ...] = LAG_STEPS
     times: tuple[float, ...] = ()
     """Time constants of filters in steps."""
 
@@ -39,10 +39,12 @@ class Memory:
     def of(cls, step: int, reach: int, memory: int) -> "Memory":
         """The usual lags, as far as the reach, and filters until a response as long as
         the memory is over behind the slowest [samples]."""
-        lags = tuple(lag for lag in SPREAD if lag * step <= max(reach, 2))
-        times = [FIRST * APART**k for k in range(FEWEST)]
+        lags = tuple(lag for lag in LAG_STEPS if lag * step <= max(reach, 2))
+        times = [
+            FIRST_TIME_CONSTANT * TIME_CONSTANT_FACTOR**k for k in range(FEWEST_FILTERS)
+        ]
         while 3 * times[-1] * step < memory:
-            times.append(APART * times[-1])
+            times.append(TIME_CONSTANT_FACTOR * times[-1])
         return cls(step, lags, tuple(times))
 
     def lags_behind(self, dead_time: int) -> list[int]:
@@ -54,7 +56,9 @@ class Memory:
         """Lags of an input: those behind the dead time, and recent ones, for the dead
         time is an estimate."""
         behind = self.lags_behind(dead_time)
-        recent = [self.step * lag for lag in RECENT if self.step * lag < behind[0]]
+        recent = [
+            self.step * lag for lag in RECENT_LAG_STEPS if self.step * lag < behind[0]
+        ]
         return recent + behind
 
     def filters(self, data: Dataset) -> list[LowPass]:
@@ -117,7 +121,7 @@ def _products(free: list[int], size: int) -> set[tuple[int, ...]]:
 def _dead_times(profile: DataProfile, memory: Memory) -> list[tuple[int, ...]]:
     """The dead times that were seen, and those without the long ones, which may be
     wrong."""
-    long = (max(RECENT) + 1) * memory.step
+    long = (max(RECENT_LAG_STEPS) + 1) * memory.step
     recent = tuple(0 if d > long else d for d in profile.dead_time)
     return list(dict.fromkeys((profile.dead_time, recent)))
 

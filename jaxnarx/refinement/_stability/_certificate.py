@@ -27,9 +27,9 @@ from jaxnarx.refinement._stability.norm import contracting_norm, norms
 from jaxnarx.refinement._stability.points import companion, groups_of
 from jaxnarx.regressors import LowPass
 
-CORNERS = 4096
+MOST_MATRICES = 4096
 """Largest number of matrices; with more no certificate is attempted."""
-LARGEST = 0.9999
+SLOWEST_RATE = 0.9999
 """The slowest rate that counts: a run forgets in some ten thousand samples."""
 
 
@@ -57,7 +57,7 @@ def certificate(network: Network) -> Certificate | None:
     for at, matrices in blocks:
         factor = contracting_norm(matrices)
         own = _largest(factor, matrices)
-        if not own <= LARGEST:
+        if not own <= SLOWEST_RATE:
             return None
         whole[np.ix_(at, at)] = factor
         rate, overshoot = max(rate, own), max(overshoot, float(np.linalg.cond(factor)))
@@ -114,7 +114,7 @@ def _matrices(
     rows: list[Float[np.ndarray, "_ outputs depth"]],
 ) -> Float[np.ndarray, "corners n n"] | None:
     """Companion matrices of all combinations of the outputs' corners."""
-    if np.prod([float(len(corners)) for corners in rows]) > CORNERS:
+    if np.prod([float(len(corners)) for corners in rows]) > MOST_MATRICES:
         return None
     every = [np.stack(one) for one in itertools.product(*rows)]
     return companion(np.stack(every))
@@ -171,7 +171,7 @@ def _corners(
             moving[others] = moving.get(others, 0.0) + part
         else:
             fixed += part
-    if 2.0 ** len(moving) * len(fixed) > CORNERS:
+    if 2.0 ** len(moving) * len(fixed) > MOST_MATRICES:
         return None
     known = [_range(network, others) for others in moving]
     ends = [end for end in known if end is not None]

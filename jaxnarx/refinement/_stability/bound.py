@@ -33,15 +33,15 @@ from jaxnarx.refinement._stability.points import (
 )
 from jaxnarx.regressors import variable_names
 
-ALL = "for all outputs in the bounds"
-RUN = "along the run, sampled"
+ALL_WORDS = "for all outputs in the bounds"
+RUN_WORDS = "along the run, sampled"
 
-CORNERS = 64
+CORNERS_FOLLOWED = 64
 """Corners of the interval of A that are followed one by one; beyond, absolute values
 bound what the radius can add."""
-MATRICES = 8000
+NORM_MATRICES = 8000
 """Matrices the norm is searched on; it is checked on all."""
-TOGETHER = 3
+OUTPUTS_FOLLOWED = 3
 """Outputs that act on one another for which every pattern of limits is followed."""
 
 
@@ -99,7 +99,7 @@ def corners(
     them.
     """
     loose = np.argwhere(radius.max(axis=0) > 0)
-    inside = 2 ** len(loose) <= CORNERS
+    inside = 2 ** len(loose) <= CORNERS_FOLLOWED
     patterns = itertools.product((-1.0, 1.0), repeat=len(loose) if inside else 0)
     outputs = centre.shape[1]
 
@@ -146,7 +146,7 @@ def _norm_for(
     claim; then they are left out of the search.
     """
     walk, _ = corners(centre[:1], radius.max(axis=0)[None], limits=limits)
-    at = thin(len(centre), max(200, MATRICES // sum(1 for _ in walk)))
+    at = thin(len(centre), max(200, NORM_MATRICES // sum(1 for _ in walk)))
     walk, _ = corners(centre[at], radius[at], limits=limits)
     m = np.concatenate([companion(a) for a in walk])
     alive = moduli(m) < 1
@@ -202,7 +202,7 @@ def _find_bound(
     linked = (np.abs(centre) + radius).max(axis=(0, 3)) > 0
     factor, average, overshoot = np.zeros(len(centre)), 0.0, 1.0
     for group in groups_of(linked):
-        if limits and len(group) > TOGETHER:
+        if limits and len(group) > OUTPUTS_FOLLOWED:
             return None
         if not linked[np.ix_(group, group)].any():
             continue
@@ -254,10 +254,10 @@ def bounds(
     of the records, `of` counts the samples that `points` stand for.
     """
     everywhere = hull(network, points)
-    claims = [] if everywhere is None else [(ALL, everywhere)]
+    claims = [] if everywhere is None else [(ALL_WORDS, everywhere)]
     if everywhere is None or everywhere[1].any():
         a = jacobians(network, points)
-        claims.append((RUN, (a, np.zeros_like(a))))
+        claims.append((RUN_WORDS, (a, np.zeros_like(a))))
     sites = _Sites(network, points, names, sample_time, of)
     out = []
     for (kind, interval), limits in itertools.product(claims, (True, False)):

@@ -12,7 +12,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.refinement._stability._certificate import Certificate, certificate
-from jaxnarx.refinement._stability.bound import RUN, Bound, bounds
+from jaxnarx.refinement._stability.bound import RUN_WORDS, Bound, bounds
 from jaxnarx.refinement._stability.points import points_of
 from jaxnarx.refinement._stability.poles import Poles, pole_table, time_constant
 from jaxnarx.simulation import (
@@ -29,7 +29,7 @@ from jaxnarx.simulation import (
 )
 from jaxnarx.solution import RESULTS, Solution
 
-POLES = 2000
+POLE_SAMPLES = 2000
 """Samples at which poles are computed; their summaries need no more."""
 
 
@@ -66,7 +66,7 @@ class Stability:
     def summary(self) -> str:
         """The finding in one or two sentences."""
         bound = self.bound
-        everywhere = self.certificate or (bound if bound.kind != RUN else None)
+        everywhere = self.certificate or (bound if bound.kind != RUN_WORDS else None)
         if everywhere is not None and everywhere.rate == 0:
             return "Feeds no output back: two runs with the same inputs are the same."
         if self.certificate is not None:
@@ -201,8 +201,8 @@ def stability(
     visited = points_of(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(
         network,
-        points_of(network, drive, masks, count=POLES),
-        points_of(network, drive, masks, count=POLES, outputs=own),
+        points_of(network, drive, masks, count=POLE_SAMPLES),
+        points_of(network, drive, masks, count=POLE_SAMPLES, outputs=own),
         matched.sample_time,
     )
     total = int(masks.anchors.sum())

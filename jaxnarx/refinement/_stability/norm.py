@@ -18,18 +18,18 @@ import scipy.linalg
 import scipy.optimize
 from jaxtyping import Float
 
-FLOOR = 0.1
+NORM_FLOOR = 0.1
 """Norms below this are as good as zero: nilpotent matrices have no best L."""
-RIDGE = 1e-4
+CONDITION_PRICE = 1e-4
 """Price of log(|L| |L^-1|): the last 0.1 % of a rate is not worth a norm that lets runs
 part by orders of magnitude before they meet."""
-STAGES = (30.0, 300.0, 3000.0)
+SHARPNESS_STAGES = (30.0, 300.0, 3000.0)
 """Sharpness of the soft maximum, in turn."""
-STEPS = 60
+STEPS_PER_STAGE = 60
 """Quasi-Newton steps at each of them."""
-ROUNDS = 5
-START = 48
-ADDED = 24
+MATRIX_ROUNDS = 5
+FIRST_MATRICES = 48
+ADDED_MATRICES = 24
 """Matrices to begin with, and added in every round."""
 
 
@@ -81,17 +81,17 @@ def _objective(x, m, sharpness):
     if not np.isfinite(g).all():  # a trial step of the line search went too far
         return 1e6, np.zeros_like(x)
     u, s, v = _leading(g)
-    value = np.log(np.maximum(s, FLOOR))
+    value = np.log(np.maximum(s, NORM_FLOOR))
     top = value.max()
     share = np.exp(sharpness * (value - top))
     total = share.sum()
-    w = np.where(s > FLOOR, share / total, 0.0)[:, None]
+    w = np.where(s > NORM_FLOOR, share / total, 0.0)[:, None]
     size, inverse = np.sum(l**2), np.sum(k**2)
     slope = ((w * u).T @ u - (w * v).T @ v) @ k.T
-    slope += RIDGE * (l / size - k.T @ k @ k.T / inverse)
+    slope += CONDITION_PRICE * (l / size - k.T @ k @ k.T / inverse)
     at = np.arange(n)
     slope[at, at] *= l[at, at]
-    price = 0.5 * RIDGE * np.log(size * inverse)
+    price = 0.5 * CONDITION_PRICE * np.log(size * inverse)
     value = top + np.log(total) / sharpness + price
     return value, slope[np.triu_indices(n)]
 
@@ -102,7 +102,7 @@ def _starts(m: Float[np.ndarray, "points n n"]) -> list[Float[np.ndarray, "n n"]
     fading = [np.diag(rate ** np.arange(n)) for rate in (1.0, 0.9, 0.6)]
     mean = m.mean(axis=0)
     radius = np.abs(np.linalg.eigvals(mean)).max()
-    scaled = mean / max(1.03 * radius, FLOOR)
+    scaled = mean / max(1.03 * radius, NORM_FLOOR)
     p = scipy.linalg.solve_discrete_lyapunov(scaled.T, np.eye(n))
     try:
         return [*fading, np.linalg.cholesky(p).T]
@@ -118,7 +118,7 @@ def _descend(x, m, stages):
             args=(m, sharpness),
             jac=True,
             method="BFGS",
-            options={"maxiter": STEPS},
+            options={"maxiter": STEPS_PER_STAGE},
         ).x
     return x
 
@@ -138,10 +138,10 @@ def contracting_norm(
         return np.eye(n)
     best = min(_starts(m), key=lambda l: norms(l, m).max())  # noqa: E741
     found = norms(best, m)
-    x, least, stages = _pack(best), found.max(), STAGES
-    chosen = np.unique(np.linspace(0, len(m) - 1, START).astype(int))
-    for _ in range(ROUNDS):
-        chosen = np.union1d(chosen, np.argsort(found)[-ADDED:])
+    x, least, stages = _pack(best), found.max(), SHARPNESS_STAGES
+    chosen = np.unique(np.linspace(0, len(m) - 1, FIRST_MATRICES).astype(int))
+    for _ in range(MATRIX_ROUNDS):
+        chosen = np.union1d(chosen, np.argsort(found)[-ADDED_MATRICES:])
         x = _descend(x, m[chosen], stages)
         found = norms(_unpack(x, n), m)
         if found.max() < least:
@@ -149,5 +149,5 @@ def contracting_norm(
         known = found[chosen].max()
         if found.max() <= known + 0.02 * abs(1 - known) + 1e-9:
             break
-        stages = STAGES[1:]
+        stages = SHARPNESS_STAGES[1:]
     return best

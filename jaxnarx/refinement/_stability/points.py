@@ -17,7 +17,7 @@ from jaxnarx.models import Network, depth, fed_back, sources
 from jaxnarx.refinement.sensitivity import linearise_run
 from jaxnarx.simulation import Masks, RunInputs
 
-CHUNK = 1024
+CHUNK_SAMPLES = 1024
 """Samples handled at once: one compiled program and bounded memory for any number."""
 
 
@@ -108,10 +108,14 @@ def map_chunks(f, points: Points, *, axis: int) -> np.ndarray:
     """`f(v, x, history)` over all points, CHUNK of them at a time, on the host."""
     size = len(points)
     out = []
-    for start in range(0, size, CHUNK):
-        part = points.take(np.minimum(np.arange(start, start + CHUNK), size - 1))
+    for start in range(0, size, CHUNK_SAMPLES):
+        part = points.take(
+            np.minimum(np.arange(start, start + CHUNK_SAMPLES), size - 1)
+        )
         found = np.asarray(f(part.v, part.x, part.history), np.float64)
-        out.append(np.take(found, np.arange(min(CHUNK, size - start)), axis=axis))
+        out.append(
+            np.take(found, np.arange(min(CHUNK_SAMPLES, size - start)), axis=axis)
+        )
     return np.concatenate(out, axis=axis)
 
 

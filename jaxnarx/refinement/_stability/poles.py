@@ -23,10 +23,10 @@ from jaxnarx.refinement._stability.points import (
 from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Masks, RunInputs
 
-FEWEST = 20
+FEWEST_SAMPLES = 20
 """A local model that is valid nowhere by more than one half is looked at here: at the
 samples where it is most valid."""
-SHORTEST = 5
+SHORTEST_HORIZON = 5
 """Samples in the shortest first horizon."""
 
 
@@ -95,8 +95,8 @@ def local_moduli(
     for m in np.flatnonzero(np.asarray(network.models[output].active)).tolist():
         phi = found[m, -1]
         at = np.flatnonzero(phi > 0.5)
-        if len(at) < FEWEST:
-            at = np.argsort(-phi, kind="stable")[:FEWEST]
+        if len(at) < FEWEST_SAMPLES:
+            at = np.argsort(-phi, kind="stable")[:FEWEST_SAMPLES]
         a = found[m, :-1, at]  # (points, depth)
         out[m] = moduli(companion(a[:, None, None]))
     return out
@@ -165,7 +165,7 @@ def first_horizon(network: Network, drive: RunInputs, masks: Masks) -> int:
     grows = 1 / np.log(np.minimum(wild, 1e6)).max() if len(wild) else np.inf
     wanted = min(slowest(network, drive, masks), float(grows))
     longest = int(masks.scored.any(axis=2).sum(axis=1).max())
-    return int(min(max(wanted, SHORTEST), max(longest, 1)))
+    return int(min(max(wanted, SHORTEST_HORIZON), max(longest, 1)))
 
 
 def largest_local_pole(network: Network) -> float:

@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 Effect = tuple[int, ...]
 """Numbers of the variables in one effect, rising: places in `[1, x_1 ... x_V]`."""
 
-LEAST = 2
+LEAST_CELL_SAMPLES = 2
 """Samples per cell of a balanced test: one would leave no error to compare with."""
 
 
@@ -197,9 +197,9 @@ def lay_out(
     """
     cell = cell_numbers(codes, shape)
     cells = math.prod(shape)
-    if cells * LEAST <= len(cell):
+    if cells * LEAST_CELL_SAMPLES <= len(cell):
         count = np.bincount(cell, minlength=cells)
-        if int(count.min()) >= max(LEAST, balance * len(cell) / cells):
+        if int(count.min()) >= max(LEAST_CELL_SAMPLES, balance * len(cell) / cells):
             return CellLayout(shape, equal_cells(cell, count), None)
     return CellLayout(shape, None, cell)
 

@@ -17,7 +17,7 @@ from jaxnarx.selection.anova.cells import (
     products,
 )
 
-CHUNK = 8192
+CHUNK_ROWS = 8192
 """Rows formed at a time."""
 
 Codes = dict[int, UInt8[np.ndarray, " rows"]]
@@ -34,8 +34,8 @@ def _blocks(
     table = {v: contrasts(n).T.astype(np.float32) for v, n in levels.items()}
     used = {v for effect in effects for v in effect}
     rows = len(next(iter(codes.values())))
-    for start in range(0, rows, CHUNK):
-        part = slice(start, min(start + CHUNK, rows))
+    for start in range(0, rows, CHUNK_ROWS):
+        part = slice(start, min(start + CHUNK_ROWS, rows))
         main = {v: np.take(table[v], codes[v][part], axis=1) for v in used}
         parts = [np.ones((1, part.stop - start), np.float32)]
         parts += [products([main[v] for v in effect]) for effect in effects]

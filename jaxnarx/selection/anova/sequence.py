@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.selection.anova.cells import (
-    LEAST,
+    LEAST_CELL_SAMPLES,
     CellLayout,
     Effect,
     FTest,
@@ -42,7 +42,7 @@ from jaxnarx.selection.anova.cells import (
 from jaxnarx.selection.anova.model import Codes, fit, residual
 from jaxnarx.settings import Anova
 
-HELD = 40_000_000
+MOST_HELD_NUMBERS = 40_000_000
 """Sample numbers held at most, so as not to sort into cells again for every step."""
 
 
@@ -71,7 +71,7 @@ def sequence(
     """
     effects = effects_of(tuple(codes), method.interactions)
     cells = math.prod(levels.values())
-    if method.whole and cells * LEAST <= len(y):
+    if method.whole and cells * LEAST_CELL_SAMPLES <= len(y):
         layout = lay_out(list(codes.values()), tuple(levels.values()), method.balance)
         if layout.pick is not None:
             return _whole(layout, y, tuple(codes), effects, method)
@@ -119,7 +119,7 @@ def _stepwise(
         variables = [codes[v] for v in e]
         return lay_out(variables, tuple(levels[v] for v in e), method.balance)
 
-    if len(y) * len(effects) <= HELD:
+    if len(y) * len(effects) <= MOST_HELD_NUMBERS:
         place = functools.cache(place)
 
     def alone(e: Effect, y: Float[np.ndarray, " rows"], spent: float) -> FTest:

@@ -24,7 +24,7 @@ from jaxnarx.selection.anova.penalised import shrink
 from jaxnarx.selection.anova.sequence import sequence
 from jaxnarx.settings import Anova
 
-SHOWN = 30
+SHOWN_ROWS = 30
 """Rows of the table's text."""
 
 
@@ -90,7 +90,7 @@ class AnovaTable:
 
     def __str__(self) -> str:
         """A line each for the first effects; `*` marks those that are kept."""
-        shown = self.effects[: max(SHOWN, len(self.significant))]
+        shown = self.effects[: max(SHOWN_ROWS, len(self.significant))]
         labels = [self.label(e.variables) for e in shown]
         width = max(map(len, labels), default=0)
         lines = [

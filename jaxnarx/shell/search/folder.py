@@ -11,7 +11,7 @@ from jaxnarx.data import Channels, Dataset, Preparation, Split, match_channels
 from jaxnarx.errors import DataFileError, guard_reading
 from jaxnarx.evaluation import Report, number, report
 from jaxnarx.identification import (
-    VALIDATION,
+    VALIDATION_GROUP,
     Leaderboard,
     SearchFolder,
     describe,
@@ -82,7 +82,7 @@ def scored_parts(
     """
     joined = train
     if validation is not None:
-        joined = with_group(train, validation, VALIDATION)
+        joined = with_group(train, validation, VALIDATION_GROUP)
     parts = {"train": joined} | ({} if test is None else {"test": test})
     known = network.channels
     longest = {name: max(map(len, data)) for name, data in parts.items()}

@@ -14,8 +14,8 @@ from jaxnarx.sweep.analysis.groups import labels
 from jaxnarx.sweep.analysis.table import SweepTable
 
 RESAMPLES = 2000
-COVER = 0.95
-BATCHES = 20
+COVERAGE = 0.95
+RESAMPLE_BATCHES = 20
 """Resamples are evaluated in so many batches, for the memory's sake."""
 
 
@@ -207,11 +207,11 @@ def _resamples(blocks: Sequence[Hashable], seed: int) -> list[Int[np.ndarray, " 
 
 def _interval(values: Float[np.ndarray, " pairs"], statistic, samples) -> Interval:
     if len({len(sample) for sample in samples}) == 1:
-        batches = np.array_split(np.stack(samples), BATCHES)
+        batches = np.array_split(np.stack(samples), RESAMPLE_BATCHES)
         figures = np.concatenate([statistic(values[b], axis=1) for b in batches])
     else:
         figures = [statistic(values[sample]) for sample in samples]
-    low, high = np.quantile(figures, [(1 - COVER) / 2, (1 + COVER) / 2])
+    low, high = np.quantile(figures, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
     return Interval(float(statistic(values)), float(low), float(high))
 
 

@@ -14,7 +14,7 @@ from jaxnarx.errors import SpecError, suggest
 from jaxnarx.formatting import align_columns, brief, page, some
 from jaxnarx.solution import NAMES, OKAY
 
-WIDTH = 100
+LINE_WIDTH = 100
 """Characters of a printed line."""
 
 
@@ -43,13 +43,13 @@ class SweepTable:
             for name in self.names
         ]
         ends = np.cumsum([2 + max(map(len, column)) for column in columns])
-        shown = max(1, int(np.searchsorted(ends, WIDTH + 2, side="right")))
+        shown = max(1, int(np.searchsorted(ends, LINE_WIDTH + 2, side="right")))
         place = f" in {self.folder}" if self.folder else ""
         lines = [f"SweepTable: {len(self)} rows{place}"]
         if columns:
             lines += some(align_columns(zip(*columns[:shown], strict=True)), 24)
         if rest := self.names[shown:]:
-            lines += textwrap.wrap(f"  and {', '.join(rest)}", WIDTH)
+            lines += textwrap.wrap(f"  and {', '.join(rest)}", LINE_WIDTH)
         return "\n".join(lines)
 
     __repr__, _repr_html_ = brief, page

@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 from jaxnarx.errors import DataFileError, SpecError, guard_reading
 from jaxnarx.sweep.folder.files import put
 
-KEY = b"jaxnarx"
-FORMAT = 2
+METADATA_KEY = b"jaxnarx"
+FORMAT_VERSION = 2
 """Of files of results; those of format 1 have no digest."""
-SEAL = b'"sha256": "'
+DIGEST_MARK = b'"sha256": "'
 """What stands before the digest in the mark."""
 
 
@@ -58,11 +58,11 @@ def write_results(
     Its mark holds the SHA-256 of the file in which that very place is filled with
     zeros, so that no bit of it can change unseen.
     """
-    mark = json.dumps({"format": FORMAT, "sweep": digest, "sha256": "0" * 64})
+    mark = json.dumps({"format": FORMAT_VERSION, "sweep": digest, "sha256": "0" * 64})
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata({KEY: mark.encode()})
+        writer.add_key_value_metadata({METADATA_KEY: mark.encode()})
     data = sink.getvalue().to_pybytes()
     place = _place(data)
     seal = hashlib.sha256(data).hexdigest().encode()
@@ -83,8 +83,8 @@ def read_results(path: Path, digest: str, members: Sequence[int]) -> pa.Table:
         raise Damaged(str(error)) from error
     if mark is None:
         raise _foreign(path, "is no result of a sweep")
-    if mark.get("format") not in (1, FORMAT):
-        raise _foreign(path, f"has format {mark.get('format')}, not {FORMAT}")
+    if mark.get("format") not in (1, FORMAT_VERSION):
+        raise _foreign(path, f"has format {mark.get('format')}, not {FORMAT_VERSION}")
     if mark != {"format": 1, "sweep": mark.get("sweep")} and not _is_sealed(data):
         raise Damaged(f"{path}: it is not as it was written")
     if mark.get("sweep") != digest:
@@ -103,7 +103,7 @@ def _parse(data: bytes) -> tuple[dict[str, Any] | None, pa.Table]:
     source = pa.BufferReader(data)
     with pq.ParquetFile(source, page_checksum_verification=True) as file:
         try:
-            mark = json.loads((file.metadata.metadata or {})[KEY])
+            mark = json.loads((file.metadata.metadata or {})[METADATA_KEY])
         except (KeyError, ValueError, RecursionError):
             mark = None
         table = file.read(use_threads=False).replace_schema_metadata(None)
@@ -119,7 +119,7 @@ def _is_sealed(data: bytes) -> bool:
 
 def _place(data: bytes) -> slice:
     """The place of the digest: the mark comes after all rows and their statistics."""
-    start = data.rfind(SEAL) + len(SEAL)
+    start = data.rfind(DIGEST_MARK) + len(DIGEST_MARK)
     return slice(start, start + 64)
 
 

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 from jaxnarx.files import try_lock
 from jaxnarx.sweep.folder.files import unwritable
 
-ENDING = ".lock"
+CLAIM_SUFFIX = ".lock"
 
 
 class Claims:
@@ -32,7 +32,7 @@ class Claims:
 
     def take(self, number: int) -> bool:
         """Claim a chunk; False where it is claimed already."""
-        path = self.folder / f"{number:05d}{ENDING}"
+        path = self.folder / f"{number:05d}{CLAIM_SUFFIX}"
         try:
             # A file object: where an interrupt comes next, it closes by itself.
             file = open(path, "ab", opener=_open)
@@ -53,7 +53,7 @@ class Claims:
 def clear_dead(folder: Path) -> bool:
     """Remove what dead processes have left; whether a living one holds a claim."""
     living = False
-    for path in folder.glob(f"*{ENDING}"):
+    for path in folder.glob(f"*{CLAIM_SUFFIX}"):
         try:
             with open(path, "r+b", opener=_open) as file:
                 if _is_free(path, file):

@@ -15,12 +15,20 @@ from jaxnarx.errors import DataFileError, SpecError, guard_reading
 from jaxnarx.sweep.folder.files import put
 from jaxnarx.sweep.work import Work
 
-NAME = "manifest.json"
-FORMAT = 1
-PACKAGES = ("jaxnarx", "jax", "jaxlib", "equinox", "optimistix", "numpy", "pyarrow")
-SHOWN = 5
+MANIFEST_FILE = "manifest.json"
+FORMAT_VERSION = 1
+RECORDED_PACKAGES = (
+    "jaxnarx",
+    "jax",
+    "jaxlib",
+    "equinox",
+    "optimistix",
+    "numpy",
+    "pyarrow",
+)
+SHOWN_DIFFERENCES = 5
 """Differences that a refusal names one by one."""
-_ADVICE = (
+_RESTORE_ADVICE = (
     "Restore it, or begin anew with new=True (--new-run), which sets the folder aside."
 )
 
@@ -82,21 +90,22 @@ def make_manifest(work: Work, *, chunk: int, float64: bool) -> Manifest:
 
 def write_manifest(folder: Path, manifest: Manifest) -> bool:
     """Write it unless the folder has one already."""
-    value = {"format": FORMAT, "sha256": manifest.digest}
+    value = {"format": FORMAT_VERSION, "sha256": manifest.digest}
     value |= dataclasses.asdict(manifest)
-    return put(folder / NAME, json.dumps(value, indent=1).encode())
+    return put(folder / MANIFEST_FILE, json.dumps(value, indent=1).encode())
 
 
 def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; DataFileError where it is foreign or damaged."""
-    path = folder / NAME
+    path = folder / MANIFEST_FILE
     if not path.is_file():
         raise DataFileError(
-            f"{folder} is no run folder of a sweep: it has no {NAME}", path=path
+            f"{folder} is no run folder of a sweep: it has no {MANIFEST_FILE}",
+            path=path,
         )
-    with guard_reading(path, "the manifest of a sweep", advice=_ADVICE):
+    with guard_reading(path, "the manifest of a sweep", advice=_RESTORE_ADVICE):
         value = json.loads(path.read_text(encoding="utf-8"))
-        if value["format"] == FORMAT:
+        if value["format"] == FORMAT_VERSION:
             manifest = Manifest(value["sweep"], value["about"])
             if manifest.digest != value["sha256"]:
                 raise ValueError("its digest does not fit it")
@@ -105,9 +114,9 @@ def read_manifest(folder: Path) -> Manifest:
                 raise ValueError("its numbers are none of a sweep")
             return dataclasses.replace(manifest, about=dict(value["about"]))
     raise DataFileError(
-        f"{path} has format {value['format']}; this program knows {FORMAT}. Continue "
-        "with the version of jaxnarx that began it, or begin anew with new=True "
-        "(--new-run).",
+        f"{path} has format {value['format']}; this program knows {FORMAT_VERSION}. "
+        "Continue with the version of jaxnarx that began it, or begin anew with "
+        "new=True (--new-run).",
         path=path,
     )
 
@@ -125,11 +134,15 @@ def require_same(folder: Path, found: Manifest, asked: Manifest) -> None:
         _differences(_without_digest(found.sweep), _without_digest(asked.sweep))
     )
     told = told or ["the labels of its members are others"]
-    more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+    more = (
+        f" and {len(told) - SHOWN_DIFFERENCES} more"
+        if len(told) > SHOWN_DIFFERENCES
+        else ""
+    )
     raise SpecError(
-        f"{folder} holds another sweep: {'; '.join(told[:SHOWN])}{more}. Continue it "
-        "as it was, choose another folder, or begin anew with new=True (--new-run), "
-        "which sets the old one aside.",
+        f"{folder} holds another sweep: {'; '.join(told[:SHOWN_DIFFERENCES])}{more}. "
+        "Continue it as it was, choose another folder, or begin anew with new=True "
+        "(--new-run), which sets the old one aside.",
         field="folder",
     )
 
@@ -157,7 +170,7 @@ def _canonical(value: Any) -> str:
 
 def _versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
-    for name in PACKAGES:
+    for name in RECORDED_PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:  # run from a source folder

@@ -29,14 +29,14 @@ from jaxnarx.sweep.folder.files import (
     unwritable,
 )
 from jaxnarx.sweep.folder.manifest import (
-    NAME,
+    MANIFEST_FILE,
     Manifest,
     read_manifest,
     require_same,
     write_manifest,
 )
 
-CHUNKS, CLAIMS, TABLE = "chunks", "claims", "table.parquet"
+CHUNKS_FOLDER, CLAIMS_FOLDER, TABLE_FILE = "chunks", "claims", "table.parquet"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +49,7 @@ class RunFolder:
     @property
     def claims(self) -> Path:
         """The folder in which processes say what they work on."""
-        return self.path / CLAIMS
+        return self.path / CLAIMS_FOLDER
 
     @property
     def chunks(self) -> int:
@@ -63,7 +63,9 @@ class RunFolder:
 
     def finished(self) -> list[int]:
         """Chunks that have a file."""
-        found = (chunk_number(path.name) for path in (self.path / CHUNKS).glob("*"))
+        found = (
+            chunk_number(path.name) for path in (self.path / CHUNKS_FOLDER).glob("*")
+        )
         return sorted(n for n in found if n is not None and n < self.chunks)
 
     def unfinished(self) -> list[int]:
@@ -99,7 +101,7 @@ class RunFolder:
         `keep` writes them to `table.parquet`, once all are there; they are read from it
         where it is sound.
         """
-        path = self.path / TABLE
+        path = self.path / TABLE_FILE
         if path.exists():
             with contextlib.suppress(Damaged):
                 return self._read(path, range(self.manifest.members))
@@ -122,7 +124,7 @@ class RunFolder:
         return read_results(path, self.manifest.digest, members)
 
     def _file(self, number: int) -> Path:
-        return self.path / CHUNKS / chunk_name(number)
+        return self.path / CHUNKS_FOLDER / chunk_name(number)
 
     def _is_damaged(self, number: int) -> bool:
         """Whether there is a file that is not the chunk."""
@@ -149,16 +151,17 @@ def open_run(path: Path, asked: Manifest, *, new: bool = False) -> RunFolder:
     if new:
         _set_aside(path)
     make_folder(path)
-    require_inside(path, NAME, CHUNKS, CLAIMS, TABLE)
-    if not (path / NAME).exists() and _has_results(path):
+    require_inside(path, MANIFEST_FILE, CHUNKS_FOLDER, CLAIMS_FOLDER, TABLE_FILE)
+    if not (path / MANIFEST_FILE).exists() and _has_results(path):
         raise DataFileError(
-            f"{path} holds results but no {NAME}; restore it, or choose another folder",
+            f"{path} holds results but no {MANIFEST_FILE}; restore it, or choose "
+            "another folder",
             path=path,
         )
     write_manifest(path, asked)
     found = read_manifest(path)
     require_same(path, found, asked)
-    for name in (CHUNKS, CLAIMS):
+    for name in (CHUNKS_FOLDER, CLAIMS_FOLDER):
         make_folder(path / name)
     return RunFolder(path, found)
 
@@ -167,18 +170,18 @@ def open_run(path: Path, asked: Manifest, *, new: bool = False) -> RunFolder:
 def find_run(path: Path) -> RunFolder:
     """The folder of a sweep that was begun, to look at."""
     path = path.resolve()
-    require_inside(path, NAME, CHUNKS, CLAIMS, TABLE)
+    require_inside(path, MANIFEST_FILE, CHUNKS_FOLDER, CLAIMS_FOLDER, TABLE_FILE)
     return RunFolder(path, read_manifest(path))
 
 
 def _has_results(path: Path) -> bool:
-    return (path / TABLE).exists() or any((path / CHUNKS).glob("*.parquet"))
+    return (path / TABLE_FILE).exists() or any((path / CHUNKS_FOLDER).glob("*.parquet"))
 
 
 def _set_aside(path: Path) -> None:
-    if not (path / NAME).exists():
+    if not (path / MANIFEST_FILE).exists():
         return
-    if clear_dead(path / CLAIMS):
+    if clear_dead(path / CLAIMS_FOLDER):
         raise SpecError(
             f"{path}: another process is at work on it; end that first, or choose "
             "another folder",

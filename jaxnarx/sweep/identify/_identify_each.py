@@ -7,7 +7,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Fleet
 from jaxnarx.settings import Identification
 from jaxnarx.sweep.cases import Case
-from jaxnarx.sweep.identify.work import LANES, IdentificationWork
+from jaxnarx.sweep.identify.work import FITS_PER_CALL, IdentificationWork
 
 
 @guard_arguments
@@ -18,7 +18,7 @@ def identify_each(
     members: Sequence[int | str] | None = None,
     *,
     batch: Literal["map", "vmap"] | int = "map",
-    chunk: int = LANES,
+    chunk: int = FITS_PER_CALL,
 ) -> list[dict[str, Any]]:
     """Select, grow, refine and score every engine under every case; a row for each.
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import (
-    NEVER,
+    UNREACHED_STEPS,
     Levenberg,
     SearchState,
     StoppingRules,
@@ -42,7 +42,7 @@ from jaxnarx.sweep.identify.engine_data import Part
 from jaxnarx.sweep.identify.score import count_samples
 from jaxnarx.sweep.identify.settings import Settings
 
-FULL = 2**30
+WHOLE_RECORD = 2**30
 """A window longer than any record."""
 
 
@@ -119,7 +119,7 @@ def schedule(method: SimulationError | PredictionError, steps: int) -> Turn:
         horizons = [int(h) for h in method.horizons]
         order = stages(horizons, method.window_steps, steps, staged=True)
     rows = [
-        (stage.horizon or FULL, n, stage.only_coefficients, stage is order[-1])
+        (stage.horizon or WHOLE_RECORD, n, stage.only_coefficients, stage is order[-1])
         for stage in order
         for n in range(stage.steps + 1)
     ]
@@ -137,7 +137,7 @@ def active(
     longest = jnp.max(jnp.sum(scored, axis=1))
     full = (turns.last | data.staged) & (turns.step <= room)
     short = turns.horizon < longest
-    own = jnp.where(turns.last | (turns.horizon == FULL), full, short)
+    own = jnp.where(turns.last | (turns.horizon == WHOLE_RECORD), full, short)
     # Windows are no use to a case without any step on full records.
     return own & jnp.any(data.moving) & (room > 0)
 
@@ -224,7 +224,7 @@ def take_turn(
     ahead = turn.last & ~c.best.score.diverged
     again = begin_anew(c.state, jnp.where(ahead, c.best.u, c.state.u))
     c = dataclasses.replace(c, state=select_tree(fresh, again, c.state))
-    patience = jnp.where(turn.last, settings.patience, NEVER)
+    patience = jnp.where(turn.last, settings.patience, UNREACHED_STEPS)
     rules = StoppingRules(settings.tolerance, patience)
     problem = data.problem(turn, jnp.asarray(settings.ridge))
     return advance(Levenberg(problem), data.validate, rules, c)

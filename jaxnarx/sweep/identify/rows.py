@@ -22,9 +22,9 @@ from jaxnarx.sweep.identify.program import Outcome
 
 Row = dict[str, Any]
 
-WHEN = ("_start", "")
+SCORE_SUFFIXES = ("_start", "")
 MODES = ("one_step", "free_run")
-LISTS = (
+LIST_COLUMNS = (
     "term_names",
     "term_index",
     "term_err",
@@ -43,7 +43,9 @@ LISTS = (
 @guard_arguments
 def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
     """`train_one_step_start`, ..., `test_free_run`: before and after the refinement."""
-    return [f"{p}_{mode}{when}" for p in parts for when in WHEN for mode in MODES]
+    return [
+        f"{p}_{mode}{when}" for p in parts for when in SCORE_SUFFIXES for mode in MODES
+    ]
 
 
 def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
@@ -55,7 +57,7 @@ def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
         | {f"{name}_diverged": None for name in scores}
         | {"term_count": 0, "model_count": 0, "steps_taken": 0, "condition": None}
         | {"validity": ""}
-        | {name: [] for name in LISTS}
+        | {name: [] for name in LIST_COLUMNS}
     )
 
 
@@ -77,7 +79,7 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
     lost: Row = {}
     for part in (p for p in PARTS if p in outcome.scores):
         score = outcome.scores[part]
-        for w, when in enumerate(WHEN):
+        for w, when in enumerate(SCORE_SUFFIXES):
             for m, mode in enumerate(MODES):
                 name = f"{part}_{mode}{when}"
                 scores[name] = float(score.nrmse[w, m])

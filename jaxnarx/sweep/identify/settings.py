@@ -24,7 +24,7 @@ from jaxnarx.settings import (
 Arrays = np.ndarray | Array
 Grown = Global | Lolimot | SigmoidTree | Placed
 
-TRACED = {
+TRACED_SETTINGS = {
     ForwardOLS: ("max_terms", "rho"),
     Global: (),
     Lolimot: ("max_models", "k_sigma", "ridge", "scatter", "seed"),
@@ -34,7 +34,7 @@ TRACED = {
     PredictionError: ("max_steps", "ridge", "train", "tolerance", "patience"),
 }
 """Settings that are data to the program."""
-STATIC = {
+STATIC_SETTINGS = {
     ForwardOLS: (),
     Global: (),
     Lolimot: ("scheduling", "validity", "criterion", "patience"),
@@ -45,7 +45,7 @@ STATIC = {
 }
 """Settings that one program supports; with any other that is not at its default the
 verbs are run instead."""
-TRAINED = ("staged", "joint", "coefficients", "partition")
+TRAINING_ORDERS = ("staged", "joint", "coefficients", "partition")
 
 
 class Settings(eqx.Module):
@@ -86,20 +86,20 @@ def is_fused(method: Identification) -> bool:
     parts = [method.select, method.grow]
     if method.refine is not None:
         parts.append(method.refine)
-    if not all(type(part) in TRACED and _plain(part) for part in parts):
+    if not all(type(part) in TRACED_SETTINGS and _plain(part) for part in parts):
         return False
     if getattr(method.grow, "criterion", "") == "validation":
         return False
     refine = method.refine
     if isinstance(refine, SimulationError):
-        told = refine.train in TRAINED and refine.horizons != "auto"
+        told = refine.train in TRAINING_ORDERS and refine.horizons != "auto"
         return told and refine.max_steps > 0
     return refine is None or refine.max_steps > 0
 
 
 def _plain(part: Any) -> bool:
     """Whether all that the program does not know has its default."""
-    known = TRACED[type(part)] + STATIC[type(part)]
+    known = TRACED_SETTINGS[type(part)] + STATIC_SETTINGS[type(part)]
     return all(
         getattr(part, f.name) == f.default
         for f in dataclasses.fields(part)
@@ -139,7 +139,7 @@ def _key(method: Identification, other: Any) -> tuple[Any, Any]:
 
     def bare(part):
         usual = {f.name: f.default for f in dataclasses.fields(part)}
-        own = {name: usual[name] for name in TRACED[type(part)]}
+        own = {name: usual[name] for name in TRACED_SETTINGS[type(part)]}
         return dataclasses.replace(part, **own)
 
     return bare(method.grow), bare(method.refine or other)

@@ -36,11 +36,19 @@ from jaxnarx.sweep.identify.settings import (
 from jaxnarx.sweep.identify.shared_tables import Frame, make_frame
 from jaxnarx.sweep.identify.verbs import run_member
 
-LANES = 16
+FITS_PER_CALL = 16
 """Fits in one call of the program."""
-KEPT = 64
+KEPT_MEMBERS = 64
 """PreparedMember members that are kept for further cases."""
-MADE = ("pool", "methods", "shapes", "frames", "settings", "prepared", "labels")
+MADE_ATTRIBUTES = (
+    "pool",
+    "methods",
+    "shapes",
+    "frames",
+    "settings",
+    "prepared",
+    "labels",
+)
 
 
 @guard_fields
@@ -62,7 +70,7 @@ class IdentificationWork:
     method: Identification
     cases: Sequence[Case] = ({},)
     _: dataclasses.KW_ONLY
-    lanes: int = LANES
+    lanes: int = FITS_PER_CALL
     at_once: int = 1
 
     def __post_init__(self):
@@ -84,7 +92,7 @@ class IdentificationWork:
             scheduling_table(self.pool, _scheduling(method))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in MADE}
+        return {k: v for k, v in self.__dict__.items() if k not in MADE_ATTRIBUTES}
 
     @property
     def members(self) -> list[dict[str, Any]]:
@@ -148,7 +156,7 @@ class IdentificationWork:
                 own = blank(scheduling)
                 return prepare(self.fleet, engine, self.pool, own, most)
 
-        return functools.lru_cache(maxsize=max(KEPT, self.lanes))(make)
+        return functools.lru_cache(maxsize=max(KEPT_MEMBERS, self.lanes))(make)
 
     def prepared_for(self, engine: int, case: int) -> PreparedMember:
         """One engine's records for a case."""

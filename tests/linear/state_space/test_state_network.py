@@ -15,7 +15,7 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear import increase_degree, set_state_ranges, state_network
 from jaxnarx.linear.state_space.model import StateSpace, simulate_states
-from jaxnarx.linear.state_space.network import FREE, products
+from jaxnarx.linear.state_space.network import FREE_DEVIATIONS, products
 from jaxnarx.models._assemble import OUTPUT_MARGIN
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run, simulate
 
@@ -103,7 +103,7 @@ def test_a_network_can_be_of_some_outputs_and_ranges_are_those_of_the_data():
     low, high = y.min() - OUTPUT_MARGIN * np.ptp(y), y.max() + OUTPUT_MARGIN * np.ptp(y)
     np.testing.assert_allclose(net.lower[0] * gain, low, rtol=1e-12)
     np.testing.assert_allclose(net.upper[0] * gain, high, rtol=1e-12)
-    np.testing.assert_array_equal(net.upper[1:], FREE)
+    np.testing.assert_array_equal(net.upper[1:], FREE_DEVIATIONS)
     np.testing.assert_array_equal(net.low[4:], -2.0)
     np.testing.assert_array_equal(net.gain[4:], 1.0)
 

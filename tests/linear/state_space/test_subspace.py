@@ -14,7 +14,7 @@ from jaxnarx.linear.state_space.model import (
 )
 from jaxnarx.linear.state_space.regression import Segment
 from jaxnarx.linear.state_space.subspace import (
-    CHAIN,
+    CHAIN_POLES,
     chain_model,
     hankel_triangle,
     identify_subspace,
@@ -251,7 +251,7 @@ def chain(pole: float, us) -> list[np.ndarray]:
 @pytest.mark.parametrize("feedthrough", [True, False])
 def test_a_chain_of_lags_is_found_from_two_records(feedthrough):
     us, _ = records()
-    pole = 1 - np.geomspace(*CHAIN)[4]
+    pole = 1 - np.geomspace(*CHAIN_POLES)[4]
     ys = chain(pole, us)
     model = chain_model(us, ys, 3, feedthrough=feedthrough)
     # A threefold pole splits by the third root of rounding.
@@ -267,7 +267,7 @@ def test_a_chain_of_lags_is_found_from_two_records(feedthrough):
 
 def test_between_the_poles_that_are_tried_the_nearer_one_is_taken():
     us, _ = records()
-    tried = 1 - np.geomspace(*CHAIN)
+    tried = 1 - np.geomspace(*CHAIN_POLES)
     ys = chain((tried[5] + 3 * tried[6]) / 4, us)
     model = chain_model(us, ys, 3)
     np.testing.assert_allclose(model.poles, tried[6], atol=1e-4)

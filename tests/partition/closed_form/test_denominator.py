@@ -5,7 +5,7 @@ import pytest
 
 from jaxnarx.arrays.stable_polynomials import reflection_coefficients
 from jaxnarx.partition.closed_form.denominator import (
-    NEAREST,
+    STABILITY_MARGIN,
     is_stable,
     of_times,
 )
@@ -70,8 +70,8 @@ def test_on_the_circle_is_not_stable():
     for a in ([1.0, -1.0], [1.0, 1.0], [1.0, -2.0, 1.0], [1.0, 0.0, 1.0]):
         assert not is_stable(np.array(a))
     assert is_stable(np.ones(1))
-    assert is_stable(np.array([1.0, -1.0 + 2 * NEAREST]))
-    assert not is_stable(np.array([1.0, -1.0 + NEAREST / 2]))
+    assert is_stable(np.array([1.0, -1.0 + 2 * STABILITY_MARGIN]))
+    assert not is_stable(np.array([1.0, -1.0 + STABILITY_MARGIN / 2]))
     # Beyond all numbers, which a step may propose, is not stable either.
     assert not is_stable(np.array([1.0, np.nan]))
     assert not is_stable(np.array([1.0, 0.5, np.inf]))

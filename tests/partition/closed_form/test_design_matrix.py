@@ -6,7 +6,7 @@ import pytest
 from nested_problems import FEEDBACK, coefficients, leaves, nested, signals
 
 from jaxnarx.partition.closed_form.design_matrix import (
-    MARGIN,
+    RANGE_MARGIN,
     BlockDesign,
     Gate,
     weight,
@@ -135,7 +135,7 @@ def test_a_gate_and_the_other_one_make_one():
 def held(run, parts):
     """Within the range of all groups and a margin."""
     rest = np.concatenate([y for _, _, y in parts])
-    margin = MARGIN * (rest.max() - rest.min())
+    margin = RANGE_MARGIN * (rest.max() - rest.min())
     return np.clip(run, rest.min() - margin, rest.max() + margin)
 
 
@@ -204,7 +204,7 @@ def test_all_columns_of_a_curve_are_left_out(found):
 def test_runs_are_judged_within_the_range_of_all_groups(found):
     wild = np.full(len(found.target[0]), 1e6)
     rest = np.concatenate(found.measured)
-    top = rest.max() + MARGIN * (rest.max() - rest.min())
+    top = rest.max() + RANGE_MARGIN * (rest.max() - rest.min())
     expected = np.sum((found.measured[0] - top) ** 2)
     np.testing.assert_allclose(found.loss(0, wild), expected, rtol=1e-12)
     np.testing.assert_allclose(found.loss(0, np.inf * wild), expected, rtol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 from jaxnarx.data import Dataset, check, suggest_lags
 from jaxnarx.errors import DataError
 from jaxnarx.partition import profile_data
-from jaxnarx.partition.closed_form.profile import COUNTED
+from jaxnarx.partition.closed_form.profile import COUNTED_SAMPLES
 
 DEAD = 3
 """Samples before `a` shows; `b` does so after one."""
@@ -88,7 +88,11 @@ def test_of_long_data_every_so_many_samples_count():
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(size=(4000, 2)), 10, axis=0)
     y = u @ [[1.0], [2.0]] + 0.1 * rng.normal(size=(40_000, 1))
-    assert profile_data(problems.dataset([u], [y]), "y").every == 40_000 // COUNTED > 1
+    assert (
+        profile_data(problems.dataset([u], [y]), "y").every
+        == 40_000 // COUNTED_SAMPLES
+        > 1
+    )
 
 
 def test_what_is_measured_nowhere_is_named():
