@@ -63,6 +63,8 @@ JupyterCacheBase.truncate_caches = lambda self: None
 html_theme = "furo"
 html_title = "jaxnarx"
 html_static_path = ["_static"]
+# At the root as they are; assistants.md holds the second as a page.
+html_extra_path = ["llms.txt", "SKILL.md"]
 html_css_files = ["jaxnarx.css"]
 html_copy_source = False
 html_show_sourcelink = False

@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
-from test_architecture import RANK
+from test_architecture import HOUSE, RANK
 from tyro.conf import Positional
 
 import jaxnarx
@@ -315,6 +315,23 @@ def test_the_drawing_has_every_room_and_lines_point_down():
     assert down == {("evaluation", "shell")}
     svg = house.drawing()
     assert all(f">{room}</text>" in svg for room in rooms)
+
+
+def test_the_architecture_names_every_room_in_its_order_and_files_that_are_there():
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    rows = re.findall(r"^\| (?:ground|\d [\w ]+) \| (.*?) \|", text, re.M)
+    told = [
+        set(re.findall(r"`(\w+)`", rooms)) - {"engines"}
+        for row in rows
+        for rooms in re.split(r"<|;", row)
+    ]
+    assert [rooms for rooms in told if rooms] == [set(rooms) for rooms in HOUSE]
+    assert "`engines`" in text
+    paths = re.findall(r"`((?:\w+/)+\w+(?:\.py)?|\w+\.py)`", text)
+    places = [ROOT, Path(jaxnarx.__file__).parent]
+    places.append(places[1] / "identification")
+    assert len(paths) > 15
+    assert not [p for p in paths if not any((place / p).exists() for place in places)]
 
 
 # Nothing from outside -------------------------------------------------------------

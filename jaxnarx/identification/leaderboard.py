@@ -33,10 +33,10 @@ class Candidate:
 
     output: str
     number: int
-    """Counts candidates of all outputs in the order in which they were tried, from 1;
-    what `jaxnarx take` is given."""
+    """Counts the candidates of an output in the order in which they finished: of the
+    first output from 1, of the second from 1001; `jaxnarx take` is given it."""
     family: str
-    """Constant, ARX, OE, filters, polynomial, shared feedback, LOLIMOT, tree ..."""
+    """Constant, ARX, OE, filtered inputs, polynomial, shared feedback, LOLIMOT, ..."""
     name: str
     """What sets it apart in its family, in words."""
     free_run: float | None = None
@@ -53,7 +53,7 @@ class Candidate:
     are those of runs held to the trained range, groups left out and records run
     by the model of all groups."""
     operations: int | None = None
-    """Multiplications, divisions and exponentials at a sample."""
+    """Of one sample of the exported code, without domain index and intervals."""
     parameters: int | None = None
     seconds: float = 0.0
     pole: float | None = None
