@@ -1,6 +1,6 @@
 """What a reader of the scores must know beside them, in plain sentences."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -244,3 +244,35 @@ def stability_values(value: Any) -> dict[str, Any] | None:
         "poles": value.poles,
         "bounds": value.bounds,
     }
+
+
+GAINS = 3
+"""Gains that change sign or jump that are told one by one."""
+
+
+def verdict_remarks(report: Any) -> Iterator[str]:
+    """What to look at in a report, and what says nothing against the model."""
+    yield from _wide_intervals(report)
+    yield from _gains(report)
+
+
+def _wide_intervals(report: Any) -> Iterator[str]:
+    """Prediction intervals that are too wide to be of use."""
+    for one in report.coverage:
+        # Of training data they hold more: errors are smaller there.
+        if one.part == report.main != "train" and one.is_wide:
+            unit = f" {one.unit}" if one.unit not in ("", "-", "1") else ""
+            yield (
+                f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} of "
+                f"the {one.part} samples and are too wide to be of use: ± "
+                f"{number(one.half, '.3g')}{unit}, RMSE {number(one.rmse, '.3g')}{unit}"
+                "; a group of the training records that was served badly widens them"
+            )
+
+
+def _gains(report: Any) -> Iterator[str]:
+    """Gains that change sign or jump, the commonest first."""
+    found = sorted(report.gains, key=lambda one: -one.share)
+    yield from map(str, found[:GAINS])
+    if len(found) > GAINS:
+        yield f"{len(found) - GAINS} more gains change sign or jump"
