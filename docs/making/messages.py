@@ -221,7 +221,7 @@ def made() -> dict[str, str]:
             lines += [f"### {title}: {room}" if kind == "error" else f"**{room}**", ""]
             lines += dict.fromkeys(_line(m) for m in own if m.room == room)
             lines += [""]
-    rules = ast.get_docstring(tree_of("jaxnarx.evaluation.verdict")) or ""
+    rules = ast.get_docstring(tree_of("jaxnarx.evaluation.rules")) or ""
     told = markdown(rules.partition("\n\n")[2], {})
     return {"messages.md": "\n".join(lines), "_verdict.md": told}
 

@@ -42,6 +42,7 @@ from jaxnarx.evaluation.residual_tests.correlations import (
 )
 from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
+from jaxnarx.evaluation.rules import judge as judge
 from jaxnarx.evaluation.section import ANALYSES as ANALYSES
 from jaxnarx.evaluation.section import Analysis as Analysis
 from jaxnarx.evaluation.section import Chart as Chart
@@ -55,11 +56,12 @@ from jaxnarx.evaluation.table import number as number
 from jaxnarx.evaluation.table import rows_beside as rows_beside
 from jaxnarx.evaluation.traces import Residuals as Residuals
 from jaxnarx.evaluation.traces import Trace as Trace
+from jaxnarx.evaluation.verdict import AT_LEAST as AT_LEAST
 from jaxnarx.evaluation.verdict import GOOD as GOOD
 from jaxnarx.evaluation.verdict import LIMITED as LIMITED
 from jaxnarx.evaluation.verdict import UNUSABLE as UNUSABLE
 from jaxnarx.evaluation.verdict import Verdict as Verdict
-from jaxnarx.evaluation.verdict import judge as judge
+from jaxnarx.evaluation.verdict import VerdictRule as VerdictRule
 
 __all__ = [
     "Section",
@@ -85,6 +87,7 @@ __all__ = [
     "SizeErrors",
     "Trace",
     "Verdict",
+    "VerdictRule",
     "check_gains",
     "compare",
     "cost",

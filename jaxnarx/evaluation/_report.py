@@ -21,11 +21,12 @@ from jaxnarx.evaluation.page_records import ShownRecord
 from jaxnarx.evaluation.remarks import stability_values
 from jaxnarx.evaluation.residual_tests import Diagnostics
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rules import judge
 from jaxnarx.evaluation.section import Section
 from jaxnarx.evaluation.summary import Summary, summary
 from jaxnarx.evaluation.table import beside_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
-from jaxnarx.evaluation.verdict import Verdict, judge
+from jaxnarx.evaluation.verdict import Verdict
 from jaxnarx.evaluation.worst_segments import ErrorStretch
 from jaxnarx.formatting import page
 from jaxnarx.models import Network, describe_policies
@@ -38,7 +39,7 @@ class Report:
 
     `main` names the part the verdict rests on: `"test"` when there is one, else the
     last part. `traces`, `residuals`, `maps` and `beside` belong to it. `verdict` sums
-    up what the model is good for, by the rules of `jaxnarx.evaluation.verdict`.
+    up what the model is good for, by the rules of `jaxnarx.evaluation.rules`.
 
     `outside` tells which inputs leave their trained range, and how far; `regions` which
     local model carries the free-run error of the main part, `domain` how often the

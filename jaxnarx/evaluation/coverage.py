@@ -50,9 +50,14 @@ class IntervalCoverage:
     chance: float
 
     @property
+    def least(self) -> float:
+        """The share that they must hold: the level less what chance explains."""
+        return self.level - max(self.chance, SHORT)
+
+    @property
     def is_narrow(self) -> bool:
         """Whether they hold less than they claim, and chance does not explain it."""
-        return self.held < self.level - max(self.chance, SHORT)
+        return self.held < self.least
 
     @property
     def is_wide(self) -> bool:

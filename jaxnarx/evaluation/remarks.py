@@ -1,6 +1,6 @@
 """What a reader of the scores must know beside them, in plain sentences."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -244,3 +244,70 @@ def stability_values(value: Any) -> dict[str, Any] | None:
         "poles": value.poles,
         "bounds": value.bounds,
     }
+
+
+GAINS = 3
+"""Gains that change sign or jump that are told one by one."""
+TOTALS = 4
+"""Outputs whose cycle totals are told."""
+
+
+def verdict_remarks(report: Any) -> Iterator[str]:
+    """What to look at in a report, and what says nothing against the model."""
+    yield from _wide_intervals(report)
+    yield from _gains(report)
+    yield from _totals(report)
+
+
+def _wide_intervals(report: Any) -> Iterator[str]:
+    """Prediction intervals that are too wide to be of use."""
+    for one in report.coverage:
+        # Of training data they hold more: errors are smaller there.
+        if one.part == report.main != "train" and one.is_wide:
+            unit = f" {one.unit}" if one.unit not in ("", "-", "1") else ""
+            yield (
+                f"the {one.level:.0%} intervals of {one.output} hold {one.held:.1%} of "
+                f"the {one.part} samples and are too wide to be of use: ± "
+                f"{number(one.half, '.3g')}{unit}, RMSE {number(one.rmse, '.3g')}{unit}"
+                "; a group of the training records that was served badly widens them"
+            )
+
+
+def _gains(report: Any) -> Iterator[str]:
+    """Gains that change sign or jump, the commonest first."""
+    found = sorted(report.gains, key=lambda one: -one.share)
+    yield from map(str, found[:GAINS])
+    if len(found) > GAINS:
+        yield f"{len(found) - GAINS} more gains change sign or jump"
+
+
+def _totals(report: Any) -> Iterator[str]:
+    """Cycle totals of the main part: the mean over records and their range.
+
+    Neither a network nor a leaderboard knows the totals of groups that were held out,
+    so this is no prediction interval.
+    """
+    found: dict[str, list[float | None]] = {}
+    for row in report.rows:
+        if (row.part, row.mode) == (report.main, FREE_RUN) and row.record != POOLED:
+            found.setdefault(row.output, []).append(row.total_error)
+    known = {k: [e for e in errors if e is not None] for k, errors in found.items()}
+    worst = sorted(filter(known.get, known), key=lambda k: -max(map(abs, known[k])))
+    if report.main == "train" or not worst:
+        return
+    told = [_total(k, known[k], len(found[k])) for k in worst[:TOTALS]]
+    told += [f"{len(worst) - TOTALS} more outputs"] if len(worst) > TOTALS else []
+    yield (
+        f"sums over a record of {data_of(report.main)}, simulated minus measured: "
+        f"{'; '.join(told)} (seen on these records, no prediction interval)"
+    )
+
+
+def _total(output: str, errors: list[float], records: int) -> str:
+    """The errors of an output's sums in the mean and their range, in percent."""
+    mean = number(float(np.mean(errors)), "+.3g")
+    of = f"{len(errors)} of {records}" if len(errors) < records else f"{records}"
+    if len(errors) == 1:
+        return f"{output} {mean} % in {of} record{'s' * (records > 1)}"
+    low, high = number(min(errors), "+.3g"), number(max(errors), "+.3g")
+    return f"{output} {mean} % in the mean, {low} to {high} % over {of} records"

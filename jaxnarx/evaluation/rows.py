@@ -14,6 +14,8 @@ from jaxnarx.errors import SpecError
 
 POOLED = "pooled"
 FREE_RUN = "free run"
+CANCELLED = 0.05
+"""Size of a measured sum, over that of its magnitudes, up to which it cancels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +30,9 @@ class Row:
     row has no metrics (`None`): its figures would only tell where the bound is. Pooled
     rows say how many records diverged in `status`, and `others` holds the pooled
     metrics of the records that did not. `offset` is the mean of measured minus
-    predicted.
+    predicted. `total_error` is the error of the sum over the samples that count, the
+    cycle total, in percent: predicted minus measured over the size of the measured sum;
+    None where positive and negative values cancel in that sum.
     """
 
     part: str
@@ -49,6 +53,7 @@ class Row:
     offset: float | None = None
     held: int = 0
     silent: int = 0
+    total_error: float | None = None
 
     @property
     def share_outside(self) -> float:
@@ -126,7 +131,7 @@ def score(
             silent=sum(int(s.silent.sum()) for s in chosen),
             status=status,
             others=others,
-            offset=None if diverged else _offset(chosen),
+            **_balance([] if diverged else chosen),
         )
 
     calm = [s for s in samples if not s.diverged]
@@ -188,10 +193,18 @@ def _metrics(samples: list[ScoredSamples]) -> dict[str, float]:
     return {name: float(values[name][0]) for name in metrics.PERFECT}
 
 
-def _offset(samples: list[ScoredSamples]) -> float | None:
+def _balance(samples: list[ScoredSamples]) -> dict[str, float | None]:
+    """The mean of measured minus predicted, and the error of the sum in percent."""
+    if not any(s.scored.any() for s in samples):
+        return {"offset": None, "total_error": None}
     measured, predicted, scored = _pooled(samples)
-    error = (measured - predicted)[scored]
-    return float(error.mean()) if error.size else None
+    y, error = measured[scored], (measured - predicted)[scored]
+    offset, level = float(error.mean()), abs(float(y.mean()))
+    cancels = level <= CANCELLED * float(np.abs(y).mean())
+    return {
+        "offset": offset,
+        "total_error": None if cancels else -100.0 * offset / level,
+    }
 
 
 def _status(samples: list[ScoredSamples]) -> str:

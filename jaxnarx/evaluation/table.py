@@ -19,10 +19,13 @@ HEADER = (
     "R2",
     "fit %",
     "NMSE",
+    "total %",
     "samples",
     "limited",
 )
-MISSING = ("", "", "", "")
+FIGURES = slice(2, 8)
+"""Columns of figures; a status stands in the first, and may run over the others."""
+MISSING = ("",) * 5
 
 
 def data_of(part: str) -> str:
@@ -135,13 +138,14 @@ def _cells(row: Row) -> tuple[str, ...]:
         *map(number, figures),
         number(row.fit, ".1f"),
         number(row.nmse),
+        number(row.total_error, "+.2f"),
         *counts,
     )
 
 
 def _align(lines: list[tuple[str, ...]]) -> str:
     """Text left, figures right; a status may run over the empty cells beside it."""
-    spilling = [cells[3:7] == MISSING for cells in lines]
+    spilling = [cells[FIGURES][1:] == MISSING for cells in lines]
     widths = [
         max(
             len(cells[i])
@@ -150,14 +154,13 @@ def _align(lines: list[tuple[str, ...]]) -> str:
         )
         for i in range(len(HEADER))
     ]
-    free = sum(widths[2:7]) + 2 * 4
+    free = sum(widths[FIGURES]) + 2 * len(MISSING)
     out = []
     for cells, spills in zip(lines, spilling, strict=True):
-        left = [cells[0].ljust(widths[0]), cells[1].ljust(widths[1])]
-        middle = [c.rjust(w) for c, w in zip(cells[2:7], widths[2:7], strict=True)]
-        right = [c.rjust(w) for c, w in zip(cells[7:], widths[7:], strict=True)]
-        middle = [cells[2].rjust(free)] if spills else middle
-        out.append("  ".join(left + middle + right).rstrip())
+        left = [c.ljust(w) for c, w in zip(cells[:2], widths[:2], strict=True)]
+        right = [c.rjust(w) for c, w in zip(cells, widths, strict=True)]
+        middle = [cells[2].rjust(free)] if spills else right[FIGURES]
+        out.append("  ".join(left + middle + right[FIGURES.stop :]).rstrip())
     rule = "-" * max(map(len, out))
     return "\n".join([rule, out[0], rule, *out[1:], rule])
 

@@ -347,6 +347,7 @@ def _report(command: commands.Report, typed: str) -> int:
 
     from jaxnarx.evaluation import report
     from jaxnarx.shell.identify import require_rows
+    from jaxnarx.shell.junit import junit_file, write_junit
     from jaxnarx.shell.model_file import load_model
     from jaxnarx.shell.output import RUN, run_folder, write_report, write_together
 
@@ -358,11 +359,12 @@ def _report(command: commands.Report, typed: str) -> int:
     parts = {k: v for k, v in named.items() if v is not None} or {"data": split.all}
     require_rows(parts, network.history)
     with ExitStack() as stack:
-        folder = None
+        folder, force = None, command.force
         if command.out is not None:
             folder = stack.enter_context(
-                run_folder(command.out, "", force=command.force, marks=RUN[1:])
+                run_folder(command.out, "", force=force, marks=RUN[1:])
             )
+        junit = stack.enter_context(junit_file(command.junit, force=force))
         with about(command.description):
             told = {"command": typed}
             if split.preparation is not None:
@@ -383,6 +385,8 @@ def _report(command: commands.Report, typed: str) -> int:
         if folder is not None:
             with write_together(folder) as place:
                 write_report(result, place)
+        if junit is not None:
+            write_junit(result, junit, command.require_fit)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
         next_command(*following)

@@ -37,14 +37,19 @@ def slug(name: str) -> str:
 
 @contextmanager
 def run_folder(
-    out: str | None, name: str, *, force: bool, marks: Sequence[str]
+    out: str | None,
+    name: str,
+    *,
+    force: bool,
+    marks: Sequence[str],
+    by: str = "out",
 ) -> Iterator[Path]:
     """The folder of a run, made if absent; by default a new one under `runs/`.
 
     A given folder that already holds one of the files `marks` is refused without
     `force`, and always one in which another run is making one of them; so is one that
     cannot be written, before any work is done. Folders made here are removed again when
-    the run fails and they are empty.
+    the run fails and they are empty. `by` is the option that names the folder.
     """
     made: list[Path] = []
     try:
@@ -54,19 +59,19 @@ def run_folder(
                     folder = _new(Path("runs") / slug(name), made)
                 else:
                     _make(folder := Path(out), made)
-                stack.enter_context(new_folder(folder, marks))
+                stack.enter_context(new_folder(folder, marks, by))
             except OSError as error:
                 raise DataFileError(
                     f"{error.filename if out is None else out}: cannot be written "
-                    f"({error.strerror}). Choose another --out.",
+                    f"({error.strerror}). Choose another --{by}.",
                     path=out,
                 ) from error
             taken = [mark for mark in marks if os.path.lexists(folder / mark)]
             if taken and not force:
                 raise SpecError(
-                    f"{folder} already holds {taken[0]}; choose another --out, or "
+                    f"{folder} already holds {taken[0]}; choose another --{by}, or "
                     "overwrite it with --force",
-                    field="out",
+                    field=by,
                 )
             yield folder
     except BaseException:

@@ -18,10 +18,13 @@ PREFIX = ".unfinished-"
 
 
 @contextmanager
-def new_folder(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
+def new_folder(
+    folder: Path, names: Sequence[str] = (), by: str = "out"
+) -> Iterator[Path]:
     """A new folder inside `folder`, which goes when this ends.
 
-    The files `names` are reserved: SpecError where another process is making one.
+    The files `names` are reserved: SpecError where another process is making one, with
+    the option `by` that names another folder.
     """
     # Named before it is made: an interrupt in between leaves nothing either.
     place, handle = folder / f"{PREFIX}{secrets.token_hex(8)}", None
@@ -31,8 +34,8 @@ def new_folder(folder: Path, names: Sequence[str] = ()) -> Iterator[Path]:
                 if both := sorted(set(names) & {path.name for path in other.glob("*")}):
                     raise SpecError(
                         f"another run is writing {both[0]} to {folder}; wait until it "
-                        "is done, or choose another --out",
-                        field="out",
+                        "is done, or choose another --{by}",
+                        field=by,
                     )
             place.mkdir(mode=0o700)
             handle = lock_folder(place)

@@ -154,6 +154,11 @@ def test_dict_is_strict_json(full):
     assert "cloud" not in back["partition"]
     row = back["rows"][0]
     assert {"part", "record", "output", "mode", "rmse", "status"} <= set(row)
+    assert all("total_error" in row for row in back["rows"])
+    told = {
+        r["total_error"] for r in back["rows"] if r["status"].startswith("diverged")
+    }
+    assert told == {None} and back["verdict"]["rules"]
     assert len(back["provenance"]["test data"].split("sha256 ")[1]) == 64
 
 

@@ -1,35 +1,17 @@
 """The verdict: one case for every rule, and what a sentence says."""
 
 import dataclasses
+import json
 import types
 
 import pytest
+from verdict_problems import made, row
 
-from jaxnarx.data import Channel
-from jaxnarx.evaluation import Report, Row
 from jaxnarx.evaluation._region_errors import RegionError
 from jaxnarx.evaluation.baseline import NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.extrapolation import Outside
 from jaxnarx.evaluation.verdict import REMEDIES
-
-
-def row(part, record="pooled", nrmse=0.1, **more) -> Row:
-    """A free run of an output of standard deviation 50 K."""
-    figures = dict(rmse=50 * nrmse, nrmse=nrmse, r2=1 - nrmse**2)
-    figures |= dict(fit=100 * (1 - nrmse), nmse=nrmse**2)
-    if more.get("status", "").startswith("diverged"):
-        figures = dict.fromkeys(figures)
-    place = dict(part=part, output="T", unit="K", mode="free run", record=record)
-    counts = dict(samples=1000, limited=0, extrapolated=0, status="ok")
-    return Row(**(place | figures | counts | more))  # pyright: ignore
-
-
-def made(*rows, main="test", **more) -> Report:
-    return Report(
-        (Channel("T", "K"),), main, rows, more.pop("notes", ()), (), (), **more
-    )
-
 
 FINE = (row("train"), row("test"))
 
@@ -236,3 +218,82 @@ def test_a_linear_model_must_be_clearly_better():
         return made(*FINE, beside={NAME: (row("test", nrmse=nrmse),)}).verdict.level
 
     assert beside(0.099) == "good" and beside(0.097) == "usable with limits"
+
+
+# rules ----------------------------------------------------------------------------
+
+FAILED = {
+    "level only": ("better than the mean in records", 1.2, "below", 1.0),
+    "half unexplained": ("accuracy", 0.7, "at most", 0.1**0.5),
+    "overfitted": ("overfitting", 0.25, "at most", 0.1),
+    "held": ("feedback bound", 0.02, "below", 0.01),
+    "no contraction": ("share without contraction", 1.0, "below", 0.1),
+    "unstable region": ("share unstable", 1.0, "at most", 0.5),
+    "learned": ("parts that repeat training data", 1.0, "at most", 0.0),
+    "no test": ("independent parts", 0.0, "at least", 1.0),
+    "constant": ("samples to judge by", 0.0, "at least", 1.0),
+    "linear": ("beside a linear model", 0.1, "at most", 0.05 / 0.98),
+    "strayed": ("share beyond trained range", 0.23, "below", 0.05),
+}
+
+
+@pytest.mark.parametrize("kind", LIMITS)
+def test_a_reason_has_a_rule_with_value_and_limit(kind):
+    verdict = LIMITS[kind][0].verdict
+    (rule,) = [rule for rule in verdict.rules if rule.passed is False]
+    name, value, sense, limit = FAILED[kind]
+    assert (rule.name, rule.sense) == (name, sense)
+    assert (rule.value, rule.limit) == pytest.approx((value, limit), rel=1e-3)
+    assert rule.reason == verdict.findings[0]
+    assert f"must be {sense}" in str(rule)
+
+
+def kept(value: float, sense: str, limit: float) -> bool:
+    """Slow and obvious."""
+    order = {"below": [-1], "at most": [-1, 0], "at least": [0, 1]}
+    return (value > limit) - (value < limit) in order[sense]
+
+
+def test_rules_are_told_apart_and_agree_with_the_verdict():
+    rows = [row("train", f"d{k}", nrmse=0.28) for k in range(3)]
+    rows += [row("train", nrmse=0.3), row("test", nrmse=1.2, limited=30)]
+    rows += [row("test", "t0", nrmse=1.3)]
+    found = made(
+        *rows,
+        stability=stable(fails=0.05),
+        coverage=intervals(0.5),
+        leaderboard=searched(0.1, worst=1.5),
+    ).verdict
+    assert found.level == "not usable"
+    places = [(rule.name, rule.output, rule.where) for rule in found.rules]
+    assert len(set(places)) == len(places) > 12
+    for rule in found.rules:
+        assert rule.value is not None
+        assert rule.passed == kept(rule.value, rule.sense, rule.limit)
+        assert rule.reason is None or not rule.passed
+    told = [rule.reason for rule in found.rules if rule.reason]
+    assert sorted(map(str, told)) == sorted(map(str, found.findings))
+    # The mean has said so of the test part: no second reason, yet no pass.
+    (same,) = [r for r in found.rules if (r.name, r.where) == ("accuracy", "test")]
+    assert same.passed is False and same.reason is None
+    assert all(rule.passed is not False for rule in made(*FINE).verdict.rules)
+
+
+def test_what_could_not_be_measured_neither_passes_nor_fails():
+    lost = row("test", status="diverged (1 of 1)")
+    report = made(row("train"), lost, row("test", "r0", status="diverged"))
+    rules = {r.name: r for r in report.verdict.rules if r.where == "test"}
+    assert rules["diverged records"].passed is False
+    for name in ("accuracy", "better than the mean", "overfitting"):
+        assert rules[name].value is None and rules[name].passed is None
+    nan = dataclasses.replace(rules["accuracy"], value=float("nan"))
+    assert nan.passed is None and nan.to_dict()["value"] is None
+
+
+def test_json_has_the_rules_beside_the_keys_it_had():
+    found = made(row("train"), row("test", nrmse=0.7)).to_dict()["verdict"]
+    assert list(found) == ["level", "sentence", "findings", "remarks", "rules"]
+    assert set(found["findings"][0]) == {"level", "text", "remedy"}
+    (failed,) = [rule for rule in found["rules"] if rule["passed"] is False][:1]
+    assert list(failed) == "name output where value sense limit passed".split()
+    json.dumps(found, allow_nan=False)

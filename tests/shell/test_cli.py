@@ -18,6 +18,7 @@ import time
 import tomllib
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import jax
 import numpy as np
@@ -950,9 +951,19 @@ def test_report_prints_and_writes_when_asked(capsys, both):
     assert "Open out/report.html" in passes(capsys, arguments)
     assert sorted(os.listdir("out")) == ["report.html", "report.json"]
     fails(capsys, 2, arguments, "out already holds report.json", "--force")
-    passes(capsys, [*arguments, "--force", "--require-fit", "50"])
-    assert run([str(a) for a in (*arguments, "--force", "--require-fit", "100")]) == 1
+    arguments += ["--force", "--junit", "out/verdict.xml"]
+    passes(capsys, [*arguments, "--require-fit", "50"])
+    assert "required fit" not in failures("out/verdict.xml")
+    assert run([str(a) for a in (*arguments, "--require-fit", "100")]) == 1
     assert capsys.readouterr().err.count("below the required 100 %") == 2
+    assert failures("out/verdict.xml").count("required fit %") == 2
+    assert sorted(os.listdir("out")) == ["report.html", "report.json", "verdict.xml"]
+
+
+def failures(path: str) -> str:
+    """The messages of the failures in a file of test cases."""
+    found = ET.parse(path).iter("failure")
+    return " ".join(failure.get("message", "") for failure in found)
 
 
 def test_report_needs_channels_units_and_rows_that_fit(capsys, both):

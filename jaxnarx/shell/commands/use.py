@@ -75,6 +75,9 @@ class Report:
 
     Example:
         jaxnarx report runs/demo/model.safetensors engine.toml --out runs/check
+
+    As a step of a pipeline:
+        jaxnarx report model.safetensors engine.toml --junit verdict.xml
     """
 
     model: Positional[Model]
@@ -98,8 +101,11 @@ class Report:
     outside: Outside = None
     """What inputs do beyond their trained ranges: nothing, stay at the edge, or go on
     from there to first order; default: as MODEL says."""
+    junit: Annotated[str | None, optional("PATH")] = None
+    """File for the rules of the verdict as JUnit XML, a test case for every rule and
+    output of a part; failures carry value and limit."""
     force: Flag = False
-    """Overwrite an earlier report."""
+    """Overwrite an earlier report, and an earlier file of --junit."""
     require_fit: Percent = None
     """Exit with 1 unless the pooled free-run fit of every output reaches this [%]."""
 
