@@ -58,6 +58,12 @@ def span_text(start: float, end: float) -> tuple[str, str]:
     return f"{start:.16g}", f"{end:.16g}"
 
 
+def list_names(names: Sequence[str], most: int = 6) -> str:
+    """`"a, b and 3 more"`."""
+    shown = ", ".join(map(str, names[:most]))
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
 def some(lines: Sequence[str], most: int = 12) -> list[str]:
     """The first `most` lines, and how many more there are."""
     if len(lines) <= most + 1:

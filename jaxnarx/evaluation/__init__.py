@@ -19,6 +19,8 @@ from jaxnarx.evaluation._steady_states import ResponseSurface as ResponseSurface
 from jaxnarx.evaluation._steady_states import intersections as intersections
 from jaxnarx.evaluation._steady_states import response_surface as response_surface
 from jaxnarx.evaluation._steady_states import steady_states as steady_states
+from jaxnarx.evaluation.analyses import ANALYSES as ANALYSES
+from jaxnarx.evaluation.analyses import Analysis as Analysis
 from jaxnarx.evaluation.comparison import ComparedRecord as ComparedRecord
 from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
@@ -43,8 +45,6 @@ from jaxnarx.evaluation.residual_tests.correlations import (
 from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.rules import judge as judge
-from jaxnarx.evaluation.section import ANALYSES as ANALYSES
-from jaxnarx.evaluation.section import Analysis as Analysis
 from jaxnarx.evaluation.section import Chart as Chart
 from jaxnarx.evaluation.section import Curve as Curve
 from jaxnarx.evaluation.section import FreeRun as FreeRun

@@ -74,8 +74,7 @@ class Report:
     - `provenance`: anything worth stating; versions and data hashes are filled in;
     - `next_command`: what to type next, for the page.
 
-    `sections` are the findings of the analyses that are registered
-    (`jaxnarx.evaluation.ANALYSES`), by name.
+    `sections` are the findings of `jaxnarx.evaluation.ANALYSES`, by name.
     """
 
     outputs: tuple[Channel, ...]

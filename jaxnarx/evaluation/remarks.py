@@ -8,6 +8,7 @@ import numpy as np
 from jaxnarx.data import Channels, Dataset, fingerprint, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
 from jaxnarx.evaluation.table import data_of, number
+from jaxnarx.formatting import list_names
 from jaxnarx.models import Network
 from jaxnarx.refinement import stability
 from jaxnarx.simulation import Prepared
@@ -35,13 +36,13 @@ def data_notes(
     known = {c.name: c.unit for c in channels.all}
     unused = [name for name in channels.output_names if name not in modelled]
     if unused:
-        notes.append(f"Outputs that are not modelled: {_list(unused)}.")
+        notes.append(f"Outputs that are not modelled: {list_names(unused)}.")
     told: dict[str, list[str]] = {}
     for part, data in parts.items():
         notes += _masked(part, data, list(known))
         extra = [name for name in data.channels.names if name not in known]
         if extra:
-            notes.append(f"Extra channels in {part}, ignored: {_list(extra)}.")
+            notes.append(f"Extra channels in {part}, ignored: {list_names(extra)}.")
         notes += [
             f"Units differ: the model's {c.name} is in {known[c.name] or 'no unit'}, "
             f"the {data_of(part)}'s in {c.unit or 'no unit'}."
@@ -51,7 +52,7 @@ def data_notes(
         for note in data.notes:
             told.setdefault(note, []).append(part)
     for note, found in told.items():
-        notes.append(f"Of the {data_of(_list(found))}: {note}.")
+        notes.append(f"Of the {data_of(list_names(found))}: {note}.")
     return notes
 
 
@@ -80,7 +81,7 @@ def _masked(part: str, data: Dataset, used: list[str]) -> list[str]:
         return []
     return [
         f"Masked in {part} (missing, or removed by a preparation), neither used nor "
-        f"scored: {_list(found)}."
+        f"scored: {list_names(found)}."
     ]
 
 
@@ -155,8 +156,8 @@ def _repeated(parts: Mapping[str, Dataset]) -> list[str]:
         )
         notes.append(
             f"{loud}: {len(both)} of {len(parts[second])} {second} records "
-            f"({_list(both)}) are also in {first}; the {second} figures do not show "
-            "how the model does on new data."
+            f"({list_names(both)}) are also in {first}; the {second} figures do not "
+            "show how the model does on new data."
         )
     return notes
 
@@ -179,7 +180,8 @@ def _divergence(row: Row, rows: list[Row]) -> str:
         and r.diverged
         and r.record != POOLED
     ]
-    note = f"{row.output}, {row.part}, {row.mode}: {row.status}, records {_list(lost)}."
+    note = f"{row.output}, {row.part}, {row.mode}: {row.status}, records "
+    note += f"{list_names(lost)}."
     if row.others is None:
         return note
     others: dict[str, Any] = row.others
@@ -205,11 +207,6 @@ def _edge(row: Row) -> list[str]:
     if row.status == "no samples":
         return [f"{row.output} has no valid sample to score in {where}."]
     return []
-
-
-def _list(names: list[str], most: int = 6) -> str:
-    shown = ", ".join(str(n) for n in names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 SAMPLES = 2000

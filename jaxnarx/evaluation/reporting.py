@@ -15,6 +15,7 @@ from jaxnarx.evaluation._error_map import error_maps
 from jaxnarx.evaluation._reactivation import reactivation_notes
 from jaxnarx.evaluation._region_errors import region_errors
 from jaxnarx.evaluation._report import Report
+from jaxnarx.evaluation.analyses import run_analyses
 from jaxnarx.evaluation.baseline import NAME, linear_runs
 from jaxnarx.evaluation.coverage import coverage, coverage_notes, interval_runs
 from jaxnarx.evaluation.domain_errors import (
@@ -43,7 +44,7 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
-from jaxnarx.evaluation.section import FreeRun, run_analyses
+from jaxnarx.evaluation.section import FreeRun
 from jaxnarx.evaluation.table import data_of
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst_segments import worst_stretches
@@ -208,7 +209,14 @@ def report(
         gains=_gains(network, parts[main], diagnostics, tested),
         effects=effects(main, rows, runs[main][FREE_RUN], others, known),
         sections=run_analyses(
-            FreeRun(network, main, parts[main], outputs, runs[main][FREE_RUN])
+            FreeRun(
+                network,
+                main,
+                parts[main],
+                outputs,
+                runs[main][FREE_RUN],
+                parts.get("train"),
+            )
         ),
         network=network,
         records=_records_to_show(

@@ -1,12 +1,12 @@
 """One finding of a report, shown alike as text, as JSON and on the page.
 
 An analysis is a function of a `FreeRun` that returns a `Section`, or None where it has
-nothing to say. Those of `ANALYSES` are part of every report.
+nothing to say (`jaxnarx.evaluation.analyses`).
 """
 
 import dataclasses
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from jaxtyping import Float
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.evaluation.table import number, strict
-from jaxnarx.extensions import Registry
 from jaxnarx.formatting import align_columns
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
@@ -91,7 +90,8 @@ def _text(cell: Cell) -> str:
 class FreeRun:
     """The free run of a network on the main part of a report, as analyses are given it.
 
-    `samples[o][r]` are those of output `outputs[o]` in record r of `data`.
+    `samples[o][r]` are those of output `outputs[o]` in record r of `data`; `training`
+    are the records of the part `"train"`, None where the report has none.
     """
 
     network: Any
@@ -99,6 +99,7 @@ class FreeRun:
     data: Dataset
     outputs: tuple[Channel, ...]
     samples: list[list[ScoredSamples]]
+    training: Dataset | None = None
 
     @classmethod
     def of(cls, network: Network, data: Dataset, part: str = "data") -> "FreeRun":
@@ -115,23 +116,3 @@ class FreeRun:
             for one in self.samples[output]
             if not one.diverged
         ]
-
-
-Analysis = Callable[[FreeRun], Section | None]
-ANALYSES: Registry[Analysis] = Registry("analysis of reports", {})
-"""Analyses that other packages add to every report, by their key in `report.json`."""
-
-
-def run_analyses(run: FreeRun) -> dict[str, Section]:
-    """The sections of all registered analyses by name; one that fails says so, and the
-    report goes on."""
-    found: dict[str, Section] = {}
-    for name, analysis in ANALYSES.added.items():
-        try:
-            section = analysis(run)
-        except Exception as error:
-            why = f"{type(error).__name__}: {error}"
-            section = Section(name, (f"The analysis {name!r} failed: {why}",))
-        if section is not None:
-            found[name] = section
-    return found
