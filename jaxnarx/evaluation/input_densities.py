@@ -42,13 +42,13 @@ def input_densities(run: FreeRun) -> Section | None:
         return None
     charts.sort(key=lambda one: one[0])
     names = list_names([name for _, name in sorted(unlike)])
+    told = f"All inputs are spread in {run.part} data as in training."
+    if unlike:
+        told = f"Values of {names} are spread differently in {run.part} data than in "
+        told += "training."
     return Section(
         "Inputs beside the training",
-        (
-            f"Values of {names} are spread differently in {run.part} data than in training.",
-        )
-        if unlike
-        else (f"All inputs are spread in {run.part} data as in training.",),
+        (told,),
         ("input", "trained min", "trained max", "min", "max", "outside %", "overlap"),
         tuple(rows),
         tuple(chart for _, chart in charts[:MOST_CHARTS]),
