@@ -66,7 +66,7 @@ def require_fit(called: str, name: str, value: Any, wanted: Any) -> None:
     """SpecError where an argument of `called` is not what its annotation asks for."""
     if not is_fit(value, wanted):
         raise SpecError(
-            f"{called}: {name} is {_what(value)}, but must be "
+            f"{called}: {name} is {_describe_value(value)}, but must be "
             f"{_describe_annotation(wanted)}{_advice(value)}",
             field=name,
         )
@@ -193,7 +193,7 @@ def _is_noun(value: Any) -> bool:
     return kind.__module__.startswith(OURS)
 
 
-def _what(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     if value is None:
         return "None"
     if isinstance(value, type):
