@@ -16,7 +16,7 @@ from jaxnarx.arrays import (
     begin_levenberg,
     begin_search,
     evaluate_at,
-    plain,
+    strip_names,
 )
 from jaxnarx.data import Dataset
 from jaxnarx.inverse.loop import Loop, connect
@@ -85,7 +85,7 @@ class _Search:
     ):
         self.loop, self.layout, self.task, self.method = loop, layout, task, method
         self.spread = spreads(loop, task)
-        self.guard = plain(self._problem(guard, None))
+        self.guard = strip_names(self._problem(guard, None))
         start = np.asarray(layout.gather(layout.base))
         loss = np.asarray(evaluate_at(self.guard.loss, start))
         self.log = SearchLog(loss, progress)
@@ -107,7 +107,7 @@ class _Search:
         best = np.asarray(self.search.best.u)
         if self.method.horizons:
             # Windows may end where the whole record does not hold.
-            loss = plain(self._problem(self.task, None)).loss
+            loss = strip_names(self._problem(self.task, None)).loss
             if evaluate_at(loss, best) < evaluate_at(loss, u):
                 u = best
         return self._solution(self._stage(u, None, self.method.max_steps)[1])

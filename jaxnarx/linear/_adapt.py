@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.arrays import history_of
+from jaxnarx.arrays import past_outputs
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.linear.adapt_program import (
@@ -97,7 +97,7 @@ def _samples(
         start = run(network, drive, jnp.asarray(anchor))
     else:
         start = run_steps(network, drive, jnp.asarray(1))[0]
-    past = jax.vmap(partial(history_of, depth=depth(network)))(drive.measured)
+    past = jax.vmap(partial(past_outputs, depth=depth(network)))(drive.measured)
     dtype = drive.measured.dtype
     every = (
         drive.v.swapaxes(1, 2),

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import (
-    history_of,
     linear_recurrence,
     own_history,
+    past_outputs,
     run_history,
     sensitivities,
 )
@@ -171,7 +171,7 @@ def seen_history(
     lags, measured = depth(network), widen(network, measured)
 
     def one(y, measured, anchor):
-        past = run_history(y, history_of(measured, lags), anchor)
+        past = run_history(y, past_outputs(measured, lags), anchor)
         return past, own_history(anchor, lags)
 
     return jax.vmap(one)(y, measured, anchor)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import lagged, usable
+from jaxnarx.arrays import lag_signals, usable
 from jaxnarx.data import Batch
 from jaxnarx.errors import DataError
 from jaxnarx.regressors.filtering import FilterTable, filter_input, filter_table
@@ -32,7 +32,7 @@ def record_columns(
     """
     pairs = variables.filtered
     if not pairs:
-        return lagged(signals, at, variables.rows)
+        return lag_signals(signals, at, variables.rows)
     source = np.array([s for s, _ in pairs])
     table = filter_table([f for _, f in pairs])
 
@@ -43,7 +43,9 @@ def record_columns(
 
     bank = jax.lax.map(one, (jnp.asarray(source), table))
     signals = jnp.concatenate([signals, bank.T], axis=1)
-    return lagged(signals, at, _extend_rows(variables, signals.shape[1] - len(pairs)))
+    return lag_signals(
+        signals, at, _extend_rows(variables, signals.shape[1] - len(pairs))
+    )
 
 
 def _extend_rows(variables: Variables, signals: int) -> tuple[tuple[int, int], ...]:

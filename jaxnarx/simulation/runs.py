@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import history_of, program
+from jaxnarx.arrays import past_outputs, program
 from jaxnarx.data import Batch
 from jaxnarx.models import (
     LINEAR,
@@ -114,7 +114,7 @@ def run_steps(
 
     def one(v, x, measured):
         measured = widen(network, measured)
-        past = jnp.moveaxis(history_of(measured, depth(network)), 0, -1)
+        past = jnp.moveaxis(past_outputs(measured, depth(network)), 0, -1)
         past = jnp.roll(past, k - 1, axis=-1)
 
         def one_on(j, carry):
