@@ -44,7 +44,7 @@ class InputRows:
     group: Int[np.ndarray, " time"]
     at_sample: Int[np.ndarray, " time"]
 
-    def at(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
+    def select(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
         """These samples alone."""
         parts = self.x[:, some], self.step[:, some], self.group[some]
         return InputRows(*parts, self.at_sample[some])
@@ -234,7 +234,7 @@ def _make_domain(
         spread,
         weight,
         stored,
-        _whitening(unit),
+        _whitening_matrix(unit),
         value.min(axis=1),
         value.max(axis=1),
         np.abs(rows.step).max(axis=1),
@@ -248,7 +248,7 @@ def _layers(domain: Domain, x, step):
     return domain.layers(x, step)
 
 
-def layers_of(
+def compute_layers(
     domain: Domain, rows: InputRows
 ) -> tuple[Float[np.ndarray, "time layers"], Int[np.ndarray, "time layers"]]:
     """`Domain.layers` of these samples, on the host, in the domain's precision."""
@@ -259,7 +259,7 @@ def layers_of(
     return np.asarray(values)[:count], np.asarray(blamed)[:count]
 
 
-def _whitening(
+def _whitening_matrix(
     unit: Float[np.ndarray, "features time"],
 ) -> Float[np.ndarray, "features features"]:
     """W with W S W' = 1 for the covariance S of features of unit size.
@@ -298,15 +298,15 @@ def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time laye
     """Layers of all samples, of every group by a domain of the others, with the borders
     of this one; of samples that are in no group, by this one."""
     weight, points = np.asarray(domain.weight, float), len(domain.points)
-    values = layers_of(domain, rows)[0].copy()
+    values = compute_layers(domain, rows)[0].copy()
     for g in range(rows.group.max(initial=-1) + 1):
         out = rows.group == g
-        train = rows.at(~out & (rows.group >= 0))
+        train = rows.select(~out & (rows.group >= 0))
         if out.any() and len(train.group):
             fold = _make_domain(domain.features, train, weight, points)
             border = domain.border.astype(fold.border.dtype)
             fold = dataclasses.replace(fold, border=border)
-            values[out] = layers_of(fold, rows.at(out))[0]
+            values[out] = compute_layers(fold, rows.select(out))[0]
     return values
 
 

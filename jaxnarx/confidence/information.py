@@ -31,7 +31,7 @@ class Sums(NamedTuple):
     by_start: Float[Array, "records params starts"]
 
 
-def _by_start(a, own, since) -> Float[Array, "rows outputs starts"]:
+def _start_derivative(a, own, since) -> Float[Array, "rows outputs starts"]:
     """Direct derivative by the measured samples before the start, newest first.
 
     `since` counts samples from the start; there lag d is the measured sample d - since.
@@ -57,7 +57,7 @@ def _stream(
 
     def direct(tangents, seen, time, record):
         a, own = seen
-        by_start = _by_start(fold_slopes(network, a), own, time - start[record])
+        by_start = _start_derivative(fold_slopes(network, a), own, time - start[record])
         return jnp.concatenate([tangents, by_start], axis=2)
 
     columns = layout.low.shape[0] + len(network.models) * depth(network)
