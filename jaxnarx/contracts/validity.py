@@ -75,13 +75,15 @@ def derivatives_are_central_differences(validity: AbstractValidity, dims: int) -
     flat = np.concatenate([np.ravel(leaf) for leaf in leaves])
     ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
 
-    def at(x):
+    def evaluate(x):
         parts = zip(np.split(x, ends), leaves, strict=True)
         new = [jnp.asarray(p.reshape(q.shape)) for p, q in parts]
         return float(compiled(*jax.tree.unflatten(tree, new)))
 
     h, eye = 1e-6, np.eye(len(flat))
-    expected = [(at(flat + h * e) - at(flat - h * e)) / (2 * h) for e in eye]
+    expected = [
+        (evaluate(flat + h * e) - evaluate(flat - h * e)) / (2 * h) for e in eye
+    ]
     ours = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)])
     # h^2 of the third derivative and 1e-16/h of rounding.
     np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-6)
