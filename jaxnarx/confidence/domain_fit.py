@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import whole
-from jaxnarx.data import Dataset, Groups, shortened, stack_records
+from jaxnarx.data import Dataset, Groups, stack_records, thin_records
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import LAYERS, Domain, Network
@@ -80,7 +80,7 @@ def fit_domain(
     used = used_inputs(network)
     if not used:
         raise SpecError("a network without inputs has no domain", field="network")
-    weight, memory = measure_influence(network, shortened(data, RUN_SAMPLES), used)
+    weight, memory = measure_influence(network, thin_records(data, RUN_SAMPLES), used)
     features = Variables.of(
         [(s, 0, None) for s in used]
         + [(s, 0, LowPass(memory * data.sample_time)) for s in used]

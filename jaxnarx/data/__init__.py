@@ -16,12 +16,12 @@ from jaxnarx.data._groups import Groups as Groups
 from jaxnarx.data._groups import groups as groups
 from jaxnarx.data._hold_out import hold_out as hold_out
 from jaxnarx.data._join import join as join
-from jaxnarx.data._shortened import shortened as shortened
+from jaxnarx.data._shortened import thin_records as thin_records
 from jaxnarx.data._survey import ChannelGuess as ChannelGuess
 from jaxnarx.data._survey import Survey as Survey
 from jaxnarx.data._survey import measurement_files as measurement_files
 from jaxnarx.data._survey import survey as survey
-from jaxnarx.data.align_channels import in_units as in_units
+from jaxnarx.data.align_channels import convert_units as convert_units
 from jaxnarx.data.align_channels import match_channels as match_channels
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
@@ -68,7 +68,7 @@ from jaxnarx.data.readers.columns import numbers as numbers
 from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
-from jaxnarx.data.scaling import unit_of as unit_of
+from jaxnarx.data.scaling import scaling_unit as scaling_unit
 
 if TYPE_CHECKING:
     from jaxnarx.data.batch import Batch as Batch
@@ -110,7 +110,7 @@ __all__ = [
     "first_look",
     "groups",
     "hold_out",
-    "in_units",
+    "convert_units",
     "join",
     "load_toml",
     "match_channels",
@@ -119,7 +119,7 @@ __all__ = [
     "read",
     "read_files",
     "read_split",
-    "shortened",
+    "thin_records",
     "step_times",
     "suggest_lags",
 ]

@@ -95,7 +95,7 @@ def survey(
     asked = Asked(layout, table, sample_time)
     every = [contents(file, asked) for file in files]
     runs = tuple(Run(file) for file in files)
-    families = [f for f in map(_family, every) if f is not None and not table]
+    families = [f for f in map(_channel_family, every) if f is not None and not table]
     if len(families) == len(files):
         every = [list(f.columns.values()) for f in families]
         pairs = zip(files, families, strict=True)
@@ -159,7 +159,7 @@ def survey(
     )
 
 
-def _family(columns: Sequence[Column]) -> Family | None:
+def _channel_family(columns: Sequence[Column]) -> Family | None:
     return find_family(columns, _TIME_NAMES)
 
 

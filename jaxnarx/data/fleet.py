@@ -42,7 +42,7 @@ class Padded:
         names = tuple(self.names[n] for n in at.tolist())
         return Padded(self.signals[at], self.valid[at], self.length[at], names)
 
-    def widened(self, records: int, time: int) -> "Padded":
+    def widen(self, records: int, time: int) -> "Padded":
         """The part with room for more records, and longer ones."""
         more_records = records - self.signals.shape[1]
         more_time = time - self.signals.shape[2]
@@ -197,7 +197,7 @@ def _member(data, channels: Channels, step: float, wanted) -> _Member:
             f"{data.sample_time:g} s; resample the data",
             field="sample_time",
         )
-    parts = {name: _chosen(data, choice) for name, choice in wanted.items()}
+    parts = {name: _choose_records(data, choice) for name, choice in wanted.items()}
     for name, records in parts.items():
         if not records:
             return _Member(parts, "too_short", f"no record for {name}")
@@ -218,7 +218,7 @@ def _member(data, channels: Channels, step: float, wanted) -> _Member:
     return _Member(parts)
 
 
-def _chosen(data: Dataset, choice: Choice) -> list[Record]:
+def _choose_records(data: Dataset, choice: Choice) -> list[Record]:
     if isinstance(choice, slice):
         return list(data.records[choice])
     wanted = [choice] if isinstance(choice, int | str) else list(choice)

@@ -30,7 +30,7 @@ class Source:
     cuts: Sequence[int] = ()
 
 
-def alike(sources: Sequence[Source]) -> list[Source]:
+def unify_types(sources: Sequence[Source]) -> list[Source]:
     """The sources in one type: float32 when all are, else float64."""
     single = all(s.x.dtype == np.float32 for s in sources)
     dtype = np.float32 if single else np.float64

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 
 _ANALYSED_ROWS = 1 << 15
 """About as many rows are looked at; statistics gain little from more."""
@@ -81,7 +81,7 @@ def standardise(
 
     A constant channel is zero.
     """
-    unit = unit_of(*parts)[:, None]
+    unit = scaling_unit(*parts)[:, None]
     parts = [p / unit for p in parts]
     count = sum(p.shape[1] for p in parts)
     mean = np.sum([p.sum(axis=1) for p in parts], axis=0) / count

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import usable
 from jaxnarx.checks import require_known
-from jaxnarx.data import Dataset, unit_of
+from jaxnarx.data import Dataset, scaling_unit
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.formatting import page
@@ -228,7 +228,7 @@ def _share(
     if len(edges) < 2 or not np.ptp(y):
         return 0.0
     at = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
-    y = y / unit_of(y)
+    y = y / scaling_unit(y)
     count = np.bincount(at)
     mean = np.bincount(at, y - y.mean()) / np.maximum(count, 1)
     return float(np.sum(count * mean**2) / (len(y) * y.var()))

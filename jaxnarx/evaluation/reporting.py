@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive, require
 from jaxnarx.confidence import DomainIndex, Intervals
-from jaxnarx.data import Channel, Dataset, data_hash, in_units
+from jaxnarx.data import Channel, Dataset, convert_units, data_hash
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation._error_map import error_maps
@@ -133,7 +133,9 @@ def report(
     main = "test" if "test" in parts else list(parts)[-1]
     if not (stability is None or isinstance(stability, bool)):
         _require_result(stability, "summary", "stability")
-    parts = {part: in_units(data, network.channels) for part, data in parts.items()}
+    parts = {
+        part: convert_units(data, network.channels) for part, data in parts.items()
+    }
     ready = {part: _ready(network, data) for part, data in parts.items()}
     outputs = tuple(network.output_channels)
     known = simulated if isinstance(simulated, Mapping) else {}

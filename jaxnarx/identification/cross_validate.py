@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset, Groups, shortened
+from jaxnarx.data import Dataset, Groups, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification._by_method import by_method
 from jaxnarx.linear import fit_states, refit_states
@@ -83,14 +83,14 @@ def cross_validate(
     parted = False
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
-        everything = groups.parted(data) if parted else data
+        everything = groups.exclude_group(data) if parted else data
         whole = fit_full(method, everything, rows, best)
         every = [_Judging(len(groups), one_step, begin) for _ in whole]
         if told := _hopeless(whole, data, spread, best, begin):
             return [one.judged(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
         watch(g + 1)
-        train = groups.parted(data, g) if parted else fold.train
+        train = groups.exclude_group(data, g) if parted else fold.train
         if isinstance(method, HiddenStates):
             last = max(n for n, one in enumerate(every, 1) if not one.told)
             networks = refit_stages(whole[:last], method, train, data, rows)
@@ -266,7 +266,7 @@ def fit_method(
 def _some(data: Dataset, rows: int | None) -> Dataset:
     """Stretches of so many samples, of those that are valid."""
     count = sum(int(r.valid.any(axis=1).sum()) for r in data)
-    return data if rows is None or count <= rows else shortened(data, rows)
+    return data if rows is None or count <= rows else thin_records(data, rows)
 
 
 def _hold_to_range(networks: list[Network], known: Dataset) -> list[Network]:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from jaxnarx.data import Dataset, shortened
+from jaxnarx.data import Dataset, thin_records
 from jaxnarx.linear import linear_order
 from jaxnarx.settings import HiddenStates, Preset
 
@@ -111,6 +111,6 @@ def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int,
         yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
         return
     usual = FEW_SAMPLES if short else FEW_INPUTS if few else MANY_INPUTS
-    n = linear_order(shortened(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
+    n = linear_order(thin_records(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
     own = () if n is None else ((n, degree) for degree in degrees)
     yield from dict.fromkeys([*own, *usual])

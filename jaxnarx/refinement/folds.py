@@ -29,7 +29,7 @@ def split_folds(
     found = []
     for g in range(len(groups)):
         own = _stack([label == g for label in groups.labels], rows)
-        out = _stack(groups.left_out(g), rows)
+        out = _stack(groups.held_out_samples(g), rows)
         pair = task.without(out, history), (judge or task).only(own)
         if all(np.any(np.asarray(part.weight) > 0) for part in pair):
             found.append(pair)

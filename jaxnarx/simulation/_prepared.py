@@ -204,7 +204,7 @@ def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
     require_finite(network)
     padded = fleet.parts[part]
     _, records, time, _ = padded.signals.shape
-    padded = padded.widened(records, bucket(time))
+    padded = padded.widen(records, bucket(time))
     check_precision(padded.signals.dtype)
     flat = (-1, *padded.signals.shape[2:])
     signals = jax.device_put(padded.signals.reshape(flat))

@@ -122,8 +122,8 @@ def padded(fleet: Fleet) -> Fleet:
     _, records, time, _ = fleet.train.signals.shape
     return dataclasses.replace(
         fleet,
-        train=fleet.train.widened(records + 1, time + 7),
-        validation=fleet.validation.widened(records + 2, 77),
+        train=fleet.train.widen(records + 1, time + 7),
+        validation=fleet.validation.widen(records + 2, 77),
     )
 
 

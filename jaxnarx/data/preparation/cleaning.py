@@ -15,11 +15,11 @@ from jaxnarx.data.preparation.step import (
     bridge_gaps,
     choose_channels,
     list_channels,
+    map_same_rows,
     number,
-    on_same_rows,
     present,
     require_valid,
-    units_of,
+    units_by_name,
     valid_samples,
 )
 from jaxnarx.data.record import Record
@@ -82,9 +82,9 @@ class LowPass(AbstractStep, AbstractLossy):
         rate = 1 / data.sample_time
         sos = np.asarray(butter(self.order, self.cutoff, fs=rate, output="sos"))
         weights = _weights(sos)
-        return on_same_rows(data, lambda r: self._filtered(r, data, sos, weights))
+        return map_same_rows(data, lambda r: self._filter(r, data, sos, weights))
 
-    def _filtered(self, record: Record, data: Dataset, sos, weights):
+    def _filter(self, record: Record, data: Dataset, sos, weights):
         from scipy.signal import sosfiltfilt
 
         length, period = len(record) * data.sample_time, 1 / self.cutoff
@@ -200,7 +200,7 @@ class Hampel(AbstractStep):
             half_width=self.half_width,
             sigmas=float(self.sigmas),
             least=least,
-            units=units_of(data.channels, indices),
+            units=units_by_name(data.channels, indices),
         )
 
 
@@ -221,9 +221,9 @@ class OutliersMasked(AbstractLossy):
 
     def apply(self, data: Dataset) -> Dataset:
         """Mask the outliers; the last valid sample is held in their place."""
-        return on_same_rows(data, lambda r: self._masked(r, data))
+        return map_same_rows(data, lambda r: self._mask(r, data))
 
-    def _masked(self, record: Record, data: Dataset):
+    def _mask(self, record: Record, data: Dataset):
         width = 2 * self.half_width + 1
         if width > len(record):
             raise DataError(

@@ -57,7 +57,7 @@ class Changes:
         """The changes of one step."""
         return tuple(c for c in self.items if c.step == step)
 
-    def masked(self, step: int) -> dict[str, int]:
+    def count_masked(self, step: int) -> dict[str, int]:
         """Samples that a step masked, by channel, over all records."""
         out: dict[str, int] = {}
         for change in self.of(step):
@@ -96,7 +96,7 @@ class Changes:
                 "record(s). Those between are interpolated and tell nothing new: "
                 "errors one step ahead look smaller than they are"
             )
-        for name, n in self.masked(step).items():
+        for name, n in self.count_masked(step).items():
             share = 100 * n / max(after, 1)
             records = sum(name in c.masked for c in own)
             yield f"{name}: {n} masked ({share:.2g} %) in {records} record(s)"
@@ -176,7 +176,7 @@ class Preparation:
             data = step.undo(data) if isinstance(step, Scaled | OffsetRemoved) else data
         return data
 
-    def after(self, first: "Preparation") -> "Preparation":
+    def prepend(self, first: "Preparation") -> "Preparation":
         """One preparation for raw data: `first`, then this one."""
         return Preparation(
             (*first.steps, *self.steps), first.channels, first.sample_time, self.report

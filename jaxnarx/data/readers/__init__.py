@@ -99,26 +99,26 @@ def read_table(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     what cannot be read is a DataFileError.
     """
     wanted = list(dict.fromkeys(wanted))
-    return _guarded(path, lambda module: module.read(path, wanted, asked))
+    return _use_watched(path, lambda module: module.read(path, wanted, asked))
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
     """All columns of a file that could be channels."""
-    return _guarded(path, lambda module: module.contents(path, asked))
+    return _use_watched(path, lambda module: module.contents(path, asked))
 
 
-def _guarded(path: Path, use: Any) -> Any:
+def _use_watched(path: Path, use: Any) -> Any:
     watcher = WATCHER.get()
     if watcher is None:
-        return _used(path, use)
+        return _use_reader(path, use)
     watcher(path)
     try:
-        return _used(path, use)
+        return _use_reader(path, use)
     finally:
         watcher(None)
 
 
-def _used(path: Path, use: Any) -> Any:
+def _use_reader(path: Path, use: Any) -> Any:
     kind = KINDS.get(path.suffix.lower())
     with guard_reading(path, "CSV" if kind is None else kind.name):
         _require_plain(path, kind)

@@ -47,7 +47,7 @@ def ask(module: str, function: str, path: Path, **given: Any) -> Any:
     return _READING_PROCESS[0].ask(module, function, path, **given)
 
 
-def table_of(
+def read_isolated_table(
     module: str, path: Path, wanted: Sequence[str], asked: Asked, **given: Any
 ) -> Table:
     """The signals that a module finds: on one raster where they have a time."""
@@ -108,7 +108,7 @@ class SandboxedReader:
         request |= {"given": given, "folder": str(self.folder)}
         if not path.is_absolute():  # the process began where we may be no longer
             request["working_folder"] = os.getcwd()
-        process = self._running()
+        process = self._ensure_process()
         self._clear()
         assert process.stdin is not None and process.stdout is not None
         try:
@@ -166,7 +166,7 @@ class SandboxedReader:
         if folder is not None:
             folder.cleanup()
 
-    def _running(self) -> subprocess.Popen:
+    def _ensure_process(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(
                 python_command(START_CODE),

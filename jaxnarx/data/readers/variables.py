@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data.readers.columns import Asked, Column, Table
-from jaxnarx.data.readers.sandbox import ask, table_of
+from jaxnarx.data.readers.sandbox import ask, read_isolated_table
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
@@ -20,4 +20,6 @@ def contents(path: Path, asked: Asked) -> list[Column]:
 
 def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` channels; with a time of the file on one raster."""
-    return table_of("variable_channels", path, wanted, asked, table=asked.table)
+    return read_isolated_table(
+        "variable_channels", path, wanted, asked, table=asked.table
+    )

@@ -9,7 +9,7 @@ import scipy.special
 from jaxtyping import Float, Int
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.data import Channel, Dataset, unit_of
+from jaxnarx.data import Channel, Dataset, scaling_unit
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
 from jaxnarx.evaluation.residual_tests.correlations import without_mean
@@ -125,7 +125,9 @@ def _test_inputs(
     network, batch, channel, error, known, lags, level
 ) -> FreeRunResiduals:
     mean, deviation = float(error[known].mean()), float(error[known].std())
-    value = without_mean(np.where(known, error / unit_of(error.ravel()), 0.0), known)
+    value = without_mean(
+        np.where(known, error / scaling_unit(error.ravel()), 0.0), known
+    )
     at = np.arange(1, lags + 1)
     norm = float(np.sum(value**2)) or 1.0
     own = lagged_products(value, value, at) / norm

@@ -9,7 +9,7 @@ import scipy.stats
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays import quadratic
-from jaxnarx.data import Batch, Channel, unit_of
+from jaxnarx.data import Batch, Channel, scaling_unit
 from jaxnarx.evaluation.residual_tests.fits import (
     ResidualBasis,
     global_fit,
@@ -73,7 +73,7 @@ def one_step(
         known[n, :length] = scored[:, place]
         value[n, :length] = signals[n, :length, signal] - predicted[:, place]
     measured = np.where(known, signals[..., signal], 0.0)
-    unit = float(unit_of(measured.ravel()))
+    unit = float(scaling_unit(measured.ravel()))
     value = value / unit
     every = np.flatnonzero(known)
     rows = _rows(sum(map(len, slots(model))))
@@ -205,4 +205,4 @@ def usable_inputs(
     known = np.asarray(batch.valid[..., signal])
     values = np.asarray(np.asarray(batch.signals)[..., signal], float)
     values = np.where(known, values, 0.0)
-    return values / unit_of(values.ravel()), known
+    return values / scaling_unit(values.ravel()), known

@@ -7,7 +7,7 @@ import scipy.stats
 from jaxtyping import Float, Int
 
 from jaxnarx.arrays import quadratic
-from jaxnarx.data import unit_of
+from jaxnarx.data import scaling_unit
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
 BINS = 10
@@ -39,7 +39,7 @@ class OperatingPoint:
     @property
     def effect(self) -> float:
         """Share of the residual's mean square that the means of the bins explain."""
-        unit = unit_of(self.mean, self.deviation)
+        unit = scaling_unit(self.mean, self.deviation)
         between = float(np.sum(self.samples * (self.mean / unit) ** 2))
         spare = (self.samples - 1).clip(0)
         within = float(np.sum(spare * (self.deviation / unit) ** 2))

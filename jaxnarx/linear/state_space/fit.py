@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require_known
-from jaxnarx.data import Dataset, shortened
+from jaxnarx.data import Dataset, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.linear.state_space.network import (
     increase_degree,
@@ -84,7 +84,7 @@ def fit_states(
     for name in method.outputs:
         require_known(name, known, "outputs", f"unknown output {name!r}")
     places = tuple(known.index(name) for name in (method.outputs or known))
-    few = shortened(data, method.first_rows)
+    few = thin_records(data, method.first_rows)
     starts = _starts(few, data, places, method, progress)
     if few is not data:
         starts = [min(starts, key=_training_error)]
