@@ -167,7 +167,9 @@ class Maker:
         steps: list[Step] = []
         while len(u) < self.lead + length:
             share = (len(u) - self.lead) / (OUTWARD_SHARE * length)
-            tests, refused = self.candidates(u, _between(self.known, self.space, share))
+            tests, refused = self.candidates(
+                u, _interpolate_spaces(self.known, self.space, share)
+            )
             k, step, information = self.choose(tests, refused, information)
             steps.append(step)
             u = np.concatenate([u, tests[k, self.lead : self.lead + self.size]])
@@ -203,11 +205,11 @@ class Maker:
         self, tests: Float[np.ndarray, "tests time inputs"]
     ) -> Bool[np.ndarray, " tests"]:
         """Whether predicted outputs keep their limits, with a margin."""
-        seen = self.watched(tests)
+        seen = self.view_tests(tests)
         room = self.limits.room(seen.y, margins(self.network, seen))
         return np.all(room[:, self.lead :] > 0, axis=(1, 2))
 
-    def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
+    def view_tests(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
         """The view of tests by the network, on the host; always of as many."""
         count = (
             CANDIDATE_STRETCHES * SCREENED_FACTOR
@@ -348,7 +350,7 @@ def _training_range(network: Network) -> tuple[Float[np.ndarray, " inputs"], ...
     return tuple(np.asarray(a, float)[:inputs] for a in (network.low, network.high))
 
 
-def _between(known: Space, space: Space, share: float) -> Space:
+def _interpolate_spaces(known: Space, space: Space, share: float) -> Space:
     """Move from the first to the second space, by a share up to one."""
     share = min(share, 1.0)
     low, high = (

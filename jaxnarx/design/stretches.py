@@ -40,15 +40,15 @@ class Space:
         """Levels alike everywhere: more of them near the ends, where a polynomial is
         determined worst, served local models worse (`experiments/edge/plans.py`).
         Combinations that are not allowed are drawn again, some times."""
-        share = self._drawn(random, shape)
+        share = self._draw(random, shape)
         for _ in range(MAX_REDRAWS):
             bad = ~self.allows(share)
             if not bad.any():
                 break
-            share = np.where(bad[..., None], self._drawn(random, shape), share)
+            share = np.where(bad[..., None], self._draw(random, shape), share)
         return share
 
-    def _drawn(
+    def _draw(
         self, random: np.random.Generator, shape: tuple[int, ...]
     ) -> Float[np.ndarray, "*shape inputs"]:
         share = random.uniform(size=(*shape, len(self.low)))

@@ -70,7 +70,7 @@ class View(eqx.Module):
         """The terms of the error."""
         return len(_factors(len(self.table) // 2))
 
-    def seen(self, u: Float[Array, "time inputs"]) -> Seen:
+    def view_from_rest(self, u: Float[Array, "time inputs"]) -> Seen:
         """The view of a test that begins at rest."""
         network = self.sensitivity.network
         y = rest_run(network, u, self.sensitivity.lead) * _gain(network)[None]
@@ -176,7 +176,7 @@ def _slopes(sensitivity: NetworkSensitivity, u: Float[Array, "time inputs"]):
 @eqx.filter_jit
 def watch(view: View, u: Float[Array, "tests time inputs"]) -> Seen:
     """Outputs, features and index of tests."""
-    return jax.vmap(view.seen)(u)
+    return jax.vmap(view.view_from_rest)(u)
 
 
 @eqx.filter_jit
