@@ -174,7 +174,7 @@ class AbstractEngine(eqx.Module):
         channels = Channels(inputs=self.channels.inputs, outputs=chosen)
         return Dataset(tuple(records), channels, self.sample_time)
 
-    def perturbed(self: Engine, key: PRNGKeyArray, spread: ScalarLike) -> Engine:
+    def perturb(self: Engine, key: PRNGKeyArray, spread: ScalarLike) -> Engine:
         """Another engine of the same type.
 
         Each parameter p named in `varied`, with weight w, becomes p exp(spread w e), e
@@ -187,12 +187,12 @@ class AbstractEngine(eqx.Module):
             for weight, e in zip(self.varied.values(), draws, strict=True)
         ]
 
-        def chosen(engine):
+        def varied_leaves(engine):
             return [_part(engine, name) for name in self.varied]
 
-        old = chosen(self)
+        old = varied_leaves(self)
         new = [p * f.astype(p.dtype) for p, f in zip(old, factors, strict=True)]
-        return eqx.tree_at(chosen, self, new)
+        return eqx.tree_at(varied_leaves, self, new)
 
 
 def _part(engine: Any, name: str) -> Any:

@@ -20,9 +20,9 @@ from jaxnarx.engines.gtdi.state import (
     SLOWEST,
     GtdiDrive,
     GtdiQuantities,
-    given_or,
     gtdi_margins,
     impose_columns,
+    value_or_default,
 )
 from jaxnarx.engines.gtdi.turbo import Compressor, Turbine
 from jaxnarx.engines.integration import find_rest, rk4
@@ -191,10 +191,10 @@ class Gtdi(AbstractEngine):
         cylinders = self.cylinders
         w_ac = cylinders.air(p_im, speed, p_im / (self.fresh.constant * t_im))
         needed = cylinders.stoichiometric_fuel(w_ac, speed)
-        fuel = given_or(drive.fuel, needed * drive.richness)
+        fuel = value_or_default(drive.fuel, needed * drive.richness)
         best = cylinders.best_spark(p_im, speed)
         schedule = cylinders.knock_limited_spark(p_im, speed)
-        spark = given_or(drive.spark, schedule + drive.offset)
+        spark = value_or_default(drive.spark, schedule + drive.offset)
         burn = cylinders.burn(w_ac, fuel, spark - best, speed, t_amb, self.burnt.heat)
         drag = cylinders.drag(p_em - p_im, speed)
 
