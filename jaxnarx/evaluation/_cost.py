@@ -169,17 +169,17 @@ def _cost(
         (op.purpose, NAMES[op.kind]) for op in ops if op.kind in NAMES
     )
 
-    def of(purpose: str) -> Operations:
+    def operations_for(purpose: str) -> Operations:
         kinds = (field.name for field in dataclasses.fields(Operations))
         return Operations(*(counts[purpose, kind] for kind in kinds))
 
     parameters, local_models, regressors = sizes
     return Cost(
-        terms=of(TERMS),
-        weights=of(WEIGHTS),
-        blend=of(BLEND),
-        filters=of(FILTERS),
-        frame=of(FRAME),
+        terms=operations_for(TERMS),
+        weights=operations_for(WEIGHTS),
+        blend=operations_for(BLEND),
+        filters=operations_for(FILTERS),
+        frame=operations_for(FRAME),
         parameters=parameters,
         local_models=local_models,
         regressors=regressors,

@@ -58,7 +58,7 @@ def region_errors(
             continue
         step = max(1, -(-len(at) // POINTS))
         at, error = at[::step], error[::step]
-        lead = leading_at(network, batch, o, at)
+        lead = leading_models(network, batch, o, at)
         if lead is not None:
             found += _shares(network, o, lead, error)
     return tuple(found)
@@ -71,7 +71,7 @@ def _has_regions(network: Network, output: int) -> bool:
     return bool(several and network.tells(model.scheduling))
 
 
-def leading_at(
+def leading_models(
     network: Network, batch: Batch, output: int, at: Int[np.ndarray, " points"]
 ) -> Int[np.ndarray, " points"] | None:
     """The local model of the largest weight at up to 4,096 rows of a batch; None where

@@ -24,7 +24,7 @@ from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
 from jaxnarx.evaluation.rules import judge
 from jaxnarx.evaluation.section import Section
 from jaxnarx.evaluation.summary import Summary, summary
-from jaxnarx.evaluation.table import beside_lines, strict, text_table
+from jaxnarx.evaluation.table import comparison_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict
 from jaxnarx.evaluation.worst_segments import ErrorStretch
@@ -135,7 +135,7 @@ class Report:
         """Names of the datasets scored, in the order given."""
         return tuple(dict.fromkeys(row.part for row in self.rows))
 
-    def pooled(
+    def pooled_row(
         self, output: str, *, part: str | None = None, mode: str = FREE_RUN
     ) -> Row:
         """The row of all records of a part (default: `main`) together."""
@@ -160,7 +160,7 @@ class Report:
         ]
         told += [f"{self.main}, free run, {one}" for one in self.distributions]
         own = [line for one in self.sections.values() for line in ("", *one.lines())]
-        return "\n".join([*lines, *beside_lines(self), *told, *notes, *own])
+        return "\n".join([*lines, *comparison_lines(self), *told, *notes, *own])
 
     def __str__(self) -> str:
         return self.table

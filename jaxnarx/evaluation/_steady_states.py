@@ -133,8 +133,8 @@ def steady_states(
         value[pending], settled[pending] = _rest(network, run)
         band = _band(network, data, run, level, uncertainty)
         pairs = zip((lower, upper), band, strict=True)
-        lower, upper = (_into(a, pending, b) for a, b in pairs)
-        index = _into(index, pending, _index(network, data))
+        lower, upper = (_update_points(a, pending, b) for a, b in pairs)
+        index = _update_points(index, pending, _index(network, data))
         if samples * GROWTH > longest:
             break
         lost = np.stack(run.diverged).any(axis=1)
@@ -145,7 +145,7 @@ def steady_states(
     return SteadyStates(channels, inputs, value, settled, lower, upper, index)
 
 
-def _into(
+def _update_points(
     old: np.ndarray | None, at: np.ndarray, new: np.ndarray | None
 ) -> np.ndarray | None:
     """`old` with `new` at some points; the first round has all of them."""

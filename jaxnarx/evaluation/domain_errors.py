@@ -35,7 +35,7 @@ class ErrorByIndex:
     rms: Float[np.ndarray, " bins"]
     samples: Int[np.ndarray, " bins"]
 
-    def over(self, first: int, stop: int) -> float | None:
+    def pool_bins(self, first: int, stop: int) -> float | None:
         """Over several bins together; None where they have too few samples."""
         count, rms = self.samples[first:stop], self.rms[first:stop]
         if count.sum() < FEWEST:
@@ -47,12 +47,12 @@ class ErrorByIndex:
     @property
     def inside(self) -> float | None:
         """Up to the border."""
-        return self.over(0, BORDER)
+        return self.pool_bins(0, BORDER)
 
     @property
     def outside(self) -> float | None:
         """Beyond it."""
-        return self.over(BORDER, len(self.rms))
+        return self.pool_bins(BORDER, len(self.rms))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,12 +99,12 @@ def domain_errors(
             continue
         error = np.concatenate([e[s] for e, s, _ in pairs])
         value = np.concatenate([i[s[:, 0]] for _, s, i in pairs])
-        errors.append(_binned(channel, error, value))
+        errors.append(_bin_errors(channel, error, value))
     share = {part: value.outside for part, value in found.items()}
     return DomainErrors(share, found[main].excursions[:WORST], tuple(errors))
 
 
-def _binned(
+def _bin_errors(
     channel: Channel,
     error: Float[np.ndarray, " samples"],
     index: Float[np.ndarray, " samples"],

@@ -83,7 +83,7 @@ def effects(
                 row.r2,
                 tuple(_comparisons(name, own, others)),
                 _ratio(row.nrmse, trained.nrmse if trained else None),
-                _outside(name, known),
+                _outside_ratio(name, known),
             )
         )
     return tuple(found)
@@ -118,7 +118,7 @@ def _error(samples: ScoredSamples) -> float:
     return float(error[0])
 
 
-def _outside(output: str, known: DomainErrors | None) -> float | None:
+def _outside_ratio(output: str, known: DomainErrors | None) -> float | None:
     errors: Any = () if known is None else known.errors
     one = next((e for e in errors if e.output == output), None)
     return None if one is None else _ratio(one.outside, one.inside)

@@ -51,7 +51,7 @@ class Outside:
     _repr_html_ = page
 
 
-def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
+def find_outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
     """Every input that leaves its range in a part, farthest first."""
     if not isinstance(network, Network):
         return ()

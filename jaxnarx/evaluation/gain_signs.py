@@ -149,7 +149,7 @@ def _points(
     return rows[np.asarray(at, int)].astype(float)
 
 
-def _finding_of(
+def _make_finding(
     kind: str,
     name: tuple[str, str, str],
     here: Float[np.ndarray, " points"],
@@ -176,7 +176,7 @@ def _sign(
         up, down = gain > FLAT, gain < -FLAT
     rises = bool(up.sum() < down.sum())
     known = int(up.sum() + down.sum())
-    yield from _finding_of("sign", name, here, up if rises else down, known, rises)
+    yield from _make_finding("sign", name, here, up if rises else down, known, rises)
 
 
 def _jump(
@@ -197,4 +197,4 @@ def _jump(
     flag[known] = far
     if flag.any():
         rises = bool(np.nansum(step[:, flag]) > 0)
-        yield from _finding_of("jump", name, here, flag, int(known.sum()), rises)
+        yield from _make_finding("jump", name, here, flag, int(known.sum()), rises)

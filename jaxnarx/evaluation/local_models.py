@@ -83,7 +83,7 @@ def local_behaviour(
     slope, phi = _slopes(
         network, *jax.device_put((v, columns(model.scheduling))), output=o
     )
-    lead, shown = np.asarray(phi).argmax(axis=0), _shown(network, o, over)
+    lead, shown = np.asarray(phi).argmax(axis=0), _shown_variables(network, o, over)
     place, names = columns(shown).T, variable_names(network.channels, shown)
     return tuple(
         _behaviour(
@@ -102,7 +102,7 @@ def _position(network: Network, output: str | None) -> int:
     return names.index(output)
 
 
-def _shown(network: Network, o: int, over: Sequence[str]) -> Variables:
+def _shown_variables(network: Network, o: int, over: Sequence[str]) -> Variables:
     if over:
         return Variables.of([parse_variable(network.channels, name) for name in over])
     if not len(network.models[o].scheduling):

@@ -46,7 +46,7 @@ class ShownRecord:
     def __len__(self) -> int:
         return len(self.simulated)
 
-    def measured(self, output: int) -> Float[np.ndarray, " time"]:
+    def measurement(self, output: int) -> Float[np.ndarray, " time"]:
         """The measurement of an output: outputs are the last of the signals."""
         place = len(self.signals) - self.simulated.shape[1] + output
         return list(self.signals.values())[place]
@@ -54,7 +54,7 @@ class ShownRecord:
     def residual(self, output: int) -> Float[np.ndarray, " time"]:
         """Measured minus simulated, NaN where it does not count."""
         with np.errstate(over="ignore", invalid="ignore"):
-            off = self.measured(output) - self.simulated[:, output]
+            off = self.measurement(output) - self.simulated[:, output]
         return np.where(self.scored[:, output], off, np.nan)
 
     def error(self, output: int) -> float | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnarx.data import Channels, Dataset, fingerprint, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
-from jaxnarx.evaluation.table import data_of, number
+from jaxnarx.evaluation.table import name_data, number
 from jaxnarx.models import Network
 from jaxnarx.refinement import stability
 from jaxnarx.simulation import Prepared
@@ -26,7 +26,7 @@ def data_notes(
 
     `channels` are those of the model, `modelled` the names of its outputs.
     """
-    notes = _repeated(parts) + _other_units(parts)
+    notes = _repeated_records(parts) + _other_units(parts)
     if len(parts) > 1 and "test" not in parts:
         notes.append(
             "No test data: the figures come from records that took part in choosing "
@@ -38,20 +38,20 @@ def data_notes(
         notes.append(f"Outputs that are not modelled: {_list(unused)}.")
     told: dict[str, list[str]] = {}
     for part, data in parts.items():
-        notes += _masked(part, data, list(known))
+        notes += _masked_samples(part, data, list(known))
         extra = [name for name in data.channels.names if name not in known]
         if extra:
             notes.append(f"Extra channels in {part}, ignored: {_list(extra)}.")
         notes += [
             f"Units differ: the model's {c.name} is in {known[c.name] or 'no unit'}, "
-            f"the {data_of(part)}'s in {c.unit or 'no unit'}."
+            f"the {name_data(part)}'s in {c.unit or 'no unit'}."
             for c in data.channels.all
             if known.get(c.name, c.unit) != c.unit
         ]
         for note in data.notes:
             told.setdefault(note, []).append(part)
     for note, found in told.items():
-        notes.append(f"Of the {data_of(_list(found))}: {note}.")
+        notes.append(f"Of the {name_data(_list(found))}: {note}.")
     return notes
 
 
@@ -64,7 +64,7 @@ def _other_units(parts: Mapping[str, Dataset]) -> list[str]:
     return [f"{finding.message}" for finding in found]
 
 
-def _masked(part: str, data: Dataset, used: list[str]) -> list[str]:
+def _masked_samples(part: str, data: Dataset, used: list[str]) -> list[str]:
     """Faults 1 and 18: samples that were missing, or removed as outliers."""
     counts = {
         name: sum(int((~r.valid[:, i]).sum()) for r in data)
@@ -137,7 +137,7 @@ def _offsets(rows: list[Row]) -> list[str]:
     ]
 
 
-def _repeated(parts: Mapping[str, Dataset]) -> list[str]:
+def _repeated_records(parts: Mapping[str, Dataset]) -> list[str]:
     """Fault 23: data that was learned from proves nothing."""
     seen = {
         part: {fingerprint(r, data.channels.names): r.name for r in data}
@@ -298,7 +298,7 @@ def _totals(report: Any) -> Iterator[str]:
     told = [_total(k, known[k], len(found[k])) for k in worst[:TOTALS]]
     told += [f"{len(worst) - TOTALS} more outputs"] if len(worst) > TOTALS else []
     yield (
-        f"sums over a record of {data_of(report.main)}, simulated minus measured: "
+        f"sums over a record of {name_data(report.main)}, simulated minus measured: "
         f"{'; '.join(told)} (seen on these records, no prediction interval)"
     )
 

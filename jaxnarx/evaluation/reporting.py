@@ -24,7 +24,7 @@ from jaxnarx.evaluation.domain_errors import (
 )
 from jaxnarx.evaluation.effect_sizes import effects
 from jaxnarx.evaluation.error_distribution import error_distribution
-from jaxnarx.evaluation.extrapolation import held_notes, outside, range_notes
+from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_notes
 from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
 from jaxnarx.evaluation.page_records import ShownRecord, shown_records
 from jaxnarx.evaluation.regions import describe_partition
@@ -44,7 +44,7 @@ from jaxnarx.evaluation.rows import (
     score,
 )
 from jaxnarx.evaluation.section import FreeRun, run_analyses
-from jaxnarx.evaluation.table import data_of
+from jaxnarx.evaluation.table import name_data
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst_segments import worst_stretches
 from jaxnarx.formatting import count
@@ -153,7 +153,7 @@ def report(
     )
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
-    strayed = outside(network, parts)
+    strayed = find_outside(network, parts)
     limits = _limits(network)
     beyond = network.outside if isinstance(network, Network) else FLAG
     notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
@@ -426,7 +426,7 @@ def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:  # run from a source folder
             versions[package] = "not installed"
     described = {
-        data_of(part): f"{count(len(data), 'record')}, "
+        name_data(part): f"{count(len(data), 'record')}, "
         f"{count(data.samples, 'sample')} at {data.sample_time:g} s; content "
         f"sha256 {data_hash(data)}"
         for part, data in parts.items()

@@ -180,7 +180,9 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> ScoredSamp
     )
 
 
-def _pooled(samples: list[ScoredSamples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pool_samples(
+    samples: list[ScoredSamples],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (
         np.concatenate([s.measured for s in samples]),
         np.concatenate([s.predicted for s in samples]),
@@ -189,7 +191,7 @@ def _pooled(samples: list[ScoredSamples]) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _metrics(samples: list[ScoredSamples]) -> dict[str, float]:
-    values = metrics.scores(*_pooled(samples))
+    values = metrics.scores(*_pool_samples(samples))
     return {name: float(values[name][0]) for name in metrics.PERFECT}
 
 
@@ -197,7 +199,7 @@ def _balance(samples: list[ScoredSamples]) -> dict[str, float | None]:
     """The mean of measured minus predicted, and the error of the sum in percent."""
     if not any(s.scored.any() for s in samples):
         return {"offset": None, "total_error": None}
-    measured, predicted, scored = _pooled(samples)
+    measured, predicted, scored = _pool_samples(samples)
     y, error = measured[scored], (measured - predicted)[scored]
     offset, level = float(error.mean()), abs(float(y.mean()))
     cancels = level <= CANCELLED * float(np.abs(y).mean())
@@ -208,7 +210,7 @@ def _balance(samples: list[ScoredSamples]) -> dict[str, float | None]:
 
 
 def _status(samples: list[ScoredSamples]) -> str:
-    measured, _, scored = _pooled(samples)
+    measured, _, scored = _pool_samples(samples)
     if any(s.diverged for s in samples):
         return "diverged"
     if not scored.any():

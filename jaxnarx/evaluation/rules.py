@@ -99,7 +99,7 @@ class Scored(Protocol):
     def gains(self) -> tuple[GainFinding, ...]: ...
     @property
     def leaderboard(self) -> Mapping[str, Any] | None: ...
-    def pooled(self, output: str) -> Row: ...
+    def pooled_row(self, output: str) -> Row: ...
 
 
 def judge(report: Scored) -> Verdict:
@@ -107,7 +107,7 @@ def judge(report: Scored) -> Verdict:
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     rules = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
     rules += [*_compare_with_linear(report), *_memory(report), *_data(report, rows)]
-    rules += [*_held_out(report, rows), *_intervals(report)]
+    rules += [*_held_out_rules(report, rows), *_intervals(report)]
     findings = [rule.reason for rule in rules if rule.reason is not None]
     findings.sort(key=lambda f: f.level != UNUSABLE)
     return Verdict(
@@ -121,7 +121,7 @@ def judge(report: Scored) -> Verdict:
 
 
 def _praise(report: Scored) -> str:
-    shares = [report.pooled(c.name).r2 for c in report.outputs]
+    shares = [report.pooled_row(c.name).r2 for c in report.outputs]
     least = min((s for s in shares if s is not None), default=0.0)
     names = ", ".join(c.name for c in report.outputs)
     every = "at least " if len(shares) > 1 else ""
@@ -131,20 +131,20 @@ def _praise(report: Scored) -> str:
     )
 
 
-def _pooled(rows: Iterable[Row]) -> list[Row]:
+def _pooled_rows(rows: Iterable[Row]) -> list[Row]:
     return [r for r in rows if r.record == POOLED]
 
 
 def _main_first(report: Scored, rows: list[Row]) -> list[Row]:
     """Pooled rows, those of the main part first."""
-    return sorted(_pooled(rows), key=lambda r: r.part != report.main)
+    return sorted(_pooled_rows(rows), key=lambda r: r.part != report.main)
 
 
 def _runs(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """Divergence, nothing to judge, limits that act."""
     for row in _main_first(report, rows):
         share, where = row.share_outside, f"{row.output} on {row.part}"
-        yield _bounded(row, rows)
+        yield _bound_rule(row, rows)
         if row.diverged:
             continue
         if row.part == report.main:
@@ -177,7 +177,7 @@ def _judgeable(row: Row) -> VerdictRule:
     return rule
 
 
-def _bounded(row: Row, rows: list[Row]) -> VerdictRule:
+def _bound_rule(row: Row, rows: list[Row]) -> VerdictRule:
     """Whether the free run of a part stays within its bounds in all records."""
     lost = [
         r
@@ -200,7 +200,7 @@ def _bounded(row: Row, rows: list[Row]) -> VerdictRule:
 
 def _errors(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """Errors of whole parts, by themselves and beside that of training."""
-    trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
+    trained = {r.output: r.nrmse for r in _pooled_rows(rows) if r.part == "train"}
     within = nrmse_within(rows)
     for row in _main_first(report, rows):
         place, learned = (row.output, row.part), row.part == "train"
@@ -252,7 +252,7 @@ def _records(rows: list[Row]) -> Iterator[VerdictRule]:
         own = [r for r in rows if r.output == output]
         spread = {
             r.part: r.rmse / r.nrmse
-            for r in _pooled(own)
+            for r in _pooled_rows(own)
             if r.rmse is not None and r.nrmse
         }
         single = [(r.rmse, r) for r in own if r.record != POOLED and r.rmse is not None]
@@ -281,7 +281,7 @@ def _compare_with_linear(report: Scored) -> Iterator[VerdictRule]:
     for row in report.beside.get(NAME, ()):
         if row.nrmse is None:
             continue
-        own, name = report.pooled(row.output).nrmse, "beside a linear model"
+        own, name = report.pooled_row(row.output).nrmse, "beside a linear model"
         text = f"a linear model of the same lags does better on {row.output}"
         text += f" ({_nrmse(row.nrmse)}, this one {number(own, '.3g')})"
         rule = VerdictRule(
@@ -334,7 +334,7 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     text += _held_out_error(report)
     rule = VerdictRule("independent parts", "", report.main, apart, AT_LEAST, 1.0)
     yield rule if repeated else rule.explain(LIMITED, text, "test")
-    main = [r for r in _pooled(rows) if r.part == report.main]
+    main = [r for r in _pooled_rows(rows) if r.part == report.main]
     share = max((r.share_outside for r in main), default=0.0)
     far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
     text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
@@ -359,7 +359,7 @@ def _intervals(report: Scored) -> Iterator[VerdictRule]:
             yield rule.explain(LIMITED, text, "intervals")
 
 
-def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _rows_in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """The row of the leaderboard that the model of each output is."""
     for output, entry in (report.leaderboard or {}).items():
         for row in entry["rows"]:
@@ -371,16 +371,16 @@ def _held_out_error(report: Scored) -> str:
     """The error on records left out, where there are no test data."""
     told = [
         f"{output} {row['free_run']:.3g}"
-        for output, row in _in_use(report)
+        for output, row in _rows_in_use(report)
         if row["free_run"] is not None
     ]
     return f"; NRMSE on records left out: {', '.join(told)}" if told else ""
 
 
-def _held_out(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
+def _held_out_rules(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """The free run over records that the search left out."""
-    tested = {r.output: r.nrmse for r in _pooled(rows) if r.part == "test"}
-    for output, row in _in_use(report):
+    tested = {r.output: r.nrmse for r in _pooled_rows(rows) if r.part == "test"}
+    for output, row in _rows_in_use(report):
         error, worst = row["free_run"], row["worst_group_error"]
         place = output, "held out"
         where = f"the free run of {output} on records left out of training"

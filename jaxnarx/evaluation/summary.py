@@ -79,7 +79,7 @@ def summary(report: Any) -> Summary:
     return Summary(
         found.level,
         USE[found.level],
-        tuple(_where(report)),
+        tuple(_describe_range(report)),
         causes[:CAUSES] or (found.praise,),
         max(len(causes) - CAUSES, 0),
         found.remarks,
@@ -89,7 +89,7 @@ def summary(report: Any) -> Summary:
     )
 
 
-def _where(report: Any) -> Iterator[str]:
+def _describe_range(report: Any) -> Iterator[str]:
     """The range it was trained for, and how far the main part is inside."""
     network = report.network
     if isinstance(network, Network):

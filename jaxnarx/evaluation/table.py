@@ -28,7 +28,7 @@ FIGURES = slice(2, 8)
 MISSING = ("",) * 5
 
 
-def data_of(part: str) -> str:
+def name_data(part: str) -> str:
     """`test data`; of a part without a name of its own `data`."""
     return part if part == "data" else f"{part} data"
 
@@ -85,7 +85,7 @@ def rows_beside(report: Any) -> list[tuple[str, list[Row | None]]]:
     ]
 
 
-def beside_lines(report: Any) -> list[str]:
+def comparison_lines(report: Any) -> list[str]:
     """NRMSE of the free run on the main part, this model and those beside it."""
     if not report.beside:
         return []
@@ -101,7 +101,7 @@ def beside_lines(report: Any) -> list[str]:
     ]
     return [
         "",
-        f"free run beside other models, NRMSE on {data_of(report.main)}",
+        f"free run beside other models, NRMSE on {name_data(report.main)}",
         *out,
         "",
     ]
@@ -126,7 +126,7 @@ def _block(rows: list[Row]) -> str:
     for record, group in by_record.items():
         for i, row in enumerate(group):
             lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
-    return f"{label}, {data_of(first.part)}\n" + _align(lines)
+    return f"{label}, {name_data(first.part)}\n" + _align(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

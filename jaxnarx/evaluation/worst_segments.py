@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.confidence import DomainIndex
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation._region_errors import leading_at, region_text
+from jaxnarx.evaluation._region_errors import leading_models, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.formatting import page, span_text
 from jaxnarx.models import Network
@@ -162,7 +162,9 @@ def _regions(
         return nothing
     _, batch = stack_batch(network, data)
     length = batch.valid.shape[1]
-    lead = leading_at(network, batch, o, np.array([n * length + t for n, t in peaks]))
+    lead = leading_models(
+        network, batch, o, np.array([n * length + t for n, t in peaks])
+    )
     if lead is None:
         return nothing
     regions = network.regions(o)

@@ -254,7 +254,7 @@ def test_a_report_and_its_page_say_the_same(outside):
     assert found.summary.where[0].endswith(f"{words.behind_ranges}.")
     (note,) = [n for n in found.notes if "lie outside the range" in n]
     assert words.behind_share in note
-    row = found.pooled("y")
+    row = found.pooled_row("y")
     share = simulate(net, records(INPUTS)).value.extrapolated[0][net.before :].mean()
     assert row.share_outside == pytest.approx(share) and share > 0.2
     inside = f"{100 * (1 - share):.3g} % of the data samples lie within"

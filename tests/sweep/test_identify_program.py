@@ -72,7 +72,7 @@ def test_a_row_is_what_the_verbs_find_one_by_one(engines, rows, name, case):
     for told, when in ((before, "_start"), (after, "")):
         for part, ours in NAMES.items():
             for mode in ("one step", "free run"):
-                nrmse = told.pooled("y", part=part, mode=mode).nrmse
+                nrmse = told.pooled_row("y", part=part, mode=mode).nrmse
                 key = f"{ours}_{mode.replace(' ', '_')}{when}"
                 assert row[key] == pytest.approx(nrmse, rel=1e-7), key
     losses = [h["loss"] for h in refined.stats["history"]]

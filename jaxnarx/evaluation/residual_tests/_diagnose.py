@@ -11,7 +11,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.gain_signs import check_gains
 from jaxnarx.evaluation.residual_tests.coefficients import (
     coefficients,
-    err_of,
+    error_reduction,
     influences,
 )
 from jaxnarx.evaluation.residual_tests.correlations import (
@@ -30,7 +30,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.one_step import OneStep, one_step, usable_inputs
 from jaxnarx.evaluation.residual_tests.operating_point import (
     OperatingPoint,
-    by_operating_point,
+    bin_by_operating_point,
 )
 from jaxnarx.evaluation.residual_tests.scalar_tests import (
     ljung_box,
@@ -99,7 +99,7 @@ def diagnose(
         if one.residual.squares <= 0 or one.residual.freedom < lags + SPARE:
             left_out.append(name)
             continue
-        err = err_of(selection, name)
+        err = error_reduction(selection, name)
         found.append(_output(network, matched, batch, one, lags, level, over, err))
     value = Diagnostics(tuple(found), lags, level, check_gains(network, matched))
     stats = {"samples": np.array([one.samples for one in found])}
@@ -199,7 +199,7 @@ def _operating_points(
     units = [network.channels.all[s].unit for s, _ in variables]
     names = variable_names(network.channels, variables)
     found = [
-        by_operating_point(one.residual, x.astype(float), variable=name, unit=unit)
+        bin_by_operating_point(one.residual, x.astype(float), variable=name, unit=unit)
         for x, name, unit in zip(table, names, units, strict=True)
     ]
     return tuple(p.times(one.unit) for p in found if p is not None)

@@ -134,7 +134,7 @@ def influences(one: OneStep, data: Dataset) -> tuple[Influence, ...]:
     )
 
 
-def err_of(selection: Any, output: str) -> dict[str, float]:
+def error_reduction(selection: Any, output: str) -> dict[str, float]:
     """Error reduction ratio by term: of a `Selection`, or of what a report stores."""
     if selection is None:
         return {}

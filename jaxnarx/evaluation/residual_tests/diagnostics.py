@@ -104,10 +104,10 @@ class OutputDiagnostics:
     def strong(self, level: float) -> list[str]:
         """The tests `found` with an effect of at least `MATTERS`, largest first."""
         effect = self.effects
-        kept = [n for n in self.found(level) if effect.get(n, 0.0) >= MATTERS]
+        kept = [n for n in self.failed_tests(level) if effect.get(n, 0.0) >= MATTERS]
         return sorted(kept, key=lambda n: -effect[n])
 
-    def found(self, level: float) -> list[str]:
+    def failed_tests(self, level: float) -> list[str]:
         """Tests that speak against the model, at a joint `level` for all of them.
 
         Holm 1979: the n-th smallest p is compared with level/(tests + 1 - n). Normality
@@ -168,7 +168,7 @@ class Diagnostics:
                 {k: v for k, v in strict(t).items() if k != "covariance"}
                 for t in one.lag_tests
             ]
-            values["found"] = one.found(self.level)
+            values["found"] = one.failed_tests(self.level)
             values["effects"], values["strong"] = one.effects, one.strong(self.level)
             outputs[one.output.name] = values
         found = {"lags": self.lags, "level": self.level, "outputs": outputs}
@@ -184,7 +184,7 @@ def _remark(test: LagTest) -> str:
 
 
 def _sentence(one: OutputDiagnostics, level: float) -> str:
-    found, strong = one.found(level), one.strong(level)
+    found, strong = one.failed_tests(level), one.strong(level)
     sure = f"{100 * (1 - level):g} %"
     if not found:
         return f"{one.output.name}: no test speaks against the model ({sure})."
@@ -215,7 +215,7 @@ def _block(one: OutputDiagnostics, level: float) -> str:
     ]
     width = max(len(row[0]) for row in one.rows)
     tests = [f"{'test':{width}s} {'p':>10s} {'effect':>8s}"]
-    found, strong, effects = one.found(level), one.strong(level), one.effects
+    found, strong, effects = one.failed_tests(level), one.strong(level), one.effects
     for name, p, remark in one.rows:
         mark = "*" if name in strong else "." if name in found else " "
         effect = f"{100 * effects[name]:.2g} %" if name in effects else ""

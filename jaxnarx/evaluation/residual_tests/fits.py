@@ -50,7 +50,7 @@ class ResidualBasis:
         """
         return np.einsum("np,np->n", self.basis, self.basis)
 
-    def without(
+    def remove_fit(
         self, z: Float[np.ndarray, "rows columns"]
     ) -> Float[np.ndarray, "rows columns"]:
         """z - B B'z: what the fit leaves of instruments."""

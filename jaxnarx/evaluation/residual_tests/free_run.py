@@ -12,7 +12,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Dataset, scaling_unit
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
-from jaxnarx.evaluation.residual_tests.correlations import without_mean
+from jaxnarx.evaluation.residual_tests.correlations import remove_mean
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products
 from jaxnarx.evaluation.residual_tests.one_step import usable_inputs
@@ -42,7 +42,7 @@ class FreeRunResiduals:
     autocorrelation: LagTest
     inputs: tuple[LagTest, ...]
 
-    def found(self, level: float = 0.05) -> list[str]:
+    def significant_inputs(self, level: float = 0.05) -> list[str]:
         """Inputs that tell of the residual, at a joint `level` for all (Holm 1979)."""
         names = []
         for n, test in enumerate(sorted(self.inputs, key=lambda t: t.p)):
@@ -125,7 +125,7 @@ def _test_inputs(
     network, batch, channel, error, known, lags, level
 ) -> FreeRunResiduals:
     mean, deviation = float(error[known].mean()), float(error[known].std())
-    value = without_mean(
+    value = remove_mean(
         np.where(known, error / scaling_unit(error.ravel()), 0.0), known
     )
     at = np.arange(1, lags + 1)
@@ -137,7 +137,7 @@ def _test_inputs(
     for signal, one in enumerate(network.channels.inputs):
         u, there = usable_inputs(batch, signal)
         if there.any() and np.ptp(u[there]) > 0:
-            centred = without_mean(u, there)
+            centred = remove_mean(u, there)
             tests.append(_correlation(centred, value, count, one.name, lags, level))
     return FreeRunResiduals(channel, count, mean, deviation, colour, tuple(tests))
 

@@ -109,7 +109,7 @@ def linear_test(
     total = lagged_products(earlier, residual.value, lags)
     norm = np.sqrt(np.sum(earlier[residual.known] ** 2) * residual.squares)
     z = lagged_rows(earlier * 1.0, residual.at, lags)
-    w = residual.left(z)
+    w = residual.remove_fit_and_mean(z)
     gram = w.T @ w * residual.share
     skewness, excess = moments(w)
     g, h = moments(residual.value[residual.known][:, None])
@@ -161,7 +161,7 @@ def product_test(
     z = lagged_rows(earlier, residual.at, lags)
     z = z - z.mean(axis=0)[None]
     f = (output - residual.value).reshape(-1)[residual.at]
-    q = residual.left(z * f[:, None])
+    q = residual.remove_fit_and_mean(z * f[:, None])
     e = residual.value.reshape(-1)[residual.at]
     m = _noise_moments(e * np.sqrt(residual.samples / residual.freedom))
     share = residual.samples / len(residual.at)

@@ -52,7 +52,7 @@ class OperatingPoint:
         return dataclasses.replace(self, **larger)
 
 
-def by_operating_point(
+def bin_by_operating_point(
     residual: Residual,
     values: Float[np.ndarray, " samples"],
     *,
@@ -84,7 +84,7 @@ def by_operating_point(
     place = np.searchsorted(np.flatnonzero(residual.known), residual.at)
     own = bin_of[place]
     indicator = (own[:, None] == np.arange(len(count))[None]).astype(float)
-    w = residual.left(indicator) * spread[own][:, None]
+    w = residual.remove_fit_and_mean(indicator) * spread[own][:, None]
     v = w.T @ w * residual.share
     whole, rank = quadratic(v, total, least=1e-6)
     statistic = whole / max(rank, 1)
