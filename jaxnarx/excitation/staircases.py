@@ -74,7 +74,7 @@ LevelDistribution = Literal["uniform", "latin", "arcsine"]
 LEVEL_DISTRIBUTIONS = ("uniform", "latin", "arcsine")
 
 
-def drawn_levels(
+def draw_levels(
     key: PRNGKeyArray,
     used: Bool[Array, " segments"],
     amplitude: Pair,
@@ -103,7 +103,7 @@ def drawn_levels(
     return low + (high - low) * jnp.minimum(share, 1.0)
 
 
-def given_levels(
+def repeat_levels(
     key: PRNGKeyArray, count: int, levels: Sequence[Number]
 ) -> Float[Array, " segments"]:
     """`count` of `levels`, in rounds: each once in random order, then each again."""
@@ -154,10 +154,10 @@ def aprbs(
     ends = jnp.cumsum(holds)
     used: Bool[Array, " segments"] = ends - holds < length
     if amplitude is not None:
-        staircase = drawn_levels(level_key, used, amplitude, level_distribution)
+        staircase = draw_levels(level_key, used, amplitude, level_distribution)
     else:
         assert levels is not None
-        staircase = given_levels(level_key, most, levels)
+        staircase = repeat_levels(level_key, most, levels)
     return staircase[jnp.searchsorted(ends, jnp.arange(length), side="right")]
 
 
