@@ -15,8 +15,8 @@ from jaxnarx.exporters import (
     TERMS,
     WEIGHTS,
     SampleProgram,
+    count_stored_for_weights,
     lower,
-    stored_for_weights,
 )
 from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
@@ -147,7 +147,7 @@ def cost(network: Network) -> Cost:
     outputs: dict[str, Cost] = {}
     for o, name in enumerate(network.computed_names):
         values = [program.fed[o], program.limited[o], *program.outputs[o : o + 1]]
-        own = program.closed(values, without=lines)
+        own = program.state_closure(values, without=lines)
         outputs[name] = _cost(program, own, _sizes(network, o), {})
     sizes = [
         (one.parameters, one.local_models, one.regressors) for one in outputs.values()
@@ -196,7 +196,7 @@ def _sizes(network: Network, output: int) -> tuple[int, int, int]:
     terms = [np.unique(index[m, used[m]]) for m in active]
     coefficients = sum(map(len, terms))
     constants = int(sum(constant[own].sum() for own in terms))
-    stored = stored_for_weights(network, output)
+    stored = count_stored_for_weights(network, output)
     return coefficients + stored, len(active), coefficients - constants
 
 

@@ -17,11 +17,13 @@ from jaxnarx.exporters.form import TERMS as TERMS
 from jaxnarx.exporters.form import WEIGHTS as WEIGHTS
 from jaxnarx.exporters.form import SampleProgram as SampleProgram
 from jaxnarx.exporters.interpret import Instance as Instance
-from jaxnarx.exporters.parameters import stored_for_weights as stored_for_weights
+from jaxnarx.exporters.parameters import (
+    count_stored_for_weights as count_stored_for_weights,
+)
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE as DOUBLE_TOLERANCE
 from jaxnarx.exporters.proof import Case as Case
 from jaxnarx.exporters.proof import ExportError as ExportError
-from jaxnarx.exporters.proof import cases_of as cases_of
+from jaxnarx.exporters.proof import make_cases as make_cases
 from jaxnarx.exporters.proof import worst as worst
 from jaxnarx.exporters.readback import read_parameters as read_parameters
 from jaxnarx.exporters.target import Target as Target

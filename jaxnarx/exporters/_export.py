@@ -19,7 +19,7 @@ from jaxnarx.exporters.dcm import dcm_files, prove_dcm
 from jaxnarx.exporters.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.exporters.form import BOTH, ONLY_DOUBLE, PRECISIONS, SampleProgram
 from jaxnarx.exporters.interpret import Instance
-from jaxnarx.exporters.maps import axes_of
+from jaxnarx.exporters.maps import choose_axes
 from jaxnarx.exporters.matlab import matlab_files
 from jaxnarx.exporters.proof import Case, ExportError, SinglePrecisionError
 from jaxnarx.exporters.python import python_files
@@ -165,7 +165,7 @@ def export(
     program = lower(network, name, index=index, level=level)
     program = dataclasses.replace(program, precision=precision)
     records = proof.make_steps(network) if data is None else data
-    cases = proof.cases_of(network, program, records)
+    cases = proof.make_cases(network, program, records)
     if not cases:
         raise SpecError(
             "no record begins with the complete samples that a proof starts from; give "
@@ -173,9 +173,9 @@ def export(
             field="data",
         )
     gapped = proof.dropouts(network, records)
-    cases += proof.cases_of(network, program, gapped, missing=HOLD)
-    axes = {"axes": axes_of(network, program, over)}
-    golden = golden_of(program, cases[0]) | axes
+    cases += proof.make_cases(network, program, gapped, missing=HOLD)
+    axes = {"axes": choose_axes(network, program, over)}
+    golden = make_golden(program, cases[0]) | axes
     found = _write_and_prove(program, golden, to, cases, verify)
     if found.failed:
         found = _explain_failures(found, network, records)
@@ -185,7 +185,7 @@ def export(
     return found
 
 
-def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
+def make_golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
     inputs = case.inputs[: program.history + GOLDEN_SAMPLES]
     instance = Instance(program)

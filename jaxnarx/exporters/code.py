@@ -64,7 +64,7 @@ def statements(
     return lines
 
 
-def symbol_of(program: SampleProgram, n: Value, syntax: Syntax) -> str:
+def value_text(program: SampleProgram, n: Value, syntax: Syntax) -> str:
     """The text of value `n`."""
     return syntax.value(program.ops[n], n)
 

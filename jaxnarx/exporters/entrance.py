@@ -42,7 +42,7 @@ class Entrance:
         self.held[signal] = StateValue(name, clean, first)
         return clean
 
-    def measured(
+    def measured_output(
         self, o: int, value: Value | None = None, else_: Value | None = None
     ) -> Value:
         """The measured output o, or a value made of it; where it is missing another, by

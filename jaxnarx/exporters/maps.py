@@ -32,7 +32,7 @@ class RestMap:
     values: Float[np.ndarray, "first *second"]
 
 
-def axes_of(
+def choose_axes(
     network: Network, program: SampleProgram, over: Sequence[str] | None = None
 ) -> Int[np.ndarray, "reported two"]:
     """The inputs that every output's map goes over, by their places in the program.

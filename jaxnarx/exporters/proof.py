@@ -74,7 +74,7 @@ class Case:
     expected: Float[np.ndarray, "rest reported"]
     window: int
 
-    def beginning(self, samples: int) -> "Case":
+    def truncate(self, samples: int) -> "Case":
         """The first samples of it; a free run does not know what comes."""
         history = len(self.inputs) - len(self.expected)
         count = max(samples, history + self.window + 1)
@@ -92,7 +92,7 @@ class Case:
         return float(np.max(np.where(np.isnan(off), np.inf, off), initial=0.0))
 
 
-def cases_of(
+def make_cases(
     network: Network,
     program: SampleProgram,
     data: Dataset,
@@ -116,7 +116,7 @@ def cases_of(
     first = program.history
     return [
         Case(
-            _as_measured(record, missing)[:, columns],
+            _measured_arrays(record, missing)[:, columns],
             scaled[n, : first + 1] * gain,
             np.asarray(run[n], float)[first:],
             network.window,
@@ -126,7 +126,7 @@ def cases_of(
     ]
 
 
-def _as_measured(
+def _measured_arrays(
     record: Record, missing: str | None
 ) -> Float[np.ndarray, "time signals"]:
     """Inputs and outputs, with numbers that are none where a sample is missing."""

@@ -21,7 +21,7 @@ from jaxnarx.exporters._export import write_files
 from jaxnarx.exporters.fmu import documentation
 from jaxnarx.exporters.fmu.prove import fmu_runner
 from jaxnarx.exporters.fmu.variables import quantities
-from jaxnarx.exporters.proof import cases_of
+from jaxnarx.exporters.proof import make_cases
 from jaxnarx.models import (
     LARGEST_INDEX,
     LINEAR,
@@ -290,7 +290,7 @@ def test_limited_means_the_same_in_simulate_and_exports():
     data, program = hidden_problems.truth().data, lower(net)
     run = simulate(net, data).value
     seen = 0
-    for n, case in enumerate(cases_of(net, program, data)):
+    for n, case in enumerate(make_cases(net, program, data)):
         rows = told(program, case)
         first = program.history + net.window
         found = np.array([row["limited"] for row in rows])[net.window :]
