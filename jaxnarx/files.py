@@ -63,7 +63,7 @@ def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
 
 
 @contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def hold_lock(folder: Path) -> Iterator[None]:
     """Keep other processes out that ask the same; the lock ends with its process.
 
     Where the system has no such lock, nobody is kept out.
