@@ -92,7 +92,7 @@ def taken(rows: list[Row]) -> Row | None:
         )
         for n, row in enumerate(able)
     ]
-    found = Leaderboard(tuple(contenders)).chosen("")
+    found = Leaderboard(tuple(contenders)).choose("")
     return None if found is None else able[found.number]
 
 

@@ -87,7 +87,7 @@ def cross_validate(
         whole = fit_full(method, everything, rows, best)
         every = [_Judging(len(groups), one_step, begin) for _ in whole]
         if told := _hopeless(whole, data, spread, best, begin):
-            return [one.judged(None, told) for one in every]
+            return [one.outcome(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
         watch(g + 1)
         train = groups.exclude_group(data, g) if parted else fold.train
@@ -101,10 +101,10 @@ def cross_validate(
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best)
         if all(one.told for one in every):
-            return [one.judged(None, one.told) for one in every]
+            return [one.outcome(None, one.told) for one in every]
     whole = whole or fit_method(method, data, rows)
     return [
-        one.judged(None if one.told else network, one.told)
+        one.outcome(None if one.told else network, one.told)
         for one, network in zip(every, whole, strict=True)
     ]
 
@@ -136,7 +136,7 @@ class _Judging:
             self.diverged += 1
         else:
             self._run(g, network, left, spread)
-        self.told = self._given_up(g, best)
+        self.told = self._stop_reason(g, best)
 
     def _run(self, g: int, network: Network, left: Dataset, spread: float) -> None:
         try:
@@ -149,7 +149,7 @@ class _Judging:
         except DataError:
             return
 
-    def _given_up(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
+    def _stop_reason(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
         """Why no further group is tried, or ""."""
         if self.diverged:
             return "diverges"
@@ -159,7 +159,7 @@ class _Judging:
             return ""
         return f"given up after {g + 1} of {len(self.losses)} groups"
 
-    def judged(self, network: Network | None, detail: str = "") -> CrossValidation:
+    def outcome(self, network: Network | None, detail: str = "") -> CrossValidation:
         """The outcome."""
         one_step = np.nan
         if network is not None:

@@ -110,7 +110,7 @@ class Leaderboard:
         """Candidates of every output, best first; the chosen one has a star."""
         lines = [f"Leaderboard: {len(self)} candidates"]
         for output in self.outputs:
-            chosen = self.chosen(output)
+            chosen = self.choose(output)
             rows = [("", output, "free run", "operations", "parameters", "family", "")]
             rows += [_line(row, row == chosen) for row in self.of(output)]
             left = [True, *(False,) * 4, True, True]
@@ -138,7 +138,7 @@ class Leaderboard:
         """The smallest error, whatever it costs."""
         return next((row for row in self.of(output) if row.eligible), None)
 
-    def chosen(self, output: str) -> Candidate | None:
+    def choose(self, output: str) -> Candidate | None:
         """The one to use by the rule; None where every candidate is vetoed."""
         best = self.best(output)
         if best is None or self.rule == "best":
@@ -174,7 +174,7 @@ class Leaderboard:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["rank", "chosen", *ROW_COLUMNS, *BOARD_COLUMNS])
         for output in self.outputs:
-            chosen = self.chosen(output)
+            chosen = self.choose(output)
             for rank, row in enumerate(self.of(output), 1):
                 name, error = self.worst_group(row) or ("", None)
                 values = [

@@ -71,7 +71,7 @@ class SearchFolder:
             )
         return network
 
-    def added(self, row: Candidate, network: Network | None) -> "SearchFolder":
+    def add(self, row: Candidate, network: Network | None) -> "SearchFolder":
         """The folder with one more candidate, written to the disk: its model before its
         row."""
         if network is not None:
@@ -94,7 +94,7 @@ class SearchFolder:
             raise unwritable(path, error) from error
         save(network, path)
 
-    def finished(self, output: int) -> bool:
+    def is_finished(self, output: int) -> bool:
         """Whether all candidates of an output, by its place, have been tried."""
         return self._mark(output).exists()
 
@@ -133,7 +133,9 @@ def open_search(
     on the disk already come with the result. SpecError where the folder holds a search
     with another key, or another process searches there.
     """
-    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES_FOLDER))
+    new = SearchFolder(
+        path, _round_trip(key), leaderboard, _lock(path / CANDIDATES_FOLDER)
+    )
     if not (path / SEARCH_FILE).is_file():
         new.write()
         return new
@@ -249,15 +251,15 @@ def _encodable(table: Any) -> Any:
 def _finite(row: Candidate) -> Candidate:
     """Drop figures beyond the largest that a file holds."""
 
-    def kept(value: Any) -> Any:
+    def finite_or_none(value: Any) -> Any:
         return (
             None if isinstance(value, float) and not value <= LARGEST_FIGURE else value
         )
 
-    plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
-    return Candidate(**plain, groups=tuple(kept(e) for e in row.groups))
+    plain = {k: finite_or_none(v) for k, v in vars(row).items() if k != "groups"}
+    return Candidate(**plain, groups=tuple(finite_or_none(e) for e in row.groups))
 
 
-def _plain(key: Mapping[str, Any]) -> dict[str, Any]:
+def _round_trip(key: Mapping[str, Any]) -> dict[str, Any]:
     """The key as it comes back from the file: tuples are lists."""
     return json.loads(json.dumps(dict(key), allow_nan=False))

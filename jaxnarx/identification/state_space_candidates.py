@@ -79,16 +79,16 @@ def _structures(
         len(data.channels.inputs),
     )
 
-    def borne(states: int, degree: int) -> int:
+    def most_regions(states: int, degree: int) -> int:
         """Regions that the data bear."""
         count = (states + 1) * math.comb(states + inputs + degree, degree)
         return int(most / count)
 
     states = preset.orders or IN_REGIONS
-    sizes = ((n, min(borne(n, 1), REGION_STATES)) for n in states)
+    sizes = ((n, min(most_regions(n, 1), REGION_STATES)) for n in states)
     in_regions = (size for size in sizes if size[1] > 1)
     for n, degree in _products(data, output, preset):
-        if not borne(n, degree):
+        if not most_regions(n, degree):
             continue
         yield n, degree, 1
         size = next(in_regions, None) if data.samples <= SHORT_RECORDS else None
