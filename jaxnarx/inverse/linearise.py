@@ -60,12 +60,12 @@ class LocalSlopes:
         total = np.zeros(shape, complex)
         for e, (signal, lag, filter_) in enumerate(self.entries):
             if signal in signals:
-                way = w**lag * self._passed(filter_, w)
+                way = w**lag * self._transfer_function(filter_, w)
                 column = signals.index(signal)
                 total[..., column] += way[None, :, None] * self.slope[:, None, :, e]
         return total
 
-    def _passed(
+    def _transfer_function(
         self, filter_: AbstractFilter | None, w: Complex[np.ndarray, " values"]
     ) -> Complex[np.ndarray, " values"]:
         """Transfer function of a filter, c (I - A w)^-1 b."""

@@ -187,7 +187,7 @@ def _require_named(given: Mapping[str, object], names: list[str], field: str) ->
         )
 
 
-def seen_by_inverse(
+def inverse_columns(
     loop: Loop,
     signals: Float[Array, "time signals"],
     valid: Bool[Array, "time signals"] | Bool[np.ndarray, "time signals"],
@@ -196,13 +196,13 @@ def seen_by_inverse(
     held."""
     at = jnp.arange(signals.shape[0])
 
-    def shifted(x):
+    def shift_signals(x):
         picked = [
             x[jnp.minimum(at + k, x.shape[0] - 1), s] for s, k in loop.wiring.source
         ]
         return jnp.stack(picked, axis=1)
 
-    return shifted(signals), shifted(jnp.asarray(valid))
+    return shift_signals(signals), shift_signals(jnp.asarray(valid))
 
 
 def run_record(
@@ -219,7 +219,7 @@ def run_record(
     """
     inverse, forward = loop.inverse, loop.forward
     f_v, f_x = forward.columns(signals, jnp.asarray(valid))
-    i_v, i_x = inverse.columns(*seen_by_inverse(loop, signals, valid))
+    i_v, i_x = inverse.columns(*inverse_columns(loop, signals, valid))
     drive = f_v.T, tuple(x.T for x in f_x), i_v.T, tuple(x.T for x in i_x)
     commands = signals[:, np.array(loop.command_signals)] / loop.command_gain[None]
     outputs = signals[:, np.array(forward.signals)] / loop.output_gain[None]

@@ -106,7 +106,7 @@ class TrackingProblem(AbstractProblem):
         error, change = _losses(self.loop, self.layout, u, self.data)
         return error + change
 
-    def tracking(self, u: Float[Array, " params"]) -> Float[Array, ""]:
+    def tracking_error(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The tracking error alone."""
         return _losses(self.loop, self.layout, u, self.data)[0]
 
