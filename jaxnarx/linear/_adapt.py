@@ -139,18 +139,18 @@ def _stats(network: Network, record: WindowRecord) -> dict:
 def _status(network: Network, stats: dict) -> tuple[RESULTS, dict, str]:
     windows, names = len(stats["undone"]), network.output_names
 
-    def said(output: int, text: str):
+    def describe(output: int, text: str):
         name = names[output]
         return stats | {"channel": name}, f"{name}: {text}"
 
     restarts = stats["restarts"]
     for o in np.flatnonzero(restarts == windows).tolist():
         text = "every window made the error grow and was undone; lower start"
-        return RESULTS.stalled, *said(o, text)
+        return RESULTS.stalled, *describe(o, text)
     for o in np.flatnonzero(stats["frozen"] == stats["samples"]).tolist():
         text = "no sample brought news; the coefficients are unchanged"
-        return RESULTS.unidentifiable, *said(o, text)
+        return RESULTS.unidentifiable, *describe(o, text)
     for o in np.flatnonzero(restarts).tolist():
         text = f"{restarts[o]} of {windows} windows made the error grow, were undone"
-        return RESULTS.no_improvement, *said(o, text)
+        return RESULTS.no_improvement, *describe(o, text)
     return RESULTS.ok, stats, ""

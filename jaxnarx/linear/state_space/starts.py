@@ -37,7 +37,7 @@ def linear_starts(
     longest = {name: values[at : at + 1] for name, values in every.items()}
     tried: list[tuple[str, Callable[[], StateSpace]]] = [
         (
-            _named(rows),
+            _name_start(rows),
             lambda rows=rows: identify_subspace(order=states, block_rows=rows, **every),
         )
         for rows in BLOCK_ROWS
@@ -74,7 +74,7 @@ def linear_order(data: Dataset, output: str, most: int) -> int | None:
     )
 
 
-def _named(rows: int | None) -> str:
+def _name_start(rows: int | None) -> str:
     return "subspace" if rows is None else f"subspace of {rows} block rows"
 
 

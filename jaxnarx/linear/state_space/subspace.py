@@ -429,14 +429,14 @@ def _complete(
     plain = StateSpace(
         a, rest.b, rest.state_offset, c, rest.d, rest.output_offset, start, singular
     )
-    model = scale_states(_in_units(plain, signals), every, form)
+    model = scale_states(_unscale(plain, signals), every, form)
     numbers = (getattr(model, field.name) for field in dataclasses.fields(model))
     if not all(np.all(np.isfinite(n)) for n in numbers):
         raise DataError(f"the model of order {len(a)} has numbers that are not finite")
     return model
 
 
-def _in_units(model: StateSpace, signals: _Signals) -> StateSpace:
+def _unscale(model: StateSpace, signals: _Signals) -> StateSpace:
     """A model of scaled signals for those in their own units."""
     u, y = slice(None, signals.inputs), slice(signals.inputs, None)
     spread = signals.spread
