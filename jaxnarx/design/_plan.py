@@ -24,7 +24,7 @@ from jaxnarx.design.views import (
     watch,
 )
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, memory_of
+from jaxnarx.models import Network, input_memory
 from jaxnarx.solution import RESULTS, Solution
 
 HOLD_MEMORIES = 0.5, 4.0
@@ -293,7 +293,7 @@ def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outpu
 def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
     """Shortest and longest hold [samples]."""
     if asked is None:
-        pair = tuple(h * memory_of(network) for h in HOLD_MEMORIES)
+        pair = tuple(h * input_memory(network) for h in HOLD_MEMORIES)
     else:
         pair = tuple(t / float(network.sample_time) for t in span(asked, "hold"))
         require(pair[0] > 0, "hold", f"hold must be of times above zero, got {asked}")
@@ -314,7 +314,7 @@ def _make(
     low, high = (np.clip(a, limits.low, limits.high) for a in _training_range(network))
     known = dataclasses.replace(space, low=low, high=high)
     size = min(max(2, round(STRETCH_HOLDS * hold[1])), max(length, 2))
-    lead = math.ceil(LEAD_MEMORIES * memory_of(network)) + network.history
+    lead = math.ceil(LEAD_MEMORIES * input_memory(network)) + network.history
     middle = 0.5 * (space.low + space.high)
     drawn = stretches(random, space, middle, CANDIDATE_STRETCHES, size, hold)[1:]
     sensitivity = run_sensitivity(network, lead)

@@ -13,7 +13,7 @@ from jaxnarx.arrays import program
 from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
+from jaxnarx.models import Network, fed_back_variables, held_inputs, scheduling_values
 from jaxnarx.regressors import (
     Variables,
     evaluate,
@@ -148,7 +148,7 @@ def _behaviour(
     """The behaviour of one local model, from its slopes at its own points."""
     own = [
         (row, lag)
-        for row, output, lag in fed_back(network.variables, network.signals)
+        for row, output, lag in fed_back_variables(network.variables, network.signals)
         if output == o
     ]
     past = np.zeros((slope.shape[1], max((lag for _, lag in own), default=0) + 1))

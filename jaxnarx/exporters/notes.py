@@ -7,8 +7,8 @@ from jaxnarx.exporters.form import INDEX
 from jaxnarx.models import (
     LARGEST_INDEX,
     Network,
+    describe_limits,
     describe_missing,
-    limits_of,
 )
 
 
@@ -18,7 +18,7 @@ def policy_notes(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
     missing = describe_missing(network, index)
     return (
         f"{missing} Measured outputs of the start are treated alike.",
-        " ".join(limits_of(network)),
+        " ".join(describe_limits(network)),
         _bound_note(network),
     )
 

@@ -125,7 +125,7 @@ def _fill_variables(
     if len(rows):
         signal = network.variables.signal[rows]
         given = values[sources, lags - first]
-        fresh = network.within(given, signal)
+        fresh = network.hold_inputs(given, signal)
         v = v.at[rows + 1].set(fresh / network.gain[signal])
         beyond = len(network.variables) + 1
         if v.shape[0] > beyond:
@@ -135,7 +135,7 @@ def _fill_variables(
         rows, sources, lags = _columns(own)
         if len(rows):
             fresh = values[sources, lags - first]
-            fresh = network.within(fresh, model.scheduling.signal[rows])
+            fresh = network.hold_inputs(fresh, model.scheduling.signal[rows])
             x_o = x_o.at[rows].set(fresh)
         out.append(x_o)
     return v, tuple(out)

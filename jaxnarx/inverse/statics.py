@@ -28,7 +28,7 @@ class Statics(eqx.Module):
         """Scaled outputs one step on when everything has been held for ever."""
         network = self.network
         own = np.array(network.signals)
-        held = network.within(signals).at[own].set(y * network.gain[own])
+        held = network.hold_inputs(signals).at[own].set(y * network.gain[own])
         v = held[network.variables.signal] / network.gain[network.variables.signal]
         v = jnp.concatenate([jnp.ones(1, v.dtype), v * self.terms])
         pairs = zip(network.models, self.scheduling, strict=True)

@@ -44,7 +44,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Batch
-from jaxnarx.models.missing import memory_of
+from jaxnarx.models.missing import input_memory
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR
 
@@ -105,7 +105,7 @@ def overshoot_rule(network: Network) -> tuple[tuple[int, ...], float]:
         return (), 0.0
     low, high = np.asarray(network.low), np.asarray(network.high)
     moved = tuple(s for s in _inputs_used(network) if high[s] > low[s])
-    return moved, fading(network)
+    return moved, overshoot_decay(network)
 
 
 def report_outputs(
@@ -139,7 +139,7 @@ def overshoots(
     at = np.array(_inputs_used(network), int)
     low, high = (np.asarray(a)[at] for a in (network.low, network.high))
     width = np.where(high > low, high - low, np.inf)
-    inputs, rate = inputs[..., at], fading(network)
+    inputs, rate = inputs[..., at], overshoot_decay(network)
     beyond = np.maximum(low - inputs, inputs - high) / width
     beyond = beyond.max(axis=-1, initial=0.0)
     if not beyond.any():
@@ -180,9 +180,9 @@ def beyond_range(
     return jnp.max(beyond, axis=-1, initial=0.0)
 
 
-def fading(network: Network) -> Any:
+def overshoot_decay(network: Network) -> Any:
     """The share of the overshoot that is left a sample later; can be traced."""
-    memory = memory_of(network)
+    memory = input_memory(network)
     if isinstance(memory, Tracer):
         return jnp.exp(-1.0 / memory)
     return math.exp(-1.0 / memory)

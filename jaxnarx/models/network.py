@@ -191,7 +191,7 @@ class Network(eqx.Module):
                 f"{'model' if len(active) == 1 else f'models by {kind}'}{bound}"
             )
             for m in active:
-                where = _where(self.regions(o)[m]) if len(active) > 1 else ""
+                where = _describe_region(self.regions(o)[m]) if len(active) > 1 else ""
                 left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN_TERMS
                 more = f" + {count(left_out, 'term')} more" if left_out > 0 else ""
                 text = self._equation(o, m, "text", SHOWN_TERMS)["text"]
@@ -323,7 +323,7 @@ class Network(eqx.Module):
         room = [(0, 0)] * (signals.ndim - 1) + [(0, self.hidden)]
         return jnp.pad(signals, room)
 
-    def within(
+    def hold_inputs(
         self,
         values: Float[Array, "*rows columns"],
         signal: Int[np.ndarray, " columns"] | None = None,
@@ -357,7 +357,10 @@ class Network(eqx.Module):
         begin at rest at the first valid sample (without `valid`: the first); see
         `jaxnarx.regressors.record_columns`. Hidden channels are zeros.
         """
-        given, signals = self.complete(signals), self.complete(self.within(signals))
+        given, signals = (
+            self.complete(signals),
+            self.complete(self.hold_inputs(signals)),
+        )
         valid = None if valid is None else self.complete(valid)
         at = jnp.arange(signals.shape[0])
         ones = jnp.ones((1, at.shape[0]), signals.dtype)
@@ -494,7 +497,7 @@ class Network(eqx.Module):
         return model.validity.regions(names, offset, span)
 
 
-def _where(region: dict[str, dict[str, float]]) -> str:
+def _describe_region(region: dict[str, dict[str, float]]) -> str:
     """` (speed[t] near 900, load[t] above 3)`."""
     words = {"centre": "near", "above": "above", "below": "below"}
     parts = [

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
+from jaxnarx.models import AbstractValidity, Network, OutputModel, count_models
 from jaxnarx.partition.grid import fit_regions
 from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
@@ -101,7 +101,7 @@ def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Reg
 def _count_regions(validity: AbstractValidity, dims: int) -> int:
     """The number of its regions."""
     try:
-        return models_of(validity, dims)
+        return count_models(validity, dims)
     except ValueError as error:
         raise SpecError(str(error), field="partition") from error
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
-from jaxnarx.models import Network, fed_back
+from jaxnarx.models import Network, fed_back_variables
 from jaxnarx.partition.stages import free_run_nrmse
 
 CHOICE_PASSES = 2
@@ -54,7 +54,7 @@ def with_feedback(
 
 def _fed_back_itself(network: Network, output: int) -> bool:
     """Whether several local models have lags of the output to choose between."""
-    rows = fed_back(network.variables, network.signals)
+    rows = fed_back_variables(network.variables, network.signals)
     several = int(np.sum(np.asarray(network.models[output].active))) > 1
     return several and any(o == output for _, o, _ in rows)
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.models import PRIOR_WEIGHT, Network, depth, fed_back, scales
+from jaxnarx.models import PRIOR_WEIGHT, Network, depth, fed_back_variables, scales
 from jaxnarx.refinement.training_data import TrainingData
 
 
@@ -84,7 +84,7 @@ def initial_conditions(
     Without `measured` the hidden channels' values alone; None where there are none.
     """
     tables = [network.variables, *(m.scheduling for m in network.models)]
-    if not any(fed_back(t, network.signals) for t in tables):
+    if not any(fed_back_variables(t, network.signals) for t in tables):
         return None
     if not (measured or network.hidden):
         return None

@@ -72,7 +72,7 @@ def output_gradient(
     coefficient = phi[:, None] * alone
 
     def blend(parameters, z, local):
-        phi = model.validity.replaced(parameters)(z, model.active)
+        phi = model.validity.replace_parameters(parameters)(z, model.active)
         return jnp.sum(phi * local)
 
     by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
@@ -83,7 +83,7 @@ def output_gradient(
     weight = shares(model, phi)
 
     def group(parameters, z, local):
-        phi = model.validity.replaced(parameters)(z, model.active)
+        phi = model.validity.replace_parameters(parameters)(z, model.active)
         return jnp.sum(shares(model, phi) * local[None], axis=1)
 
     groups, models = model.own.shape

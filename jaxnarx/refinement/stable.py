@@ -17,7 +17,7 @@ from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, OutputModel, fed_back
+from jaxnarx.models import Network, OutputModel, fed_back_variables
 from jaxnarx.refinement._stability import attach_certificate, certificate
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
@@ -97,7 +97,9 @@ def _pull_towards(start: Network, end: Network) -> Network:
 
 def _of_past(network: Network, model: OutputModel) -> Bool[np.ndarray, "models slots"]:
     """Coefficients of terms that hold a past output."""
-    fed = {row + 1 for row, *_ in fed_back(network.variables, network.signals)}
+    fed = {
+        row + 1 for row, *_ in fed_back_variables(network.variables, network.signals)
+    }
     terms = np.any(np.isin(np.asarray(model.local.factor), list(fed)), axis=1)
     terms = np.atleast_1d(terms)
     return terms[np.asarray(model.local.index)]

@@ -21,7 +21,7 @@ from jaxnarx.data import (
 )
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.formatting import page
-from jaxnarx.models import HOLD, Gaps, Network, driving, hold_missing
+from jaxnarx.models import HOLD, Gaps, Network, driving_signals, hold_missing
 from jaxnarx.simulation.masks import Masks, make_masks
 from jaxnarx.simulation.runs import RunInputs, drive_of, make_drive
 
@@ -230,7 +230,7 @@ def _drive_each(network: Network, signals: Array, valid: Array) -> RunInputs:
 
 
 def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    return driving(network), tuple(network.signals[: len(network.modelled)])
+    return driving_signals(network), tuple(network.signals[: len(network.modelled)])
 
 
 def _host_arrays(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
-from jaxnarx.models import HOLD, Network, fading, overshoot, within_margin
+from jaxnarx.models import HOLD, Network, overshoot, overshoot_decay, within_margin
 from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begin_hidden, observe_hidden
@@ -219,7 +219,7 @@ def _physical(
     outputs."""
     rate = jnp.zeros(())
     if network.hold is not None and network.outside != HOLD:
-        rate = jnp.asarray(fading(network))
+        rate = jnp.asarray(overshoot_decay(network))
     return _report(network, runs, scaled, first, rate)
 
 

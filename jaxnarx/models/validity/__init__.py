@@ -7,7 +7,7 @@ from jaxnarx.extensions import Registry
 from jaxnarx.models.validity.abstract import (
     CENTRE_ROOM,
     AbstractValidity,
-    models_of,
+    count_models,
     weights_of,
 )
 from jaxnarx.models.validity.boxes import Boxes
@@ -66,7 +66,7 @@ __all__ = [
     "LogSigmoids",
     "SigmoidTree",
     "VALIDITIES",
-    "models_of",
+    "count_models",
     "register_validity",
     "weights_of",
 ]

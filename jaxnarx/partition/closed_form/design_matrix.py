@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.models import AbstractValidity, models_of, weights_of
+from jaxnarx.models import AbstractValidity, count_models, weights_of
 from jaxnarx.partition.closed_form.equations import NormalEquations
 from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
 from jaxnarx.regressors import evaluate
@@ -62,7 +62,7 @@ class Share:
     index: int
 
     def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
-        active = np.ones(models_of(self.validity, len(x)), bool)
+        active = np.ones(count_models(self.validity, len(x)), bool)
         return np.asarray(weights_of(self.validity, x, active))[self.index]
 
 

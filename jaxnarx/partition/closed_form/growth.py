@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import AbstractValidity, models_of
+from jaxnarx.models import AbstractValidity, count_models
 from jaxnarx.partition.closed_form.design_matrix import (
     GATE_WIDTH,
     LEVEL_STEEPNESS,
@@ -181,7 +181,7 @@ def grow_regions(
 def divide_by(start: GrownStage, validity: AbstractValidity) -> GrownStage:
     """A single region divided as a partition says, with the same feedback."""
     design, (whole,) = start.design, start.leaves
-    shares = [Share(validity, m) for m in range(models_of(validity, len(whole.low)))]
+    shares = [Share(validity, m) for m in range(count_models(validity, len(whole.low)))]
     for share in shares[:-1]:
         design = design.extended(design.block((share,)))
     leaves = tuple(Box((share,), whole.low, whole.high) for share in shares)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.models import models_of
+from jaxnarx.models import count_models
 from jaxnarx.partition.closed_form.denominator import is_stable, of_times
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
 from jaxnarx.partition.closed_form.equation_error import equation_error
@@ -282,7 +282,7 @@ class ClosedSearch:
             validity = ask_partition(
                 partition, x, columns, output, np.ones(len(output))
             )
-            if models_of(validity, len(x)) > 1:
+            if count_models(validity, len(x)) > 1:
                 yield self.divided(root, divide_by(root.stage, validity), f", {name}")
 
     def divided(

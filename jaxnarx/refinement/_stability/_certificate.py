@@ -22,7 +22,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import Network, OutputModel, depth, fed_back
+from jaxnarx.models import Network, OutputModel, depth, fed_back_variables
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
 from jaxnarx.refinement._stability.points import companion, groups_of
 from jaxnarx.regressors import LowPass
@@ -127,8 +127,11 @@ def _slopes(
     None where they depend on the past outputs themselves."""
     if network.parallel or not all(map(_has_convex_weights, network.models)):
         return None
-    own = fed_back(network.variables, network.signals)
-    if any(fed_back(model.scheduling, network.signals) for model in network.models):
+    own = fed_back_variables(network.variables, network.signals)
+    if any(
+        fed_back_variables(model.scheduling, network.signals)
+        for model in network.models
+    ):
         return None
     place = {row + 1: (o, lag) for row, o, lag in own}
     found = []

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxnarx.arrays import program
 from jaxnarx.errors import DataError
-from jaxnarx.models import Network, depth, fed_back, sources
+from jaxnarx.models import Network, depth, fed_back_variables, sources
 from jaxnarx.refinement.sensitivity import linearise_run
 from jaxnarx.simulation import Masks, RunInputs
 
@@ -95,11 +95,11 @@ def points_of(
 def _fill_hidden(network: Network, v: np.ndarray, x, history: np.ndarray) -> None:
     """Put the hidden channels of the history where measurements have none."""
     count, gain = len(network.modelled), np.asarray(network.gain)
-    for row, o, d in fed_back(network.variables, network.signals):
+    for row, o, d in fed_back_variables(network.variables, network.signals):
         if o >= count:
             v[row + 1] = history[:, o, d]
     for model, x_o in zip(network.models, x, strict=True):
-        for row, o, d in fed_back(model.scheduling, network.signals):
+        for row, o, d in fed_back_variables(model.scheduling, network.signals):
             if o >= count:
                 x_o[row] = history[:, o, d] * gain[network.signals[o]]
 

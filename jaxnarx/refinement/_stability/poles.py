@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import program
-from jaxnarx.models import Network, fed_back, scheduling_values
+from jaxnarx.models import Network, fed_back_variables, scheduling_values
 from jaxnarx.refinement._stability.points import (
     Points,
     companion,
@@ -63,7 +63,7 @@ def _local(network: Network, v, x, history, *, output: int):
     model, factor = network.models[output], network.models[output].local.factor
     own = [
         (row + 1, lag)
-        for row, o, lag in fed_back(network.variables, network.signals)
+        for row, o, lag in fed_back_variables(network.variables, network.signals)
         if o == output
     ]
     row, lag = np.array(own, int).reshape(-1, 2).T
@@ -177,7 +177,7 @@ def largest_local_pole(network: Network) -> float:
     middle = (np.asarray(network.low, float) + np.asarray(network.high, float)) / 2
     scaled = middle / np.asarray(network.gain, float)
     v = np.concatenate([[1.0], scaled[list(network.variables.signal)]])
-    own = fed_back(network.variables, network.signals)
+    own = fed_back_variables(network.variables, network.signals)
     largest = 0.0
     for o, model in enumerate(network.models):
         lag = {row + 1: d for row, output, d in own if output == o}
