@@ -140,7 +140,7 @@ class CandidateSearch:
         for name, partition in self.partitions.items():
             begin = time.perf_counter()
             try:
-                yield from search.partitioned(name, partition)
+                yield from search.divide_by_partition(name, partition)
             except (JaxnarxError, np.linalg.LinAlgError) as error:
                 seconds = time.perf_counter() - begin
                 row = self._row("shared feedback", f"regions, {name}", seconds, None)
@@ -156,7 +156,7 @@ class CandidateSearch:
     ) -> tuple[Candidate, Network]:
         network = hold_to_range(found.network())
         row = self._row(found.family, found.name, seconds, network)
-        lost = found.diverged()
+        lost = found.count_diverged()
         if not lost:
             self._remember(found.losses())
         row = dataclasses.replace(

@@ -8,7 +8,7 @@ from jaxnarx.partition.closed_form.profile import profile_data as profile_data
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Sum as Sum
 from jaxnarx.partition.closed_form.sums import best_sum as best_sum
-from jaxnarx.partition.clusters import place, scattered
+from jaxnarx.partition.clusters import place, scatter_partition
 from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.partition.stages import best_stage
@@ -28,7 +28,7 @@ __all__ = [
     "lolimot",
     "make_training_rows",
     "place",
-    "scattered",
+    "scatter_partition",
     "scheduling_ranges",
     "scheduling_table",
     "sigmoid_tree",

@@ -37,8 +37,10 @@ def regions_of_method(pool: Pool, method: Given) -> list[Regions]:
     if isinstance(partition, str):
         partition = PARTITIONS.find(partition, "partition")
     if isinstance(partition, Network):
-        _only_of_validity(method)
-        return [_of_output(partition, _source(partition, n, method)) for n in names]
+        _refuse_scheduling(method)
+        return [
+            _regions_of_output(partition, _source(partition, n, method)) for n in names
+        ]
     if not isinstance(partition, AbstractValidity | Partitioner):
         raise SpecError(
             "a partition is a Network, a validity function of jaxnarx.models, or a "
@@ -46,10 +48,10 @@ def regions_of_method(pool: Pool, method: Given) -> list[Regions]:
             f"{type(partition).__name__}",
             field="partition",
         )
-    return [_of_validity(partition, method)] * len(names)
+    return [_regions_of_validity(partition, method)] * len(names)
 
 
-def _only_of_validity(method: Given) -> None:
+def _refuse_scheduling(method: Given) -> None:
     if method.scheduling:
         raise SpecError(
             "a network has its scheduling variables; leave `scheduling` out",
@@ -70,7 +72,7 @@ def _source(network: Network, name: str, method: Given) -> int:
     return names.index(wanted)
 
 
-def _of_output(network: Network, output: int) -> Regions:
+def _regions_of_output(network: Network, output: int) -> Regions:
     model: OutputModel = network.models[output]
     names = tuple(variable_names(network.channels, model.scheduling))
     if not names:
@@ -84,7 +86,9 @@ def _of_output(network: Network, output: int) -> Regions:
     return Regions(names, np.stack([low, low + span], axis=1), model.validity, count)
 
 
-def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Regions:
+def _regions_of_validity(
+    validity: AbstractValidity | Partitioner, method: Given
+) -> Regions:
     if not method.scheduling:
         raise SpecError(
             "a validity function, or a function that returns one, needs its "

@@ -69,7 +69,7 @@ class SplitRows(eqx.Module):
         own = {"ridge": self.ridge, "picks": self.picks, "first": self.first}
         return local_fit(self.p, self.y, phi * self.weight, prior=prior, **own)
 
-    def used(self, theta: Float[Array, " terms"]) -> Bool[Array, " terms"]:
+    def used_terms(self, theta: Float[Array, " terms"]) -> Bool[Array, " terms"]:
         """Terms that a local model has."""
         return theta != 0 if self.picks else jnp.ones(theta.shape, bool)
 
@@ -209,7 +209,7 @@ def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Poi
         moment = rows.p @ (weighted * miss[None]).T
         off = rows.ridge * (theta - leaf.theta)
         moment -= off[:, None] * (square @ weighted.T)
-        used = rows.used(theta)
+        used = rows.used_terms(theta)
         gram = (rows.p * (phi_k * rows.weight)[None]) @ rows.p.T
         gram = jnp.where(used[:, None] & used[None], gram, 0.0)
         moment = jnp.where(used[:, None], moment, 0.0)

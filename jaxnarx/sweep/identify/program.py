@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
-from jaxnarx.partition import scattered
+from jaxnarx.partition import scatter_partition
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import PredictionError
@@ -139,7 +139,7 @@ def _refine(
     """The end and the start of the refinement, as vectors of its layout."""
     refine = frame.shape.refine
     layout = make_layout(network, trainable(network), refine.width_band)
-    u = scattered(
+    u = scatter_partition(
         layout,
         network,
         (rows.p, rows.z, rows.y, rows.weight),

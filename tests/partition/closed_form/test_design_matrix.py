@@ -229,7 +229,7 @@ def test_other_feedback_is_as_if_begun_with_it(found):
     moved = found.moved(np.array([1.0, -0.7]))
     again = BlockDesign.of(signals(), np.array([1.0, -0.7]))
     for block in found.blocks:
-        again = again.extended(again.block(block.region, block.terms))
+        again = again.extend(again.block(block.region, block.terms))
     np.testing.assert_array_equal(moved.equations.gram, again.equations.gram)
     np.testing.assert_array_equal(moved.equations.right, again.equations.right)
     back = moved.moved(FEEDBACK)
@@ -238,7 +238,7 @@ def test_other_feedback_is_as_if_begun_with_it(found):
 
 def test_samples_that_do_not_count_change_nothing_but_the_sums():
     thin = BlockDesign.of(problems.signals(3), FEEDBACK)
-    thin = thin.extended(thin.block(()))
+    thin = thin.extend(thin.block(()))
     full = nested(1)
     one, _ = full.signals.stretches[1], full.signals.stretches
     # Group 1 is one record: every third of its samples.

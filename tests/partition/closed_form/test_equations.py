@@ -155,12 +155,12 @@ def test_columns_that_others_make_up_are_passed_over():
         np.array([60.0]),
         np.eye(1, dtype=bool),
     )
-    path = equations.without(None).forward(0.0, 5, ())
+    path = equations.exclude_group(None).select_forward(0.0, 5, ())
     assert len(path.order) == 3 and path.order[-1] != 4
-    at, theta = path.at(5)
+    at, theta = path.truncate(5)
     np.testing.assert_allclose(theta @ columns[at], target, atol=1e-7)
     # A first column without power leaves its place to others.
-    assert equations.without(None).forward(0.0, 3, (4,)).order[0] != 4
+    assert equations.exclude_group(None).select_forward(0.0, 3, (4,)).order[0] != 4
 
 
 def test_order_of_columns_does_not_matter(equations):
@@ -172,10 +172,10 @@ def test_order_of_columns_does_not_matter(equations):
 
 def test_without_columns_or_samples_there_is_nothing_to_choose():
     nothing = System(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
-    at, theta = nothing.forward(RIDGE, 3, (0,)).at(3)
+    at, theta = nothing.select_forward(RIDGE, 3, (0,)).truncate(3)
     assert not len(at) and not len(theta)
     empty = NormalEquations(
         *(np.zeros((2, 1, 1)), np.zeros((2, 1)), np.zeros(2), np.zeros(2)),
         np.eye(2, dtype=bool),
     )
-    assert empty.without(0).solve(RIDGE).tolist() == [0.0]
+    assert empty.exclude_group(0).solve(RIDGE).tolist() == [0.0]
