@@ -108,13 +108,15 @@ def refine(
         given = {"trainable": trainable, "weights": weights, "progress": progress}
         given["solver"] = solver
 
-        def again(start: Network, deviations: Network | None) -> Solution[Network]:
+        def continue_refinement(
+            start: Network, deviations: Network | None
+        ) -> Solution[Network]:
             given["deviations"] = deviations
             return refine(start, data, bare, validation=validation, **given)
 
         _require_free(deviations)
         judge = match_records(network, data if validation is None else validation)
-        return refine_stable(network, judge, again)
+        return refine_stable(network, judge, continue_refinement)
     # Of a network that changes they say nothing any more, and with the certificate goes
     # what allowed for bounds so wide that nothing is held.
     if network.certificate is not None:

@@ -204,19 +204,19 @@ def stream(
     size = -(-time // blocks)
     past, own = seen_history(network, y, drive.measured, anchor)
 
-    def padded(a, axis):
+    def pad(a, axis):
         room = [(0, 0)] * a.ndim
         room[axis] = (0, blocks * size - time)
         return jnp.pad(a, room)
 
     # Once and outside the loop.
     whole = (
-        padded(drive.v, 2),
-        tuple(padded(x, 2) for x in drive.x),
-        padded(past, 1),
-        padded(own, 1),
+        pad(drive.v, 2),
+        tuple(pad(x, 2) for x in drive.x),
+        pad(past, 1),
+        pad(own, 1),
     )
-    extra = jax.tree.map(lambda a: padded(a, 1), extra)
+    extra = jax.tree.map(lambda a: pad(a, 1), extra)
 
     def one(block, at, record, past):
         """One record over one block; the end and all."""

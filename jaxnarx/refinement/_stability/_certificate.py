@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from jaxnarx.models import Network, OutputModel, depth, fed_back_variables
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
-from jaxnarx.refinement._stability.points import companion, groups_of
+from jaxnarx.refinement._stability.points import companion, linked_groups
 from jaxnarx.regressors import LowPass
 
 MOST_MATRICES = 4096
@@ -99,7 +99,7 @@ def _blocks(network: Network) -> list[Block] | None:
     outputs, lags = len(network.models), depth(network)
     linked = np.stack([np.abs(corners).max(axis=(0, 2)) > 0 for corners in rows])
     found = []
-    for group in groups_of(linked | linked.T):
+    for group in linked_groups(linked | linked.T):
         if not linked[np.ix_(group, group)].any():
             continue
         matrices = _matrices([rows[o][:, list(group)] for o in group])

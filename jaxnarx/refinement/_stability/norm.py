@@ -64,7 +64,7 @@ def _pack(l: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " entries"]:  # noqa
     return l[np.triu_indices(len(l))]
 
 
-def _leading(g: Float[np.ndarray, "points n n"]):
+def _leading_vectors(g: Float[np.ndarray, "points n n"]):
     """Leading singular vectors and value of every matrix, by its Gram matrix."""
     squares, vectors = np.linalg.eigh(np.swapaxes(g, 1, 2) @ g)
     s, v = np.sqrt(np.maximum(squares[:, -1], 0.0)), vectors[:, :, -1]
@@ -80,7 +80,7 @@ def _objective(x, m, sharpness):
     g = l @ m @ k
     if not np.isfinite(g).all():  # a trial step of the line search went too far
         return 1e6, np.zeros_like(x)
-    u, s, v = _leading(g)
+    u, s, v = _leading_vectors(g)
     value = np.log(np.maximum(s, NORM_FLOOR))
     top = value.max()
     share = np.exp(sharpness * (value - top))

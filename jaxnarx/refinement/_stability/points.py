@@ -56,7 +56,7 @@ def thin(size: int, count: int | None) -> Int[np.ndarray, " some"]:
     return np.unique(np.linspace(0, size - 1, count).astype(int))
 
 
-def points_of(
+def choose_points(
     network: Network,
     drive: RunInputs,
     masks: Masks,
@@ -156,7 +156,7 @@ def moduli(m: Float[np.ndarray, "points n n"]) -> Float[np.ndarray, " points"]:
     return out
 
 
-def groups_of(
+def linked_groups(
     linked: Bool[np.ndarray, "outputs outputs"],
 ) -> tuple[tuple[int, ...], ...]:
     """Outputs that act on one another, directly or through others, together."""
@@ -164,7 +164,7 @@ def groups_of(
     return tuple(tuple(np.flatnonzero(label == g).tolist()) for g in range(count))
 
 
-def part_of(a: np.ndarray, group: tuple[int, ...]) -> np.ndarray:
+def group_block(a: np.ndarray, group: tuple[int, ...]) -> np.ndarray:
     """The block of A by which a group of outputs acts on itself."""
     at = np.array(group)
     return a[:, at[:, None], at[None]]

@@ -14,11 +14,11 @@ from jaxnarx.arrays import program
 from jaxnarx.models import Network, fed_back_variables, scheduling_values
 from jaxnarx.refinement._stability.points import (
     Points,
+    choose_points,
     companion,
     jacobians,
     map_chunks,
     moduli,
-    points_of,
 )
 from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Masks, RunInputs
@@ -132,7 +132,7 @@ def pole_table(
 def _medians(
     network: Network, drive: RunInputs, masks: Masks
 ) -> Float[np.ndarray, " _"]:
-    points = points_of(network, drive, masks, count=1000)
+    points = choose_points(network, drive, masks, count=1000)
     return np.array(
         [
             np.median(modulus)
