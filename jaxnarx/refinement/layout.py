@@ -280,7 +280,7 @@ def _bounds(
 def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] | None:
     """The maps from coefficients of columns without offsets to those of terms, by
     output."""
-    centre = Centring.of_ranges(
+    centre = Centring.from_ranges(
         np.asarray(network.low),
         np.asarray(network.high),
         np.asarray(network.gain),
@@ -298,6 +298,6 @@ def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] |
             at = np.flatnonzero(slots)
             if at.size:
                 terms = np.asarray(local.factor)[index[m, at]]
-                back[m][np.ix_(at, at)] = centre.reduced(terms)[0]
+                back[m][np.ix_(at, at)] = centre.reduce(terms)[0]
         backs.append(jnp.asarray(back, local.coefficient.dtype))
     return tuple(backs)

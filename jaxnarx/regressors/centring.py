@@ -52,7 +52,7 @@ class Centring:
     target: Float[np.ndarray, " outputs"]
 
     @staticmethod
-    def of_ranges(
+    def from_ranges(
         low: Float[np.ndarray, " signals"],
         high: Float[np.ndarray, " signals"],
         gain: Float[np.ndarray, " signals"],
@@ -77,7 +77,7 @@ class Centring:
             np.zeros(0),
         )
 
-    def centred(self, v: Float[Array, "vars *rows"]) -> Float[Array, "vars *rows"]:
+    def centre(self, v: Float[Array, "vars *rows"]) -> Float[Array, "vars *rows"]:
         """z of v."""
         tail = (-1,) + (1,) * (v.ndim - 1)
         shift, spread = (
@@ -97,7 +97,7 @@ class Centring:
                 float(np.prod([w for _, w in parts])),
             )
 
-    def reduced(
+    def reduce(
         self, factor: Int[np.ndarray, "terms degree"]
     ) -> tuple[
         Float[np.ndarray, "terms terms"],
@@ -139,8 +139,8 @@ class Centring:
         self, factor: Int[np.ndarray, "terms degree"], v: Float[Array, "vars rows"]
     ) -> tuple[Float[Array, "terms rows"], Float[np.ndarray, "terms terms"]]:
         """Columns r of the terms at rows `v`, and T_in^-1."""
-        back, table, weight = self.reduced(factor)
-        z = self.centred(v)
+        back, table, weight = self.reduce(factor)
+        z = self.centre(v)
         r = jnp.asarray(evaluate(factor, z))
         if len(table):
             r = r + jnp.asarray(weight, z.dtype) @ evaluate(table, z)
@@ -229,7 +229,7 @@ def _moments(x: np.ndarray, counted: np.ndarray):
     return mean, np.sqrt(np.sum(away**2, axis=1, where=counted) / count)
 
 
-def centring(
+def find_centring(
     batch: Batch,
     variables: Variables,
     v: Float[Array, "vars rows"],

@@ -105,7 +105,7 @@ def row_columns(
     flat = signals.reshape(-1, signals.shape[-1])
     out = _aligned_empty((ones + len(variables), len(at)), flat.dtype)
     out[:ones] = 1
-    for (signal, filter_), users in _by_source(variables).items():
+    for (signal, filter_), users in _group_by_source(variables).items():
         given = signals[..., signal], batch.valid[..., signal], filter_
         column = np.array(_source(*given, sample_time), order="C")
         if gain is not None:
@@ -130,7 +130,7 @@ def batch_columns(
     records, time, _ = signals.shape
     out = _aligned_empty((records, ones + len(variables), time), signals.dtype)
     out[:, :ones] = 1
-    for (signal, filter_), users in _by_source(variables).items():
+    for (signal, filter_), users in _group_by_source(variables).items():
         given = signals[..., signal], valid[..., signal], filter_
         column = np.ascontiguousarray(_source(*given, sample_time))
         for row, lag in users:
@@ -155,7 +155,7 @@ def _source(
     return np.asarray(_filtered_records(table, *jax.device_put(given)))
 
 
-def _by_source(variables: Variables) -> dict:
+def _group_by_source(variables: Variables) -> dict:
     """(row, lag) of the variables by signal and filter."""
     out: dict = {}
     for row, (signal, lag, filter_) in enumerate(variables.entries):

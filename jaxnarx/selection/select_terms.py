@@ -242,7 +242,7 @@ def choose_terms(
     """
     samples = int((np.asarray(rows.weight) > 0).sum(axis=1).min())
     v, y, factor, parents, target = rows.v, rows.y, pool.factor, None, None
-    centre = rows.centring(pool.variables)
+    centre = rows.find_centring(pool.variables)
     if centre is not None:
         v, factor, parents = centred_search(pool, v, centre, method, usable)
         target = target_of(pool, centre, allowed_terms(pool, method, usable))
@@ -309,13 +309,13 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
 
 
 def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
-    own, back, target = rows.of_lanes(slice(lane, lane + 1)), None, None
+    own, back, target = rows.select_lanes(slice(lane, lane + 1)), None, None
     index, y = np.asarray(terms), own.y
     size = len(index)
     room = -(-size // ROOM_MULTIPLE) * ROOM_MULTIPLE
     # What fills the room is not asked for and may not enter.
     filled = np.resize(np.arange(size), room)
-    centre = own.centring(pool.variables)
+    centre = own.find_centring(pool.variables)
     if centre is None:
         columns = evaluate(pool.factor[index[filled]], rows.v)
     else:

@@ -112,7 +112,7 @@ class _Rounds:
         self.base = assemble(pool, data, gain, [first])
         self.task, _ = make_task(self.base, data)
         low, high = np.asarray(self.base.low), np.asarray(self.base.high)
-        self.centre = Centring.of_ranges(low, high, gain, pool.variables)
+        self.centre = Centring.from_ranges(low, high, gain, pool.variables)
         self.offset, self.parents = None, None
         if self.centre is not None:
             pair = self.centre.shift, self.centre.spread
@@ -160,7 +160,7 @@ class _Rounds:
         """Terms and coefficients without one of them, its column's share taken off."""
         fewer = [t for n, t in enumerate(terms) if n != place]
         if self.centre is not None:
-            back = self.centre.reduced(self.pool.factor[terms])[0]
+            back = self.centre.reduce(self.pool.factor[terms])[0]
             psi = np.linalg.solve(back.T, theta)
             theta = theta - psi[place] * back[place]
         return fewer, np.delete(theta, place)

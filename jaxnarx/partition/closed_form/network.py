@@ -64,7 +64,7 @@ def _rescale_coefficients(
     a: Float[np.ndarray, " _"],
 ) -> Float[np.ndarray, "leaves terms"]:
     """Coefficients of the terms of scaled signals from those of centred ones."""
-    back, outside, _ = signals.centring.reduced(signals.factor)
+    back, outside, _ = signals.centring.reduce(signals.factor)
     assert not len(outside), "a product without its parts"
     raw = signals.spread * table @ back
     constant = np.flatnonzero(np.all(signals.factor == 0, axis=1))
