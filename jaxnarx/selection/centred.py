@@ -36,7 +36,7 @@ def centred_search(pool: Pool, v, centre: Centring, method: Method, usable):
     return every, np.arange(1, len(pool) + 1, dtype=np.int32)[:, None], parents
 
 
-def target_of(
+def target_offset(
     pool: Pool, centre: Centring, there: Bool[np.ndarray, " terms"]
 ) -> Float[Array, "lanes 1"]:
     """The offset that is taken off every lane; nothing without a constant to give it

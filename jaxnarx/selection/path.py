@@ -35,7 +35,7 @@ class PartialFHistory(eqx.Module):
             jnp.asarray(0),
         )
 
-    def written(
+    def append(
         self, basis: Basis, f: Float[Array, " slots"], wanted: Bool[Array, ""]
     ) -> "PartialFHistory":
         """The history with one more row where `wanted`."""

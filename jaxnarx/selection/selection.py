@@ -106,7 +106,7 @@ class Selection(eqx.Module):
             self.gain,
         )
 
-    def narrowed(self) -> Pool:
+    def narrow_pool(self) -> Pool:
         """A pool of the chosen terms of all outputs, in the order of the old one."""
         chosen = sorted({t for o in range(len(self.index)) for t in self.terms(o)})
         pool = self.pool

@@ -35,9 +35,9 @@ from jaxnarx.selection.anova.cells import (
     CellLayout,
     Effect,
     FTest,
-    effects_of,
     group_tests,
     lay_out,
+    list_effects,
 )
 from jaxnarx.selection.anova.model import Codes, fit, residual
 from jaxnarx.settings import Anova
@@ -69,16 +69,16 @@ def sequence(
     significance / (m - k + 1) for m effects (Holm 1979), which holds the chance of a
     single wrong entry.
     """
-    effects = effects_of(tuple(codes), method.interactions)
+    effects = list_effects(tuple(codes), method.interactions)
     cells = math.prod(levels.values())
     if method.whole and cells * LEAST_CELL_SAMPLES <= len(y):
         layout = lay_out(list(codes.values()), tuple(levels.values()), method.balance)
         if layout.pick is not None:
-            return _whole(layout, y, tuple(codes), effects, method)
+            return _test_whole(layout, y, tuple(codes), effects, method)
     return _stepwise(codes, levels, y, effects, method)
 
 
-def _whole(
+def _test_whole(
     layout: CellLayout,
     y: Float[np.ndarray, " rows"],
     group: Effect,
@@ -122,12 +122,12 @@ def _stepwise(
     if len(y) * len(effects) <= MOST_HELD_NUMBERS:
         place = functools.cache(place)
 
-    def alone(e: Effect, y: Float[np.ndarray, " rows"], spent: float) -> FTest:
+    def test_alone(e: Effect, y: Float[np.ndarray, " rows"], spent: float) -> FTest:
         order = method.interactions
         [test] = group_tests(place(e), y, e, [e], order=order, spent=spent)
         return test
 
-    own = {e: alone(e, y, 0.0) for e in effects}
+    own = {e: test_alone(e, y, 0.0) for e in effects}
     first = dict(own)
     left = {e for e, t in own.items() if t.freedom and t.spare}
     kept: list[Effect] = []
@@ -146,7 +146,7 @@ def _stepwise(
         kept.append(best)
         rest = residual(model, codes, levels, y)
         spent = min(len(model.owner) / len(y), 1.0)
-        own |= {e: alone(e, rest, spent) for e in left}
+        own |= {e: test_alone(e, rest, spent) for e in left}
     while kept:
         model = fit(codes, levels, kept, y)
         now = {e: model.test(k) for k, e in enumerate(kept)}

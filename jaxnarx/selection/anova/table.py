@@ -157,7 +157,7 @@ def anova(pool: Pool, rows: Rows, output: int, method: Anova) -> AnovaTable:
     found, together = [], True
     if codes:
         number = {v: levels[v - 1] for v in codes}
-        form = _by_groups if method.form == "balanced" else _by_penalty
+        form = _test_by_groups if method.form == "balanced" else _test_by_penalty
         found, together = form(codes, number, y, method)
     found += [
         EffectTest((v,), reason="constant")
@@ -199,7 +199,7 @@ def _samples(
     return x, y - y.mean()
 
 
-def _by_groups(
+def _test_by_groups(
     codes: Codes, levels: dict[int, int], y: Float[np.ndarray, " rows"], method: Anova
 ) -> tuple[list[EffectTest], bool]:
     outcome = sequence(codes, levels, y, method)
@@ -241,7 +241,7 @@ def _decide(test: FTest, significant: bool, weight: float) -> EffectTest:
     )
 
 
-def _by_penalty(
+def _test_by_penalty(
     codes: Codes, levels: dict[int, int], y: Float[np.ndarray, " rows"], method: Anova
 ) -> tuple[list[EffectTest], bool]:
     found = shrink(codes, levels, y, method)
