@@ -23,7 +23,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.formatting import page
 from jaxnarx.models import HOLD, Gaps, Network, driving_signals, hold_missing
 from jaxnarx.simulation.masks import Masks, make_masks
-from jaxnarx.simulation.runs import RunInputs, drive_of, make_drive
+from jaxnarx.simulation.runs import RunInputs, drive_from_signals, make_drive
 
 SAMPLE_TIME_TOLERANCE = 1e-6
 """Share by which the sample time of data may differ from the network's."""
@@ -121,7 +121,7 @@ class Prepared:
 def _driven(network: Network, signals: Array, valid: Array, inputs: Array, *, at):
     """The signals with other inputs, and what is computed of them."""
     signals = signals.at[..., np.array(at, int)].set(inputs)
-    return signals, drive_of(network, signals, valid)
+    return signals, drive_from_signals(network, signals, valid)
 
 
 _MASKS = ("start", "first", "end", "anchors")
@@ -178,12 +178,12 @@ def prepare(
         y = eqx.filter_vmap(jnx.free_run, in_axes=(None, 0))(network, every)
     """
     if isinstance(data, Fleet):
-        return _of_fleet(network, data, part)
+        return _prepare_fleet(network, data, part)
     matched = match_records(network, data)
     return prepare_stacked(network, data, matched, stack_records(matched))
 
 
-def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
+def _prepare_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
     """All members side by side."""
     choice(part, tuple(fleet.parts), "part")
     if network.channels.measured != fleet.channels:
@@ -226,7 +226,9 @@ def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
 def _drive_each(network: Network, signals: Array, valid: Array) -> RunInputs:
     """`drive_of` every member, by its own network where these are stacked."""
     own = 0 if jnp.ndim(network.sample_time) else None
-    return eqx.filter_vmap(drive_of, in_axes=(own, 0, 0))(network, signals, valid)
+    return eqx.filter_vmap(drive_from_signals, in_axes=(own, 0, 0))(
+        network, signals, valid
+    )
 
 
 def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -285,7 +287,7 @@ def ensure_prepared(
     """
     if not isinstance(data, Prepared):
         data = prepare(network, data)
-    origin = _origin_of(data)
+    origin = _require_origin(data)
     require_finite(network)
     same = origin.structure == _structure(network) and all(
         map(np.array_equal, origin.scales, _scales(network))
@@ -299,12 +301,12 @@ def ensure_prepared(
     return data, origin
 
 
-def dataset_of(data: Dataset | Prepared) -> Dataset:
+def get_dataset(data: Dataset | Prepared) -> Dataset:
     """The records of what is either."""
-    return _origin_of(data).data if isinstance(data, Prepared) else data
+    return _require_origin(data).data if isinstance(data, Prepared) else data
 
 
-def _origin_of(data: Prepared) -> PreparedFrom:
+def _require_origin(data: Prepared) -> PreparedFrom:
     if data.origin is None:
         raise SpecError(
             "these prepared records have been through a transformation and know no "

@@ -23,7 +23,7 @@ from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begin_hidden, observe_hidden
 from jaxnarx.simulation.runs import run, run_steps
-from jaxnarx.simulation.trajectories import has_diverged, where_limited
+from jaxnarx.simulation.trajectories import has_diverged, limited_samples
 from jaxnarx.solution import NAMES
 
 OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short"))
@@ -150,7 +150,7 @@ def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
         fine = jnx.simulation.run_status(network, runs) == 0
     """
     scaled = scaled_run(network, runs)
-    held = where_limited(network, scaled)
+    held = limited_samples(network, scaled)
     held |= ~jnp.isfinite(scaled)
     at = jnp.arange(scaled.shape[1])[None]
     counted = (at >= runs.first[:, None]) & (at < runs.end[:, None])

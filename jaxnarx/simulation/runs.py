@@ -64,7 +64,7 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     return RunInputs(*jax.device_put(drive))
 
 
-def drive_of(
+def drive_from_signals(
     network: Network,
     signals: Float[Array, "records time signals"],
     valid: Bool[Array, "records time signals"],

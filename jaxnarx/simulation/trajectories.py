@@ -79,7 +79,7 @@ class Trajectories:
         return self.outputs[record]
 
 
-def where_limited(
+def limited_samples(
     network: Network, y: Float[Array, "records time outputs"]
 ) -> Bool[Array, "records time outputs"]:
     """The samples at which the feedback bound holds the scaled outputs of a run."""
@@ -108,7 +108,7 @@ def has_diverged(
     return bad | (in_a_row == IN_A_ROW).any(axis=-1)
 
 
-def _extrapolated(
+def _extrapolated_samples(
     network: Network, batch: Batch, k: int | None
 ) -> Bool[np.ndarray, "records time"]:
     """The samples at which an input leaves its range; with `k` a measured output too,
@@ -142,10 +142,10 @@ def make_trajectories(
         computed = np.asarray(scaled) * gain
     lost = ~np.isfinite(computed)
     computed = np.where(lost, lower * gain, computed)
-    extrapolated = _extrapolated(network, batch, ahead and ahead[0])
+    extrapolated = _extrapolated_samples(network, batch, ahead and ahead[0])
     silent = np.zeros_like(extrapolated)
     if network.outside == NAN:
-        silent = _extrapolated(network, batch, None)
+        silent = _extrapolated_samples(network, batch, None)
     if gaps is not None:
         extrapolated |= gaps.missing
         if NAN in (network.nan, network.outside):

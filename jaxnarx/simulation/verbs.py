@@ -9,8 +9,8 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 from jaxnarx.simulation._prepared import (
     Prepared,
-    dataset_of,
     ensure_prepared,
+    get_dataset,
     match_records,
     prepare_stacked,
     stack_fitting,
@@ -129,7 +129,7 @@ def simulate(
     if missing is None:
         (runs, origin), gaps = ensure_prepared(network, data), None
     else:
-        records = dataset_of(data)
+        records = get_dataset(data)
         matched = match_records(network, records)
         batch, gaps = stack_fitting(network, matched, missing)
         runs, origin = ensure_prepared(

@@ -13,7 +13,7 @@ from jaxnarx.partition import scatter_partition
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import PredictionError
-from jaxnarx.simulation import RunInputs, drive_of
+from jaxnarx.simulation import RunInputs, drive_from_signals
 from jaxnarx.solution import NAMES
 from jaxnarx.sweep.identify.engine_data import Member, Part
 from jaxnarx.sweep.identify.grow_step import Divided, GrowthRows, divide
@@ -90,7 +90,9 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
 
 
 def _drive(member: Member, part: Part) -> RunInputs:
-    return drive_of(member.network, jnp.asarray(part.signals), jnp.asarray(part.valid))
+    return drive_from_signals(
+        member.network, jnp.asarray(part.signals), jnp.asarray(part.valid)
+    )
 
 
 def _scheduling(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:

@@ -17,7 +17,7 @@ from jaxnarx.identification import identify, terms_of
 from jaxnarx.models import Network
 from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification
-from jaxnarx.simulation import drive_of
+from jaxnarx.simulation import drive_from_signals
 from jaxnarx.solution import NAMES, Solution
 from jaxnarx.sweep.identify.engine_data import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
@@ -94,7 +94,9 @@ def _outcome(
 
 @program
 def _both(network: Network, part: Part) -> Score:
-    drive = drive_of(network, jnp.asarray(part.signals), jnp.asarray(part.valid))
+    drive = drive_from_signals(
+        network, jnp.asarray(part.signals), jnp.asarray(part.valid)
+    )
     modes = [score(network, drive, part, jnp.asarray(free)) for free in (False, True)]
     return jax.tree.map(lambda *a: jnp.stack(a), *modes)
 
