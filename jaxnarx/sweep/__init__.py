@@ -11,9 +11,9 @@ from jaxnarx.sweep.analysis import summary as summary
 from jaxnarx.sweep.cases import grid_cases as grid_cases
 from jaxnarx.sweep.cases import random_cases as random_cases
 from jaxnarx.sweep.devices import OverDevices as OverDevices
+from jaxnarx.sweep.drive import describe_progress as describe_progress
 from jaxnarx.sweep.drive import read_sweep as read_sweep
 from jaxnarx.sweep.drive import run_sweep as run_sweep
-from jaxnarx.sweep.drive import so_far as so_far
 from jaxnarx.sweep.folder.run_folder import find_run as find_run
 from jaxnarx.sweep.identify import IdentificationWork as IdentificationWork
 from jaxnarx.sweep.identify import identify_each as identify_each

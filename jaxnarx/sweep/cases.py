@@ -46,7 +46,7 @@ def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]
     return [{path: column[n] for path, column in columns.items()} for n in range(count)]
 
 
-def label_of(method: Identification, path: str) -> str | int | float | bool | None:
+def setting_label(method: Identification, path: str) -> str | int | float | bool | None:
     """A setting as a plain scalar, for a table."""
     value = plain_value(value_at(method, path))
     if value is None and path in ("select", "grow", "refine"):

@@ -253,7 +253,7 @@ def test_work_for_the_run_folder(engines, rows):
 def test_the_program_is_lowered_for_devices_that_are_not_here(engines, platform):
     work = IdentificationWork(fleet_of(engines), METHOD, CASES, lanes=LANES)
     shape = next(iter(work.frames))
-    members = stack_lanes([work.prepared_for(n, 0).member for n in range(LANES)])
+    members = stack_lanes([work.prepare_case(n, 0).member for n in range(LANES)])
     settings = stack_lanes([work.settings[0]] * LANES)
     given = work.frames[shape], members, settings
     arrays, fixed = eqx.partition(given, eqx.is_array)

@@ -57,8 +57,8 @@ def labels(table: SweepTable, names: str | Sequence[str]) -> list[tuple[Any, ...
     """The values of some columns, row by row; lists become tuples."""
     names = [names] if isinstance(names, str) else list(names)
     columns = [table.column(name).tolist() for name in names]
-    return [tuple(map(_fixed, row)) for row in zip(*columns, strict=True)]
+    return [tuple(map(_to_tuple, row)) for row in zip(*columns, strict=True)]
 
 
-def _fixed(value: Any) -> Any:
+def _to_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value

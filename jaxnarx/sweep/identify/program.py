@@ -67,7 +67,7 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     variables = jnp.asarray(member.variables)
     chosen = choose(frame, v, y, weight, variables, settings)
     p = jnp.where(chosen.used[:, None], evaluate(chosen.factor, v), 0.0)
-    rows = GrowthRows(p, _scheduling(member.network, drive), y, weight)
+    rows = GrowthRows(p, _scheduling_values(member.network, drive), y, weight)
     least = jnp.sum(chosen.used)
     divided = divide(frame.shape, rows, least, settings)
     network = _network(member.network, chosen, divided)
@@ -95,7 +95,7 @@ def _drive(member: Member, part: Part) -> RunInputs:
     )
 
 
-def _scheduling(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:
+def _scheduling_values(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:
     """Scaled scheduling variables of all rows."""
     model = network.models[0]
     dims, rows = len(model.offset), drive.measured.size
@@ -124,10 +124,10 @@ def trainable(network: Network) -> Network:
     """Coefficients and partition, whatever the count of active models."""
     tree = jax.tree.map(lambda _: False, network)
 
-    def where(n: Network) -> list:
+    def select_leaves(n: Network) -> list:
         return [n.models[0].local.coefficient, *n.models[0].validity.parameters]
 
-    return eqx.tree_at(where, tree, [True] * len(where(network)))
+    return eqx.tree_at(select_leaves, tree, [True] * len(select_leaves(network)))
 
 
 def _refine(
@@ -205,7 +205,7 @@ def _scores(
         if part is not None:
             parts[name] = part, _drive(member, part)
 
-    def of(part: Part, drive: RunInputs) -> Score:
+    def score_part(part: Part, drive: RunInputs) -> Score:
         def one(turn):
             u, free = turn
             return score(layout.place(u), drive, part, free)
@@ -214,7 +214,7 @@ def _scores(
         found = jax.lax.map(one, turns)
         return jax.tree.map(lambda a: a.reshape(2, 2), found)
 
-    return {name: of(*both) for name, both in parts.items()}
+    return {name: score_part(*both) for name, both in parts.items()}
 
 
 def _status(

@@ -61,7 +61,7 @@ def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
     )
 
 
-def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
+def make_row(pool: Pool, outcome: Outcome, network: Network) -> Row:
     """Plain Python from the arrays of one lane.
 
     A score is the pooled NRMSE, infinite where a record has diverged. `coefficient`

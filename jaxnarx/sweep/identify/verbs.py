@@ -21,7 +21,7 @@ from jaxnarx.simulation import drive_from_signals
 from jaxnarx.solution import NAMES, Solution
 from jaxnarx.sweep.identify.engine_data import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
-from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
+from jaxnarx.sweep.identify.rows import Row, empty_row, make_row
 from jaxnarx.sweep.identify.score import Score, score
 from jaxnarx.sweep.identify.select_step import Chosen
 
@@ -47,7 +47,7 @@ def run_member(
             field="feedback",
         )
     outcome = _outcome(pool, kept, member, fit)
-    return row_of(pool, outcome, fit.value) | {"detail": fit.detail}
+    return make_row(pool, outcome, fit.value) | {"detail": fit.detail}
 
 
 def _outcome(
