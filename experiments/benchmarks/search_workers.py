@@ -120,7 +120,7 @@ def identify(
     wall, spent = time.perf_counter() - begin, _processor() - spent
     board = fit.stats["leaderboard"]
     (output,) = board.outputs
-    rows, chosen = board.of(output), board.chosen(output)
+    rows, chosen = board.of(output), board.choose(output)
     families: dict[str, int] = {}
     for row in rows:
         families[row.family] = families.get(row.family, 0) + 1

@@ -91,7 +91,7 @@ def from_starts(method: Any, train: Any, blocks: Any, spread: float) -> list[Any
     losses = np.full((len(PULLS), len(blocks)), np.nan)
     for g, fold in enumerate(blocks.folds(train, whole=True)):
         try:
-            networks = fit_method(method, blocks.parted(train, g))
+            networks = fit_method(method, blocks.exclude_group(train, g))
         except (JaxnarxError, np.linalg.LinAlgError):
             return [None] * len(PULLS)
         for n, network in enumerate(networks):

@@ -121,7 +121,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     train = open_set.train
     at = method.stages.index((row.get("regions", 1), row["pull"]))
     if train.samples <= rows:
-        data = groups_of(open_set).parted(train)
+        data = groups_of(open_set).exclude_group(train)
     else:
         data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()

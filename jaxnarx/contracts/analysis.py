@@ -9,14 +9,14 @@ import numpy as np
 
 from jaxnarx.contracts.life import plant, pool
 from jaxnarx.evaluation import ANALYSES, Analysis, FreeRun, Section, report
-from jaxnarx.identification import by_method
+from jaxnarx.identification import run_method
 from jaxnarx.models import Network
 from jaxnarx.settings import Identification
 
 
 def _network() -> Network:
     method = Identification(pool=pool(), refine=None)
-    return by_method(plant(), method, None, None).value
+    return run_method(plant(), method, None, None).value
 
 
 def _run() -> FreeRun:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxnarx.contracts.life import lives, plant
 from jaxnarx.data import groups
-from jaxnarx.identification import CandidateFactory, CandidateSearch, by_method
+from jaxnarx.identification import CandidateFactory, CandidateSearch, run_method
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import Identification, Preset
 
@@ -45,7 +45,7 @@ def lives_with_it(candidate: CandidateFactory, folder: Path) -> None:
     """The network of its first method is refined, saved, loaded and exported, or says
     that it cannot be."""
     _, method = next(iter(candidate(plant(), "y")))
-    found = by_method(plant(), method, None, None)
+    found = run_method(plant(), method, None, None)
     assert found.is_okay, found.detail
     lives(found.value, folder)
 

@@ -121,8 +121,8 @@ def relatives_differ_and_run(bed: AbstractEngine, excited: Dataset) -> None:
 def every_varied_parameter_is_moved_alone(
     bed: AbstractEngine, excited: Dataset
 ) -> None:
-    """`perturbed` moves those that `varied` names and no other."""
-    moved = bed.perturbed(jax.random.key(2), 0.1)
+    """`perturb` moves those that `varied` names and no other."""
+    moved = bed.perturb(jax.random.key(2), 0.1)
     pairs = zip(jax.tree.leaves(bed), jax.tree.leaves(moved), strict=True)
     assert sum(bool(a != b) for a, b in pairs) == len(bed.varied)
 

@@ -69,6 +69,7 @@ from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
 from jaxnarx.data.scaling import scaling_unit as scaling_unit
+from jaxnarx.deprecation import find_old
 
 if TYPE_CHECKING:
     from jaxnarx.data.batch import Batch as Batch
@@ -129,9 +130,13 @@ _ON_ARRAYS = ("Batch", "check_precision", "stack_records")
 """Names that are loaded on first use, because they need jax."""
 
 
+_OLD = {"in_units": "convert_units", "shortened": "thin_records"}
+"""Names of version 0.2 by those that have taken their place."""
+
+
 def __getattr__(name: str) -> Any:
     if name not in _ON_ARRAYS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return find_old(__name__, name, _OLD)
     from jaxnarx.data import batch
 
     return getattr(batch, name)

@@ -18,6 +18,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
 from jaxnarx.data.record import Record
 from jaxnarx.data.repeated_cycles import Cycle, cycles
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataError, SpecError
 
 FEWEST_RECORDS = 3
@@ -79,6 +80,8 @@ class Groups:
         its own, and the gaps beside them."""
         return tuple(_held_out_samples(label, g) for label in self.labels)
 
+    left_out = old_method("left_out", "held_out_samples")
+
     def fold(self, data: Dataset, g: int, *, whole: bool = False) -> Fold:
         """Training records without group `g`, and those that judge it.
 
@@ -136,6 +139,8 @@ class Groups:
             _begin_behind(r, o) for r, o in pairs
         ]
         return dataclasses.replace(data, records=tuple(parts))
+
+    parted = old_method("parted", "exclude_group")
 
     def folds(self, data: Dataset, *, whole: bool = False) -> Iterator[Fold]:
         """Every group left out in turn, see `fold`."""

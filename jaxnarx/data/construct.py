@@ -53,8 +53,8 @@ def _records(data: Any, names: list[str], field: str) -> list[np.ndarray]:
     if any(isinstance(d, list | tuple) or np.ndim(d) == 0 for d in data):
         raise SpecError(
             f"{field} is a nested list, which could be rows or records. Give "
-            f"np.asarray({field}) of shape {_expected_shape(names)} for one record, or a "
-            "list of such arrays for several.",
+            f"np.asarray({field}) of shape {_expected_shape(names)} for one record, or "
+            "a list of such arrays for several.",
             field=field,
         )
     return [_matrix(d, names, f"{field}[{i}]") for i, d in enumerate(data)]
@@ -94,8 +94,8 @@ def _floats(data: Any, names: list[str], field: str) -> np.ndarray:
     if x.dtype.kind not in "fiub":
         raise SpecError(
             f"{field} holds {_REFUSED_KINDS.get(x.dtype.kind, str(x.dtype))}, "
-            f"expected real numbers of shape {_expected_shape(names)}. Convert it first, "
-            "with NaN where a sample is missing.",
+            f"expected real numbers of shape {_expected_shape(names)}. Convert it "
+            "first, with NaN where a sample is missing.",
             field=field,
         )
     return x if x.dtype == np.float32 else x.astype(np.float64)

@@ -14,6 +14,7 @@ from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.formatting import align_columns, brief, page, some
 
@@ -54,6 +55,8 @@ class Padded:
             np.pad(self.length, wide[:2]),
             self.names,
         )
+
+    widened = old_method("widened", "widen")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

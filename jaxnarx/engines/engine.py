@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree, ScalarLike
 
 from jaxnarx.data import Channels, Dataset, Record
+from jaxnarx.deprecation import old_method
 from jaxnarx.engines import bench
 
 Engine = TypeVar("Engine", bound="AbstractEngine")
@@ -44,7 +45,7 @@ class AbstractEngine(eqx.Module):
     """
 
     varied: ClassVar[Mapping[str, float]]
-    """How far each parameter moves in `perturbed`, relative to `spread`; parameters of
+    """How far each parameter moves in `perturb`, relative to `spread`; parameters of
     a part have dotted names."""
     channels: ClassVar[Channels]
     """Names and units of the inputs and outputs, in the order of the columns."""
@@ -193,6 +194,8 @@ class AbstractEngine(eqx.Module):
         old = varied_leaves(self)
         new = [p * f.astype(p.dtype) for p, f in zip(old, factors, strict=True)]
         return eqx.tree_at(varied_leaves, self, new)
+
+    perturbed = old_method("perturbed", "perturb")
 
 
 def _part(engine: Any, name: str) -> Any:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxnarx.data import Channel
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation._region_errors import RegionError
@@ -144,6 +145,8 @@ class Report:
             if key == (output, part or self.main, mode, POOLED):
                 return row
         raise SpecError(f"no scores of {output!r}, {part or self.main!r}, {mode!r}")
+
+    pooled = old_method("pooled", "pooled_row")
 
     @property
     def table(self) -> str:

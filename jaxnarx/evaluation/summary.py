@@ -127,7 +127,7 @@ def _worst_record(report: Any) -> str:
         if lost or len(known) < 2:
             continue
         error, record = max(known)
-        pooled = report.pooled(channel.name).rmse
+        pooled = report.pooled_row(channel.name).rmse
         times = error / pooled if pooled else None
         text = f"{channel.name} in {record}: RMSE {number(error, '.3g')}"
         text += _unit(channel.unit)

@@ -77,7 +77,7 @@ def _size(row: Row) -> float:
 
 def rows_beside(report: Any) -> list[tuple[str, list[Row | None]]]:
     """This model and those beside it: (name, pooled free-run row of every output)."""
-    own = [report.pooled(c.name) for c in report.outputs]
+    own = [report.pooled_row(c.name) for c in report.outputs]
     found = {"this model": own, **report.beside}
     return [
         (name, [{r.output: r for r in rows}.get(c.name) for c in report.outputs])

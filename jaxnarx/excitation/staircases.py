@@ -134,7 +134,7 @@ def aprbs(
     `hold_distribution`: "uniform", "geometric" or "log-uniform", see `hold_times`.
     `level_distribution`: "uniform"; "latin", in which each of as many equal strata as
     there are segments is visited once; "arcsine", which visits the ends most, see
-    `drawn_levels`. `levels` instead of `amplitude` gives the levels themselves: all of
+    `draw_levels`. `levels` instead of `amplitude` gives the levels themselves: all of
     them in random order, then all again.
 
     Long holds show gains, short ones dynamics, and the levels visit the whole range,

@@ -3,7 +3,7 @@
 from jaxnarx.exporters._export import TARGETS as TARGETS
 from jaxnarx.exporters._export import Exported as Exported
 from jaxnarx.exporters._export import export as export
-from jaxnarx.exporters._export import golden_of as golden_of
+from jaxnarx.exporters._export import make_golden as make_golden
 from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower

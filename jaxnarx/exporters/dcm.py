@@ -51,12 +51,13 @@ def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
     found = {one.output: one for one in maps}
     for port in program.reported:
         yield ""
+        no_map = f"* no map of {sanitise(port.name)}:"
         if port not in found:
-            yield f"* no map of {sanitise(port.name)}: none of the inputs has been moved"
+            yield f"{no_map} none of the inputs has been moved"
         elif np.all(np.isfinite(found[port].values)):
             yield from _map(names[port], name, found[port])
         else:
-            yield f"* no map of {sanitise(port.name)}: it does not come to rest everywhere"
+            yield f"{no_map} it does not come to rest everywhere"
 
 
 def map_names(program: SampleProgram) -> dict[Port, str]:

@@ -26,6 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.deprecation import old_method
+
 ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
 """Number types that C is written and proven for."""
 
@@ -134,6 +136,8 @@ class SampleProgram:
     def needed_operations(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
         return _needed_values(self.ops, values)
+
+    needed = old_method("needed", "needed_operations")
 
     @property
     def step(self) -> list[Value]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
-from jaxnarx.identification._by_method import by_method
+from jaxnarx.identification._by_method import run_method
 from jaxnarx.linear import fit_states, refit_states
 from jaxnarx.models import Network, hold_to_range, set_ranges
 from jaxnarx.settings import HiddenStates, Identification
@@ -260,7 +260,7 @@ def fit_method(
     some, known = _some(data, rows), data if known is None else known
     if isinstance(method, HiddenStates):
         return _hold_to_range(fit_states(some, method).stats["path"], known)
-    return _hold_to_range([by_method(some, method, None, None).value], known)
+    return _hold_to_range([run_method(some, method, None, None).value], known)
 
 
 def _some(data: Dataset, rows: int | None) -> Dataset:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxnarx.argument_checks import require_fit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.files import cell
 from jaxnarx.formatting import align_columns, page, some
@@ -147,6 +148,8 @@ class Leaderboard:
         near = [r for r in self.of(output) if r.eligible and close(r, best)]
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
+
+    chosen = old_method("chosen", "choose")
 
     def above_best(self, row: Candidate) -> tuple[float, float] | None:
         """The difference of the error to that of the best, and its standard error; None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.argument_checks import is_fit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, guard_reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
 from jaxnarx.identification.leaderboard import LARGEST_FIGURE, Candidate, Leaderboard
@@ -85,6 +86,8 @@ class SearchFolder:
         after.write()
         return after
 
+    added = old_method("added", "add")
+
     def save(self, number: int, network: Network) -> None:
         """Write the model of a candidate."""
         path = self.model_path(number)
@@ -97,6 +100,8 @@ class SearchFolder:
     def is_finished(self, output: int) -> bool:
         """Whether all candidates of an output, by its place, have been tried."""
         return self._mark(output).exists()
+
+    finished = old_method("finished", "is_finished")
 
     def finish(self, output: int) -> None:
         """Say that they have."""

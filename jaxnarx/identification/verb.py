@@ -12,7 +12,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence import attach_domain_and_intervals
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.identification._by_method import Events, by_method
+from jaxnarx.identification._by_method import Events, run_method
 from jaxnarx.identification.search import search
 from jaxnarx.models import Network
 from jaxnarx.settings import PRESETS, Identification
@@ -107,7 +107,7 @@ def identify(
             f"{changed[0]} belongs to a search; with a method there is none",
             field=changed[0],
         )
-    found = by_method(data, method, validation, progress)
+    found = run_method(data, method, validation, progress)
     value = attach_domain_and_intervals(found.value, data, apart=validation)
     return dataclasses.replace(found, value=value)
 

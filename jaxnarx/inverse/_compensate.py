@@ -90,7 +90,7 @@ class _Search:
         loss = np.asarray(evaluate_at(self.guard.loss, start))
         self.log = SearchLog(loss, progress)
         self.search = begin_search(begin_levenberg(start), loss)
-        self.start_tracking = float(evaluate_at(self.guard.tracking, start))
+        self.start_tracking = float(evaluate_at(self.guard.tracking_error, start))
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
         method = self.method
@@ -136,7 +136,7 @@ class _Search:
             network = self.layout.base
         stats = log.stats(status, best.score, self.layout.parameters)
         stats |= {
-            "tracking": float(evaluate_at(self.guard.tracking, u)),
+            "tracking": float(evaluate_at(self.guard.tracking_error, u)),
             "tracking_start": self.start_tracking,
         }
         detail = f"tracking loss {log.start_loss:.4g} -> {loss:.4g}"

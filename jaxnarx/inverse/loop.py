@@ -118,8 +118,8 @@ def _fill_variables(
 ):
     """Both kinds of variables with `values` in physical units put in their places.
 
-    Column k of `values` is lag `first` + k. A network with limits sees them `within`
-    its ranges where they are inputs.
+    Column k of `values` is lag `first` + k. A network with limits holds them to
+    their ranges where they are inputs.
     """
     rows, sources, lags = _columns(places[0])
     if len(rows):

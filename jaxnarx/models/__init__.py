@@ -1,5 +1,8 @@
 """Validity functions, local models and the network that blends them."""
 
+from typing import TYPE_CHECKING
+
+from jaxnarx.deprecation import find_old
 from jaxnarx.models._assemble import OUTPUT_MARGIN as OUTPUT_MARGIN
 from jaxnarx.models._assemble import assemble as assemble
 from jaxnarx.models._assemble import global_model as global_model
@@ -185,3 +188,8 @@ __all__ = [
     "within_margin",
 ]
 """Names for users; other rooms may import every name above."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        return find_old(__name__, name, {"fed_back": "fed_back_variables"})

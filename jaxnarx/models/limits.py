@@ -11,7 +11,7 @@ Outside of them polynomials say anything. What inputs do there is the network's
 - `"nan"`: as `"flag"`, and nothing is reported of such samples: they are not a number.
 
 Inputs are held before anything is computed from them, in runs, training and linearised
-networks alike (`Network.within`). What is reported of an output stays within that
+networks alike (`Network.hold_inputs`). What is reported of an output stays within that
 output's range, widened by the margin m on either side:
 
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
@@ -19,7 +19,7 @@ output's range, widened by the margin m on either side:
 Where inputs are beyond their ranges outputs may be, too: unless inputs are held, the
 overshoot of the inputs in use adds to m. It is the farthest that one of them is beyond
 its own range, as a share of its width, and fades with the network's memory of n samples
-(`memory_of`) once the input is back, as what is left of it in the outputs does:
+(`input_memory`) once the input is back, as what is left of it in the outputs does:
 
     overshoot(t) = max(beyond(t), exp(-1/n) overshoot(t-1)) .
 
@@ -153,7 +153,8 @@ def overshoot(
     network: Network, inputs: Float[Array, "time inputs"], rate: Any
 ) -> Float[Array, " time"]:
     """The distance by which an input in use has been beyond its range, in widths of
-    that range, fading at the `rate` of the network's memory (`fading`). Can be traced.
+    that range, fading at the `rate` of the network's memory (`overshoot_decay`). Can be
+    traced.
     """
     beyond = beyond_range(network, inputs)
 
@@ -211,7 +212,7 @@ def within_margin(
 
 
 def held_inputs(network: Network, batch: Batch) -> Batch:
-    """The records as the network sees them, on the host: see `Network.within`."""
+    """The records as the network sees them, on the host: see `Network.hold_inputs`."""
     if network.plain:
         return batch
     signals = hold_signals(network, np.asarray(batch.signals))
@@ -221,7 +222,7 @@ def held_inputs(network: Network, batch: Batch) -> Batch:
 def hold_signals(
     network: Network, signals: Float[np.ndarray, "*rows signals"]
 ) -> Float[np.ndarray, "*rows signals"]:
-    """Hold inputs to their trained ranges on the host, see `Network.within`."""
+    """Hold inputs to their trained ranges on the host, see `Network.hold_inputs`."""
     if network.plain:
         return signals
     signals, inputs = np.array(signals), len(network.channels.inputs)

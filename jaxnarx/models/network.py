@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from jaxnarx.arrays import twin
 from jaxnarx.checks import whole
 from jaxnarx.data import Channel, Channels, number_channels
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import count, page
 from jaxnarx.models.domain import Domain
@@ -343,6 +344,8 @@ class Network(eqx.Module):
         # Not jnp.clip: its slope at the edge, where a constant input always is, is 1/2.
         return jnp.where(values < low, low, jnp.where(values > high, high, values))
 
+    within = old_method("within", "hold_inputs")
+
     def columns(
         self,
         signals: Float[Array, "time signals"],
@@ -351,7 +354,7 @@ class Network(eqx.Module):
         """Lagged variables of one record, known before the run, at every sample.
 
         The scaled ones of the terms behind a leading one, and per output those of the
-        scheduling in physical units, of inputs held `within` their ranges. A network
+        scheduling in physical units, of inputs held to their ranges. A network
         that goes on to first order (`outside`) has another row for every variable
         behind them: how far it is beyond what is held. Filters
         begin at rest at the first valid sample (without `valid`: the first); see

@@ -1,5 +1,8 @@
 """How the operating space is divided among local models."""
 
+from typing import TYPE_CHECKING
+
+from jaxnarx.deprecation import find_old
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
@@ -36,3 +39,8 @@ __all__ = [
     "validity_of_boxes",
     "validity_of_stage",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        return find_old(__name__, name, {"scattered": "scatter_partition"})

@@ -87,8 +87,8 @@ def select(
     those about its mean.
 
     `Anova` keeps all terms whose variables lie in a significant effect. It narrows a
-    pool: choose further from `value.narrowed()`. `SimulationOLS` takes one output and
-    no weights; its selection holds the one-step coefficients.
+    pool: choose further from `value.narrow_pool()`. `SimulationOLS` takes one output
+    and no weights; its selection holds the one-step coefficients.
 
     Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
     when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,

@@ -224,7 +224,7 @@ def _prepare_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
 
 @program
 def _drive_each(network: Network, signals: Array, valid: Array) -> RunInputs:
-    """`drive_of` every member, by its own network where these are stacked."""
+    """`drive_from_signals` every member, by its own network where these are stacked."""
     own = 0 if jnp.ndim(network.sample_time) else None
     return eqx.filter_vmap(drive_from_signals, in_axes=(own, 0, 0))(
         network, signals, valid

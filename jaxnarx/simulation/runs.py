@@ -41,8 +41,8 @@ class RunInputs(eqx.Module):
 def make_drive(network: Network, batch: Batch) -> RunInputs:
     """Lagged and scheduling variables of every record, computed on the host.
 
-    `drive_of` is the same inside of a program; here other lags, terms or regions
-    compile nothing.
+    `drive_from_signals` is the same inside of a program; here other lags, terms or
+    regions compile nothing.
     """
     given, valid = np.asarray(batch.signals), np.asarray(batch.valid)
     if network.hidden:

@@ -1,6 +1,9 @@
 """Many engines, settings or starts at once: resumable, on several processes."""
 
+from typing import TYPE_CHECKING
+
 from jaxnarx.data import Fleet as Fleet
+from jaxnarx.deprecation import find_old
 from jaxnarx.sweep.analysis import Comparison as Comparison
 from jaxnarx.sweep.analysis import Interval as Interval
 from jaxnarx.sweep.analysis import SweepTable as SweepTable
@@ -21,3 +24,8 @@ from jaxnarx.sweep.identify import network_of as network_of
 from jaxnarx.sweep.identify import score_names as score_names
 from jaxnarx.sweep.progress import Progress as Progress
 from jaxnarx.sweep.work import Work as Work
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        return find_old(__name__, name, {"so_far": "describe_progress"})

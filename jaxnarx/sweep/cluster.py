@@ -67,8 +67,8 @@ def _explain_silence(run: RunFolder, client: Client) -> Iterator[None]:
             raise
         raise JaxnarxError(
             f"{run.path}: the dask scheduler does not answer any more, with "
-            f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. Start another and "
-            "make a client of it: the same call goes on where it stopped."
+            f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. Start "
+            "another and make a client of it: the same call goes on where it stopped."
         ) from error
 
 

@@ -57,9 +57,9 @@ def compute_in_processes(
         except NoWorkerError as error:
             raise JaxnarxError(
                 f"{run.path}: the processes ended and no others could be started, with "
-                f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. That is often "
-                "the system's answer to too little memory: use fewer workers. The same "
-                "command continues."
+                f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. That is "
+                "often the system's answer to too little memory: use fewer workers. "
+                "The same command continues."
             ) from error
         lost = len(crew - set(worker_threads(client)))
     return [f"{lost} of {len(crew)} processes were lost", *notes] if lost else notes

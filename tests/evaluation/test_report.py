@@ -116,11 +116,11 @@ def test_pooled_rows_are_the_metrics_of_the_concatenation():
 
 
 def test_divergence_is_a_status_never_a_number(full):
-    row = full.pooled("NOx")
+    row = full.pooled_row("NOx")
     assert row.status == "diverged (1 of 3)" and row.nrmse is None
     assert row.others is not None and row.others["nrmse"] > 0
     assert row.limited == 77
-    assert full.pooled("NOx", mode="one step").status == "ok"
+    assert full.pooled_row("NOx", mode="one step").status == "ok"
     assert "diverged (1 of 3)" in full.table and "nan" not in full.table.lower()
     note = next(n for n in full.notes if "diverged" in n)
     assert "r31" in note and "The others alone: RMSE" in note

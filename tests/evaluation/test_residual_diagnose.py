@@ -142,7 +142,7 @@ def test_leverage_is_the_diagonal_of_the_hat_matrix(found, dense, data):
 
 
 def test_a_missing_square_is_found(found):
-    assert "squared input, b" in found.found(0.05)
+    assert "squared input, b" in found.failed_tests(0.05)
     # 0.3 b^2 has variance 2 * 0.09, the noise 0.04: the square explains most.
     assert found.strong(0.05)[0] in ("squared input, b", "means over b[t-1]")
     assert found.effects["squared input, b"] > 0.5

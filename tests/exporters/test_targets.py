@@ -21,7 +21,7 @@ import jaxnarx as jnx
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import ExportError, Instance, export, lower, proof, runners
-from jaxnarx.exporters._export import TARGETS, golden_of
+from jaxnarx.exporters._export import TARGETS, make_golden
 from jaxnarx.exporters.maps import choose_axes
 from jaxnarx.exporters.proof import Case, make_cases
 from jaxnarx.exporters.runners import c_runner
@@ -145,7 +145,9 @@ def written(net, to: str = "c") -> dict[str, str | bytes]:
     network: a number type of C is not left out."""
     program, u = lower(net, "m"), common.signals(40)[:, :2]
     y = np.zeros((program.history + 1, len(program.computed)))
-    golden = golden_of(program, Case(u, y, u, 0)) | {"axes": choose_axes(net, program)}
+    golden = make_golden(program, Case(u, y, u, 0)) | {
+        "axes": choose_axes(net, program)
+    }
     return TARGETS[to].write(program, golden)
 
 

@@ -31,8 +31,9 @@ class ToTime(AbstractStep, AbstractLossy):
 
     At the speed N [rpm] of the channel `speed` an event of D degrees lasts D / (6 N)
     seconds; from one sample to the next the mean of both durations passes. Records that
-    ran faster become shorter. Filter, interpolation and masks as in `resample.on_grid`.
-    Speed must be positive: put this step before offset removal and scaling.
+    ran faster become shorter. Filter, interpolation and masks as in
+    `resample.interpolate_on_grid`. Speed must be positive: put this step before offset
+    removal and scaling.
     """
 
     irreversible: ClassVar[str] = (

@@ -17,6 +17,7 @@ from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.data.units import same_unit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 
@@ -64,6 +65,8 @@ class Changes:
             for name, n in change.masked.items():
                 out[name] = out.get(name, 0) + n
         return out
+
+    masked = old_method("masked", "count_masked")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types for JSON."""
@@ -181,6 +184,8 @@ class Preparation:
         return Preparation(
             (*first.steps, *self.steps), first.channels, first.sample_time, self.report
         )
+
+    after = old_method("after", "prepend")
 
     @property
     def needs(self) -> tuple[str, ...]:

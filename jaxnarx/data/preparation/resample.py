@@ -135,8 +135,8 @@ def sinc(edge: float, half: int) -> Float[np.ndarray, " taps"]:
 class Resample(AbstractStep, AbstractLossy):
     """All channels at another `sample_time` [s], from each record's first sample on.
 
-    Longer steps come with an anti-aliasing filter, shorter ones with interpolation;
-    see `on_grid` for both and for what becomes of masked samples. Inputs that
+    Longer steps come with an anti-aliasing filter, shorter ones with interpolation; see
+    `interpolate_on_grid` for both and for what becomes of masked samples. Inputs that
     move in steps ring where they are filtered, by a tenth of the step at most.
     """
 
@@ -166,8 +166,8 @@ class Resample(AbstractStep, AbstractLossy):
 class Decimate(AbstractStep, AbstractLossy):
     """Every `factor`-th sample after an anti-aliasing filter without phase.
 
-    The filter and the rule for masked samples are those of `on_grid`. A record
-    with fewer than 10 samples left is a DataError.
+    The filter and the rule for masked samples are those of `interpolate_on_grid`. A
+    record with fewer than 10 samples left is a DataError.
     """
 
     irreversible: ClassVar[str] = (

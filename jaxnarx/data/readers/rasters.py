@@ -6,7 +6,7 @@ ends where the first one ends. Onto it come
 - labels, whole numbers of few levels and flags (`Signal.steps`): held, never between
   two of their values;
 - channels that are sampled more often: through the anti-aliasing filter of
-  `preparation.resample.on_grid`;
+  `preparation.resample.interpolate_on_grid`;
 - channels that are sampled less often: by the monotone interpolation of the same.
 
 Samples that the file calls invalid stay invalid, and so is what lies in a gap of a

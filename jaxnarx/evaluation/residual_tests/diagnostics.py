@@ -230,7 +230,7 @@ def _block(one: OutputDiagnostics, level: float) -> str:
 
 
 def _coefficients(one: OutputDiagnostics) -> list[str]:
-    # Inside the function: see `err_of`.
+    # Inside the function: see `error_reduction`.
     from jaxnarx.selection import coefficient_lines
 
     lines = []

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Channel, Dataset, scaling_unit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
 from jaxnarx.evaluation.residual_tests.correlations import remove_mean
@@ -50,6 +51,8 @@ class FreeRunResiduals:
                 break
             names.append(test.signal)
         return names
+
+    found = old_method("found", "significant_inputs")
 
     def __str__(self) -> str:
         rows = [("input", "p", "largest share", "at lag")]

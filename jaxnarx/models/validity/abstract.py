@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import bucket
+from jaxnarx.deprecation import old_method
 
 CENTRE_ROOM = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""
@@ -73,6 +74,8 @@ class AbstractValidity(eqx.Module):
     def replace_parameters(self, values: Sequence[Array]) -> "AbstractValidity":
         """The same with these values of the trained fields."""
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
+
+    replaced = old_method("replaced", "replace_parameters")
 
 
 MOST_MODELS = 1024

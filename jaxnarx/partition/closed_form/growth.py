@@ -169,7 +169,7 @@ def grow_regions(
             break
         _, n, gate, block = min(tried, key=lambda one: one[0])
         leaf = last.leaves[n]
-        upper, lower = leaf.halved(gate)
+        upper, lower = leaf.halve(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
         stage = choose_size(

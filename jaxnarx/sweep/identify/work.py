@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_fields
 from jaxnarx.data import Fleet
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import joint_pool
 from jaxnarx.models import Network
@@ -164,6 +165,8 @@ class IdentificationWork:
         """One engine's records for a case."""
         return self.prepared(engine, _scheduling_names(self.methods[case]))
 
+    prepared_for = old_method("prepared_for", "prepare_case")
+
     def describe(self) -> dict[str, Any]:
         """Settings, cases, and digests of the data and the pool."""
         pool = self.pool
@@ -180,7 +183,8 @@ class IdentificationWork:
         }
 
     def run(self, indices: Sequence[int]) -> list[Row]:
-        """One row per index, see `row_of`; engines that cannot be used are rows too."""
+        """One row per index, see `make_row`; engines that cannot be used are rows
+        too."""
         pairs = [divmod(int(n), len(self.cases)) for n in indices]
         rows: dict[int, Row] = {}
         groups: dict[Shape, list[int]] = {}

@@ -59,7 +59,7 @@ def test_derivatives_of_the_run_are_those_of_differences(some):
 
 
 def test_a_step_is_that_of_least_squares_on_everything(some):
-    theta = some.equations.without(None).solve(RIDGE)
+    theta = some.equations.exclude_group(None).solve(RIDGE)
     moves = derivatives(some, theta, [])
     jacobian = np.concatenate(
         [np.concatenate([c, m]) for c, m in zip(some.rows(), moves, strict=True)],
@@ -117,7 +117,7 @@ STARTS = (
 @pytest.mark.parametrize("start", STARTS, ids=lambda a: f"{a[1:]}")
 @pytest.mark.parametrize(("ridge", "gates"), [(RIDGE, False), (1e-2, True)])
 def test_tuning_never_raises_the_loss(some, start, ridge, gates):
-    begun = some.moved(start)
+    begun = some.move(start)
     before = mean_square(begun, ridge)
     for steps in (0, 1, 8):
         after, told = move_feedback_and_gates(begun, ridge, steps=steps, gates=gates)

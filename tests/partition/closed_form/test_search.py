@@ -60,7 +60,7 @@ def test_errors_are_those_of_the_groups(found):
         np.testing.assert_allclose(one.groups() ** 2, one.losses())
         total = np.sqrt(np.average(one.losses(), weights=count))
         np.testing.assert_allclose(one.free_run, total)
-        assert one.diverged() == 0 and np.isfinite(one.one_step())
+        assert one.count_diverged() == 0 and np.isfinite(one.one_step())
 
 
 def test_the_mean_of_the_others_errs_by_about_one(found):
