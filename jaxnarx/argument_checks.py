@@ -31,7 +31,7 @@ PLAIN = ("builtins", "numpy", "pathlib", "jaxlib", "jax")
 def guard_arguments(verb: F) -> F:
     """`verb`, which refuses with a `SpecError` what its annotations do not allow.
 
-    Held to them are arguments that take objects of this package, alone or in lists and
+    It checks arguments that take objects of this package, alone or in lists and
     dictionaries, paths, and single numbers. A method of a class of the user's own
     passes: the verb says what it needs of it.
     """

@@ -19,7 +19,8 @@ def old_method(old: str, new: str) -> Callable[..., Any]:
 
 
 def find_old(room: str, name: str, names: Mapping[str, str]) -> Any:
-    """What a room offers under another name now; `names` are the new names by the old.
+    """Return the value that a room offers under another name now; `names` are the new
+    names by the old.
 
     For the `__getattr__` of the room: AttributeError where `name` is no old name.
     """

@@ -1,4 +1,4 @@
-"""What other packages may add, by name: a registry for every kind.
+"""Registries of what other packages add, by name: one for every kind.
 
 Each kind has its registry in the room it belongs to: `jaxnarx.models.VALIDITIES`,
 `jaxnarx.settings.SELECTORS` and `PARTITIONS`, `jaxnarx.identification.CANDIDATES`,

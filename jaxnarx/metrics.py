@@ -12,8 +12,8 @@ Edges, the same everywhere. *No* counted sample gives the worst value (`inf`, or
 where larger is better), never NaN: an error that was not measured is not a small one. A
 counted prediction that is not finite gives the worst value as well. A *constant* output
 has no spread to compare with: a zero error gives the perfect value, any other error the
-worst. What `mask` leaves out has no influence, finite or not. Squares are taken of
-scaled values, so magnitudes up to 1e150 neither overflow nor vanish.
+worst. Samples that `mask` leaves out have no influence, finite or not. Squares are
+taken of scaled values, so magnitudes up to 1e150 neither overflow nor vanish.
 
 Reference: Z. Li 2012, (4.43), (4.44), (6.8).
 """

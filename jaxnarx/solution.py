@@ -1,4 +1,4 @@
-"""What every verb returns, and the one table of statuses."""
+"""The result of every verb, and the one table of statuses."""
 
 import dataclasses
 import functools
@@ -20,7 +20,7 @@ SINGLE = (
     "computed in float32, so that normal equations keep three to four digits; for more "
     "give float64 data and switch jax_enable_x64 on"
 )
-"""What verbs that estimate say of data in single precision."""
+"""Note of verbs that estimate on data in single precision."""
 
 
 class RESULTS(eqx.Enumeration):

@@ -34,7 +34,7 @@ WIDTH_MULTIPLE = 16
 
 FORMING_COST, PACKING_COST, PRODUCT_COST = 16, 24, 100
 """Cost per sample of forming a left row, of packing a right row for one matrix product,
-and of a matrix product, counted in multiplications inside one. Measured."""
+and of a matrix product, counted in multiplications inside one. Found by measurement."""
 
 Range = tuple[int, int]
 

@@ -71,8 +71,8 @@ class AbstractProblem(eqx.Module):
     def linear(self, u: Float[Array, " params"]) -> Linear:
         """The loss and its normal equations: a run and its sensitivities.
 
-        Of the point `u`, or of one with entries in their best place that the method
-        does not step in: those without information.
+        They are those of the point `u`, or of `u` with the entries without information,
+        in which the method does not step, at their best place.
         """
 
     @abc.abstractmethod

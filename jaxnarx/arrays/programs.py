@@ -20,7 +20,7 @@ MEMORY_MAP_FILES, MOST_MAPS = (
 """Memory maps of this process and how many it may have, where the system tells; every
 compiled program has about ten, and the compiler ends the process when none is left."""
 MAX_MAP_SHARE = 0.6
-"""Of them that may be in use."""
+"""Share of the memory maps that may be in use."""
 PROGRAMS_BETWEEN_CHECKS = 50
 """New programs between looks at their number."""
 _made = itertools.count(1)
@@ -45,8 +45,8 @@ def bind(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...,
     """The program of a function with its first arguments given, as `program` takes
     them; the others are arrays, or trees of them.
 
-    What is static is looked at once, not in every call: that costs as much as a run of
-    a few hundred samples.
+    Static arguments are examined once, not in every call: that costs as much as a run
+    of a few hundred samples.
     """
     named = {k: strip_names(a) for k, a in kwargs.items()}
     leaves, tree = jax.tree.flatten((tuple(strip_names(a) for a in args), named))

@@ -220,8 +220,8 @@ def pseudo_inverse(
 
     Columns of J are brought to unit length first, so that units do not matter. Beside
     it the share of each parameter in the undetermined directions, 0 to 1, and the
-    condition of the scaled J over the determined ones. What is not finite counts as
-    undetermined altogether.
+    condition of the scaled J over the determined ones. A parameter whose numbers are
+    not finite counts as undetermined altogether.
     """
     params = gram.shape[0]
     if not np.all(np.isfinite(gram)):

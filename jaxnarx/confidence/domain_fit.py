@@ -26,7 +26,7 @@ RUN_SAMPLES = 20_000
 POOL_SAMPLES = 20_000
 """Samples that points are chosen from."""
 MEMORY_CUTS = (0.25, 0.5, 0.75)
-"""Where in a record inputs become what they were, to see how long a run remembers."""
+"""Places in a record where inputs change back, to see how long a run remembers."""
 LEAST_SPREAD_SHARE = 1e-9
 """Spread of a feature, as a share of its size, below which it has not moved."""
 
@@ -63,8 +63,9 @@ def fit_domain(
     Args:
         network: The model.
         data: The records that it was trained on.
-        groups: What is left out together when the borders are set
-            (`jaxnarx.data.groups`); default as the records say, else found.
+        groups: Groups of records that are held out together when the borders are set
+            (`jaxnarx.data.groups`); by default those that the records state, else
+            detected ones.
         points: Most stored points.
 
     Returns:

@@ -15,7 +15,7 @@ from jaxnarx.models import GROWTH_EXPONENT, STORED_PROBABILITIES, ErrorModel, Ne
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
 KNOTS_PER_VARIABLE = 6
-"""Of every variable, at quantiles of the records."""
+"""Knots of every variable, at quantiles of the records."""
 LEAST_ERROR_SHARE = 0.05
 """Errors below this share of their root mean square count as that."""
 RIDGES_TRIED = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
@@ -47,8 +47,8 @@ def fit_error_model(
         network: A network with a domain.
         data: Records that took no part in its training. Or those of the training, with
             `left_out`.
-        groups: What belongs together in `data` (`jaxnarx.data.groups`); default as the
-            records say, else found.
+        groups: Groups of records of `data` (`jaxnarx.data.groups`); by default those
+            that the records state, else detected ones.
         left_out: Free-run RMSE, in the output's unit, of every group by a model made
             without it, as a search has found it: errors of the training are that many
             times larger in use. NaN where it is not known.

@@ -1,4 +1,4 @@
-"""What a free run says about the parameters: their information, and variances by it.
+"""Information that a free run has about the parameters, and their variances.
 
 With S_t the derivative of the outputs y_t by the network's own parameters and H_t that
 by the measured samples the run started from, both obey the recursion of
@@ -88,7 +88,7 @@ def sums(
 ) -> Sums:
     """Everything about the parameters that their covariance needs, in one pass.
 
-    Of `layout` only the choice of parameters counts, not their limits: covariances of a
+    Only the choice of parameters in `layout` counts, not their limits: covariances of a
     parameter are those of its free neighbourhood.
     """
     y = states(network, drive, anchor)

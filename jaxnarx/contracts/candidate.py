@@ -13,8 +13,8 @@ QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, line
 
 
 def names_methods(candidate: CandidateFactory) -> None:
-    """Of data and an output it makes names, each once, and methods that end with a
-    model of this output."""
+    """It makes names, each once, and methods of data and an output; each method ends
+    with a model of this output."""
     found = list(candidate(plant(), "y"))
     assert found, "it has no candidate for two inputs and one output"
     names = [name for name, _ in found]

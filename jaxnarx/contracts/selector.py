@@ -47,7 +47,7 @@ def says_the_same_twice(selector: Selector) -> None:
 
 
 def does_not_look_at_samples_without_weight(selector: Selector) -> None:
-    """What stands where the weight is zero changes nothing."""
+    """Values of samples whose weight is zero change nothing."""
     columns, output, weight = _problem()
     weight[::3] = 0.0
     first = np.asarray(selector(columns, output, weight))

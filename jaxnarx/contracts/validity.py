@@ -23,7 +23,7 @@ _weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
     """Weights are not negative and sum to one, in the range and far beyond it.
 
-    What `is_convex` claims is tried by this.
+    This is the property that `is_convex` claims.
     """
     models = count_models(validity, dims)
     for distance in (1.0, 1e3, 1e100):

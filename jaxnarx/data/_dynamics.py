@@ -26,7 +26,7 @@ LONGEST_DEAD_TIME = 500
 _CLEAR_DEVIATIONS = 6.0
 """Standard deviations of chance above which an answer is believed.
 
-Of 288 pairs of independent records, random walks among them, one exceeded 6; answers
+One of 288 pairs of independent records, random walks among them, exceeded 6; answers
 that explain a tenth of the variance of 4,000 rows have 16 and more.
 """
 

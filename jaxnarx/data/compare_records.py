@@ -2,8 +2,9 @@
 
 A record may visit another operating range than its fellows; then its channels move
 less, or more, together. Where one channel alone is another size than the other channels
-of its record say, its unit is another. What they say is a linear regression on all
-other channels, fitted without the record to averages over blocks of time.
+of its record say, its unit is another. The expected values come from a linear
+regression on all other channels, fitted without the record to averages over blocks of
+time.
 """
 
 import dataclasses
@@ -41,7 +42,7 @@ MAX_REST_SHARE = 0.5
 RANGE_FACTOR = 5.0
 """Factor between ranges that is noted although the other channels do not tell."""
 REGRESSION_RIDGE = 1e-6
-"""Of the regressions, as a share of the variance of each channel."""
+"""Ridge of the regressions, as a share of the variance of each channel."""
 ZERO_CELSIUS_IN_KELVIN = 273.15
 UNIT_TOLERANCE = 0.15
 """Relative distance from which a factor is told to be that of two units."""
@@ -196,7 +197,7 @@ def _worst(blocks: Blocks, units: list[str]) -> Suspicion | None:
 class _Beside:
     """One record beside what regressions on the others say of each channel.
 
-    Of arrays by channel: `says` is the level that they say, `spread` and `said` the
+    Arrays by channel: `says` is the level that they say, `spread` and `said` the
     standard deviations of the channel and of what they say, `both` their covariance,
     `rest` the standard deviation that the regression leaves in the others, `follows`
     its correlation there.

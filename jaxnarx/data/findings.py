@@ -1,4 +1,4 @@
-"""What a look at the data turned up: values that read well and survive as JSON."""
+"""Findings of a check of the data: values that read well and survive as JSON."""
 
 import dataclasses
 from collections.abc import Iterator

@@ -31,9 +31,9 @@ class Piece:
 def pieces(data: Dataset, *, every: int = 1) -> list[Piece]:
     """All rows of `data`, or pieces evenly spread over them where there are many.
 
-    Of every `every` rows the mean. Every channel is freed of its mean over all pieces
-    and divided by its standard deviation, so that no offset and no unit matters; a
-    constant channel is zero.
+    A row is the mean of `every` rows. Every channel is freed of its mean over all
+    pieces and divided by its standard deviation, so that no offset and no unit matters;
+    a constant channel is zero.
     """
     spans = [(r, 0, len(r)) for r in data if len(r)]
     if data.samples > _ANALYSED_ROWS * every:

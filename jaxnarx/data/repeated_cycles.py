@@ -1,9 +1,9 @@
 """Records that repeat each other's inputs: one test cycle, driven more than once.
 
 Two records repeat each other where their inputs agree in course and in level, perhaps
-with a small shift in time, as far as the shorter one goes. What is compared is the
-concordance of Lin (1989) over all inputs, each in units of its standard deviation over
-all records:
+with a small shift in time, as far as the shorter one goes. The measure of likeness is
+the concordance of Lin (1989) over all inputs, each in units of its standard deviation
+over all records:
 
     likeness = 2 sum cov(a, b) / sum (var a + var b + (mean a - mean b)^2)
 

@@ -26,7 +26,7 @@ DIVIDED_SAMPLES = 200
 TRAINING_SHARE, PAUSE_SHARE = 0.7, 0.05
 """Shares of it: what trains, and what lies between that and what tests."""
 _PART_WORDS = {"train": "train|est(?![a-z])", "validate": "val", "test": "test"}
-"""What names say records are for."""
+"""Words in names that state a record's purpose."""
 
 Looked = Sequence[tuple[Mapping[str, Float[np.ndarray, " rows"]], Mapping[str, str]]]
 """Samples by channel, and why others have none, of every record."""

@@ -1,4 +1,4 @@
-"""What an information matrix is worth: the criteria D, A and G."""
+"""The criteria D, A and G of an information matrix."""
 
 from typing import NamedTuple
 

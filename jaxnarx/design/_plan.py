@@ -108,7 +108,7 @@ def plan(
         hold: Shortest and longest time that an input keeps a level [s]; default half
             and four times the network's memory, which may be far from that of parts of
             the engine that it has not seen at work.
-        seed: Of the random stretches.
+        seed: Seed of the random stretches.
 
     Returns:
         `value` is the `TestPlan`. `stats`: `information` gained, and `random`, what

@@ -1,4 +1,4 @@
-"""What a network shows of a test before it is run: outputs, index, information.
+"""A network's view of a test before it is run: outputs, index, information.
 
 The information of a test is twofold. About the coefficients: derivatives of the free
 run along the directions of the coefficients that it follows most over the allowed

@@ -61,8 +61,8 @@ class Diesel(AbstractEngine):
     Inputs: fuel u_d [mg per cylinder and cycle], EGR valve u_e [%, 0 shut], VGT u_v
     [%, 100 open], engine speed N [rpm].
 
-    The bed samples plain time, every `interval` seconds. What depends on fuel and speed
-    without delay, such as torque, is measured before the new inputs act.
+    The bed samples plain time, every `interval` seconds. Quantities that depend on fuel
+    and speed without delay, such as torque, are measured before the new inputs act.
 
     Air flow answers the VGT with either sign: closing from 75 % raises W_c, closing
     from 30 % lowers it. All values are published [P] unless tagged [O], our own choice.

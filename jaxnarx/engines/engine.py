@@ -1,4 +1,5 @@
-"""What every virtual engine offers: event-sampled records, steady states, limits."""
+"""The interface of every virtual engine: event-sampled records, steady states,
+limits."""
 
 import abc
 import functools
@@ -52,7 +53,7 @@ class AbstractEngine(eqx.Module):
     ranges: ClassVar[Borders]
     """Usual range of each input, in its unit; for excitation, not enforced."""
     domain: ClassVar[Borders]
-    """Where the model holds, by input; `simulate` refuses what is outside."""
+    """Range in which the model holds, by input; `simulate` refuses what is outside."""
     limits: ClassVar[Borders]
     """Outputs outside these bounds end a run: the engine has stalled, or worse."""
     noise: ClassVar[Mapping[str, bench.Noise]]

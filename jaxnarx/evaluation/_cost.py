@@ -125,13 +125,13 @@ COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
 def cost(network: Network) -> Cost:
     """Operations a control unit does at one sample, output by output and in total.
 
-    Counted are those of the exported form (`jaxnarx.exporters.lower`), without the
-    domain index and intervals: what every target computes, products of variables that
-    local models have in common formed once. Their purpose is that of whoever needs them
-    first: the terms of the local models, the weights of these with the scaling of the
-    scheduling, the blend, filters, and the frame of scales, limits and flags around
-    them. The cost of one output holds what it alone would take; in the total what
-    outputs have in common counts once.
+    The counts are those of the exported form (`jaxnarx.exporters.lower`), without the
+    domain index and intervals: the operations that every target computes, products of
+    variables that local models have in common formed once. Their purpose is that of
+    whoever needs them first: the terms of the local models, the weights of these with
+    the scaling of the scheduling, the blend, filters, and the frame of scales, limits
+    and flags around them. The cost of one output holds what it alone would take; in the
+    total what outputs have in common counts once.
 
     Args:
         network: The model. `SpecError` where its validity function cannot be exported.

@@ -1,4 +1,4 @@
-"""Where in the operating range the free run errs: its error over two variables."""
+"""Error map of the free run: its error over two variables."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What a report holds: one-step, k-step and free-run figures of a network, and where
+"""The value of a report: one-step, k-step and free-run figures of a network, and where
 it can be trusted."""
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Where the outputs rest under constant inputs: along one input, and over two."""
+"""Steady states of the outputs under constant inputs: along one input, and over two."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -98,9 +98,9 @@ def steady_states(
     """Find where the free run comes to rest when the inputs are constant.
 
     Every point is a run of its own that begins at the outputs `start` and goes on until
-    the output has settled: less than 1/1000 of its trained range is left to go. What is
-    found is what the model does; where several rests are possible, that reached from
-    `start`.
+    the output has settled: less than 1/1000 of its trained range is left to go. The
+    result is the model's behaviour, not the engine's; of several possible states of
+    rest it is the one reached from `start`.
 
     Args:
         network: The model.
@@ -341,8 +341,8 @@ def _rest(
 ) -> tuple[Float[np.ndarray, "points outputs"], Bool[np.ndarray, "points outputs"]]:
     """The last value of every run, and whether it has settled there.
 
-    What is left to go follows from the last two tenths of the run, as of a geometric
-    series: a slow approach moves little and has far to go.
+    The remaining distance follows from the last two tenths of the run, as for a
+    geometric series: a slow approach moves little and has far to go.
     """
     span = np.asarray(network.high - network.low, float)[np.array(network.signals)]
     span = span[: len(network.modelled)]

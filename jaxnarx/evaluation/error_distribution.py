@@ -11,7 +11,7 @@ from jaxnarx.evaluation.table import number
 from jaxnarx.formatting import page
 
 POINTS = 201
-"""Of the cumulated curve."""
+"""Points of the cumulated curve."""
 MOST = 0.95
 """Share of the samples whose error is told beside the largest."""
 

@@ -63,8 +63,8 @@ def local_behaviour(
     Each is taken alone (its validity one) at measured samples where its validity is the
     largest; `points` of `data` in all, evenly spaced. `output` defaults to the first,
     `over` to the scheduling variables; a model without any needs it, such as
-    `over=["speed[t]"]`. A model that leads nowhere has no points. What other outputs
-    feed into a local model counts as an input.
+    `over=["speed[t]"]`. A model that leads nowhere has no points. Other outputs that
+    feed into a local model count as inputs.
     """
     network.require_measured("The behaviour of local models")
     o = _position(network, output)

@@ -1,4 +1,4 @@
-"""What a reader of the scores must know beside them, in plain sentences."""
+"""Remarks that a reader of the scores needs, in plain sentences."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -253,7 +253,7 @@ TOTALS = 4
 
 
 def verdict_remarks(report: Any) -> Iterator[str]:
-    """What to look at in a report, and what says nothing against the model."""
+    """Remarks of a report that change no verdict."""
     yield from _wide_intervals(report)
     yield from _gains(report)
     yield from _totals(report)

@@ -25,8 +25,8 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
   that were left out there, or no better than the mean in one group of them;
 - has prediction intervals that hold less than they claim, beyond chance over records.
 
-Else it is **good**. What a user should look at and what changes no verdict is a
-**remark**: prediction intervals that hold more than they claim and are about three
+Else it is **good**. A finding that changes no verdict, but that a user should look at,
+is a **remark**: prediction intervals that hold more than they claim and are about three
 times as wide as the error; steady-state gains that change sign over the data, or jump;
 the errors of cycle totals. Tests of residuals take no part: with many samples they find
 fault with any model, see `Diagnostics`.

@@ -1,4 +1,4 @@
-"""What a reader wants first: may the model be used, where, why, and what comes next."""
+"""The summary of a report: may the model be used, where, why, and what comes next."""
 
 import dataclasses
 import textwrap
@@ -21,7 +21,7 @@ USE = {
     "do not matter there.",
     UNUSABLE: "do not rely on its free run.",
 }
-"""What a verdict means for use."""
+"""Meaning of a verdict for use."""
 CHANNELS = 8
 """Inputs whose ranges are told."""
 CAUSES = 4
@@ -39,7 +39,7 @@ class Summary:
     more: int
     """Reasons that are not told."""
     also: tuple[str, ...]
-    """What to look at, whatever the verdict."""
+    """Points to look at, whatever the verdict."""
     helps: str
     worst_record: str
     worst_place: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What the figures of a report need: chosen records, and residuals in free run."""
+"""Data of a report's figures: chosen records, and residuals in free run."""
 
 import dataclasses
 

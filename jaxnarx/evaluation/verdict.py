@@ -1,4 +1,5 @@
-"""What a verdict is: its level, the reasons for it, and the rules it comes from."""
+"""The verdict on a model: its level, the reasons for it, and the rules it comes
+from."""
 
 import dataclasses
 import math
@@ -9,7 +10,7 @@ from jaxnarx.formatting import page
 
 GOOD, LIMITED, UNUSABLE = "good", "usable with limits", "not usable"
 AT_MOST, BELOW, AT_LEAST = "at most", "below", "at least"
-"""What a value must be beside its limit."""
+"""Comparisons of a value with its limit."""
 
 REMEDIES = {
     "bounded": "choose terms by simulation error, lower the degree, or let inputs "
@@ -24,7 +25,7 @@ REMEDIES = {
     "intervals": "more groups of training records, of the kinds that are met in use",
     "records": "look at these records: channels, sensors, operating range",
 }
-"""What helps, by the name that findings carry."""
+"""Remedies, by the name that findings carry."""
 SEARCHED = REMEDIES | {
     "bounded": "training records that reach as far, or linear models",
     "unstable": "`--preset ecu`, which takes only models that are stable for certain",
@@ -104,7 +105,7 @@ class Verdict:
     findings: tuple[Reason, ...]
     praise: str = ""
     remarks: tuple[str, ...] = ()
-    """What to look at, whatever the level."""
+    """Points to look at, whatever the level."""
     searched: bool = False
     """Whether the model comes from a search."""
     rules: tuple[VerdictRule, ...] = ()

@@ -30,11 +30,11 @@ class ErrorStretch:
     """A stretch of time, in seconds from the record's begin, with a large error.
 
     `rmse` and `bias` (mean of measured minus simulated) are in the unit of the output,
-    `times` is the RMSE in that of all samples. Of the stretch are told: the largest
-    `index` of the domain with the `layer` and `channel` it is owed to, where the
-    network knows its domain; the `region` of the local model that leads at its peak;
-    the share of samples at which the feedback bound acted, at which the output was held
-    at its range, and at which an input was outside of its range.
+    `times` is the RMSE in that of all samples. The stretch states the largest `index`
+    of the domain with the `layer` and `channel` it is owed to, where the network knows
+    its domain; the `region` of the local model that leads at its peak; the share of
+    samples at which the feedback bound acted, at which the output was held at its
+    range, and at which an input was outside of its range.
     """
 
     output: str

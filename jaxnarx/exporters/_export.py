@@ -48,7 +48,7 @@ _OWN: dict[str, Target] = {
     "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
 TARGETS = Registry("target", _OWN)
-"""What a model can be exported to."""
+"""Formats of export."""
 GOLDEN_SAMPLES = 200
 """Samples of the self-test."""
 
@@ -140,7 +140,7 @@ def export(
             co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"dcm"` (parameters,
             and maps at rest), `"a2l"` (names of the C files for calibration tools),
             or what is registered in `jaxnarx.exporters.TARGETS`.
-        name: What the files and their functions are called.
+        name: Name of the files and their functions.
         over: The two inputs that maps at rest go over; default: of each output those
             that schedule it, then those that move it most.
         index: Whether a network that knows its domain tells its index at every sample.

@@ -200,7 +200,8 @@ class _Lowering:
         return b.clip(raw, b.const(self.low[signal]), b.const(self.high[signal]))
 
     def _scale_signal(self, signal: int, *, far: bool) -> Value:
-        """Divided by its gain; `far`: how far it is beyond what is held."""
+        """Return a signal divided by its gain; `far`: how far it is beyond what is
+        held."""
         b, seen = self.b, self._held_signal(signal)
         value = b.op("sub", self._raw(signal), seen) if far else seen
         return b.mul(value, b.const(1 / self.gain[signal]))

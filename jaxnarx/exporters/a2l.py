@@ -1,9 +1,9 @@
 """A2L 1.71: what the arrays and outputs of the C files are, for calibration tools.
 
 A skeleton: addresses are zero until a tool finds them by the names of the symbols in
-the program that was built. Parameters are those of the C source. What is measured has
-to be there: the program keeps the last inputs in `NAME_real NAME_in[...]` and the last
-outputs in `NAME_out NAME_now`.
+the program that was built. Parameters are those of the C source. Measured values must
+exist in memory: the program keeps the last inputs in `NAME_real NAME_in[...]` and the
+last outputs in `NAME_out NAME_now`.
 """
 
 import re
@@ -23,7 +23,7 @@ from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, Proof
 
 LARGEST_SINGLE = 3.4e38
-"""Where no range is known: all of single precision."""
+"""Range where none is known: all of single precision."""
 
 
 def a2l_files(program: SampleProgram, golden: Golden) -> Files:

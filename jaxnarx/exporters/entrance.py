@@ -1,4 +1,4 @@
-"""Where inputs and measured outputs enter a program: what is missing is held.
+"""Entrance of inputs and measured outputs into a program: missing ones are held.
 
 The rule is that of `jaxnarx.models.missing`. A comparison with NaN is false, so a value
 is there where its size is less than the largest one; this holds wherever the language

@@ -1,4 +1,4 @@
-"""What a model does at rest, over one or two inputs: the maps that calibrators know."""
+"""Maps of a model at rest over one or two inputs, as calibrators know them."""
 
 import dataclasses
 from collections.abc import Sequence

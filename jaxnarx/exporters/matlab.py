@@ -283,7 +283,7 @@ fprintf('%s: differs by %.3g of the largest value\\n', what, max(off(:)));
 end
 """)
 _STEADY_PAGE = Template("clear $name\ncompare('steady', from_steady, 1e-8, inputs);\n")
-"""Where a steady state is found depends on rounding, by a sample."""
+"""The sample at which a steady state is found depends on rounding, by one."""
 _UNSETTLED_NOTE = (
     f"% 'steady' takes more than {SETTLING_SAMPLES} samples: it is not tried here.\n"
 )

@@ -1,4 +1,4 @@
-"""What whoever calls exported code has to know of the model's policies."""
+"""Notes on the model's policies for whoever calls exported code."""
 
 import textwrap
 from collections.abc import Iterable, Sequence

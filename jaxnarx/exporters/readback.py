@@ -27,16 +27,16 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
 
     Blocks may be left out; maps at rest are passed over, they follow from the rest.
     Numbers are taken where they differ, in double precision, from what an export of
-    `network` holds, so that everything else stays as it is to the last digit. Of a
-    network that changes the prediction intervals are gone, for they were found by its
-    own errors; a certificate of stability is found anew for the changed numbers or,
-    where there is none, is gone with the wide bounds that it allowed. Its domain is
-    about the training records and stays.
+    `network` holds, so that everything else stays as it is to the last digit. A network
+    that changes loses its prediction intervals, for they come from its own errors; a
+    certificate of stability is found anew for the changed numbers or, where there is
+    none, is gone with the wide bounds that it allowed. Its domain is about the training
+    records and stays.
 
     Args:
         network: The network that was exported.
-        text: What the file holds.
-        source: What errors call it.
+        text: Text of the file.
+        source: Name of the file in errors.
 
     Returns:
         The network; `network` itself where no number differs.

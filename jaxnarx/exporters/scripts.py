@@ -1,4 +1,4 @@
-"""What files of one page have in common, in whatever language they are written.
+"""Common parts of files of one page, in whatever language they are written.
 
 A `Language` is a table of how its statements look and a page with places for them; the
 program fills the places. `python`, `javascript` and `matlab` are such tables.

@@ -1,4 +1,4 @@
-"""What a target of an export is: how its files are written, and how they are proven."""
+"""Targets of an export: how their files are written, and how they are proven."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

@@ -34,11 +34,12 @@ NEAR_BEST_FACTOR = 1.5
 Trial = tuple[str, list[str], Identification | HiddenStates]
 """Family, names of the candidates that a method ends with, and the method."""
 CandidateFactory = Callable[[Dataset, str], Iterable[tuple[str, Identification]]]
-"""What another package adds to a search: of the data and the name of an output, names
-and methods to be tried, those that promise most first."""
+"""A function by which another package adds candidates to a search: it takes the data
+and the name of an output, and gives names and methods to be tried, those that promise
+most first."""
 CANDIDATES: Registry[CandidateFactory] = Registry("candidate of identify", {})
-"""Families of other packages. Tried behind what is found in closed form; functions of
-modules, for outputs are searched in processes of their own."""
+"""Families of other packages. They are tried after the closed-form candidates;
+functions of modules, for outputs are searched in processes of their own."""
 
 
 @dataclasses.dataclass(frozen=True)

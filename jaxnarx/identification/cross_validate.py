@@ -57,23 +57,23 @@ def cross_validate(
 ) -> list[CrossValidation]:
     """Train without every group in turn, run freely over it; then train on everything.
 
-    A method may end with several networks of a kind (`trained`); each is judged. Given
-    up where runs of all of them diverge, or have errors far beyond those of the `best`
-    candidate. `spread` is the output's standard deviation. Stretches of up to `rows`
-    samples train; runs go over all samples of a group, held to the ranges of all data,
-    as the network of all is in use. The error one step ahead is left
-    out, NaN, where `one_step` is False, and by default with hidden states: it has an
-    estimate of these for every sample, and takes longer than the training. The first
-    `begin` samples of every record judge nothing (`DataProfile.begin`). `watch` is
-    called with the number of every fold, from 1, before it is trained.
+    A method may end with several networks of a kind (`trained`); each is judged. It is
+    given up where runs of all of them diverge, or have errors far beyond those of the
+    `best` candidate. `spread` is the output's standard deviation. Stretches of up to
+    `rows` samples train; runs go over all samples of a group, held to the ranges of all
+    data, as the network of all is in use. The error one step ahead is left out, NaN,
+    where `one_step` is False, and by default with hidden states: it has an estimate of
+    these for every sample, and takes longer than the training. The first `begin`
+    samples of every record judge nothing (`DataProfile.begin`). `watch` is called with
+    the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
     Without a group that of the strongest pull is then trained from where it stands, and
     again from there, the others one from the other: what a pull holds on to has been
     trained without the group. Candidates in closed form keep their partition and
-    feedback in the same way. Trained from the starts, without a group of a short record
-    they often end elsewhere, which says little of the network that is judged
+    feedback in the same way. Training from the starts without a group of a short record
+    often ends elsewhere, which says little of the network that is judged
     (`experiments/public/README.md`).
     """
     hidden = isinstance(method, HiddenStates)
@@ -195,9 +195,9 @@ def refit_stages(
 ) -> list[Network | None]:
     """The networks of all stages trained once more, on these data.
 
-    Of every number of regions the first is trained twice from where it stands, for it
-    is pulled towards what it was, and that has seen other data; each other from the one
-    before it, or twice where that fails.
+    The first network of every number of regions is trained twice from where it stands,
+    for it is pulled towards its former parameters, which have seen other data; each
+    other starts from the one before it, or is trained twice where that fails.
     """
     found: list[Network | None] = []
     before, size = None, 0
@@ -286,8 +286,8 @@ def score(
     *,
     begin: int = 0,
 ) -> tuple[float, int, int]:
-    """Mean squared error, samples that count, and records that diverge; of a free run,
-    or so many steps ahead. Of one output. The first `begin` samples do not count;
+    """Mean squared error, samples that count, and records that diverge. The run of one
+    output is free, or `k` steps ahead. The first `begin` samples do not count;
     DataError where no other does."""
     run = (simulate(network, data) if k is None else predict(network, data, k)).value
     (o,) = network.modelled

@@ -1,4 +1,4 @@
-"""What a leaderboard says: the choice in words, and its rows as plain tables."""
+"""The choice of a leaderboard in words, and its rows as plain tables."""
 
 import math
 from typing import Any

@@ -39,22 +39,23 @@ class Candidate:
     family: str
     """Constant, ARX, OE, filtered inputs, polynomial, shared feedback, LOLIMOT, ..."""
     name: str
-    """What sets it apart in its family, in words."""
+    """Description within its family, in words."""
     free_run: float | None = None
     """None where a model diverged, or there is none."""
     standard_error: float | None = None
-    """Of `free_run`, over groups."""
+    """Standard error of `free_run`, over groups."""
     groups: tuple[float | None, ...] = ()
     """`free_run` of every group."""
     one_step: float | None = None
     """One-step error on the same records."""
     diverged: int = 0
-    """Runs that diverged; any is a veto. Of candidates that are trained step by step
-    these are records left out; of those in closed form, whose errors on groups left out
-    are those of runs held to the trained range, groups left out and records run
-    by the model of all groups."""
+    """Runs that diverged; any is a veto. Runs of candidates that are trained step by
+    step are held-out records; runs of closed-form candidates, whose held-out errors are
+    those of runs held to the trained range, are held-out groups, and records run by the
+    model of all groups."""
     operations: int | None = None
-    """Of one sample of the exported code, without domain index and intervals."""
+    """Operations for one sample of the exported code, without domain index and
+    intervals."""
     parameters: int | None = None
     seconds: float = 0.0
     pole: float | None = None
@@ -104,8 +105,9 @@ class Leaderboard:
     group_names: tuple[str, ...] = ()
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best (that of
-    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Of those
-    one whose local models forget their past comes before one whose do not."""
+    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Among
+    those a candidate whose local models forget their past comes before one whose do
+    not."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""
@@ -240,9 +242,9 @@ def _is_within(row: Candidate, best: Candidate) -> bool:
 def _is_near(row: Candidate, best: Candidate) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
-    Of the difference, group by group: groups differ in how hard they are, which says
-    nothing about the candidates. With few groups that error is large; more than
-    `EQUAL_ERROR_SHARE` is not given away.
+    The standard error is that of the difference, group by group: groups differ in how
+    hard they are, which says nothing about the candidates. With few groups that error
+    is large; more than `EQUAL_ERROR_SHARE` is not given away.
     """
     if not _is_within(row, best):
         return False

@@ -61,8 +61,8 @@ def make_narx_pool(
 ) -> Pool | None:
     """Inputs from their dead time on and outputs, all products; None if too many.
 
-    Of an input that seems to act late the last sample is there in place of the oldest:
-    a dead time is an estimate.
+    An input that seems to act late has its last sample in place of the oldest: a dead
+    time is an estimate.
     """
     names = data.channels.input_names
     variables = len(names) * (lags + 1) + lags

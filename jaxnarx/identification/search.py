@@ -1,7 +1,7 @@
 """The search for the best model: outputs side by side, candidates one after another.
 
 Outputs are searched in processes of their own where there are several and cores for
-them. What was tried is on the disk after every candidate.
+them. Results are written to disk after every candidate.
 """
 
 import dataclasses

@@ -69,13 +69,13 @@ def identify(
         outputs: Names of the outputs to be modelled; default all.
         states: Number of hidden states of the candidates that have some; 0 for none
             with any. Default: what the preset tries.
-        groups: What is left out together (`jaxnarx.data.groups`); default as the
-            records say, else records that repeat one another's inputs belong together.
-            Not beside `validation`.
+        groups: Groups of records that are held out together (`jaxnarx.data.groups`); by
+            default those that the records state, else records that repeat one another's
+            inputs. Not beside `validation`.
         validation: Records that judge growth and refinement of a method, and tell how
             large its errors are (`jnx.intervals`). A search
             counts them among the data, as a group of their own.
-        folder: Where the search writes what it has tried, after every candidate. The
+        folder: Folder to which the search writes every candidate that it has tried. The
             same call goes on there where an earlier one stopped; SpecError where the
             folder holds the search of other data or settings.
         progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,

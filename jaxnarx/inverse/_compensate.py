@@ -42,7 +42,7 @@ def compensate(
 ) -> Solution[Network]:
     """Train an inverse through a forward network that stays as it is.
 
-    What is minimised is the tracking error of `cascade` plus the price of moving the
+    The criterion is the tracking error of `cascade` plus the price of moving the
     commands, with the limits inside the loop; see `TrackingError`. Coefficients and
     partition of the inverse move, or what is True in `trainable` (`jaxnarx.freeze`).
     `references` and `validation` are as for `cascade`. Outputs that the model itself

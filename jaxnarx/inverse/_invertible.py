@@ -31,7 +31,8 @@ WEAK_SHARE = 0.02
 """A command is weak where its whole range moves the target by less than this share of
 the target's range; gains below this share of their median count as zero."""
 MAX_REST_SHARE = 0.05
-"""What a delayed inverse of a zero outside the unit circle may leave undone."""
+"""Share of the target that a delayed inverse of a zero outside the unit circle may
+miss."""
 LONGEST_LEAD = 60
 """Additional lead [samples] beyond which no delayed inverse is offered."""
 

@@ -107,7 +107,7 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
     """Linearise at `points` measured samples, evenly spaced.
 
     Local models with feedback of their own and hidden channels are refused: their past
-    is not measured. Of a network with limits, inputs beyond their range stand at its
+    is not measured. If the network has limits, inputs beyond their range stand at its
     edge.
     """
     require_shared(network)

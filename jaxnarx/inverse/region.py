@@ -1,4 +1,5 @@
-"""Where some of many points lie, said by one channel and one border, or by two."""
+"""The region of some of many points, described by one channel and one border, or by
+two."""
 
 import dataclasses
 

@@ -12,7 +12,7 @@ from jaxnarx.regressors import Variables, realise
 NEWTON_STEPS = 12
 """Newton steps to the equilibrium; quadratic convergence needs about six."""
 EQUILIBRIUM_TOLERANCE = 1e-6
-"""What may be missing at an equilibrium, scaled."""
+"""Error allowed at an equilibrium, scaled."""
 
 
 class Statics(eqx.Module):

@@ -73,7 +73,7 @@ class TransferFunction:
     def dc_gain(self) -> float:
         """The value at which a unit step settles, G(1); infinite with a pole at one.
 
-        Of an unstable function this is G(1) too, but nothing settles there.
+        For an unstable function this is G(1) too, but nothing settles there.
         """
         top, bottom = float(self.numerator.sum()), float(self.denominator.sum())
         if abs(bottom) <= ZERO_DENOMINATOR_SHARE * float(

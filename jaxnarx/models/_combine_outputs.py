@@ -51,7 +51,7 @@ def combine_outputs(networks: Sequence[Network]) -> Network:
     ]
 
     def every(name: str, at: Sequence[int]) -> list[np.ndarray]:
-        """What a field says of measured channels, or outputs, and then of hidden
+        """A field's values for measured channels, or outputs, and then for hidden
         ones."""
         values = [np.asarray(getattr(n, name)) for n in networks]
         pairs = zip(values, at, strict=True)

@@ -133,8 +133,8 @@ def _part(
 ) -> _Part:
     """A model's tree in these scheduling variables, z' = (x - offset)/span.
 
-    Of a gate's argument s (d . z - b), with d of length one and z = (span z' + offset -
-    own offset)/own span, the direction is brought to length one again.
+    A gate's argument is s (d . z - b), with d of length one and z = (span z' + offset -
+    own offset)/own span; its direction is brought to length one again.
     """
     leaves = np.flatnonzero(np.asarray(model.active))
     if not isinstance(model.validity, SigmoidTree):

@@ -1,4 +1,4 @@
-"""Where a network was trained: an index that is one at the border of what it knows.
+"""Domain of a network: an index that is one at the border of its training data.
 
 Four layers look at the inputs, each from another side; every one is scaled so that it
 is one at a border of its own, and the index is the largest of them.

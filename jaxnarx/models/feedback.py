@@ -288,8 +288,8 @@ def shares(
 ) -> Float[Array, "groups models *rows"]:
     """Weights of local models within their groups, of sum one.
 
-    Where all of a group's weights vanish, equal ones: a local model alone always has
-    weight one.
+    Equal weights where all of a group's vanish: a local model alone always has weight
+    one.
     """
     assert model.own is not None
     member = model.own.astype(phi.dtype)

@@ -1,7 +1,7 @@
 """Limits that cost nothing: a network at the edge of the ranges it was trained on.
 
-Outside of them polynomials say anything. What inputs do there is the network's
-`outside`:
+Outside of them polynomials say anything. The network's `outside` says what inputs do
+there:
 
 - `"flag"`: nothing, they are as they are, and the samples are marked;
 - `"hold"`: they stay at the edge of their trained range;
@@ -11,8 +11,8 @@ Outside of them polynomials say anything. What inputs do there is the network's
 - `"nan"`: as `"flag"`, and nothing is reported of such samples: they are not a number.
 
 Inputs are held before anything is computed from them, in runs, training and linearised
-networks alike (`Network.hold_inputs`). What is reported of an output stays within that
-output's range, widened by the margin m on either side:
+networks alike (`Network.hold_inputs`). A reported output stays within its range,
+widened by the margin m on either side:
 
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
 
@@ -23,12 +23,12 @@ its own range, as a share of its width, and fades with the network's memory of n
 
     overshoot(t) = max(beyond(t), exp(-1/n) overshoot(t-1)) .
 
-Outputs are held when all is computed. What is fed back is as it was, so that
-neither derivatives nor the judgement of divergence, which rest on the feedback bound,
-depend on the margin.
+Outputs are held when all is computed. The feedback is unchanged, so that neither
+derivatives nor the judgement of divergence, which rest on the feedback bound, depend on
+the margin.
 
-Held to their range, inputs that take two values stay what they are. An input or output
-that was constant in training is held at that constant.
+Inputs that take two values stay what they are when they are held to their range. An
+input or output that was constant in training is held at that constant.
 """
 
 import dataclasses

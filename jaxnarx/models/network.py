@@ -42,8 +42,8 @@ from jaxnarx.regressors import (
 Arrays = Array | np.ndarray
 
 MISSING = HOLD, NAN
-"""What outputs are where an input is missing: those of the last finite input, or not a
-number."""
+"""Policies for outputs where an input is missing: those of the last finite input, or
+not a number."""
 UNBOUNDED_WIDTHS = 1e4
 """Feedback bounds of more trained widths than these are none to speak of."""
 SHOWN_TERMS = 6

@@ -1,4 +1,4 @@
-"""What a network does where it knows nothing, as sentences made from the network.
+"""A network's policies where it knows nothing, as sentences made from the network.
 
 Every text that states limits or policies (the report, its page, `print`, the headers of
 exported code) takes its words from here, so that none can differ from the model:

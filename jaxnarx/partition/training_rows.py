@@ -1,4 +1,4 @@
-"""What every partition starts from: rows, terms, and scaled scheduling variables."""
+"""The start of every partition: rows, terms, and scaled scheduling variables."""
 
 import dataclasses
 import functools

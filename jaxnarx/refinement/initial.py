@@ -8,7 +8,8 @@ The finished network is judged and used from measured starts all the same.
 
 Hidden channels have no measurement: their values before a record's start are always
 estimated, as departures from those that fit the start's network best, with the weight
-of the prior of `jaxnarx.models.observer`. Used they start from its windows.
+of the prior of `jaxnarx.models.observer`. When they are used, they start from its
+windows.
 """
 
 import equinox as eqx

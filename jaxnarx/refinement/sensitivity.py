@@ -195,8 +195,8 @@ def stream(
     `columns` of them, and `direct(tangents, (a, own), time, record)` gives D_t from the
     direct tangents by the parameters and the derivative by the whole history, of one
     record. Blocks follow one another in time. `extra` is a tree of arrays (records,
-    time, ...) that are cut alike; padding of the last block is zero there. What
-    `consume` returns beside the carry is stacked along a leading axis of blocks.
+    time, ...) that are cut alike; padding of the last block is zero there. Results of
+    `consume` other than the carry are stacked along a leading axis of blocks.
     """
     records, time, states = y.shape
     outputs, lags = len(network.models), depth(network)

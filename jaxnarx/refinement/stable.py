@@ -3,7 +3,7 @@
 All is refined freely. Where that loses the certificate, the coefficients of past
 outputs go back towards those of the start, as far as they must: with the norm of the
 start as constraint the set of them that is certified is convex, so that there is a way.
-What is left is then refined once more around them.
+The remaining parameters are then refined once more around them.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 
 MOST_HALVINGS = 10
-"""Of the way back to the start."""
+"""Halvings of the way back to the start."""
 STILL_DEVIATION_SHARE = 1e-6
 """Standard deviation of a coefficient that stays, in shares of its size."""
 

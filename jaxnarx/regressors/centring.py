@@ -1,9 +1,10 @@
 """Centred coordinates for channels far from zero; the terms keep their meaning.
 
-Of a variable x = c + s z whose offset c is many times its spread s, a product is nearly
-a multiple of its own parts: x_1 x_2 = c_1 c_2 + c_1 s_2 z_2 + c_2 s_1 z_1 + s_1 s_2 z_1
-z_2, of which float64 soon keeps the constant alone. In a set of terms P that holds such
-a product together with its parts, the parts can be taken off: with monomials m of z,
+If the offset c of a variable x = c + s z is many times its spread s, a product is
+nearly a multiple of its own parts: x_1 x_2 = c_1 c_2 + c_1 s_2 z_2 + c_2 s_1 z_1 + s_1
+s_2 z_1 z_2, of which float64 soon keeps the constant alone. In a set of terms P that
+holds such a product together with its parts, the parts can be taken off: with monomials
+m of z,
 
     P = T_in m_in + T_out m_out ,    r = T_in^-1 P = m_in + T_in^-1 T_out m_out ,
 

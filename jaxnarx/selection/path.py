@@ -1,4 +1,5 @@
-"""What a search returns: the chosen terms in order, figures of every nested size."""
+"""The result of a search: the chosen terms in order, statistics of every nested
+size."""
 
 import dataclasses
 from typing import Literal

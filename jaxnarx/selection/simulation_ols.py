@@ -7,12 +7,11 @@ new coefficient is <e, s_j>. With the adjoint of the filter it needs no filterin
 candidates: lambda = F' e is one filtered residual, and <e, s_j> = <lambda, p_j> is one
 contraction of the whole pool.
 
-The derivative alone favours large columns, so the best candidates by
-<lambda, p_j>^2 / |p_j|^2 are filtered in earnest: a network with them at coefficient
-zero gives the Gram matrix of all their filtered columns beside those of the chosen
-terms in one pass of the refinement's normal equations. What candidate j promises is
-then b_j^2 / d_j, after both are freed of the chosen columns, as in the search on
-one-step errors.
+The derivative alone favours large columns, so the best candidates by <lambda, p_j>^2 /
+|p_j|^2 are filtered in earnest: a network with them at coefficient zero gives the Gram
+matrix of all their filtered columns beside those of the chosen terms in one pass of the
+refinement's normal equations. Candidate j promises b_j^2 / d_j, after both are freed of
+the chosen columns, as in the search on one-step errors.
 
 The thesis's first item of future work; the criterion is that of simulation-based
 selection, Piroddi and Spinelli, "An identification algorithm for polynomial NARX

@@ -1,8 +1,8 @@
 """Classes of settings: frozen, their fields held to what they are annotated with.
 
 A field that takes a list may be given any sequence, and is kept as a tuple; one text,
-or one whole number, counts as a list of one. What concerns several fields at once is
-said in a class's own `__post_init__`, which finds each of them right by itself.
+or one whole number, counts as a list of one. Rules for several fields at once stand in
+a class's own `__post_init__`, which finds each of them right by itself.
 """
 
 import dataclasses

@@ -36,10 +36,10 @@ class _Local:
     feedback: Literal["network", "own", "choose"] = dataclasses.field(
         default="network", kw_only=True
     )
-    """What a local model is fed back in a free run: the network's output, its own (an
+    """Feedback of a local model in a free run: the network's output, its own (an
     output-error model of its region; thesis chapter 8, the fourth item), or, region by
-    region, what gives the smaller free-run error on the validation records, without
-    any on the training records. It makes no difference one step ahead."""
+    region, what gives the smaller free-run error on the validation records, without any
+    on the training records. It makes no difference one step ahead."""
 
     def __post_init__(self):
         require(
@@ -87,7 +87,7 @@ class _Grown(_Scheduled):
     criterion: Literal["aicc", "bic", "validation", "none"] = dataclasses.field(
         default="aicc", kw_only=True
     )
-    """What decides on the number of models: the corrected Akaike or the Bayesian
+    """Criterion for the number of models: the corrected Akaike or the Bayesian
     criterion with the effective number of parameters; the free run on the records that
     `grow` is given as `validation`; or nothing but `max_models`."""
     least: Positive | None = dataclasses.field(default=None, kw_only=True)
@@ -98,7 +98,7 @@ class _Grown(_Scheduled):
     the refinement (0.7 is that of `SimulationError.starts`); the local models are then
     fitted anew."""
     seed: Seed = dataclasses.field(default=0, kw_only=True)
-    """Of that move."""
+    """Seed of that move."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -162,9 +162,9 @@ class Placed(_Scheduled):
     a cluster, of its own."""
     _: dataclasses.KW_ONLY
     at: Literal["samples", "clusters"] = "clusters"
-    """Where the centres lie."""
+    """Places of the centres."""
     seed: Seed = 0
-    """Of the samples that are drawn."""
+    """Seed of the samples that are drawn."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -280,8 +280,8 @@ class Given(_Local):
     a `Partitioner`, which is a function of the data that returns one, or the name of a
     registered one."""
     output: str | None = None
-    """Of a network: the output whose regions serve all; default: each output has those
-    of the output of its name, or those of the network's only output."""
+    """Output of a network whose regions serve all; default: each output has those of
+    the output of its name, or those of the network's only output."""
     scheduling: Sequence[str] = ()
     """Its scheduling variables, but for a network, which has them."""
     ranges: Sequence[Numbers] = ()

@@ -62,7 +62,7 @@ class SimulationError:
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"
-    """What errors cost. The robust ones grow linearly beyond `corner`."""
+    """Loss of an error. The robust ones grow linearly beyond `corner`."""
     corner: Positive = 0.2
     """Error at which a robust loss turns linear, in standard deviations of the output
     (after its transform)."""
@@ -90,7 +90,7 @@ class SimulationError:
     batch: Count = 32
     """Windows in one update, where `refine` is given a transformation of optax."""
     seed: int = 0
-    """Of random starts and windows."""
+    """Seed of random starts and windows."""
 
     def __post_init__(self):
         horizons = () if self.horizons == "auto" else self.horizons
@@ -136,4 +136,4 @@ class PredictionError:
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     train: Literal["joint", "coefficients", "partition"] = "joint"
-    """What is trained: everything, or one kind alone."""
+    """Parameters that are trained: everything, or one kind alone."""

@@ -47,7 +47,7 @@ class Prepared:
         first: (records,), the first sample that is predicted.
         end: (records,), one behind the last sample with a valid signal.
         anchors: (records, time), where a run could begin: with a whole valid history.
-        drive: What is computed of the signals before any run, scaled.
+        drive: Values computed from the signals before any run, scaled.
     """
 
     signals: Float[Array, "*members records time signals"]
@@ -61,7 +61,7 @@ class Prepared:
     columns: tuple[tuple[int, ...], tuple[int, ...]]
     """Signals that drive the network, and those of the outputs it models."""
     origin: "PreparedFrom | None" = None
-    """What it was made of, on the host."""
+    """Records and network that it was made of, on the host."""
 
     def tree_flatten(self) -> tuple[tuple, tuple]:
         """Arrays, and which columns are which; without the origin."""

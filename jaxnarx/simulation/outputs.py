@@ -33,10 +33,10 @@ OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short
 def free_run(network: Network, runs: Prepared) -> Float[Array, "records time outputs"]:
     """The free run of every record on the network's own outputs, physical units.
 
-    What `simulate` reports: outputs fed back are limited by the feedback bound, those
-    of a network with limits are held to their range, samples before the first
-    predicted one repeat the measurement. Padding goes on unscored. The derivative is
-    exact: by the linear recursion of the run's sensitivities, not through its loop
+    The outputs that `simulate` reports: outputs fed back are limited by the feedback
+    bound, those of a network with limits are held to their range, samples before the
+    first predicted one repeat the measurement. Padding goes on unscored. The derivative
+    is exact: by the linear recursion of the run's sensitivities, not through its loop
     (`jaxnarx.arrays.recurrence`); where a value is held it is zero. `run_status` says
     which records have diverged.
 

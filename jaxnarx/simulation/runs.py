@@ -1,4 +1,4 @@
-"""What a network computes of records, k steps ahead or freely: pure array functions."""
+"""Runs of a network over records, k steps ahead or free: pure array functions."""
 
 from functools import partial
 

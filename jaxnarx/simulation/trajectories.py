@@ -1,4 +1,4 @@
-"""What a run makes of records, in physical units, and when it counts as diverged."""
+"""Trajectories of a run in physical units, and when it counts as diverged."""
 
 import dataclasses
 from typing import Any
@@ -28,15 +28,14 @@ class Trajectories:
     says nothing (`outside="nan"`) are NaN, and not scored. `scored` marks predicted
     samples whose measurement is valid, `limited` those held by the feedback bound (of a
     k-step prediction: those that the bound held on the way, for k = 1 none; or that
-    overflow), `held` those of a network with limits whose output is at the
-    edge of its trained range in place of what was `computed`, `extrapolated` those with
-    an input outside its training range, or in a prediction a measured or computed
-    output; `diverged` tells per output whether the record counts as diverged. `hidden`
-    are the hidden channels in their own unit; a sample of which one is held by its
-    bound is `limited` for all outputs, as in exported code. Of a run with
-    `missing="hold"`, `missing` marks samples at which an input is missing, which are
-    `extrapolated` too, and `invalid` those at which it has been for too long; empty
-    otherwise.
+    overflow), `held` those of a network with limits whose output is at the edge of its
+    trained range in place of what was `computed`, `extrapolated` those with an input
+    outside its training range, or in a prediction a measured or computed output;
+    `diverged` tells per output whether the record counts as diverged. `hidden` are the
+    hidden channels in their own unit; a sample of which one is held by its bound is
+    `limited` for all outputs, as in exported code. For a run with `missing="hold"`,
+    `missing` marks samples at which an input is missing, which are `extrapolated` too,
+    and `invalid` those at which it has been for too long; empty otherwise.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
@@ -92,8 +91,8 @@ def has_diverged(
 ) -> Any:
     """More than 5 % of the samples, or 50 in a row, held by the feedback bound.
 
-    Of the samples that are `counted`, by default all; a flag for every row. NumPy in,
-    NumPy out; inside programs too.
+    The shares are of the samples that are `counted`, by default all; a flag for every
+    row. NumPy in, NumPy out; inside programs too.
     """
     xp = np if isinstance(held, np.ndarray) else jnp
     counted = xp.ones_like(held) if counted is None else counted

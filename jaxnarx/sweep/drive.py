@@ -46,12 +46,12 @@ def run_sweep(
 
     Args:
         work: The members and how to compute them, `IdentificationWork` say.
-        folder: Where the sweep is kept.
+        folder: Folder of the sweep.
         chunk: Members computed together.
-        workers: Where more than 1, so many processes, each with a core of its own,
-            compute instead of this one; a script that asks for them needs the guard
-            `if __name__ == "__main__"`. They are a dask cluster whose ports other
-            accounts of this machine can reach: use it where those are trusted.
+        workers: If more than 1, so many processes, each with a core of its own, compute
+            instead of this one; a script that asks for them needs the guard `if
+            __name__ == "__main__"`. They are a dask cluster whose ports other accounts
+            of this machine can reach: use it where those are trusted.
         client: A dask.distributed `Client`, on whose workers chunks are computed.
         new: Set an earlier sweep in the folder aside.
         progress: Called with a dictionary whenever chunks were added, see

@@ -23,7 +23,7 @@ from jaxnarx.sweep.precision import is_float64
 from jaxnarx.sweep.work import Work
 
 SILENT_LEVEL = logging.CRITICAL + 1
-"""What dask would log is told by this package, or does not matter."""
+"""Level at which dask logs nothing: this package reports what matters."""
 
 _WAIT_SETTINGS = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _SCHEDULER_SETTINGS = {

@@ -1,4 +1,4 @@
-"""What a sweep computes, seen from its folder: members by number, rows out."""
+"""The work of a sweep, seen from its folder: members by number, rows out."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable

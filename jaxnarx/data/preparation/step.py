@@ -1,4 +1,4 @@
-"""What every step of preparation is, and how it reaches the samples of its records.
+"""The form of every step of preparation, and how it reaches the samples of its records.
 
 Settings (`Scale(kind="min-max")`) hold wishes; `fit` looks at the training data and
 returns a fitted step (`Scaled`) that holds every number it needs. Where there is
@@ -56,7 +56,7 @@ class AbstractLossy(AbstractFitted):
     """That it cannot be undone, and why, or what comes near to it."""
 
     def undo(self, data: Dataset) -> Dataset:
-        """Refused, with the reason."""
+        """Raise `SpecError` with the reason."""
         raise SpecError(self.irreversible, field="undo")
 
 

@@ -2,7 +2,7 @@
 
 A kind of file is a module with two functions, `contents(path, asked)` and `read(path,
 wanted, asked)`; both may raise whatever comes, which is told as a DataFileError here.
-What they return is in `jaxnarx.data.readers.columns`.
+The types they return are in `jaxnarx.data.readers.columns`.
 """
 
 import dataclasses

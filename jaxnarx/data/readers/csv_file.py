@@ -26,7 +26,8 @@ _HEAD_BYTES = 1 << 17  # fields of more characters are beyond what the csv modul
 _BLOCK_BYTES = 1 << 20
 _CHUNK_BYTES = 1 << 24
 _LINE_END = re.compile(r"\r*\n|\r")
-"""Of any system, mixed ones too; \\r\\r\\n is one line end that was converted twice."""
+"""Line ends of any system, mixed ones too; \\r\\r\\n is one line end that was converted
+twice."""
 _LINE_ENDS = re.compile(rb"\r*\n|\r")
 _EMPTY_LINE = re.compile(rb"\n[\r\n]|\r\r+(?!\r*\n)")
 _NULL_WORDS = [

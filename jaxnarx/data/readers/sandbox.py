@@ -5,8 +5,8 @@ process is started with the first file and serves those that follow; after a fau
 ended, and the next file gets a new one. Requests and answers are lines of JSON, arrays
 are files in a folder that both know.
 
-What runs there is a module with two functions: `contents(path, folder, **given)`
-answers with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
+The module that runs there has two functions: `contents(path, folder, **given)` answers
+with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
 **given)` with `{"signals": [...], "notes": [...]}`; a signal tells its name, unit and
 labels, which file holds its time, if it has any, and whether all of it is valid.
 """

@@ -1,8 +1,8 @@
 """Files of named variables: MATLAB (4 to 7.3), HDF5 and NumPy's npz.
 
-They are read in a process of their own (`jaxnarx.data.readers.sandbox`). What is a
-channel in them tells `variable_channels`. A channel whose name is there several times
-is asked for by its place (`"run1.speed"`), or by `table`, the variable it is in.
+They are read in a process of their own (`jaxnarx.data.readers.sandbox`).
+`variable_channels` finds the channels in them. A channel whose name is there several
+times is asked for by its place (`"run1.speed"`), or by `table`, the variable it is in.
 """
 
 from collections.abc import Sequence

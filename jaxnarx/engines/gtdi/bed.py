@@ -295,9 +295,9 @@ class Gtdi(AbstractEngine):
 
         Runge-Kutta steps of fourth order, as many as keep them at 1 ms or below, but at
         least ten. The throttle command arrives 15 ms late [D], inside an event if need
-        be; torque one event and mixture three events [O]. What the sensors see is
-        sampled at the start of the event and held; torque lags it by 0.02 s [O], the
-        lambda sensor by 0.20 s [D].
+        be; torque one event and mixture three events [O]. The sensors sample at the
+        start of the event and hold; torque lags it by 0.02 s [O], the lambda sensor by
+        0.20 s [D].
         """
         state, readings, commands, durations, torques, ratios = carry
         now = self.quantities(state, impose_columns(inputs))

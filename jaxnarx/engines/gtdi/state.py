@@ -1,4 +1,4 @@
-"""What is imposed on the turbocharged engine, and all that is known of it."""
+"""The quantities imposed on the turbocharged engine, and all that is known of it."""
 
 from typing import NamedTuple
 

@@ -54,8 +54,8 @@ def bent_quantile(
 
         x = (exp(s z' - s^2/2) - 1)/sqrt(w - 1),  w = exp(s^2),  (w - 1)(w + 2)^2 = g^2
 
-    What excess kurtosis it lacks, h, goes into z' = z + h (z^3 - 3 z)/24 by Cornish and
-    Fisher 1937. To first order in g and h both give the same; the g^2 of their
+    The excess kurtosis that it lacks, h, goes into z' = z + h (z^3 - 3 z)/24 by Cornish
+    and Fisher 1937. To first order in g and h both give the same; the g^2 of their
     expansion makes it fall where the skewness is above about 0.7. The short tail is
     never shorter than at a skewness of 0.5: it has an end there, and moments of wild
     noise do not tell where. `z` rises and is symmetric about zero.

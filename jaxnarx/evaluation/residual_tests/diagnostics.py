@@ -1,4 +1,4 @@
-"""What the verb `diagnose` returns, and its text."""
+"""The result of the verb `diagnose`, and its text."""
 
 import dataclasses
 import textwrap
@@ -81,9 +81,9 @@ class OutputDiagnostics:
     def effects(self) -> dict[str, float]:
         """The share of the residual's variance that each test of `rows` is about.
 
-        Of a correlation test the squared correlation of its strongest lag, of Ljung and
-        Box's what the residual's past foretells of it, of a mean its square. Runs and
-        normality have none.
+        For a correlation test it is the squared correlation of its strongest lag, for
+        that of Ljung and Box the share that the residual's past predicts, for a mean
+        its square. Runs and normality have none.
         """
         lags = {
             (f"{t.name}, {t.signal}" if t.signal else t.name): t.effect

@@ -1,4 +1,4 @@
-"""What an FMU says about itself: modelDescription.xml and buildDescription.xml."""
+"""Descriptions of an FMU: modelDescription.xml and buildDescription.xml."""
 
 import importlib.metadata
 from collections.abc import Sequence

@@ -75,7 +75,7 @@ def simulate_state_space(
 ) -> Float[np.ndarray, "time outputs"]:
     """Free run from the state `x0` at the first of the inputs `u`, (time, inputs).
 
-    Of an unstable model it may end in infinities.
+    The run of an unstable model may end in infinities.
     """
     u = np.asarray(u, float)
     x = simulate_states(model, u, x0)

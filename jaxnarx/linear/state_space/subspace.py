@@ -146,7 +146,7 @@ def chain_model(
 
         z_k(t+1) = p z_k(t) + (1 - p) z_(k+1)(t) ,   y(t) = z_1(t) ,
 
-    which the inputs enter anywhere. Of `CHAIN_POLES` values of p the best is taken.
+    which the inputs enter anywhere. The best of `CHAIN_POLES` values of p is chosen.
     Arguments as in `subspace_models`; `SpecError` for several outputs.
     """
     order = whole(order, "order", 1)
@@ -190,7 +190,7 @@ def _error(
 class _Signals:
     """Valid stretches of all records, of mean zero and standard deviation one.
 
-    What does not change has `spread` zero and is zero.
+    A signal that does not change has `spread` zero and is zero.
     """
 
     pieces: list[Segment]

@@ -51,8 +51,8 @@ def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
     Files know classes by name alone and load no code: the program that reads one must
     have registered the class before, or an installed package does
     (`jaxnarx.extensions`). All fields must be arrays. A class of your own may be
-    registered anew, under a name that no other class has. What its contract is tried
-    with goes to `VALIDITIES.register(name, kind, example=...)`.
+    registered anew, under a name that no other class has. An example for the contract
+    goes to `VALIDITIES.register(name, kind, example=...)`.
     """
     return VALIDITIES.register(kind.__name__, kind)
 

@@ -1,4 +1,4 @@
-"""What every validity function offers."""
+"""The interface of every validity function."""
 
 import abc
 import dataclasses
@@ -17,7 +17,7 @@ CENTRE_ROOM = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""
 
 Region = dict[str, dict[str, float]]
-"""Where one local model is valid: by scheduling variable (or combination of them), its
+"""Region of one local model: by scheduling variable (or combination of them), its
 `centre` and `width`, or what it lies `above` and `below`; physical units."""
 
 

@@ -3,10 +3,10 @@
     y(t) = s(t) + sum_(b,k) theta[b, k] [w_b p_k / A](t)
 
 Block b holds the terms p_k times w_b, the product of the gates on the way from the root
-of a tree of halvings to region b. The root has w = 1. Of a halved region only the upper
-half enters: the lower one is the difference. So a term that is the same everywhere
-needs one coefficient, and what is known of a region stays when it is divided. Of a
-partition that is given all local models but the last enter beside the root.
+of a tree of halvings to region b. The root has w = 1. Only the upper half of a halved
+region enters: the lower one is the difference. So a term that is the same everywhere
+needs one coefficient, and what is known of a region stays when it is divided. All local
+models of a given partition but the last enter beside the root.
 """
 
 import dataclasses

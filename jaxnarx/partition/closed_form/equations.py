@@ -25,7 +25,8 @@ class NormalEquations:
     square: Float[np.ndarray, " parts"]
     samples: Float[np.ndarray, " parts"]
     apart: Bool[np.ndarray, "groups parts"]
-    """What is left out with a group: itself, and the gaps beside it."""
+    """Parts that are held out with a group: the group itself, and the gaps beside
+    it."""
 
     def __len__(self) -> int:
         return len(self.square)

@@ -32,7 +32,7 @@ LEAST_GAIN = 2e-3
 LARGEST_MOVE = 0.1, 0.5
 """Most that a step moves a border, in ranges, and the logarithm of a steepness."""
 NEVER_BEYOND = 0.02, 0.98
-"""Where borders stay, in ranges."""
+"""Margin within which borders stay, in ranges."""
 STEP_RIDGE = 1e-3
 """Ridge of a step, in units of the columns' own power."""
 

@@ -24,8 +24,8 @@ from jaxnarx.partition.stages import BestStage
 
 RIDGES_TRIED = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 COARSE_RIDGES = 1e-4, 1e-2
-"""Of one region: it cannot tell what regions will make of its feedback, and finer ones
-rank by chance."""
+"""Ridges tried for one region: it cannot tell what regions will make of its feedback,
+and finer ones rank by chance."""
 SIZES_TRIED = (
     *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
     *(380, 450),

@@ -207,8 +207,8 @@ class ClosedSearch:
         """Products in several scales of lags and filters, with several feedbacks; best
         first, with a coarse ridge and with the one that serves them best.
 
-        What ranks first alone need not do so when it is divided: of both orders
-        some are grown.
+        The best single region need not be the best when it is divided: some of both
+        orders are grown.
         """
         own = self.profile
         most = max(min(own.rise, own.reach), own.memory / 64, 1.0)

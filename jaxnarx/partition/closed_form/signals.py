@@ -1,4 +1,4 @@
-"""What all structures over the same variables share: columns' factors and targets."""
+"""Columns' factors and targets, shared by all structures over the same variables."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -63,7 +63,8 @@ class RunSignals:
     span: Float[np.ndarray, " dims"]
     stretches: tuple[Stretch, ...]
     apart: Bool[np.ndarray, "groups parts"]
-    """What is left out with a group: itself, and the gaps beside it."""
+    """Parts that are held out with a group: the group itself, and the gaps beside
+    it."""
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:

@@ -24,7 +24,7 @@ class Summand:
     name: str
     network: Network
     left: Sequence[Errors]
-    """Of the free run over every group, by the model made without it."""
+    """Errors of the free run over every group, by the model made without it."""
     ahead: Errors
     """One step ahead, of the model of all groups."""
 

@@ -1,11 +1,11 @@
 """A Euclidean norm in which many matrices contract at once.
 
-Wanted is an invertible L with the least `max_t ||L M_t L^-1||_2`: in the norm |L s|
+The aim is an invertible L with the least `max_t ||L M_t L^-1||_2`: in the norm |L s|
 every step s -> M_t s then shrinks by that rate at least. The problem is quasi-convex in
 P = L'L (Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1). It is solved without a
 semidefinite program, by quasi-Newton steps on a soft maximum that is hardened in
-stages. With u_t and v_t the leading singular vectors of L M_t L^-1, a change
-L -> (1 + E) L moves the logarithm of that norm by
+stages. With u_t and v_t the leading singular vectors of L M_t L^-1, a change L -> (1 +
+E) L moves the logarithm of that norm by
 
     u_t' E u_t - v_t' E v_t ,
 

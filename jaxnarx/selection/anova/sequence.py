@@ -10,16 +10,16 @@ tests of a few variables each and put the answers together. Here:
    partial F test in one model of all effects that have entered (5.28);
 3. y loses what that model explains, and the others are tested again on what is left.
 
-At the end those whose partial F no longer passes leave, the worst first. What only
-follows a kept effect finds nothing left to explain. An effect that left, or failed in
+At the end those whose partial F no longer passes leave, the worst first. An effect that
+only follows a kept one finds nothing left to explain. An effect that left, or failed in
 2, does not come back, so the sequence ends.
 
 The first test of each effect is exact under its assumptions: normal errors that are
 independent from sample to sample and equally large in all cells, whatever the other
 variables do being part of the error. The later ones are approximate: the degrees of
-freedom that the model has used are taken off in proportion. What a variable does inside
-its levels is left over; a neighbour that follows it closely can pass on that, the more
-easily the more samples there are.
+freedom that the model has used are taken off in proportion. The effect of a variable
+inside its levels is left over; a neighbour that follows it closely can pass on that,
+the more easily the more samples there are.
 """
 
 import functools

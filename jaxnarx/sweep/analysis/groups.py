@@ -18,8 +18,8 @@ def best_per_group(
     """The row of every group with the best score, in the order the groups appear.
 
     `group` names the columns whose values make a group, `by` the score. Scores that are
-    not finite do not compete; a group without another row is left out. Of equal rows
-    the first wins. The status does not count: it may come from the test records, which
+    not finite do not compete; a group without another row is left out. The first of
+    equal rows wins. The status does not count: it may come from the test records, which
     must have no part in a choice by validation.
     """
     score = table.numbers(by) * (1.0 if smallest else -1.0)

@@ -1,4 +1,4 @@
-"""What one setting does to a score, all else equal: paired comparison."""
+"""Paired comparison: the effect of one setting on a score, all else equal."""
 
 import dataclasses
 from collections.abc import Hashable, Sequence

@@ -14,9 +14,9 @@ from jaxnarx.sweep.folder.files import put
 
 METADATA_KEY = b"jaxnarx"
 FORMAT_VERSION = 2
-"""Of files of results; those of format 1 have no digest."""
+"""Version of files of results; those of format 1 have no digest."""
 DIGEST_MARK = b'"sha256": "'
-"""What stands before the digest in the mark."""
+"""Text before the digest in the mark."""
 
 
 class Damaged(Exception):

@@ -1,4 +1,4 @@
-"""What the program does not know: a member by the verbs themselves.
+"""A member by the verbs themselves, for settings that the program does not know.
 
 Every selector and partition that `select` and `grow` take, those of one's own
 included; rows, statuses and scores are those of the program.
