@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
 
-_HOME = {
+_ROOM_NAMES = {
     "confidence": "bands domain intervals uncertainty",
     "data": "Channel Channels Dataset check read read_split",
     "errors": "DataError JaxnarxError SpecError",
@@ -114,7 +114,7 @@ _HOME = {
     "solution": "RESULTS Solution",
     "sweep": "Fleet read_sweep run_sweep",
 }
-_MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
+_MODULE = {name: module for module, names in _ROOM_NAMES.items() for name in names.split()}
 
 _ROOMS = {
     name: f"jaxnarx.{name}"

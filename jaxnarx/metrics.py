@@ -46,7 +46,7 @@ def _compile(metric: F) -> F:
     return typing.cast(F, call)
 
 
-PERFECT = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
+PERFECT_VALUES = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
 """The metrics in the order in which they are shown, with the value of a perfect fit."""
 
 
@@ -140,7 +140,9 @@ def scores(
     """All metrics above by name, and `samples`, the count of samples in `mask`."""
     values: dict[str, Any] = {
         name: function(measured, predicted, mask)
-        for name, function in zip(PERFECT, (rmse, nrmse, r2, fit, nmse), strict=True)
+        for name, function in zip(
+            PERFECT_VALUES, (rmse, nrmse, r2, fit, nmse), strict=True
+        )
     }
     return values | {"samples": _pool_records(mask).sum(axis=0)}
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays.programs import bind, program, strip_names
-from jaxnarx.solution import NAMES, RESULTS, code
+from jaxnarx.solution import RESULTS, STATUS_NAMES, code
 
 ROUNDING_LOSS = 1e-24
 """Loss (a mean square of scaled errors) that is nothing but rounding of float64."""
@@ -27,7 +27,7 @@ UNREACHED_STEPS = 2**30
 """A number of steps that no search makes."""
 
 OK, NO_IMPROVEMENT, STALLED, DIVERGED, UNIDENTIFIABLE, NOT_RUN = map(
-    NAMES.index,
+    STATUS_NAMES.index,
     ("ok", "no_improvement", "stalled", "diverged", "unidentifiable", "not_run"),
 )
 """Codes of the statuses that steps and stages have."""
@@ -265,7 +265,7 @@ class StepFigures(NamedTuple):
     @property
     def status_name(self) -> str:
         """Why the method has not moved, or `ok`."""
-        return NAMES[int(self.status)]
+        return STATUS_NAMES[int(self.status)]
 
 
 class Driver:
@@ -377,5 +377,5 @@ class SearchLog:
             "steps": len(self.history),
             "parameters": parameters,
             "seconds": clock.perf_counter() - self.begin,
-            "end": NAMES[int(code(status))],
+            "end": STATUS_NAMES[int(code(status))],
         }

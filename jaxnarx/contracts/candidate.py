@@ -9,7 +9,9 @@ from jaxnarx.identification import CandidateFactory, CandidateSearch, run_method
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import Identification, Preset
 
-QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True)
+QUICK_PRESET = Preset(
+    "of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True
+)
 
 
 def names_methods(candidate: CandidateFactory) -> None:
@@ -32,7 +34,7 @@ def is_tried_in_a_search(candidate: CandidateFactory) -> None:
     """It becomes a row of a leaderboard, with an error on records left out."""
     data = plant()
     search = CandidateSearch(
-        *(data, profile_data(data, "y"), groups(data), QUICK),
+        *(data, profile_data(data, "y"), groups(data), QUICK_PRESET),
         added={"added": candidate},
     )
     rows = [row for row, _ in search if row.family == "added"]

@@ -32,7 +32,7 @@ def makes_a_validity_function(partition: Partitioner, names: Sequence[str]) -> N
     assert isinstance(found, AbstractValidity)
     kind = type(found)
     assert VALIDITIES.get(kind.__name__) is kind, "its class is not registered"
-    for check in of_validity.ALONE:
+    for check in of_validity.CHECKS_WITHOUT_NETWORK:
         check(found, len(names))
 
 

@@ -126,7 +126,7 @@ def lives_with_it(validity: AbstractValidity, dims: int, folder: Path) -> None:
     lives(grow(pool(), plant(), given).value, folder)
 
 
-ALONE = (
+CHECKS_WITHOUT_NETWORK = (
     weights_sum_to_one,
     inactive_models_weigh_nothing,
     samples_do_not_know_one_another,
@@ -136,7 +136,7 @@ ALONE = (
     regions_are_told,
 )
 """Those that need no network."""
-CHECKS = (*ALONE, lives_with_it)
+CHECKS = (*CHECKS_WITHOUT_NETWORK, lives_with_it)
 
 
 def _phi(

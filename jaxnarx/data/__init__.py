@@ -37,7 +37,7 @@ from jaxnarx.data.files import read_files as read_files
 from jaxnarx.data.files import read_split as read_split
 from jaxnarx.data.findings import Finding as Finding
 from jaxnarx.data.findings import Findings as Findings
-from jaxnarx.data.fleet import PARTS as PARTS
+from jaxnarx.data.fleet import FLEET_PARTS as FLEET_PARTS
 from jaxnarx.data.fleet import Fleet as Fleet
 from jaxnarx.data.fleet import Padded as Padded
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
@@ -59,8 +59,8 @@ from jaxnarx.data.preparation import Shift as Shift
 from jaxnarx.data.preparation import ToCrankAngle as ToCrankAngle
 from jaxnarx.data.preparation import ToTime as ToTime
 from jaxnarx.data.preparation import prepare as prepare
+from jaxnarx.data.readers import FILE_WATCHER as FILE_WATCHER
 from jaxnarx.data.readers import KINDS as KINDS
-from jaxnarx.data.readers import WATCHER as WATCHER
 from jaxnarx.data.readers import Asked as Asked
 from jaxnarx.data.readers import contents as contents
 from jaxnarx.data.readers import read_table as read_table
@@ -93,7 +93,7 @@ __all__ = [
     "Hampel",
     "LagSuggestion",
     "LowPass",
-    "PARTS",
+    "FLEET_PARTS",
     "Padded",
     "Preparation",
     "Record",
@@ -130,13 +130,13 @@ _ON_ARRAYS = ("Batch", "check_precision", "stack_records")
 """Names that are loaded on first use, because they need jax."""
 
 
-_OLD = {"in_units": "convert_units", "shortened": "thin_records"}
+_OLD_NAMES = {"in_units": "convert_units", "shortened": "thin_records"}
 """Names of version 0.2 by those that have taken their place."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _ON_ARRAYS:
-        return find_old(__name__, name, _OLD)
+        return find_old(__name__, name, _OLD_NAMES)
     from jaxnarx.data import batch
 
     return getattr(batch, name)

@@ -117,8 +117,8 @@ class Dynamics:
         return self.answers.get(pair)
 
 
-_KNOWN: weakref.WeakKeyDictionary[Dataset, dict[int, Dynamics]]
-_KNOWN = weakref.WeakKeyDictionary()
+_DYNAMICS_CACHE: weakref.WeakKeyDictionary[Dataset, dict[int, Dynamics]]
+_DYNAMICS_CACHE = weakref.WeakKeyDictionary()
 
 
 def dynamics(data: Dataset, *, reach: int = LONGEST_DEAD_TIME) -> Dynamics:
@@ -146,7 +146,7 @@ def dynamics(data: Dataset, *, reach: int = LONGEST_DEAD_TIME) -> Dynamics:
     Björklund 2003, "A survey and comparison of time-delay estimation methods in linear
     systems": fits with an explicit dead time are the most accurate.
     """
-    known = _KNOWN.setdefault(data, {})
+    known = _DYNAMICS_CACHE.setdefault(data, {})
     if reach not in known:
         known[reach] = _dynamics(data, reach)
     return known[reach]

@@ -21,7 +21,7 @@ from jaxnarx.formatting import align_columns, brief, page, some
 Choice = slice | int | str | Sequence[int | str]
 """Which records of every engine belong to a part: by position or by name."""
 
-PARTS = ("train", "validation", "test")
+FLEET_PARTS = ("train", "validation", "test")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class Fleet:
     @property
     def parts(self) -> dict[str, Padded]:
         """The parts there are, by name."""
-        every = {name: getattr(self, name) for name in PARTS}
+        every = {name: getattr(self, name) for name in FLEET_PARTS}
         return {name: part for name, part in every.items() if part is not None}
 
     def index(self, name: str) -> int:

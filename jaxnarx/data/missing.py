@@ -63,7 +63,7 @@ def assemble(
     _require_moderate(sources, channels)
     if missing == "refuse":
         _require_finite(sources, channels, sample_time)
-    treat = _TREATMENTS[missing]
+    treat = _MISSING_TREATMENTS[missing]
     n_inputs = len(channels.inputs)
     return tuple(
         Record(
@@ -80,7 +80,7 @@ def assemble(
 
 def require_missing(missing: object) -> None:
     """SpecError unless `missing` is one of the four treatments."""
-    choice(missing, _TREATMENTS, "missing")
+    choice(missing, _MISSING_TREATMENTS, "missing")
 
 
 _Piece = tuple[np.ndarray, np.ndarray, str, int]
@@ -130,7 +130,7 @@ def _split(source: Source) -> list[_Piece]:
     return pieces
 
 
-_TREATMENTS: dict[str, Callable[[Source], list[_Piece]]] = {
+_MISSING_TREATMENTS: dict[str, Callable[[Source], list[_Piece]]] = {
     "refuse": _refuse,
     "mask": _mask,
     "split": _split,

@@ -18,7 +18,7 @@ from jaxnarx.engines import bench
 
 Engine = TypeVar("Engine", bound="AbstractEngine")
 
-SEVERAL = 8
+SIDE_BY_SIDE_RECORDS = 8
 """From as many records on, they run side by side in one loop."""
 
 
@@ -224,7 +224,7 @@ def _run_all(
     Few records run one after the other: side by side they would share a loop whose
     steps cost several times as much and could skip nothing.
     """
-    if len(inputs) < SEVERAL:
+    if len(inputs) < SIDE_BY_SIDE_RECORDS:
         clean = jax.lax.map(lambda u: engine.run(u), inputs)
     else:
         clean = jax.vmap(lambda u: engine.run(u))(inputs)

@@ -21,7 +21,7 @@ from jaxnarx.exporters import (
 from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 
-NAMES = {
+COUNT_NAMES = {
     "mul": "multiplications",
     "add": "additions",
     "sub": "additions",
@@ -85,12 +85,14 @@ class Cost:
         rows = dict(self.outputs)
         if len(rows) != 1:
             rows["all"] = self
-        return {n: {title: get(c) for title, get in COLUMNS} for n, c in rows.items()}
+        return {
+            n: {title: get(c) for title, get in COST_COLUMNS} for n, c in rows.items()
+        }
 
     @property
     def table(self) -> str:
         """`to_dict` as aligned text."""
-        lines = [("", *(title for title, _ in COLUMNS))]
+        lines = [("", *(title for title, _ in COST_COLUMNS))]
         lines += [(n, *map(str, row.values())) for n, row in self.to_dict().items()]
         return "\n".join(align_columns(lines))
 
@@ -107,7 +109,7 @@ class Cost:
         return self.total.total
 
 
-COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
+COST_COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
     ("models", lambda c: c.local_models),
     ("regressors", lambda c: c.regressors),
     ("parameters", lambda c: c.parameters),
@@ -166,7 +168,7 @@ def _cost(
     """The cost of these operations, by their purpose."""
     ops = (program.ops[n] for n in values)
     counts = collections.Counter(
-        (op.purpose, NAMES[op.kind]) for op in ops if op.kind in NAMES
+        (op.purpose, COUNT_NAMES[op.kind]) for op in ops if op.kind in COUNT_NAMES
     )
 
     def operations_for(purpose: str) -> Operations:

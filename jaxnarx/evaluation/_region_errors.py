@@ -13,9 +13,9 @@ from jaxnarx.models import Network, scaled_points, weights_of
 from jaxnarx.regressors import row_columns
 from jaxnarx.simulation import Prepared, stack_batch
 
-POINTS = 4096
+EXAMINED_SAMPLES = 4096
 """Samples looked at, evenly spaced; always as many, so that one program serves."""
-UNEVEN = 1.5
+UNEVEN_ERROR_FACTOR = 1.5
 """Share of the error over the share of samples from which a region is pointed at."""
 
 
@@ -56,7 +56,7 @@ def region_errors(
         at, error = np.concatenate(at), np.concatenate(error)
         if not len(at):
             continue
-        step = max(1, -(-len(at) // POINTS))
+        step = max(1, -(-len(at) // EXAMINED_SAMPLES))
         at, error = at[::step], error[::step]
         lead = leading_models(network, batch, o, at)
         if lead is not None:
@@ -81,7 +81,7 @@ def leading_models(
     model = network.models[output]
     x = row_columns(batch, at, model.scheduling, float(network.sample_time))
     x = x.T.astype(float)
-    padded = np.concatenate([x, np.repeat(x[:1], POINTS - len(x), axis=0)])
+    padded = np.concatenate([x, np.repeat(x[:1], EXAMINED_SAMPLES - len(x), axis=0)])
     active = np.asarray(model.active)
     phi = weights_of(model.validity, scaled_points(model, padded).T, active)
     return np.where(active[:, None], phi, -1.0)[:, : len(x)].argmax(axis=0)
@@ -134,7 +134,7 @@ def region_sentence(errors: tuple[RegionError, ...], output: str, part: str) -> 
     if not own:
         return ""
     one = own[0]
-    if one.error < UNEVEN * one.samples:
+    if one.error < UNEVEN_ERROR_FACTOR * one.samples:
         return f"The error on {part} is spread over the regions as the samples are."
     return (
         f"Region {one.model} ({one.region}) carries {one.error:.0%} of the squared "

@@ -21,7 +21,7 @@ from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.page_records import ShownRecord
 from jaxnarx.evaluation.remarks import stability_values
 from jaxnarx.evaluation.residual_tests import Diagnostics
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row
 from jaxnarx.evaluation.rules import judge
 from jaxnarx.evaluation.section import Section
 from jaxnarx.evaluation.summary import Summary, summary
@@ -142,7 +142,7 @@ class Report:
         """The row of all records of a part (default: `main`) together."""
         for row in self.rows:
             key = (row.output, row.part, row.mode, row.record)
-            if key == (output, part or self.main, mode, POOLED):
+            if key == (output, part or self.main, mode, POOLED_NAME):
                 return row
         raise SpecError(f"no scores of {output!r}, {part or self.main!r}, {mode!r}")
 

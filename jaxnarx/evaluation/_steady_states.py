@@ -16,11 +16,11 @@ from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
-SHORTEST, LONGEST, GROWTH = 512, 8192, 4
+SHORTEST_REST_SAMPLES, LONGEST_REST_SAMPLES, REST_SAMPLES_FACTOR = 512, 8192, 4
 """Samples of a run to rest: so many at first, and longer while something moves."""
-CALM, STILL = 1e-3, 1e-9
+CALM_RANGE_SHARE, STILL_RANGE_SHARE = 1e-3, 1e-9
 """Share of the output's range that may be left to go, and what counts as no motion."""
-POINTS, CELLS = 33, 21
+CURVE_POINTS, SURFACE_CELLS = 33, 21
 """Values of an input along an intersection, and along each side of a surface."""
 
 
@@ -93,7 +93,7 @@ def steady_states(
     *,
     level: float | int = 0.9,
     uncertainty: Any = None,
-    longest: int = LONGEST,
+    longest: int = LONGEST_REST_SAMPLES,
 ) -> SteadyStates:
     """Find where the free run comes to rest when the inputs are constant.
 
@@ -126,7 +126,7 @@ def steady_states(
     value = np.full((points, outputs), np.nan)
     settled = np.zeros((points, outputs), bool)
     lower, upper, index = None, None, None
-    samples, pending = max(SHORTEST, 2 * network.before), np.arange(points)
+    samples, pending = max(SHORTEST_REST_SAMPLES, 2 * network.before), np.arange(points)
     while len(pending):
         data = _constant(network, inputs[pending], start, samples)
         run = simulate(network, data).value
@@ -135,11 +135,11 @@ def steady_states(
         pairs = zip((lower, upper), band, strict=True)
         lower, upper = (_update_points(a, pending, b) for a, b in pairs)
         index = _update_points(index, pending, _index(network, data))
-        if samples * GROWTH > longest:
+        if samples * REST_SAMPLES_FACTOR > longest:
             break
         lost = np.stack(run.diverged).any(axis=1)
         pending = pending[~settled[pending].all(axis=1) & ~lost]
-        samples *= GROWTH
+        samples *= REST_SAMPLES_FACTOR
     value = np.where(settled, value, np.nan)
     channels = network.output_channels
     return SteadyStates(channels, inputs, value, settled, lower, upper, index)
@@ -169,7 +169,7 @@ def intersections(
     *,
     at: Mapping[str, float] | None = None,
     over: Sequence[str] | None = None,
-    points: int = POINTS,
+    points: int = CURVE_POINTS,
     level: float | int = 0.9,
     uncertainty: Any = None,
 ) -> tuple[Intersection, ...]:
@@ -239,7 +239,7 @@ def response_surface(
     *,
     output: str | None = None,
     at: Mapping[str, float] | None = None,
-    cells: int = CELLS,
+    cells: int = SURFACE_CELLS,
 ) -> ResponseSurface:
     """One output at rest over two inputs, the others at an operating point.
 
@@ -352,7 +352,7 @@ def _rest(
     size = np.where(span > 0, span, 1.0)[None]
     ratio = moved / np.where(before > 0, before, np.inf)
     left = moved * ratio / np.where(ratio < 1, 1 - ratio, np.nan)
-    calm = (left <= CALM * size) | (moved <= STILL * size)
+    calm = (left <= CALM_RANGE_SHARE * size) | (moved <= STILL_RANGE_SHARE * size)
     return y[:, -1], calm & ~np.stack(run.diverged) & np.isfinite(moved)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx import metrics
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.domain_errors import DomainErrors
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, ScoredSamples
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, ScoredSamples
 from jaxnarx.formatting import page
 
 
@@ -70,7 +70,9 @@ def effects(
     """One for every output; `free` are its samples on the main part, and `others` those
     of other models by their name."""
     pooled = {
-        (r.part, r.output): r for r in rows if (r.mode, r.record) == (FREE_RUN, POOLED)
+        (r.part, r.output): r
+        for r in rows
+        if (r.mode, r.record) == (FREE_RUN, POOLED_NAME)
     }
     names = list(dict.fromkeys(r.output for r in rows))
     found = []

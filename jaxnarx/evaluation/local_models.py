@@ -25,7 +25,7 @@ from jaxnarx.regressors import (
 )
 from jaxnarx.simulation import match_records, tables
 
-POINTS = 600
+EXAMINED_SAMPLES = 600
 """Samples looked at, evenly spaced."""
 
 
@@ -56,7 +56,7 @@ def local_behaviour(
     *,
     output: str | None = None,
     over: Sequence[str] = (),
-    points: int = POINTS,
+    points: int = EXAMINED_SAMPLES,
 ) -> tuple[LocalBehaviour, ...]:
     """Static gains and slowest poles of every local model of one output.
 

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Channels, Dataset, fingerprint, other_units
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, nrmse_within
 from jaxnarx.evaluation.table import name_data, number
 from jaxnarx.models import Network
 from jaxnarx.refinement import stability
 from jaxnarx.simulation import Prepared
 from jaxnarx.solution import Solution
 
-APART = 3.0
+WITHIN_RECORDS_FACTOR = 3.0
 """Times the NRMSE from which that within records is told beside it."""
-MOSTLY = 0.5
+OFFSET_ERROR_SHARE = 0.5
 """Share of the free-run error from which its offsets are told."""
 
 
@@ -89,7 +89,7 @@ def score_notes(rows: Iterable[Row]) -> list[str]:
     rows = list(rows)
     notes = [_divergence(row, rows) for row in rows if _is_pooled_loss(row)]
     for row in rows:
-        if row.record != POOLED and (
+        if row.record != POOLED_NAME and (
             row.mode == rows[-1].mode or row.status == "too short"
         ):
             notes += _edge(row)
@@ -105,9 +105,9 @@ def _levels(rows: list[Row]) -> list[str]:
         f"records differ from each other; by the deviation within records it is "
         f"{within[row.output, row.part]:.2g}."
         for row in rows
-        if row.record == POOLED
+        if row.record == POOLED_NAME
         and row.nrmse
-        and within.get((row.output, row.part), 0.0) >= APART * row.nrmse
+        and within.get((row.output, row.part), 0.0) >= WITHIN_RECORDS_FACTOR * row.nrmse
     ]
 
 
@@ -122,7 +122,7 @@ def _offsets(rows: list[Row]) -> list[str]:
     for row in rows:
         largest[row.output] = max(largest.get(row.output, 0.0), row.rmse or 0.0)
     for row in rows:
-        if row.record == POOLED or row.offset is None or row.rmse is None:
+        if row.record == POOLED_NAME or row.offset is None or row.rmse is None:
             continue
         key, size = (row.output, row.part), largest[row.output] or 1.0
         total[key] = total.get(key, 0.0) + row.samples * (row.rmse / size) ** 2
@@ -133,7 +133,7 @@ def _offsets(rows: list[Row]) -> list[str]:
         "lacks, or a sensor that drifts."
         for key, value in total.items()
         for output, part in [key]
-        if 0 < value < np.inf and constant[key] >= MOSTLY * value
+        if 0 < value < np.inf and constant[key] >= OFFSET_ERROR_SHARE * value
     ]
 
 
@@ -168,7 +168,7 @@ def _pairs(names: list[str]) -> list[tuple[str, str]]:
 
 
 def _is_pooled_loss(row: Row) -> bool:
-    return row.diverged and row.record == POOLED
+    return row.diverged and row.record == POOLED_NAME
 
 
 def _divergence(row: Row, rows: list[Row]) -> str:
@@ -177,7 +177,7 @@ def _divergence(row: Row, rows: list[Row]) -> str:
         for r in rows
         if (r.part, r.output, r.mode) == (row.part, row.output, row.mode)
         and r.diverged
-        and r.record != POOLED
+        and r.record != POOLED_NAME
     ]
     note = f"{row.output}, {row.part}, {row.mode}: {row.status}, records {_list(lost)}."
     if row.others is None:
@@ -212,7 +212,7 @@ def _list(names: list[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-SAMPLES = 2000
+EXAMINED_SAMPLES = 2000
 """Samples a report looks at, evenly spaced: it should not take longer than the runs."""
 
 
@@ -224,7 +224,7 @@ def assess(network: Any, data: Dataset | Prepared, free: Any) -> Any:
     if not isinstance(network, Network):
         return None
     simulated = free if isinstance(free, Solution) else None
-    return stability(network, data, samples=SAMPLES, simulated=simulated).value
+    return stability(network, data, samples=EXAMINED_SAMPLES, simulated=simulated).value
 
 
 def stability_notes(value: Any, part: str) -> list[str]:
@@ -246,9 +246,9 @@ def stability_values(value: Any) -> dict[str, Any] | None:
     }
 
 
-GAINS = 3
+LISTED_GAINS = 3
 """Gains that change sign or jump that are told one by one."""
-TOTALS = 4
+LISTED_TOTALS = 4
 """Outputs whose cycle totals are told."""
 
 
@@ -276,9 +276,9 @@ def _wide_intervals(report: Any) -> Iterator[str]:
 def _gains(report: Any) -> Iterator[str]:
     """Gains that change sign or jump, the commonest first."""
     found = sorted(report.gains, key=lambda one: -one.share)
-    yield from map(str, found[:GAINS])
-    if len(found) > GAINS:
-        yield f"{len(found) - GAINS} more gains change sign or jump"
+    yield from map(str, found[:LISTED_GAINS])
+    if len(found) > LISTED_GAINS:
+        yield f"{len(found) - LISTED_GAINS} more gains change sign or jump"
 
 
 def _totals(report: Any) -> Iterator[str]:
@@ -289,14 +289,21 @@ def _totals(report: Any) -> Iterator[str]:
     """
     found: dict[str, list[float | None]] = {}
     for row in report.rows:
-        if (row.part, row.mode) == (report.main, FREE_RUN) and row.record != POOLED:
+        if (row.part, row.mode) == (
+            report.main,
+            FREE_RUN,
+        ) and row.record != POOLED_NAME:
             found.setdefault(row.output, []).append(row.total_error)
     known = {k: [e for e in errors if e is not None] for k, errors in found.items()}
     worst = sorted(filter(known.get, known), key=lambda k: -max(map(abs, known[k])))
     if report.main == "train" or not worst:
         return
-    told = [_total(k, known[k], len(found[k])) for k in worst[:TOTALS]]
-    told += [f"{len(worst) - TOTALS} more outputs"] if len(worst) > TOTALS else []
+    told = [_total(k, known[k], len(found[k])) for k in worst[:LISTED_TOTALS]]
+    told += (
+        [f"{len(worst) - LISTED_TOTALS} more outputs"]
+        if len(worst) > LISTED_TOTALS
+        else []
+    )
     yield (
         f"sums over a record of {name_data(report.main)}, simulated minus measured: "
         f"{'; '.join(told)} (seen on these records, no prediction interval)"

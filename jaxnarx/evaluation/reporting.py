@@ -15,7 +15,7 @@ from jaxnarx.evaluation._error_map import error_maps
 from jaxnarx.evaluation._reactivation import reactivation_notes
 from jaxnarx.evaluation._region_errors import region_errors
 from jaxnarx.evaluation._report import Report
-from jaxnarx.evaluation.baseline import NAME, linear_runs
+from jaxnarx.evaluation.baseline import BASELINE_NAME, linear_runs
 from jaxnarx.evaluation.coverage import coverage, coverage_notes, interval_runs
 from jaxnarx.evaluation.domain_errors import (
     domain_errors,
@@ -362,7 +362,7 @@ def _free_runs_beside(
     # Without lags of outputs a linear model of the same lags is no match for states.
     if isinstance(network, Network) and not network.hidden and "train" in parts:
         linear = linear_runs(network, parts["train"], parts[main], free)
-        runs[NAME] = list(zip(network.output_channels, linear, strict=True))
+        runs[BASELINE_NAME] = list(zip(network.output_channels, linear, strict=True))
     for name, other in others.items():
         channels = tuple(other.output_channels)
         run = _free_run(other, parts[main], None)

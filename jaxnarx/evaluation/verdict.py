@@ -26,7 +26,7 @@ REMEDIES = {
     "records": "look at these records: channels, sensors, operating range",
 }
 """Remedies, by the name that findings carry."""
-SEARCHED = REMEDIES | {
+REMEDIES_AFTER_SEARCH = REMEDIES | {
     "bounded": "training records that reach as far, or linear models",
     "unstable": "`--preset ecu`, which takes only models that are stable for certain",
     "richer": "a larger preset, other inputs, or more training records, above all like "
@@ -136,7 +136,7 @@ class Verdict:
     def helps(self) -> str:
         """The measure that helps against the worst reason; empty where there is
         none."""
-        known = SEARCHED if self.searched else REMEDIES
+        known = REMEDIES_AFTER_SEARCH if self.searched else REMEDIES
         return known[self.remedy] if self.findings else ""
 
     def to_dict(self) -> dict[str, Any]:

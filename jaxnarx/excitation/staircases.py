@@ -23,7 +23,7 @@ from jaxnarx.errors import SpecError
 HoldDistribution = Literal["uniform", "geometric", "log-uniform"]
 HOLD_DISTRIBUTIONS = ("uniform", "geometric", "log-uniform")
 
-_CUT = 0.05
+_CUT_SHARE = 0.05
 
 
 def hold_range(hold: tuple[int, int]) -> tuple[int, int]:
@@ -62,8 +62,8 @@ def hold_times(
         return jax.random.randint(key, (count,), shortest, longest + 1)
     u = jax.random.uniform(key, (count,), float)
     if distribution == "geometric":
-        scale = (longest + 1 - shortest) / -jnp.log(_CUT)
-        exact = shortest - scale * jnp.log1p(-u * (1 - _CUT))
+        scale = (longest + 1 - shortest) / -jnp.log(_CUT_SHARE)
+        exact = shortest - scale * jnp.log1p(-u * (1 - _CUT_SHARE))
     else:
         exact = shortest * ((longest + 1) / shortest) ** u
     # Rounding may put u next to one onto longest + 1.

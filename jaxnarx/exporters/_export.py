@@ -29,7 +29,7 @@ from jaxnarx.files import TemporaryFolder
 from jaxnarx.formatting import page
 from jaxnarx.models import HOLD, Network
 
-_OWN: dict[str, Target] = {
+_OWN_TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
     "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
     "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
@@ -47,7 +47,7 @@ _OWN: dict[str, Target] = {
     "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
     "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
-TARGETS = Registry("target", _OWN)
+TARGETS = Registry("target", _OWN_TARGETS)
 """Formats of export."""
 GOLDEN_SAMPLES = 200
 """Samples of the self-test."""

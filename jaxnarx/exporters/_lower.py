@@ -18,8 +18,8 @@ from jaxnarx.exporters.form import (
     BLEND,
     FILTERS,
     FRAME,
-    HALF,
-    INDEX,
+    HALF_FLAG_PREFIX,
+    INDEX_FLAG,
     TERMS,
     WEIGHTS,
     Builder,
@@ -33,7 +33,7 @@ from jaxnarx.exporters.limits import limited_outputs
 from jaxnarx.exporters.names import identifier, identifiers
 from jaxnarx.exporters.notes import policy_notes
 from jaxnarx.exporters.parameters import (
-    THETA,
+    THETA_TABLE,
     OutputAt,
     column_names,
     has_regions,
@@ -322,7 +322,11 @@ class _Lowering:
             z = self._scheduling_values(model, tables) if has_regions(at) else []
             phi, total = weights(b, at, z, tables)
         factor = np.asarray(model.local.factor)
-        dense, used, table = THETA.read(at), THETA.columns(at), tables("theta")
+        dense, used, table = (
+            THETA_TABLE.read(at),
+            THETA_TABLE.columns(at),
+            tables("theta"),
+        )
         group_of: dict[int, int] = {}
         own = None if model.own is None else np.asarray(model.own)[:, active]
         if own is not None:
@@ -439,7 +443,7 @@ class _Lowering:
         ]
         far = domain_index(b, domain, x, step)
         far = b.op("where", self.entrance.missing, b.const(LARGEST_INDEX), far)
-        flags = {INDEX: far} if index else {}
+        flags = {INDEX_FLAG: far} if index else {}
         if level is None or errors is None:
             return flags
         used = len(x) // 2
@@ -455,7 +459,9 @@ class _Lowering:
             moved = b.size(b.op("sub", physical[o], before), 1.0)
             z = [*x, *apart, physical[o], moved, far]
             name = self.names[o]
-            flags[f"{HALF}{name}"] = half_width(b, errors, o, level, z, name)
+            flags[f"{HALF_FLAG_PREFIX}{name}"] = half_width(
+                b, errors, o, level, z, name
+            )
         return flags
 
     def _feature(self, signal: int, lag: int, filter_: AbstractFilter | None) -> Value:

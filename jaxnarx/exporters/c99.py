@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from jaxnarx.exporters.c_selftest import selftest
 from jaxnarx.exporters.c_start import starts
 from jaxnarx.exporters.code import (
-    INFIX,
+    INFIX_TEMPLATES,
     Syntax,
     comment,
     digits,
@@ -56,7 +56,7 @@ def _syntax(program: SampleProgram) -> Syntax:
             "delay": lambda at: f"s->{at[0]}[{at[1] - 1}]",
             "state": lambda own: f"s->{own}",
         },
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "({0} > {1}) ? {0} : {1}",
             "min": "({0} < {1}) ? {0} : {1}",
@@ -70,7 +70,7 @@ def _syntax(program: SampleProgram) -> Syntax:
     )
 
 
-_DEVIATIONS = [
+_MISRA_DEVIATIONS = [
     "/* Checked by cppcheck with its MISRA C:2012 rules. Deviations: 2.5 and 8.7,",
     " * macros and functions of the header are an interface for others. */",
 ]
@@ -202,7 +202,7 @@ def _source(program: SampleProgram) -> str:
     kinds = {op.kind for op in program.ops}
     functions = [f for f in ("exp", "sqrt") if f in kinds]
     lines = [
-        *_DEVIATIONS,
+        *_MISRA_DEVIATIONS,
         f'#include "{name}.h"',
         "",
         "#include <math.h>",

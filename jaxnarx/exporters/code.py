@@ -33,7 +33,7 @@ class Syntax:
         return f"v{n}"
 
 
-INFIX = {
+INFIX_TEMPLATES = {
     "add": "{0} + {1}",
     "sub": "{0} - {1}",
     "mul": "{0} * {1}",

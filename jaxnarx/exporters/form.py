@@ -31,7 +31,7 @@ from jaxnarx.deprecation import old_method
 ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
 """Number types that C is written and proven for."""
 
-INDEX, HALF = "index", "half_"
+INDEX_FLAG, HALF_FLAG_PREFIX = "index", "half_"
 """Flags: the index of the domain, and half of a prediction interval by output."""
 
 TERMS, WEIGHTS, BLEND, FILTERS, FRAME = "terms", "weights", "blend", "filters", "frame"
@@ -177,7 +177,11 @@ class SampleProgram:
 
     def model_step(self) -> list[Value]:
         """The operations of one sample without what the index and intervals take."""
-        flags = [n for f, n in self.flags.items() if f != INDEX and f[:5] != HALF]
+        flags = [
+            n
+            for f, n in self.flags.items()
+            if f != INDEX_FLAG and f[:5] != HALF_FLAG_PREFIX
+        ]
         return self.state_closure([*self.outputs, *self.fed, *self.limited, *flags])
 
     def state_closure(
@@ -205,7 +209,9 @@ class SampleProgram:
         text, model = f"{self.operations} operations a sample", self.model_operations
         if model == self.operations:
             return text
-        extra = "the index of the domain" if INDEX in self.flags else "the intervals"
+        extra = (
+            "the index of the domain" if INDEX_FLAG in self.flags else "the intervals"
+        )
         return f"{text}, {model} of them without {extra}"
 
     def table(self, name: str) -> ParameterTable:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import require
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
+from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.interpret import MEAN, STEADY, ZEROS, Instance
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
@@ -81,7 +81,7 @@ def _syntax(program: SampleProgram) -> Syntax:
 
     return Syntax(
         source=sources("", "s.{name}", 1, "({})") | {"table": entry},
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "max({0}, {1})",
             "min": "min({0}, {1})",

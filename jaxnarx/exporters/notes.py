@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from jaxnarx.exporters.form import INDEX
+from jaxnarx.exporters.form import INDEX_FLAG
 from jaxnarx.models import (
     LARGEST_INDEX,
     Network,
@@ -14,7 +14,7 @@ from jaxnarx.models import (
 
 def policy_notes(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
     """A paragraph for each policy."""
-    index = f", its index is {LARGEST_INDEX:g}" if INDEX in flags else ""
+    index = f", its index is {LARGEST_INDEX:g}" if INDEX_FLAG in flags else ""
     missing = describe_missing(network, index)
     return (
         f"{missing} Measured outputs of the start are treated alike.",

@@ -283,7 +283,7 @@ def _rows(what: str) -> str:
     return f"{what}, a row for every local model or gate, of scheduling from 0 to 1"
 
 
-_BOXES = {
+_BOX_FIELDS = {
     what: Field(what, _rows(f"{what} borders of the boxes")) for what in ("low", "high")
 }
 VALIDITIES: dict[type, dict[str, AbstractTable]] = {
@@ -296,9 +296,9 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
             lambda x: -np.log(x),
         ),
     },
-    Boxes: {**_BOXES},
+    Boxes: {**_BOX_FIELDS},
     Compact: {
-        **_BOXES,
+        **_BOX_FIELDS,
         "steepness": Field(
             "log_margin",
             _rows("steepness of the borders"),
@@ -320,7 +320,7 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
     SigmoidTree: {"gate": Gates(), "gate_border": GateBorders()},
 }
 """Tables of every validity function that is known here, in the order of writing."""
-THETA, SCHEDULING = Coefficients(), Scaling()
+THETA_TABLE, SCHEDULING_TABLE = Coefficients(), Scaling()
 
 
 def has_regions(at: OutputAt) -> bool:
@@ -331,9 +331,9 @@ def has_regions(at: OutputAt) -> bool:
 def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
     """The tables of an output by the first part of their names."""
     if not has_regions(at):
-        return {"theta": THETA}
+        return {"theta": THETA_TABLE}
     kind = VALIDITIES.get(type(at.model.validity), {})
-    return {"scheduling": SCHEDULING, **kind, "theta": THETA}
+    return {"scheduling": SCHEDULING_TABLE, **kind, "theta": THETA_TABLE}
 
 
 def count_stored_for_weights(network: Network, output: int) -> int:
@@ -346,7 +346,7 @@ def count_stored_for_weights(network: Network, output: int) -> int:
 def column_names(at: OutputAt, kind: str, values: Values) -> list[str]:
     """The names of a table's columns: terms, or scheduling variables."""
     if kind == "theta":
-        rows = np.asarray(at.model.local.factor)[THETA.columns(at)].tolist()
+        rows = np.asarray(at.model.local.factor)[THETA_TABLE.columns(at)].tolist()
         return [term_name(at.network.variable_names, row) for row in rows]
     if values.ndim == 2:
         return variable_names(at.network.channels, at.model.scheduling)

@@ -7,7 +7,7 @@ from jaxnarx.data import Dataset, thin_records
 from jaxnarx.linear import linear_order
 from jaxnarx.settings import HiddenStates, Preset
 
-FAMILY = "hidden states"
+FAMILY_NAME = "hidden states"
 FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8, 2))
 MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
@@ -66,7 +66,7 @@ def propose_state_space(
             + f", pull {pull:g}"
             for r, pull in method.stages
         ]
-        yield FAMILY, names, method
+        yield FAMILY_NAME, names, method
 
 
 def _structures(

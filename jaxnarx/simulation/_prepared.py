@@ -65,14 +65,14 @@ class Prepared:
 
     def tree_flatten(self) -> tuple[tuple, tuple]:
         """Arrays, and which columns are which; without the origin."""
-        arrays = (getattr(self, name) for name in _ARRAYS)
+        arrays = (getattr(self, name) for name in _ARRAY_FIELDS)
         return tuple(arrays), self.columns
 
     @classmethod
     def tree_unflatten(cls, columns: tuple, arrays: tuple) -> "Prepared":
         """Rebuild from what `tree_flatten` gave."""
         made = object.__new__(cls)  # unchecked: what stands in place of arrays varies
-        given = dict(zip(_ARRAYS, arrays, strict=True))
+        given = dict(zip(_ARRAY_FIELDS, arrays, strict=True))
         for name, value in (given | {"columns": columns, "origin": None}).items():
             object.__setattr__(made, name, value)
         return made
@@ -124,8 +124,8 @@ def _driven(network: Network, signals: Array, valid: Array, inputs: Array, *, at
     return signals, drive_from_signals(network, signals, valid)
 
 
-_MASKS = ("start", "first", "end", "anchors")
-_ARRAYS = ("signals", "valid", "scored", *_MASKS, "drive")
+_MASK_FIELDS = ("start", "first", "end", "anchors")
+_ARRAY_FIELDS = ("signals", "valid", "scored", *_MASK_FIELDS, "drive")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -238,7 +238,7 @@ def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _host_arrays(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:
     """Arrays of prepared records that need no program."""
     scored = np.ascontiguousarray(masks.scored[..., : len(network.modelled)])
-    own = {name: getattr(masks, name) for name in _MASKS}
+    own = {name: getattr(masks, name) for name in _MASK_FIELDS}
     return {"valid": batch.valid, "scored": scored, **own}
 
 

@@ -24,9 +24,11 @@ from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begin_hidden, observe_hidden
 from jaxnarx.simulation.runs import run, run_steps
 from jaxnarx.simulation.trajectories import has_diverged, limited_samples
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 
-OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short"))
+OK, DIVERGED, TOO_SHORT = (
+    STATUS_NAMES.index(n) for n in ("ok", "diverged", "too_short")
+)
 
 
 @guard_arguments

@@ -15,7 +15,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
-from jaxnarx.child_process import SAFE, one_thread
+from jaxnarx.child_process import SAFE_ENVIRONMENT, one_thread
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.sweep.cluster import compute_on_cluster, worker_threads
 from jaxnarx.sweep.folder.run_folder import RunFolder
@@ -160,7 +160,9 @@ def _cores() -> list[int]:
 
 def _child_environment() -> dict[str, str]:
     """One thread for everything, and jax configured as it is here."""
-    settings = SAFE | one_thread() | {"JAX_ENABLE_X64": str(int(is_float64()))}
+    settings = (
+        SAFE_ENVIRONMENT | one_thread() | {"JAX_ENABLE_X64": str(int(is_float64()))}
+    )
     for name in ("jax_compilation_cache_dir", "jax_platforms"):
         if value := getattr(jax.config, name):
             settings[name.upper()] = str(value)

@@ -22,7 +22,7 @@ from jaxnarx.excitation import aprbs
 # A program for every bed.
 pytestmark = pytest.mark.slow
 
-LENGTH = engine.LENGTH
+LENGTH = engine.RUN_SAMPLES
 
 
 @pytest.fixture(scope="module", params=list(BEDS))

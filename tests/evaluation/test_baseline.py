@@ -9,7 +9,7 @@ from common import BRIEF, Part, from_rows, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
-from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.baseline import BASELINE_NAME
 from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_notes
 from jaxnarx.evaluation.rows import Row
 from jaxnarx.models import hold_to_range
@@ -37,7 +37,7 @@ POOR = network([Part([[((0, 1), 0.5), ((0, 3), 0.1)]])])
 def beside(train, test, net=POOR):
     parts = {"train": train, "test": test}
     found = report(net, parts, **BRIEF)
-    (row,) = found.beside[NAME]
+    (row,) = found.beside[BASELINE_NAME]
     return found, row
 
 
@@ -51,7 +51,7 @@ def test_it_is_exact_on_a_linear_system_and_only_scores_what_the_network_does():
     assert row.nrmse == pytest.approx(0, abs=1e-9)
     assert row.samples == found.pooled_row("y").samples
     assert found.verdict.findings and "linear model" in str(found.verdict.findings)
-    assert NAME in found.table
+    assert BASELINE_NAME in found.table
 
 
 def test_one_that_runs_away_is_diverged():
@@ -68,7 +68,7 @@ def test_other_networks_may_stand_beside_it():
     )
     own = report(other, data, stability=False, diagnostics=False)
     assert found.beside["other"] == (own.pooled_row("y"),)
-    assert NAME not in found.beside  # nothing to fit it to
+    assert BASELINE_NAME not in found.beside  # nothing to fit it to
 
 
 def row(part, extrapolated, **more) -> Row:

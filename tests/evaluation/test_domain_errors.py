@@ -9,7 +9,7 @@ import pytest
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.domain_errors import (
-    BORDER,
+    BORDER_EDGE,
     INDEX_EDGES,
     ErrorByIndex,
     _bin_errors,
@@ -31,7 +31,7 @@ def test_errors_are_told_by_the_index_of_their_sample():
         own = (index > low) & (index <= high)
         assert found.samples[k] == own.sum()
         if own.any():
-            assert found.rms[k] == pytest.approx(0.5 if k < BORDER else 3.0)
+            assert found.rms[k] == pytest.approx(0.5 if k < BORDER_EDGE else 3.0)
 
 
 def test_of_few_samples_nothing_is_told():

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from jaxnarx.evaluation.residual_tests.bounds import (
-    GRID,
+    NORMAL_SCORE_GRID,
     bent_quantile,
     correlation_quantile,
     correlation_score,
@@ -104,12 +104,12 @@ def test_a_squared_correlation_is_beta_distributed(freedom):
 
 def test_bent_quantiles_rise_keep_moments_and_mirror():
     g, h = np.array([0.0, 0.3, 1.5, 4.0]), np.array([0.0, 0.2, 6.0, 30.0])
-    bent = bent_quantile(GRID, g, h)
+    bent = bent_quantile(NORMAL_SCORE_GRID, g, h)
     assert np.all(np.diff(bent, axis=1) >= 0)
-    np.testing.assert_allclose(bent[0], GRID, atol=1e-12)
-    mirrored = bent_quantile(GRID, -g, h)
+    np.testing.assert_allclose(bent[0], NORMAL_SCORE_GRID, atol=1e-12)
+    mirrored = bent_quantile(NORMAL_SCORE_GRID, -g, h)
     np.testing.assert_allclose(mirrored[1:], -bent[1:, ::-1])
-    weight = scipy.stats.norm.pdf(GRID)
+    weight = scipy.stats.norm.pdf(NORMAL_SCORE_GRID)
     weight /= weight.sum()
     # The cubic term is exact to first order only: second-order terms of 0.2/24.
     for power, want in ((1, 0.0), (2, 1.0), (3, 0.3)):

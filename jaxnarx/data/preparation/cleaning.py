@@ -28,7 +28,7 @@ from jaxnarx.errors import DataError, SpecError
 MAX_MASKED_WEIGHT = 0.1
 """Largest share of a filter's absolute weight that may fall on masked samples."""
 
-_DECAYED = 1e-8
+_DECAYED_SHARE = 1e-8
 """The impulse response is followed until it has decayed to this."""
 
 
@@ -118,7 +118,7 @@ def _weights(sos: np.ndarray) -> Float[np.ndarray, " taps"]:
 
     poles = np.asarray(sos2zpk(sos)[1])
     slowest = float(np.max(np.abs(poles), initial=0.0))
-    length = 2 + int(np.ceil(np.log(_DECAYED) / np.log(max(slowest, 1e-2))))
+    length = 2 + int(np.ceil(np.log(_DECAYED_SHARE) / np.log(max(slowest, 1e-2))))
     response = sosfilt(sos, np.arange(length) == 0)
     return correlate(response, response)
 

@@ -95,7 +95,7 @@ class OffsetRemoved(AbstractFitted):
 
 
 Kind = Literal["min-max", "mean", "standard"]
-_SCALINGS = ("min-max", "mean", "standard")
+_SCALING_KINDS = ("min-max", "mean", "standard")
 _NEAR_ZERO = 0.01
 """A mean below this share of the root mean square is no measure of size."""
 
@@ -121,7 +121,7 @@ class Scale(AbstractStep):
     channels: tuple[str, ...] | None = None
 
     def __post_init__(self):
-        choice(self.kind, _SCALINGS, "kind")
+        choice(self.kind, _SCALING_KINDS, "kind")
 
     def fit(self, data: Dataset) -> "Scaled":
         """Offsets and gains, from valid samples only."""
@@ -164,7 +164,7 @@ class Scaled(AbstractFitted):
     units: Mapping[str, str]
 
     def __post_init__(self):
-        choice(self.scaling, _SCALINGS, "kind")
+        choice(self.scaling, _SCALING_KINDS, "kind")
         for gain in self.gain.values():
             positive(gain, "gain")
 

@@ -43,7 +43,7 @@ from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_
 from jaxnarx.simulation import Prepared, Trajectories, predict, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
-SPARE = 10
+SPARE_SAMPLES = 10
 """Samples needed beside those for lags and parameters."""
 
 
@@ -92,11 +92,11 @@ def diagnose(
     found, left_out = [], []
     for place, name in enumerate(network.output_names):
         samples = sum(int(np.sum(scored[:, place])) for scored in run.scored)
-        if samples < lags + SPARE:
+        if samples < lags + SPARE_SAMPLES:
             left_out.append(name)
             continue
         one = one_step(network, batch, run, place, estimated=estimated)
-        if one.residual.squares <= 0 or one.residual.freedom < lags + SPARE:
+        if one.residual.squares <= 0 or one.residual.freedom < lags + SPARE_SAMPLES:
             left_out.append(name)
             continue
         err = error_reduction(selection, name)
@@ -107,8 +107,8 @@ def diagnose(
         return Solution(value, RESULTS.ok, stats)
     detail = (
         f"residuals of {', '.join(left_out)} were not tested: a test of {lags} lags "
-        f"needs {lags + SPARE} samples beside those for the parameters, and residuals "
-        "that are not zero"
+        f"needs {lags + SPARE_SAMPLES} samples beside those for the parameters, and "
+        "residuals that are not zero"
     )
     return Solution(value, RESULTS.too_short, stats, detail)
 

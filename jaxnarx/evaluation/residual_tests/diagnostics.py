@@ -26,7 +26,7 @@ HOW_ESTIMATED = {
 }
 
 
-MATTERS = 0.01
+NOTICEABLE_VARIANCE_SHARE = 0.01
 """Share of the residual's variance from which a finding speaks against the model: with
 tens of thousands of samples every test finds something."""
 
@@ -102,9 +102,14 @@ class OutputDiagnostics:
         )
 
     def strong(self, level: float) -> list[str]:
-        """The tests `found` with an effect of at least `MATTERS`, largest first."""
+        """The tests `found` with an effect of at least `NOTICEABLE_VARIANCE_SHARE`,
+        largest first."""
         effect = self.effects
-        kept = [n for n in self.failed_tests(level) if effect.get(n, 0.0) >= MATTERS]
+        kept = [
+            n
+            for n in self.failed_tests(level)
+            if effect.get(n, 0.0) >= NOTICEABLE_VARIANCE_SHARE
+        ]
         return sorted(kept, key=lambda n: -effect[n])
 
     def failed_tests(self, level: float) -> list[str]:
@@ -189,7 +194,8 @@ def _sentence(one: OutputDiagnostics, level: float) -> str:
     if not found:
         return f"{one.output.name}: no test speaks against the model ({sure})."
     faint = len(found) - len(strong)
-    rest = f"{faint} of {len(one.rows)} tests find less than {100 * MATTERS:g} %"
+    least = f"{100 * NOTICEABLE_VARIANCE_SHARE:g} %"
+    rest = f"{faint} of {len(one.rows)} tests find less than {least}"
     rest += f" of the residual's variance, with {one.samples} samples"
     if not strong:
         return (
@@ -222,8 +228,8 @@ def _block(one: OutputDiagnostics, level: float) -> str:
         tests.append(f"{name:{width}s} {p:10.3g} {effect:>8s} {mark} {remark}".rstrip())
     note = [
         f"* speaks against the model, all tests together held to {100 * level:g} %; .",
-        f"does, but is about less than {100 * MATTERS:g} % (effect) of the residual's",
-        "variance",
+        f"does, but is about less than {100 * NOTICEABLE_VARIANCE_SHARE:g} % (effect)",
+        "of the residual's variance",
     ]
     note = textwrap.fill(" ".join(note), 88)
     return "\n".join([*head, "", *tests, note, "", *_coefficients(one), *_top(one)])

@@ -22,7 +22,7 @@ from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared, simulate, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
-SPARE = 10
+SPARE_SAMPLES = 10
 """Samples needed beside those for the lags."""
 
 
@@ -117,7 +117,7 @@ def diagnose_free_run(
             rows = slice(0, len(record))
             error[n, rows] = record.y[:, network.modelled[o]] - run.outputs[n][:, o]
             known[n, rows] = run.scored[n][:, o]
-        if lost or known.sum() < lags + SPARE:
+        if lost or known.sum() < lags + SPARE_SAMPLES:
             status = RESULTS.diverged if lost else RESULTS.too_short
             continue
         found.append(_test_inputs(network, batch, channel, error, known, lags, level))

@@ -10,7 +10,7 @@ from jaxnarx.arrays import quadratic
 from jaxnarx.data import scaling_unit
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-BINS = 10
+DEFAULT_BINS = 10
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def bin_by_operating_point(
     *,
     variable: str,
     unit: str = "",
-    bins: int = BINS,
+    bins: int = DEFAULT_BINS,
 ) -> OperatingPoint | None:
     """Bins of `values`, one for each known residual in flat order, and their test.
 

@@ -10,7 +10,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products, lagged_rows
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-FEWEST = 20
+FEWEST_MOMENT_SAMPLES = 20
 """Samples below which the moments of the normality test are not to be trusted."""
 
 
@@ -105,7 +105,7 @@ def normality(residual: Residual) -> ScalarTest | None:
     not need normal noise, see `linear_test`.
     """
     values = residual.value[residual.known]
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_MOMENT_SAMPLES:
         return None
     found = scipy.stats.normaltest(values)
     g, k = scipy.stats.skew(values), scipy.stats.kurtosis(values)

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.evaluation import pareto
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 from jaxnarx.sweep.analysis.table import SweepTable
 
 
@@ -49,7 +49,7 @@ def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
 def summary(table: SweepTable) -> dict[str, int]:
     """The number of rows with each status, in the order of the table of statuses."""
     found = table.column("status").tolist()
-    names = [*NAMES, *sorted(set(found) - set(NAMES))]
+    names = [*STATUS_NAMES, *sorted(set(found) - set(STATUS_NAMES))]
     return {name: found.count(name) for name in names if name in found}
 
 

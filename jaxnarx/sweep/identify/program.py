@@ -14,7 +14,7 @@ from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import PredictionError
 from jaxnarx.simulation import RunInputs, drive_from_signals
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 from jaxnarx.sweep.identify.engine_data import Member, Part
 from jaxnarx.sweep.identify.grow_step import Divided, GrowthRows, divide
 from jaxnarx.sweep.identify.refine_step import EngineTraining, Trained, schedule, train
@@ -221,7 +221,7 @@ def _status(
     chosen: Chosen, trained: Trained, scores: dict[str, Score], settings: Settings
 ) -> Int[Array, ""]:
     """The worst that can be said, as the code of a status."""
-    code = {name: jnp.asarray(n) for n, name in enumerate(NAMES)}
+    code = {name: jnp.asarray(n) for n, name in enumerate(STATUS_NAMES)}
     limit = float(jnp.finfo(chosen.condition.dtype).eps) ** -0.5
     lost = jnp.any(jnp.stack([s.diverged[1, 1] for s in scores.values()]))
     asked = jnp.asarray(settings.steps) > 0

@@ -18,7 +18,7 @@ from jaxnarx.models import Network
 from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification
 from jaxnarx.simulation import drive_from_signals
-from jaxnarx.solution import NAMES, Solution
+from jaxnarx.solution import STATUS_NAMES, Solution
 from jaxnarx.sweep.identify.engine_data import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 from jaxnarx.sweep.identify.rows import Row, empty_row, make_row
@@ -72,7 +72,7 @@ def _outcome(
     refined = fit.stats["refined"]
     history = [] if refined is None else refined.stats["history"]
     values = {
-        "status": NAMES.index(_status(fit, scores)),
+        "status": STATUS_NAMES.index(_status(fit, scores)),
         "models": count,
         "theta": theta,
         "steps": len(history),
