@@ -108,7 +108,7 @@ def test_pooled_rows_are_the_metrics_of_the_concatenation():
     want = metrics.scores(*joined)
     for o, name in enumerate(("NOx", "torque")):
         row = got.pooled_row(name)
-        for metric in metrics.PERFECT:
+        for metric in metrics.PERFECT_VALUES:
             assert getattr(row, metric) == pytest.approx(want[metric][o], rel=1e-12)
         assert row.samples == want["samples"][o] and row.status == "ok"
     assert got.modes == ("one step", "10 steps", "free run") and got.main == "data"
