@@ -68,7 +68,7 @@ class ContractionPlan:
     """The matrix products for `variables` (the one included) and `degree`.
 
     Right rows are variables, at degree 4 pairs k <= l in lexical order; zeros fill them
-    up to `right`. Computed once on the host; static.
+    up to `right`. The tables are computed once on the host and are static.
     """
 
     variables: int

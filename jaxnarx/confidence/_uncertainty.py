@@ -218,8 +218,8 @@ def pseudo_inverse(
 ) -> tuple[Float[np.ndarray, "params params"], Float[np.ndarray, " params"], float]:
     """Inverse of J'J + ridge diag(J'J) on the determined directions, zero elsewhere.
 
-    Columns of J are brought to unit length first, so that units do not matter. Beside
-    it the share of each parameter in the undetermined directions, 0 to 1, and the
+    Columns of J are brought to unit length first, so that units do not matter. It comes
+    with the share of each parameter in the undetermined directions, 0 to 1, and the
     condition of the scaled J over the determined ones. A parameter whose numbers are
     not finite counts as undetermined altogether.
     """

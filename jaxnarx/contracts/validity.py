@@ -135,7 +135,7 @@ CHECKS_WITHOUT_NETWORK = (
     check_refuses_other_sizes,
     regions_are_told,
 )
-"""Those that need no network."""
+"""Checks that need no network."""
 CHECKS = (*CHECKS_WITHOUT_NETWORK, lives_with_it)
 
 

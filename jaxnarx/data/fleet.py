@@ -19,7 +19,8 @@ from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.formatting import align_columns, brief, page, some
 
 Choice = slice | int | str | Sequence[int | str]
-"""Which records of every engine belong to a part: by position or by name."""
+"""Choice of the records of every engine that belong to a part: by position or by
+name."""
 
 FLEET_PARTS = ("train", "validation", "test")
 

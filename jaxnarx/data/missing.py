@@ -1,4 +1,4 @@
-"""From rows as they came to finite records: what happens to NaN and inf."""
+"""Finite records from rows as they came: treatment of NaN and inf."""
 
 import dataclasses
 from collections.abc import Callable, Sequence

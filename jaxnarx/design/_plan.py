@@ -102,8 +102,8 @@ def plan(
             the training.
         forbidden: Combinations of inputs that must not be, such as
             "speed > 3000 & load < 5".
-        limits: Highest value by output, or (lowest, highest). Kept by the free run with
-            the 99 % prediction interval of a network that knows its errors
+        limits: Highest value by output, or (lowest, highest). The free run keeps them
+            with the 99 % prediction interval of a network that knows its errors
             (`jnx.intervals`), which widens outside of the domain.
         hold: Shortest and longest time that an input keeps a level [s]; default half
             and four times the network's memory, which may be far from that of parts of

@@ -34,8 +34,9 @@ class ResponseSensitivity(AbstractSensitivity):
     """Sensitivity of any simulation `response(parameters, inputs)` -> (time, outputs).
 
     `parameters` is the vector about which information is wanted, at its best present
-    value; `noise` the standard deviation of each output. By forward mode, one tangent a
-    parameter. A virtual engine, for example: `lambda p, u: place(engine, p).run(u)`.
+    value; `noise` the standard deviation of each output. It uses forward mode, one
+    tangent per parameter. A virtual engine, for example: `lambda p, u: place(engine,
+    p).run(u)`.
     """
 
     response: Callable[..., Any]
@@ -184,7 +185,8 @@ def network_sensitivity(
 
 
 def run_sensitivity(network: Network, lead: int) -> NetworkSensitivity:
-    """That of a free run, also of a network with hidden channels; noise of size one."""
+    """Sensitivity of a free run, also of a network with hidden channels; noise of size
+    one."""
     _require_own(network)
     noise = jnp.ones(len(network.models), network.gain.dtype)
     return NetworkSensitivity(network, noise, _coefficients(network), False, lead)

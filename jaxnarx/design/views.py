@@ -82,7 +82,7 @@ class View(eqx.Module):
         return record_columns(u, None, at, self.domain.features, time)
 
     def index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
-        """That of the domain, one at its border."""
+        """Index of the domain, one at its border."""
         own = u[:, np.array(self.domain.inputs)]
         step = jnp.diff(own, axis=0, prepend=own[:1]).T
         return self.domain.layers(self.features(u), step)[0].max(axis=1)
@@ -127,7 +127,7 @@ def _factors(inputs: int) -> Int[np.ndarray, "terms degree"]:
 
 
 def _gain(network: Network) -> Float[Array, " outputs"]:
-    """That brings what a run computes to physical units."""
+    """Gains that bring computed outputs to physical units."""
     return network.gain[np.array(network.signals[: len(network.modelled)])]
 
 

@@ -188,7 +188,7 @@ class Diesel(AbstractEngine):
         "VGT": (30.0, 75.0),
         "speed": (1100.0, 1700.0),
     }
-    """Those of `excite`."""
+    """Ranges of `excite`."""
     domain: ClassVar[Borders] = {
         "fuel": (1.0, 250.0),
         "EGR": (0.0, 100.0),

@@ -19,7 +19,7 @@ from jaxnarx.engines import bench
 Engine = TypeVar("Engine", bound="AbstractEngine")
 
 SIDE_BY_SIDE_RECORDS = 8
-"""From as many records on, they run side by side in one loop."""
+"""Number of records from which on they run side by side in one loop."""
 
 
 def parameter(default: float) -> Any:

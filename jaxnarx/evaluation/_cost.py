@@ -206,7 +206,7 @@ def _sizes(network: Network, output: int) -> tuple[int, int, int]:
 def pareto(
     points: Float[np.ndarray, "points objectives"],
 ) -> Bool[np.ndarray, " points"]:
-    """Which points no other dominates, every objective to be made small.
+    """Mark the points that no other dominates; every objective is to be small.
 
     A point dominates another if it is nowhere larger and somewhere smaller; of equal
     points all stay. A point with a value that is not a number is never on the front;

@@ -1,4 +1,4 @@
-"""Which local model carries the error of the free run."""
+"""Share of each local model in the error of the free run."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -129,7 +129,8 @@ def region_text(region: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def region_sentence(errors: tuple[RegionError, ...], output: str, part: str) -> str:
-    """Which region carries the error of an output; empty where there are none."""
+    """The region that carries the error of an output, in words; empty where there are
+    none."""
     own = [one for one in errors if one.output == output]
     if not own:
         return ""

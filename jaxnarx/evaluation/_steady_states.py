@@ -107,9 +107,9 @@ def steady_states(
         inputs: Rows in the order of its input channels, physical units.
         start: All output channels where a run begins.
         level: Probability of the band.
-        uncertainty: That of the network's parameters; the band then says how sure the
-            model is of its own rest (`jnx.bands`). Without, a network that knows its
-            errors says where measurements will lie (`jnx.intervals`).
+        uncertainty: Uncertainty of the network's parameters; the band then says how
+            sure the model is of its own rest (`jnx.bands`). Without, a network that
+            knows its errors says where measurements will lie (`jnx.intervals`).
         longest: Samples of the longest run; what has not settled by then has not.
 
     Returns:

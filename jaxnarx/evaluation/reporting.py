@@ -103,7 +103,7 @@ def report(
             of that by part.
         selection: Stored in the form that `Report` tells, as is `history`.
         history: The steps of the refinement.
-        partition: Shown instead of the network's own; that of
+        partition: It is shown instead of the network's own; that of
             `describe_partition(network, start=before)` also shows the network before
             refinement.
         stability: True assesses up to 2000 samples of the main part, False leaves it
@@ -117,7 +117,7 @@ def report(
             the two that schedule most of each output.
         within: Tolerance of the free-run error in the unit of the outputs; the report
             tells the share of the samples that keep it.
-        provenance: Stored beside the versions and data hashes.
+        provenance: Text that is stored beside the versions and data hashes.
 
     Returns:
         A `Report`: `print` shows its table, `verdict` what the model is good for.

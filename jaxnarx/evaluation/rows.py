@@ -78,7 +78,8 @@ class ScoredSamples:
     extrapolated: Bool[np.ndarray, " time"]
     diverged: bool
     short: bool
-    """Measured, but without a sample that is predicted from complete history."""
+    """True for a measured output without a sample that is predicted from complete
+    history."""
 
     @property
     def silent(self) -> Bool[np.ndarray, " time"]:

@@ -22,8 +22,8 @@ def latin_hypercube(
 
     Within its stratum a point is uniform; the strata of different inputs are paired at
     random. `improve` swaps coordinates between points while this lowers the centred L2
-    discrepancy (seconds for some hundred points). Drawn on the host: `key` cannot be
-    traced.
+    discrepancy (seconds for some hundred points). The points are drawn on the host:
+    `key` cannot be traced.
 
     Reference: M. D. McKay, R. J. Beckman, W. J. Conover, Technometrics 21, 1979.
     """

@@ -231,7 +231,8 @@ def aprbs_plan(
     gaps as it goes; "uniform" draws independently.
 
     A step that the rate cannot complete within its hold is a SpecError, or with
-    `shorten` ends where the rate takes it. Drawn on the host: not to be traced.
+    `shorten` ends where the rate takes it. The plan is drawn on the host and cannot be
+    traced.
     """
     length = whole(length, "length")
     choice(placement, PLACEMENTS, "placement")

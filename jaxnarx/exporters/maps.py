@@ -37,8 +37,8 @@ def choose_axes(
 ) -> Int[np.ndarray, "reported two"]:
     """The inputs that every output's map goes over, by their places in the program.
 
-    Those named, or the first two that schedule the output; `FREE_AXIS` where it has
-    fewer.
+    They are those named, or the first two that schedule the output; `FREE_AXIS` where
+    it has fewer.
     """
     names = [port.name for port in program.inputs]
     count = len(program.reported)

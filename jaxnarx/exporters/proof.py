@@ -31,7 +31,8 @@ Runner = Callable[
     [Float[np.ndarray, "time inputs"], Float[np.ndarray, "begin computed"]],
     Float[np.ndarray, "time reported"],
 ]
-"""From inputs, and the measured outputs of the history and one sample more."""
+"""A function that runs a program over inputs, and the measured outputs of the history
+and one sample more."""
 
 
 class ExportError(JaxnarxError):

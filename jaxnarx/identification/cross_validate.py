@@ -34,7 +34,7 @@ class CrossValidation:
     diverged: int
     """Records."""
     network: Network | None
-    """Trained on all records; None where the candidate was given up."""
+    """Network trained on all records; None where the candidate was given up."""
     detail: str = ""
 
     @property

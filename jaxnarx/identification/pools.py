@@ -66,7 +66,7 @@ def joint_pool(methods: Sequence[Polynomial | Pool], channels: Channels) -> Pool
 
 
 def terms_of(method: Polynomial | Pool, pool: Pool) -> Bool[np.ndarray, " terms"]:
-    """Which terms of a larger pool the settings have."""
+    """True for the terms of a larger pool that the settings have."""
     own = make_pool(method, pool.channels)
     if own is pool:
         return np.ones(len(pool), bool)

@@ -180,7 +180,7 @@ class FolderLock:
 _OWN_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = (
     weakref.WeakValueDictionary()
 )
-"""Those of this process, which may open a folder again."""
+"""Locks of this process, which may open a folder again."""
 
 
 def _lock(place: Path) -> FolderLock:

@@ -78,13 +78,14 @@ def identify(
         folder: Folder to which the search writes every candidate that it has tried. The
             same call goes on there where an earlier one stopped; SpecError where the
             folder holds the search of other data or settings.
-        progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,
-            and after every candidate its `row`, the row `chosen` so far, how many are
-            `done` `of` how many, `seconds` passed and `left` (None where that is not
-            known); while one is tried, its `output`, its `number` and as `trying` its
-            `family`, `name` and `fold` of `folds`. Of a method: `verb` is `"select"`,
-            `"grow"` or `"refine"`; with `candidates`, their number, before the first,
-            with `solution` after each, else with a row of that verb's own progress.
+        progress: A function called on the host with dictionaries. Of a search: `verb`
+            `"search"`, and after every candidate its `row`, the row `chosen` so far,
+            how many are `done` `of` how many, `seconds` passed and `left` (None where
+            that is not known); while one is tried, its `output`, its `number` and as
+            `trying` its `family`, `name` and `fold` of `folds`. Of a method: `verb` is
+            `"select"`, `"grow"` or `"refine"`; with `candidates`, their number, before
+            the first, with `solution` after each, else with a row of that verb's own
+            progress.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates

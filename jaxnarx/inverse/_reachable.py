@@ -1,4 +1,4 @@
-"""Which references a plant can hold, and the commands that come nearest."""
+"""Reachable references of a plant, and the commands that come nearest to them."""
 
 import dataclasses
 import itertools

@@ -45,7 +45,7 @@ class Loop(eqx.Module):
 
     @property
     def nameless(self) -> "Loop":
-        """That of the networks without names, for programs."""
+        """Copy with networks without names, so that names are no part of a program."""
         plain = self.inverse.nameless, self.forward.nameless
         return twin(self, inverse=plain[0], forward=plain[1])
 

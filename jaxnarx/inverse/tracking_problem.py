@@ -93,7 +93,7 @@ class TrackingProblem(AbstractProblem):
 
     @property
     def nameless(self) -> "TrackingProblem":
-        """That of networks without names, for programs."""
+        """Copy with networks without names, so that names are no part of a program."""
         return twin(self, loop=self.loop.nameless, layout=self.layout.nameless)
 
     @property

@@ -40,7 +40,7 @@ class RegressionRows(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class AdaptationPlan:
-    """Which local models of each output are adapted, and whether jointly."""
+    """Local models of each output that are adapted, and whether jointly."""
 
     chosen: tuple[tuple[int, ...], ...]
     joint: bool

@@ -1,4 +1,4 @@
-"""Which variables are fed back, and the collapse of a network onto their monomials.
+"""Fed-back variables, and the collapse of a network onto their monomials.
 
 Every term splits into an input part, known before the run, and a monomial h_a of lagged
 outputs, of which there are few. Where no scheduling variable is an output, all work

@@ -287,9 +287,9 @@ class StateForm(eqx.Module):
     ) -> tuple[Float[Array, " states"], Bool[Array, ""]]:
         """A state of rest under constant inputs, x = f(x, u), and whether it was found.
 
-        By Newton's method on the outputs from `start`, by default the middle of their
-        trained ranges; where there are several, the one that leads to. Differentiable
-        by the implicit function theorem (`optimistix.root_find`).
+        It uses Newton's method on the outputs from `start`, by default the middle of
+        their trained ranges; where there are several, the one that leads to.
+        Differentiable by the implicit function theorem (`optimistix.root_find`).
         """
         return equilibrium(self.network, u, start)
 

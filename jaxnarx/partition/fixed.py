@@ -60,7 +60,7 @@ def _refuse_scheduling(method: Given) -> None:
 
 
 def _source(network: Network, name: str, method: Given) -> int:
-    """Which output's regions an output gets."""
+    """The output whose regions an output gets."""
     names = network.output_names
     wanted = method.output or (names[0] if len(names) == 1 else name)
     if wanted not in names:

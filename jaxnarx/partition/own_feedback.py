@@ -1,4 +1,4 @@
-"""Which local models are fed back their own outputs: a class of model for each region.
+"""Choice of the local models that are fed back their own outputs, region by region.
 
 Z. Li 2012, section 8.3, leaves open how to choose between an output-error model and a
 polynomial NARX model in a region. One step ahead they are the same, so the free run

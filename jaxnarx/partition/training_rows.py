@@ -56,7 +56,7 @@ class TrainingRows:
     ) -> tuple[Float[Array, "terms rows"], Float[Array, " rows"]]:
         """Columns to fit an output with, and what to fit.
 
-        Those of its terms, or, where channels are far from zero, columns of the same
+        Columns of its terms, or, where channels are far from zero, columns of the same
         span without their offsets; `coefficients` gives those of the terms.
         """
         factor = self.factors[output]

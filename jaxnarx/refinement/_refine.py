@@ -83,7 +83,8 @@ def refine(
             prior around the start for every trained parameter (as it stands in the
             network; infinite for none). The noise it is weighed against is what is left
             at the start of a stage.
-        progress: Called on the host with a dictionary after every accepted step.
+        progress: A function called on the host with a dictionary after every accepted
+            step.
         solver: In place of Levenberg-Marquardt, which never stores the Jacobian: any
             minimiser or least-squares solver of optimistix, or a transformation of
             optax, which sees batches of random windows of `method.horizons` and no

@@ -23,7 +23,7 @@ from jaxnarx.refinement.training_data import TrainingData
 
 
 class Initial(eqx.Module):
-    """Which samples are estimated: `at` is every record's first simulated sample.
+    """The samples that are estimated: `at` is every record's first simulated sample.
 
     `weight` is that of an offset's square in the loss, zero where there is none to
     estimate. Offsets are vectors of (records, depth, outputs), the newest first, in

@@ -1,4 +1,4 @@
-"""Which parameters are trained, as one vector without bounds.
+"""The trained parameters as one vector without bounds.
 
 Coefficients enter as they are; a parameter with limits a < p < b as p = a + (b - a)
 sigma(u), so that every step of a solver stays inside. The derivative of that map turns
@@ -25,7 +25,8 @@ from jaxnarx.regressors import Centring
 def freeze(
     network: Network, *, coefficients: bool = True, partition: bool = True
 ) -> Network:
-    """Which parameters a refinement trains, whole kinds of them, as a tree of booleans.
+    """The parameters that a refinement trains, whole kinds of them, as a tree of
+    booleans.
 
     True leaves are the coefficients and, for outputs with several local models, the
     parameters of the validity function; either kind is switched off by its flag.
@@ -87,7 +88,7 @@ class Layout(eqx.Module):
 
     @property
     def nameless(self) -> "Layout":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, base=self.base.nameless)
 
     @property

@@ -78,7 +78,7 @@ def batch_loss(
 def clip_gradients(
     optimiser: optax.GradientTransformation,
 ) -> optax.GradientTransformation:
-    """Bound the size of gradients. Made where it is used: two are never equal."""
+    """Bound the size of gradients. Make it where it is used: two are never equal."""
     return optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optimiser)
 
 

@@ -55,7 +55,8 @@ def output_gradient(
     """Derivative of an output by coefficients and by every trained field of validity.
 
     At fixed lagged variables, all local models' or each one's own; samples are the
-    trailing axis. Beside it those of the outputs of groups with feedback of their own.
+    trailing axis. The second result holds those of the outputs of groups with feedback
+    of their own.
     """
     model = network.models[output]
     z, values = scheduling_values(model, x), partial(term_values, network, model)

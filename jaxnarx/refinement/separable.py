@@ -49,12 +49,12 @@ class Separable(AbstractProblem):
 
     @property
     def nameless(self) -> "Separable":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, problem=self.problem.nameless)
 
     @property
     def wall(self) -> Float[Array, " params"]:
-        """That of the whole problem."""
+        """Bounds of the whole problem."""
         return self.problem.wall
 
     def solve(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
@@ -103,7 +103,7 @@ class Separable(AbstractProblem):
         )
 
     def pull(self, start: Linear) -> Float[Array, " params"]:
-        """That of the partition."""
+        """Regularisation of the parameters of the partition."""
         del start
         return jnp.asarray(self.outer_pull)
 

@@ -28,7 +28,8 @@ STILL_DEVIATION_SHARE = 1e-6
 """Standard deviation of a coefficient that stays, in shares of its size."""
 
 Refine = Callable[[Network, Network | None], Solution[Network]]
-"""From a start, with standard deviations of a prior around it."""
+"""A function that refines from a start, with standard deviations of a prior around
+it."""
 
 
 def refine_stable(

@@ -40,7 +40,7 @@ class Validator(eqx.Module):
 
     @property
     def nameless(self) -> "Validator":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, layout=self.layout.nameless)
 
     def __call__(self, u: Float[Array, " params"]) -> ValidationScore:

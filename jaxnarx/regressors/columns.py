@@ -74,7 +74,7 @@ def even_places(
 ) -> Int[np.ndarray, " places"]:
     """Up to `points` places of `batch.flat` to linearise at, evenly spread.
 
-    Those with full history and valid lags `rows`, (signal, lag); without any,
+    Samples with full history and valid lags `rows`, (signal, lag); without any,
     `DataError` says that `what` needs them.
     """
     good = np.flatnonzero(usable(batch.valid, rows, history))
@@ -97,9 +97,9 @@ def row_columns(
 ) -> Float[np.ndarray, "vars rows"]:
     """Lagged variables at places `at` of `batch.flat`, below `ones` rows of ones.
 
-    Divided by the `gain` of their signals where one is given, else in physical units.
-    Every column is written into its place of one array: memory beside the result is
-    that of a few columns.
+    They are divided by the `gain` of their signals where one is given, else in physical
+    units. Every column is written into its place of one array: memory beside the result
+    is that of a few columns.
     """
     signals = np.asarray(batch.signals)
     flat = signals.reshape(-1, signals.shape[-1])

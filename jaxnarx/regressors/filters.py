@@ -48,7 +48,7 @@ class AbstractFilter(abc.ABC):
     @property
     @abc.abstractmethod
     def function(self) -> int:
-        """Which function of the cascade it is, from 1."""
+        """Number of the function in the cascade, from 1."""
 
     @property
     def state(self) -> tuple[int, int]:

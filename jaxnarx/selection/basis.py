@@ -97,7 +97,7 @@ def project(
 ) -> tuple[Float[Array, " rows"], Float[Array, " slots"]]:
     """The part of a column off the chosen ones, and its coordinates in them.
 
-    Orthogonalised twice: once leaves cancellation of order eps * cond.
+    It is orthogonalised twice: once leaves cancellation of order eps * cond.
     """
     coordinate = jnp.zeros_like(basis.gain)
     for _ in range(2):

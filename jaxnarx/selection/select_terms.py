@@ -103,7 +103,7 @@ def select(
             name of a registered one.
         weights: For every record one non-negative weight per sample; a validity
             function is one.
-        progress: Called on the host with a dictionary after every round of
+        progress: A function called on the host with a dictionary after every round of
             `SimulationOLS`.
 
     Returns:

@@ -58,7 +58,8 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
     """True where a = c b but for rounding, that of a text file included.
 
-    Judged by how far a moves: far from zero every channel is a multiple of any other.
+    The measure is how far a moves: far from zero every channel is a multiple of any
+    other.
     """
     if not a.size:
         return False

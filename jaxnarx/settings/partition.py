@@ -121,8 +121,9 @@ class Lolimot(_Grown):
     half the width of the zone of transition."""
     _: dataclasses.KW_ONLY
     worst: Literal["squares", "nmse"] = "squares"
-    """Which model is split: the one with the largest sum of weighted squared errors
-    (Nelles), or with the largest local NMSE (6.8) (thesis), blind to its size."""
+    """Criterion for the model that is split: the one with the largest sum of weighted
+    squared errors (Nelles), or with the largest local NMSE (6.8) (thesis), blind to its
+    size."""
     validity: Literal["gaussians", "compact", "boxes"] = "gaussians"
     """Form of the validity functions: normalised Gaussians, smooth curves of bounded
     support, or piecewise constant."""

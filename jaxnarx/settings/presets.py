@@ -79,4 +79,4 @@ PRESETS = {
     ),
     "linear": Preset("linear models only", linear=True, fed_back=0, states=0),
 }
-"""By name."""
+"""Presets by name."""

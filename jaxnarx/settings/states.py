@@ -36,7 +36,7 @@ class HiddenStates:
     max_steps: Steps = 40
     """Accepted steps at each value of `shrink`, on all samples."""
     first_steps: Steps = 12
-    """Those that every start is given first, at each degree."""
+    """Steps that every start is given first, at each degree."""
     first_rows: Count = 3000
     """Samples, in stretches of all records, that these are taken on. Where there are
     more the best start goes on alone."""

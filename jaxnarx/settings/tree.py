@@ -1,6 +1,6 @@
 """Settings as trees: from the tables of files, by the paths of flags and cases.
 
-A tree is a dataclass whose fields are plain values or trees again. As a table it is a
+A tree is a dataclass whose fields are plain values or trees again. A tree's table is a
 dictionary, with the name of the kind under `"method"` where there is a choice of kinds:
 `{"grow": {"method": "tree", "max_models": 4}}`, or `{"grow": "tree"}` for its defaults.
 A path names one setting, `"grow.max_models"`.

@@ -163,7 +163,7 @@ def prepare(
     Args:
         network: The model, or of a fleet one for every member, stacked.
         data: Records with its channels, at its sample time; or a fleet of such.
-        part: Which records of a fleet, "train", "validation" or "test".
+        part: Part of a fleet, "train", "validation" or "test".
 
     Returns:
         The `Prepared` records; of a fleet with the members as a leading axis.

@@ -83,9 +83,9 @@ def predict_ahead(
 ) -> Float[Array, "records time outputs"]:
     """Prediction of every sample from measured history k samples before, physical.
 
-    As `predict` reports; `k` may be traced, one program serves all. Samples without a
-    complete history k samples before have a value all the same: count those where
-    `ready(runs, k)` holds.
+    The outputs that `predict` reports; `k` may be traced, one program serves all.
+    Samples without a complete history k samples before have a value all the same: count
+    those where `ready(runs, k)` holds.
 
     Args:
         network: The model.

@@ -54,7 +54,7 @@ def run_sweep(
             of this machine can reach: use it where those are trusted.
         client: A dask.distributed `Client`, on whose workers chunks are computed.
         new: Set an earlier sweep in the folder aside.
-        progress: Called with a dictionary whenever chunks were added, see
+        progress: A function called with a dictionary whenever chunks were added, see
             `jaxnarx.sweep.Progress`.
 
     Returns:

@@ -7,11 +7,11 @@ from typing import Any
 from jaxnarx.sweep.folder.run_folder import RunFolder
 
 Progress = Callable[[dict[str, Any]], object]
-"""Called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in members per
-second and seconds `left`; these two are None until a chunk has come. The rate counts
-from the first chunk on, which came with the compilation, as soon as that is longer than
-what went before; until then from the call on, so that more time is rather left than
-less."""
+"""A function called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in
+members per second and seconds `left`; these two are None until a chunk has come. The
+rate counts from the first chunk on, which came with the compilation, as soon as that is
+longer than what went before; until then from the call on, so that more time is rather
+left than less."""
 
 
 class Throughput:

@@ -1,4 +1,4 @@
-"""From samples at crank angles to samples in time, and back."""
+"""Samples in time from samples at crank angles, and back."""
 
 import dataclasses
 from typing import ClassVar

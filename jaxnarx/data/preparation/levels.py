@@ -279,7 +279,7 @@ class Detrend(AbstractStep, AbstractLossy):
         return _add(data, lines, 1.0)
 
     def describe(self) -> str:
-        """Which channels, and what is subtracted."""
+        """Offsets that are subtracted, by channel."""
         what = "drift (level kept)" if self.keep_level else "line"
         return f"linear {what} of each record removed: {list_channels(self.channels)}"
 

@@ -53,7 +53,7 @@ class AbstractLossy(AbstractFitted):
     """A step that loses something, so that it cannot be undone."""
 
     irreversible: ClassVar[str]
-    """That it cannot be undone, and why, or what comes near to it."""
+    """Reason why it cannot be undone, or what comes near to it."""
 
     def undo(self, data: Dataset) -> Dataset:
         """Raise `SpecError` with the reason."""

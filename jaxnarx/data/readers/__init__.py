@@ -72,7 +72,7 @@ def _require_suffix(name: str, kind: Kind) -> None:
 
 
 KINDS = Registry("kind of file", _OWN_KINDS, check=_require_suffix)
-"""By suffix, lower case."""
+"""Kinds of files by suffix, lower case."""
 
 _ARCHIVE_MARKS = {
     b"PK\x03\x04": "zip",

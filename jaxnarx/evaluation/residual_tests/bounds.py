@@ -116,8 +116,8 @@ def joint_score(correlation: Float[np.ndarray, "lags lags"], level: float) -> fl
 def joint_p(score: float, critical: float, level: float) -> float:
     """P(max |Z_k| > score), from the one point where it is known.
 
-    As if of m independent lags, 1 - (1 - 2 Phi(-c))^m, with m such that the critical
-    score has its level. Exact there and for independent lags (Sidak 1967).
+    It is that of m independent lags, 1 - (1 - 2 Phi(-c))^m, with m such that the
+    critical score has its level. Exact there and for independent lags (Sidak 1967).
     """
     one = 2 * scipy.special.ndtr(-critical)
     tail = 2 * scipy.special.ndtr(-score)

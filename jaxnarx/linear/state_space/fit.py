@@ -67,7 +67,7 @@ def fit_states(
         method: Number of states, degree and pull; see `HiddenStates`.
         hopeless: Error in training (NRMSE) beyond which no start goes on after its
             first steps, or with two regions: a DataError then.
-        progress: Called on the host after every accepted step.
+        progress: A function called on the host after every accepted step.
 
     Returns:
         `value` is the network of the last of `method.stages`, `stats["path"]` that of
@@ -118,9 +118,9 @@ def refit_states(
 ) -> Network:
     """A network with hidden states trained once more, on these data alone.
 
-    From where it stands: its structure, and which of several minima it is in, stay. Its
-    hidden channels are held to the ranges they had, and to those that they have now.
-    Errors are those of `jaxnarx.refinement.refine`.
+    It starts from its parameters: its structure, and which of several minima it is in,
+    stay. Its hidden channels are held to the ranges they had, and to those that they
+    have now. Errors are those of `jaxnarx.refinement.refine`.
     """
     start = set_ranges(network, data)
     fit = _train(start, data, method.max_steps, shrink, None)
@@ -159,8 +159,9 @@ def _train_on(
     shrink: float,
     progress: Tell | None,
 ) -> _Start:
-    """Trained on all data with this pull. A network with a larger error than before,
-    begun as in use, is none to be used, though the training goes on from it."""
+    """Model trained on all data with this regularisation. A network with a larger error
+    than before, begun as in use, is none to be used, though the training goes on from
+    it."""
     try:
         fit = _train(start.fit.value, data, method.max_steps, shrink, progress)
     except (JaxnarxError, np.linalg.LinAlgError):

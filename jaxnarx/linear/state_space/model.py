@@ -218,7 +218,7 @@ def modal_basis(
 
 
 def _blocks(a: Float[np.ndarray, "states states"]) -> np.ndarray:
-    """Which entries the modal form of `a` has."""
+    """True for the entries that the modal form of `a` has."""
     values = _eigen(a)[0]
     same = np.abs(values[:, None] - values[None].conj()) == 0
     return np.eye(len(a), dtype=bool) | (same & (np.imag(values) != 0)[:, None])

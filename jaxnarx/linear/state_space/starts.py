@@ -59,8 +59,8 @@ def linear_starts(
 def linear_order(data: Dataset, output: str, most: int) -> int | None:
     """The fewest states of a linear model nearly as good as the best of up to `most`.
 
-    By the error of their free runs on the data, within `NEARLY_BEST_FACTOR` of the
-    least; None where there is no such model.
+    The criterion is the error of their free runs on the data, within
+    `NEARLY_BEST_FACTOR` of the least; None where there is no such model.
     """
     every = _arrays(data, [data.channels.output_names.index(output)])
     try:

@@ -309,10 +309,11 @@ class BlockDesign:
     def error(
         self, group: int, run: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, " _"]:
-        """Measured less what a run answers, held within the trained range.
+        """Measured output less that of a run, held within the trained range.
 
-        That of all records, as the model of all is held in use: within that of the
-        others a group that goes farther would judge the limits, and nothing else.
+        The range is that of all records, to which the final model is held: held to the
+        range of the other groups, a group that goes farther would judge the limits, and
+        nothing else.
         """
         return self.measured[group] - np.clip(run, *self.trained_range())
 

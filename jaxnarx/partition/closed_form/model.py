@@ -112,7 +112,7 @@ class ClosedForm:
         return full
 
     def network(self) -> Network:
-        """Trained on all records."""
+        """Coefficients trained on all records."""
         leaves = tuple(leaf.region for leaf in self.stage.leaves)
         return make_network(self.stage.design, leaves, self.coefficients(), self.data)
 

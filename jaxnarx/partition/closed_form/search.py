@@ -1,4 +1,4 @@
-"""From linear models to regions with products: candidates in closed form, in order.
+"""Candidates in closed form, in order: linear models first, regions with products last.
 
 Every candidate is judged by the free run of groups of records left out, which the
 normal equations of the simulation error give without another pass over the data.
@@ -115,7 +115,8 @@ class ClosedSearch:
     ) -> GrownStage:
         """The same regions with the feedback (and gates) that suit them best.
 
-        As often as the groups left out gain: every time columns are chosen anew.
+        This repeats as long as the held-out groups gain: every time columns are chosen
+        anew.
         """
         for _ in range(most):
             new = self._retune_once(stage, gates)

@@ -1,4 +1,4 @@
-"""Which effects stay: tests of small groups of variables, put in sequence.
+"""Choice of the effects that stay: tests of small groups of variables, in sequence.
 
 One factorial of all V variables has levels^V cells, 3^41 for an engine with 41 lagged
 variables, and no data fill it. Lind and Ljung ("Regressor and structure selection in

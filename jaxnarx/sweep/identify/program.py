@@ -170,8 +170,8 @@ def _refine(
 def _trained_parameters(
     layout: Layout, settings: Settings
 ) -> tuple[Bool[Array, " params"], Bool[Array, " params"], Bool[Array, ""]]:
-    """Which parameters the case trains, which of them come first, and whether that are
-    fewer: a single model has no partition to wait for.
+    """The parameters that the case trains, those of them that come first, and whether
+    these are fewer: a single model has no partition to wait for.
     """
     at = jnp.arange(layout.parameters)
     own = at < layout.coefficients().size

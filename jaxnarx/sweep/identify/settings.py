@@ -1,4 +1,5 @@
-"""Which identifications one program does, and what it takes as arrays."""
+"""Settings that one program of identification supports, and those that it takes as
+arrays."""
 
 import dataclasses
 from collections.abc import Sequence
