@@ -137,7 +137,7 @@ def scores(
     predicted: Float[Array, "*records time outputs"],
     mask: Bool[Array, "*records time outputs"],
 ) -> dict[str, Shaped[Array, " outputs"]]:
-    """All metrics above by name, and `samples`, the count of samples in `mask`."""
+    """Compute all metrics by name, and `samples`, the count of samples in `mask`."""
     values: dict[str, Any] = {
         name: function(measured, predicted, mask)
         for name, function in zip(

@@ -28,7 +28,7 @@ class Delay:
 
 @dataclasses.dataclass(frozen=True)
 class Delays:
-    """A delay for every pair of channels.
+    """Delays between every pair of an input and an output.
 
     `reach` is the largest dead time looked at, in samples of `sample_time` [s].
     """

@@ -40,7 +40,7 @@ class Finding:
 
 @dataclasses.dataclass(frozen=True)
 class Findings:
-    """Findings, errors first. `is_okay` while none of them is an error."""
+    """Findings of a check, errors first; `is_okay` where none of them is an error."""
 
     items: tuple[Finding, ...]
 

@@ -29,8 +29,8 @@ FLEET_PARTS = ("train", "validation", "test")
 class Padded:
     """One part of all members: records in physical units, padded with their last row.
 
-    `valid` is False for missing samples and padding alike, `length` zero for records
-    that a member does not have; `names` are those of the records.
+    `valid` is False for missing samples and for padding; `length` is zero for records
+    that a member does not have; `names` are the names of the records.
     """
 
     signals: Float[np.ndarray, "members records time signals"]

@@ -59,10 +59,10 @@ class Operations:
 class Cost:
     """Operations of one sample by their purpose, and the size of the model.
 
-    `frame` are scales, limits, flags, and what stands for missing inputs. `regressors`
-    counts the terms of all local models, the constant left out; `parameters` all
-    numbers to be stored: coefficients, constants among them, and those of the validity
-    functions. In the cost of a network `outputs` holds each output's.
+    `frame` counts scales, limits, flags, and the replacement of missing inputs.
+    `regressors` counts the terms of all local models, the constant left out;
+    `parameters` all numbers to be stored: coefficients, constants among them, and those
+    of the validity functions. In the cost of a network `outputs` holds each output's.
     """
 
     terms: Operations

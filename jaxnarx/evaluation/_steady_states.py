@@ -110,7 +110,8 @@ def steady_states(
         uncertainty: Uncertainty of the network's parameters; the band then says how
             sure the model is of its own rest (`jnx.bands`). Without, a network that
             knows its errors says where measurements will lie (`jnx.intervals`).
-        longest: Samples of the longest run; what has not settled by then has not.
+        longest: Samples of the longest run; an output that moves at its end has not
+            settled.
 
     Returns:
         Outputs by point, with bands and the index of the domain where there are such.
@@ -173,7 +174,8 @@ def intersections(
     level: float | int = 0.9,
     uncertainty: Any = None,
 ) -> tuple[Intersection, ...]:
-    """Every output at rest over one input at a time, through an operating point.
+    """Steady states of every output over one input at a time, through an operating
+    point.
 
     Args:
         network: The model.
@@ -183,7 +185,7 @@ def intersections(
         over: Names of the inputs (default: all).
         points: Values along each input, over its trained range.
         level: Probability of the band.
-        uncertainty: As of `steady_states`.
+        uncertainty: Uncertainty as in `steady_states`.
 
     Returns:
         One intersection for every output and input, output by output.

@@ -52,9 +52,9 @@ class VerdictRule:
     `"below"`, `"at least"`) `limit`.
 
     `output` is empty where the rule is about the whole model; `where` names the part,
-    the records or the local model. A `value` of None could not be had, as the error of
-    a run that diverged. `reason` is what the verdict says where the rule failed; it is
-    None where another rule has said so.
+    the records or the local model. `value` is None where it does not exist, as for the
+    error of a run that diverged. `reason` is the verdict's sentence where the rule
+    failed; None where another rule has given it.
     """
 
     name: str

@@ -121,7 +121,7 @@ def export(
     precision: str = BOTH,
     verify: bool = True,
 ) -> Exported:
-    """The network as source files that do the same, sample by sample.
+    """Export the network as source files that compute the same, sample by sample.
 
     Every target is written from one list of operations (`jaxnarx.exporters.form`) and
     run over the records of `data` (without: over steps within the trained ranges)

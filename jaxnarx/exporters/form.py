@@ -102,16 +102,16 @@ class Port:
 
 @dataclasses.dataclass(frozen=True)
 class SampleProgram:
-    """One sample of a model; see the module.
+    """The program of one sample of a model: inputs, operations and states.
 
-    `outputs` are reported values in physical units, `fed` what is fed back of each (the
-    modelled outputs, then hidden ones), `limited` whether the feedback bound acted on
-    it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o by
-    the inputs of this sample and then by the `past` outputs, (line, k), as they are in
-    the lines: divided by the gain. `history` samples of measured inputs and outputs
-    begin a run, if there are any. `notes` are what whoever calls the code has to know,
-    a paragraph each, for the comments of every target. `precision` says which of the
-    number types of C the source may be compiled in.
+    `outputs` are reported values in physical units, `fed` the fed-back values (of the
+    modelled outputs, then of hidden ones), `limited` whether the feedback bound acted
+    on it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o
+    by the inputs of this sample and then by the `past` outputs, (line, k), as they are
+    in the lines: divided by the gain. `history` samples of measured inputs and outputs
+    begin a run, if there are any. `notes` are paragraphs for callers of the code, which
+    stand in the comments of every target. `precision` says which of the number types of
+    C the source may be compiled in.
     """
 
     name: str

@@ -64,7 +64,8 @@ def make_steps(network: Network, samples: int = 400, seed: int = 0) -> Dataset:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
-    """A record as targets see it, and what the model reports behind its history.
+    """A record as targets see it, and the outputs that the model reports behind its
+    history.
 
     `measured` are the outputs, and estimates of hidden channels, up to the sample where
     the free run begins; `window` samples behind that are not compared.
@@ -157,7 +158,8 @@ def dropouts(network: Network, data: Dataset, seed: int = 0) -> Dataset:
 
 
 def worst(cases: Sequence[Case], run: Runner, most: float, what: str) -> float:
-    """The largest difference of all cases; ExportError where it is more than `most`."""
+    """Return the largest difference of all cases; ExportError where it is more than
+    `most`."""
     found = max(case.difference(run) for case in cases)
     if not found <= most:
         raise ExportError(

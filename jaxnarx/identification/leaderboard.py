@@ -27,9 +27,10 @@ class Candidate:
     """One candidate for one output.
 
     Errors are NRMSE: root mean square over the standard deviation of the output, pooled
-    over the samples that count. `free_run` is that of models each of which runs freely
-    over records that it was not trained on. Models with hidden states are trained on
-    all records first, then once more without those, from where they stand.
+    over the samples that count. `free_run` is the held-out error of leave-group-out
+    cross-validation: every model runs freely over records that it was not trained on.
+    Models with hidden states are trained on all records first, then once more without
+    the held-out ones, from the parameters found.
     """
 
     output: str

@@ -86,7 +86,7 @@ def invertible(
     limits: ActuatorLimits | None = None,
     points: int = 600,
 ) -> Solution[Invertibility]:
-    """Look for what stands against an inverse of `forward` in the range of `data`.
+    """Check whether `forward` has an inverse in the range of `data`.
 
     The network is linearised at `points` samples. Findings, by kind:
 

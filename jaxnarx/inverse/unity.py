@@ -26,10 +26,10 @@ below which an output has settled."""
 class UnityGain:
     """A cascade linearised at rest, at several operating points; physical units.
 
-    `place` holds the signals `place_names` of every point, `reference` what was asked
-    for and `output` where the targets have come to rest. `gain[p, i, j]` is the static
-    gain from reference j to target i, `response[p, f, i, j]` the complex one at
-    `frequency` f [Hz], against the reference at the same instant. `settled` is False
+    `place` holds the signals `place_names` of every point, `reference` the references
+    and `output` the values at which the targets have come to rest. `gain[p, i, j]` is
+    the static gain from reference j to target i, `response[p, f, i, j]` the complex one
+    at `frequency` f [Hz], against the reference at the same instant. `settled` is False
     where the output was still moving or its response had not died out, `held` True
     where a limit acted at rest (the gain by that command is then zero).
     """

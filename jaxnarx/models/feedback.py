@@ -217,7 +217,7 @@ def respond(
     v: Float[Array, "vars *rows"],
     x: tuple[Float[Array, "_ *rows"], ...],
 ) -> Float[Array, "outputs *rows"]:
-    """Scaled outputs from lagged and scheduling variables as they are."""
+    """Compute scaled outputs from given lagged and scheduling variables."""
     return jnp.stack(
         [
             model.blend(term_values(network, model, v), scheduling_values(model, x_o))
@@ -239,7 +239,7 @@ def sources(network: Network) -> Int[np.ndarray, " states"]:
 def widen(
     network: Network, values: Float[Array, "*rows outputs"]
 ) -> Float[Array, "*rows states"]:
-    """Repeat what holds for the outputs for every entry of the loop's state."""
+    """Repeat values of the outputs for every entry of the loop's state."""
     return values[..., sources(network)] if network.parallel else values
 
 

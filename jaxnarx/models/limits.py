@@ -117,7 +117,7 @@ def report_outputs(
 ]:
     """Report computed outputs (physical units), and where they were held.
 
-    Without `inputs` as if they were in their ranges; host only.
+    Without `inputs` they count as inside their ranges; host only.
     """
     if network.hold is None:
         return outputs, np.zeros(outputs.shape, bool)
@@ -182,7 +182,7 @@ def beyond_range(
 
 
 def overshoot_decay(network: Network) -> Any:
-    """The share of the overshoot that is left a sample later; can be traced."""
+    """Share of an overshoot that remains one sample later; can be traced."""
     memory = input_memory(network)
     if isinstance(memory, Tracer):
         return jnp.exp(-1.0 / memory)

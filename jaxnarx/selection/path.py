@@ -78,7 +78,8 @@ def path_of(
     history: PartialFHistory,
     back: Float[Array, "slots slots"] | None = None,
 ) -> Path:
-    """Orthogonalise the chosen columns in order of entry, and take what follows.
+    """Compute coefficients, standard errors and criteria of all nested models of a
+    search.
 
     `back` makes the chosen columns of others, P; coefficients and their standard errors
     are then those of P. Row n may hold the columns up to the n-th.

@@ -30,9 +30,9 @@ class _Local:
     """How every local model chooses terms of its own, weighted with its validity;
     default: all have the terms that they are given."""
     ridge: NotNegative = dataclasses.field(default=0.0, kw_only=True)
-    """Pull of a local model's coefficients towards the model it was split from (of a
-    partition that is given: towards the global model), as a share of the data's own
-    information about each. Not for local models with terms of their own."""
+    """Regularisation of a local model's coefficients towards the model it was split
+    from (of a partition that is given: towards the global model), as a share of the
+    data's own information about each. Not for local models with terms of their own."""
     feedback: Literal["network", "own", "choose"] = dataclasses.field(
         default="network", kw_only=True
     )

@@ -52,8 +52,8 @@ class SimulationError:
     patience: Count = 15
     """Stop after this many accepted full-record steps without a better validation."""
     ridge: NotNegative = 1e-5
-    """Pull of every parameter towards its start, as a share of the data's own
-    information about it."""
+    """Regularisation of every parameter towards its start, as a share of the data's
+    own information about it."""
     shrink: NotNegative = 0.0
     """Penalty of a coefficient's squared distance from its start, of columns made of
     variables with mean zero and spread one, in units of the output's spread: a model
@@ -131,8 +131,8 @@ class PredictionError:
     patience: Count = 15
     """Stop after this many accepted steps without a better validation."""
     ridge: NotNegative = 1e-9
-    """Pull of every parameter towards its start, as a share of the data's own
-    information about it."""
+    """Regularisation of every parameter towards its start, as a share of the data's
+    own information about it."""
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     train: Literal["joint", "coefficients", "partition"] = "joint"

@@ -30,10 +30,10 @@ SPARE_SAMPLES = 10
 class FreeRunResiduals:
     """Correlations of one output's free-run residual, measured minus simulated.
 
-    `autocorrelation` tells the colour of what is missing and tests nothing: a free run
+    `autocorrelation` shows the colour of the residual and tests nothing: a free run
     leaves coloured residuals, its noise among them. `inputs` test whether an input
-    tells of the residual at any lag from 0 on. Mean and deviation are in the unit of
-    the output.
+    correlates with the residual at any lag from 0 on. Mean and deviation are in the
+    unit of the output.
     """
 
     output: Channel
