@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from jaxnarx.sweep import read_sweep as read_sweep
     from jaxnarx.sweep import run_sweep as run_sweep
 
-_HOME = {
+_ROOM_NAMES = {
     "confidence": "bands domain intervals uncertainty",
     "data": "Channel Channels Dataset check read read_split",
     "errors": "DataError JaxnarxError SpecError",
@@ -114,9 +114,11 @@ _HOME = {
     "solution": "RESULTS Solution",
     "sweep": "Fleet read_sweep run_sweep",
 }
-_MODULE = {name: module for module, names in _HOME.items() for name in names.split()}
+_ROOM_BY_NAME = {
+    name: module for module, names in _ROOM_NAMES.items() for name in names.split()
+}
 
-_ROOMS = {
+_ROOM_MODULES = {
     name: f"jaxnarx.{name}"
     for name in (
         "confidence data design engines errors evaluation excitation exporters "
@@ -125,7 +127,7 @@ _ROOMS = {
     ).split()
 }
 
-_MOVED = {
+_MOVED_NAMES = {
     "DataFileError": "errors",
     "IdentificationWork": "sweep",
     "Kautz": "regressors",
@@ -144,13 +146,13 @@ _OLD_ROOMS = {
 }
 """Rooms of version 0.2 by their names now; as attributes for one release more."""
 
-__all__ = sorted(_MODULE)  # noqa: PLE0605
+__all__ = sorted(_ROOM_BY_NAME)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
     """Load a name or a room on first use, so that `import jaxnarx` stays quick."""
-    if name in _ROOMS:
-        globals()[name] = room = importlib.import_module(_ROOMS[name])
+    if name in _ROOM_MODULES:
+        globals()[name] = room = importlib.import_module(_ROOM_MODULES[name])
         return room
     if name in _OLD_ROOMS:
         warnings.warn(
@@ -159,21 +161,21 @@ def __getattr__(name: str) -> Any:
             stacklevel=2,
         )
         return importlib.import_module(f"jaxnarx.{_OLD_ROOMS[name]}")
-    if name in _MOVED:
+    if name in _MOVED_NAMES:
         warnings.warn(
-            f"jnx.{name} is now jnx.{_MOVED[name]}.{name}",
+            f"jnx.{name} is now jnx.{_MOVED_NAMES[name]}.{name}",
             DeprecationWarning,
             stacklevel=2,
         )
-        return getattr(importlib.import_module(f"jaxnarx.{_MOVED[name]}"), name)
-    if name not in _MODULE:
+        return getattr(importlib.import_module(f"jaxnarx.{_MOVED_NAMES[name]}"), name)
+    if name not in _ROOM_BY_NAME:
         raise AttributeError(f"module 'jaxnarx' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"jaxnarx.{_MODULE[name]}"), name)
-    if _MODULE[name] == "settings":
+    value = getattr(importlib.import_module(f"jaxnarx.{_ROOM_BY_NAME[name]}"), name)
+    if _ROOM_BY_NAME[name] == "settings":
         document(value)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *_ROOMS])
+    return sorted([*__all__, *_ROOM_MODULES])

@@ -23,15 +23,15 @@ from jaxnarx.errors import SpecError
 F = TypeVar("F", bound=Callable[..., Any])
 C = TypeVar("C", bound=type)
 
-OURS = "jaxnarx."
-PLAIN = ("builtins", "numpy", "pathlib", "jaxlib", "jax")
+PACKAGE_PREFIX = "jaxnarx."
+PLAIN_PACKAGES = ("builtins", "numpy", "pathlib", "jaxlib", "jax")
 """Packages none of whose objects is a method."""
 
 
 def guard_arguments(verb: F) -> F:
     """`verb`, which refuses with a `SpecError` what its annotations do not allow.
 
-    Held to them are arguments that take objects of this package, alone or in lists and
+    It checks arguments that take objects of this package, alone or in lists and
     dictionaries, paths, and single numbers. A method of a class of the user's own
     passes: the verb says what it needs of it.
     """
@@ -66,7 +66,7 @@ def require_fit(called: str, name: str, value: Any, wanted: Any) -> None:
     """SpecError where an argument of `called` is not what its annotation asks for."""
     if not is_fit(value, wanted):
         raise SpecError(
-            f"{called}: {name} is {_what(value)}, but must be "
+            f"{called}: {name} is {_describe_value(value)}, but must be "
             f"{_describe_annotation(wanted)}{_advice(value)}",
             field=name,
         )
@@ -85,7 +85,7 @@ def is_fit(value: Any, wanted: Any) -> bool:
         return value is None
     if origin is typing.Literal:  # the verb says which words there are
         return isinstance(value, tuple({type(each) for each in inner}))
-    if wanted in _NUMBERS:
+    if wanted in _NUMBER_KINDS:
         return _is_number(value, wanted)
     if origin is collections.abc.Callable:
         return callable(value) and not isinstance(value, type)
@@ -93,7 +93,7 @@ def is_fit(value: Any, wanted: Any) -> bool:
         return isinstance(value, collections.abc.Mapping) and all(
             is_fit(k, inner[0]) and is_fit(each, inner[1]) for k, each in value.items()
         )
-    if origin in _SEVERAL or origin is tuple and inner[-1] is ...:
+    if origin in _COLLECTION_KINDS or origin is tuple and inner[-1] is ...:
         return _is_several(value, inner[0]) and all(is_fit(e, inner[0]) for e in value)
     if hasattr(wanted, "array_type"):
         return _is_array(value, wanted.dims)
@@ -125,9 +125,13 @@ def _may_be_path(value: Any) -> bool:
     return b"\0" not in name and max(map(len, parts)) <= LONGEST_FILE_NAME
 
 
-_NUMBERS: dict[Any, Any] = {int: numbers.Integral, float: numbers.Real, bool: np.bool_}
+_NUMBER_KINDS: dict[Any, Any] = {
+    int: numbers.Integral,
+    float: numbers.Real,
+    bool: np.bool_,
+}
 """Annotations of one number, and what else than that class is one."""
-_SEVERAL = (collections.abc.Sequence, collections.abc.Iterable, list, tuple)
+_COLLECTION_KINDS = (collections.abc.Sequence, collections.abc.Iterable, list, tuple)
 
 
 def _is_number(value: Any, wanted: type) -> bool:
@@ -138,7 +142,7 @@ def _is_number(value: Any, wanted: type) -> bool:
     if _is_numpy_or_jax(value):
         kind = getattr(value.dtype, "kind", "?")
         return wanted is float and np.ndim(value) == 0 and kind in "iuf"
-    fits = isinstance(value, (wanted, _NUMBERS[wanted]))
+    fits = isinstance(value, (wanted, _NUMBER_KINDS[wanted]))
     if wanted is int and fits:
         return not isinstance(value, bool) and -(2**63) <= int(value) < 2**63
     return fits
@@ -176,7 +180,7 @@ def _is_ours(wanted: Any) -> bool:
     """A class of this package that tells its objects apart."""
     if typing.get_origin(wanted) in (typing.Union, types.UnionType):
         return any(map(_is_ours, typing.get_args(wanted)))
-    is_class = isinstance(wanted, type) and wanted.__module__.startswith(OURS)
+    is_class = isinstance(wanted, type) and wanted.__module__.startswith(PACKAGE_PREFIX)
     vague = getattr(wanted, "_is_protocol", False)
     return is_class and (not vague or getattr(wanted, "_is_runtime_protocol", False))
 
@@ -184,16 +188,16 @@ def _is_ours(wanted: Any) -> bool:
 def _may_be_method(value: Any) -> bool:
     """Whether it could be a method of the user's own: what a verb needs, it says."""
     root = (value if isinstance(value, type) else type(value)).__module__.split(".")[0]
-    return root not in PLAIN and not _is_noun(value)
+    return root not in PLAIN_PACKAGES and not _is_noun(value)
 
 
 def _is_noun(value: Any) -> bool:
     """An object, or a class, of this package."""
     kind = value if isinstance(value, type) else type(value)
-    return kind.__module__.startswith(OURS)
+    return kind.__module__.startswith(PACKAGE_PREFIX)
 
 
-def _what(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     if value is None:
         return "None"
     if isinstance(value, type):

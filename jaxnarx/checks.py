@@ -1,4 +1,4 @@
-"""What a request is held to: `SpecError` names the field, the value and the way out.
+"""Checks of requests: `SpecError` names the field, the value and the way out.
 
 Every check returns the value it was given, so that it can stand where that is used.
 """

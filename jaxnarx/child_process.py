@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Mapping
 
-SAFE = {"PYTHONSAFEPATH": "1"}
+SAFE_ENVIRONMENT = {"PYTHONSAFEPATH": "1"}
 """Environment of a Python process and of those that it starts."""
 
-_POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+_THREAD_POOLS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
 _ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
 
@@ -25,7 +25,7 @@ def python_command(code: str, *arguments: str) -> list[str]:
 def one_thread() -> dict[str, str]:
     """Environment of a process whose linear algebra and XLA keep to one thread."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} {_ONE_THREAD}".strip()
-    return {f"{name}_NUM_THREADS": "1" for name in _POOLS} | {"XLA_FLAGS": flags}
+    return {f"{name}_NUM_THREADS": "1" for name in _THREAD_POOLS} | {"XLA_FLAGS": flags}
 
 
 def python_environment(given: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -38,4 +38,4 @@ def python_environment(given: Mapping[str, str] | None = None) -> dict[str, str]
     elsewhere = [p for p in sys.path if p and os.path.abspath(p) != here]
     last = [here] if len(elsewhere) < len(sys.path) else []
     paths = os.pathsep.join([*elsewhere, *last])
-    return os.environ | dict(given or {}) | SAFE | {"PYTHONPATH": paths}
+    return os.environ | dict(given or {}) | SAFE_ENVIRONMENT | {"PYTHONPATH": paths}

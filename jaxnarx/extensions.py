@@ -1,4 +1,4 @@
-"""What other packages may add, by name: a registry for every kind.
+"""Registries of what other packages add, by name: one for every kind.
 
 Each kind has its registry in the room it belongs to: `jaxnarx.models.VALIDITIES`,
 `jaxnarx.settings.SELECTORS` and `PARTITIONS`, `jaxnarx.identification.CANDIDATES`,
@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 
 from jaxnarx.errors import SpecError, suggest
 
-GROUP = "jaxnarx.extensions"
+ENTRY_POINT_GROUP = "jaxnarx.extensions"
 """The entry points of packages that add something."""
 
 T = TypeVar("T")
@@ -110,7 +110,7 @@ def load_packages() -> None:
     One that cannot be imported is a SpecError that names it, at every look-up that
     needs it: what it would have added is missing.
     """
-    for point in importlib.metadata.entry_points(group=GROUP):
+    for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
         try:
             point.load()
         except Exception as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from jaxnarx.errors import DataFileError
 
-UNFINISHED = ".tmp"
+UNFINISHED_SUFFIX = ".tmp"
 """How the name of a file ends that is still being written."""
 
 
@@ -26,7 +26,7 @@ def write_whole(path: Path, data: bytes, *, replace: bool = True) -> bool:
     the place of `path`. Without `replace` a file that is there stays as it is and the
     answer is False. Errors are those of the system; nothing is left of the attempt.
     """
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}{UNFINISHED}")
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}{UNFINISHED_SUFFIX}")
     file = open(temporary, "xb")  # before the try: where it fails it is not ours
     try:
         with file:
@@ -63,7 +63,7 @@ def unwritable(path: object, error: OSError, kept: str = "") -> DataFileError:
 
 
 @contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def hold_lock(folder: Path) -> Iterator[None]:
     """Keep other processes out that ask the same; the lock ends with its process.
 
     Where the system has no such lock, nobody is kept out.
@@ -117,9 +117,9 @@ def lock_folder(place: Path) -> int | None:
         return None
 
 
-TEMPORARY = "jaxnarx-of-a-process-"
+TEMPORARY_PREFIX = "jaxnarx-of-a-process-"
 """How the names of temporary folders begin."""
-FRESH = 600.0
+FRESH_FOLDER_SECONDS = 600.0
 """Seconds for which a temporary folder without a lock may be one that is being made."""
 
 
@@ -132,7 +132,7 @@ class TemporaryFolder:
 
     def __init__(self) -> None:
         clear_temporary()
-        self.path = Path(tempfile.mkdtemp(prefix=TEMPORARY))
+        self.path = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX))
         self.cleanup = weakref.finalize(
             self, _remove, self.path, _lock_folder(self.path)
         )
@@ -146,11 +146,11 @@ class TemporaryFolder:
 
 def clear_temporary() -> None:
     """Remove the temporary folders of this user's processes that are gone."""
-    for place in Path(tempfile.gettempdir()).glob(TEMPORARY + "*"):
+    for place in Path(tempfile.gettempdir()).glob(TEMPORARY_PREFIX + "*"):
         with contextlib.suppress(OSError):  # held, another user's, or just removed
             about = place.lstat()
             is_ours = not hasattr(os, "getuid") or about.st_uid == os.getuid()
-            if not is_ours or time.time() - about.st_mtime < FRESH:
+            if not is_ours or time.time() - about.st_mtime < FRESH_FOLDER_SECONDS:
                 continue
             if (handle := lock_folder(place)) is not None:
                 _remove(place, handle)

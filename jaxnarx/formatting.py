@@ -1,4 +1,4 @@
-"""What `print` and a notebook show of a value: one text, told by its `__str__`.
+"""The text of a value for `print` and notebooks, by its `__str__`.
 
 A class says what it is in `__str__`; `_repr_html_ = page` shows the same text in a
 notebook, and `__repr__ = brief` keeps arrays out of a traceback or a list.

@@ -12,8 +12,8 @@ Edges, the same everywhere. *No* counted sample gives the worst value (`inf`, or
 where larger is better), never NaN: an error that was not measured is not a small one. A
 counted prediction that is not finite gives the worst value as well. A *constant* output
 has no spread to compare with: a zero error gives the perfect value, any other error the
-worst. What `mask` leaves out has no influence, finite or not. Squares are taken of
-scaled values, so magnitudes up to 1e150 neither overflow nor vanish.
+worst. Samples that `mask` leaves out have no influence, finite or not. Squares are
+taken of scaled values, so magnitudes up to 1e150 neither overflow nor vanish.
 
 Reference: Z. Li 2012, (4.43), (4.44), (6.8).
 """
@@ -33,7 +33,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 Array = np.ndarray | jax.Array
 
 
-def _compiled(metric: F) -> F:
+def _compile(metric: F) -> F:
     """Compile for jax arrays; NumPy's are taken as they are."""
     program = jax.jit(metric)
 
@@ -46,11 +46,11 @@ def _compiled(metric: F) -> F:
     return typing.cast(F, call)
 
 
-PERFECT = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
+PERFECT_VALUES = {"rmse": 0.0, "nrmse": 0.0, "r2": 1.0, "fit": 100.0, "nmse": 0.0}
 """The metrics in the order in which they are shown, with the value of a perfect fit."""
 
 
-@_compiled
+@_compile
 def rmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -60,10 +60,10 @@ def rmse(
 
     sqrt(sum e^2 / N), e = y - yhat, over the N samples where `mask` holds.
     """
-    return _root_mean_square(_pooled(_error(y, yhat, mask)), _pooled(mask))
+    return _root_mean_square(_pool_records(_error(y, yhat, mask)), _pool_records(mask))
 
 
-@_compiled
+@_compile
 def nrmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -75,10 +75,12 @@ def nrmse(
     as good as predicting the mean, larger is worse. A constant output gives `inf`
     unless the error is zero.
     """
-    return _quotient(rmse(y, yhat, mask), _spread(_pooled(y), _pooled(mask)))
+    return _quotient(
+        rmse(y, yhat, mask), _spread(_pool_records(y), _pool_records(mask))
+    )
 
 
-@_compiled
+@_compile
 def r2(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -92,7 +94,7 @@ def r2(
         return 1.0 - nrmse(y, yhat, mask) ** 2
 
 
-@_compiled
+@_compile
 def fit(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -107,7 +109,7 @@ def fit(
         return 100.0 * (1.0 - nrmse(y, yhat, mask))
 
 
-@_compiled
+@_compile
 def nmse(
     y: Float[Array, "*records time outputs"],
     yhat: Float[Array, "*records time outputs"],
@@ -118,7 +120,11 @@ def nmse(
     A prediction that is wrong by a constant scores a perfect 0, so read it beside the
     RMSE. A constant output gives `inf` unless the error is constant too.
     """
-    y, error, mask = _pooled(y), _pooled(_error(y, yhat, mask)), _pooled(mask)
+    y, error, mask = (
+        _pool_records(y),
+        _pool_records(_error(y, yhat, mask)),
+        _pool_records(mask),
+    )
     xp = _namespace(y)
     measured = xp.isfinite(_root_mean_square(error, mask))
     scatter = xp.where(measured, _spread(error, mask), xp.inf)
@@ -131,19 +137,21 @@ def scores(
     predicted: Float[Array, "*records time outputs"],
     mask: Bool[Array, "*records time outputs"],
 ) -> dict[str, Shaped[Array, " outputs"]]:
-    """All metrics above by name, and `samples`, the count of samples in `mask`."""
+    """Compute all metrics by name, and `samples`, the count of samples in `mask`."""
     values: dict[str, Any] = {
         name: function(measured, predicted, mask)
-        for name, function in zip(PERFECT, (rmse, nrmse, r2, fit, nmse), strict=True)
+        for name, function in zip(
+            PERFECT_VALUES, (rmse, nrmse, r2, fit, nmse), strict=True
+        )
     }
-    return values | {"samples": _pooled(mask).sum(axis=0)}
+    return values | {"samples": _pool_records(mask).sum(axis=0)}
 
 
 def is_constant(
     y: Float[Array, "*records time outputs"], mask: Bool[Array, "*records time outputs"]
 ) -> Bool[Array, " outputs"]:
     """Whether the counted samples of an output are all equal (or there are none)."""
-    return _spread(_pooled(y), _pooled(mask)) == 0
+    return _spread(_pool_records(y), _pool_records(mask)) == 0
 
 
 def pooled_rms(
@@ -164,7 +172,7 @@ def _namespace(y: Array) -> Any:
     return y.__array_namespace__()
 
 
-def _pooled(value: Array) -> Array:
+def _pool_records(value: Array) -> Array:
     """All records behind one another."""
     return value if value.ndim == 2 else value.reshape(-1, value.shape[-1])
 

@@ -1,4 +1,4 @@
-"""What every verb returns, and the one table of statuses."""
+"""The result of every verb, and the one table of statuses."""
 
 import dataclasses
 import functools
@@ -16,11 +16,11 @@ from jaxnarx.formatting import page
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-SINGLE = (
+SINGLE_PRECISION_NOTE = (
     "computed in float32, so that normal equations keep three to four digits; for more "
     "give float64 data and switch jax_enable_x64 on"
 )
-"""What verbs that estimate say of data in single precision."""
+"""Note of verbs that estimate on data in single precision."""
 
 
 class RESULTS(eqx.Enumeration):
@@ -40,7 +40,7 @@ class RESULTS(eqx.Enumeration):
     not_run = "The computation was not started."
 
 
-NAMES: tuple[str, ...] = (
+STATUS_NAMES: tuple[str, ...] = (
     "ok",
     "budget_spent",
     "no_improvement",
@@ -54,7 +54,7 @@ NAMES: tuple[str, ...] = (
     "crashed",
     "not_run",
 )
-OKAY = 4
+OKAY_STATUSES = 4
 """Number of leading statuses that are informative ends rather than failures."""
 
 
@@ -90,14 +90,14 @@ class Solution(eqx.Module, Generic[T]):
         """True where the status is an informative end rather than a failure."""
         status = code(self.status)
         if isinstance(status, Tracer):
-            return status < OKAY
-        okay = np.asarray(status) < OKAY
+            return status < OKAY_STATUSES
+        okay = np.asarray(status) < OKAY_STATUSES
         return bool(okay) if okay.ndim == 0 else jax.device_put(okay)
 
     @property
     def status_name(self) -> str:
         """The status as text, `"budget_spent"`; for a single result."""
-        return NAMES[int(code(self.status))]
+        return STATUS_NAMES[int(code(self.status))]
 
     @property
     def channel(self) -> str | None:
@@ -152,7 +152,9 @@ def tell_precision(verb: F) -> F:
         if told or solution.value.gain.dtype != np.float32:
             return solution
         stats = solution.stats | {"precision": "float32"}
-        detail = "; ".join(text for text in (solution.detail, SINGLE) if text)
+        detail = "; ".join(
+            text for text in (solution.detail, SINGLE_PRECISION_NOTE) if text
+        )
         return dataclasses.replace(solution, stats=stats, detail=detail)
 
     return cast(F, call)
@@ -162,9 +164,9 @@ def _describe_ending(solution: Solution) -> str:
     """Status and detail; of a batch, how many members have which."""
     codes = np.asarray(code(solution.status))
     if codes.ndim:
-        count = np.bincount(codes.ravel(), minlength=len(NAMES))
+        count = np.bincount(codes.ravel(), minlength=len(STATUS_NAMES))
         return ", ".join(
-            f"{n} {name}" for n, name in zip(count, NAMES, strict=True) if n
+            f"{n} {name}" for n, name in zip(count, STATUS_NAMES, strict=True) if n
         )
     why = solution.detail or str(RESULTS[solution.status])
     return f"{solution.status_name}: {why}"

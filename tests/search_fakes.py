@@ -129,12 +129,12 @@ class FakeSearch:
                 if self.vetoed:
                     lost = {"free_run": None, "status": "diverged", "diverged": 1}
                     one = dataclasses.replace(one, **lost)
-                store = store.added(one, fitted(data, output, linear=k > 0))
+                store = store.add(one, fitted(data, output, linear=k > 0))
                 progress(
                     {
                         "verb": "search",
                         "row": one,
-                        "chosen": store.leaderboard.chosen(output),
+                        "chosen": store.leaderboard.choose(output),
                         "done": len(store.leaderboard),
                         "of": None,
                         "seconds": 1.0,
@@ -145,7 +145,7 @@ class FakeSearch:
 
     def _solution(self, store: SearchFolder, outputs, stopped) -> Solution[Network]:
         found = store.leaderboard
-        rows = [found.chosen(o) or found.of(o)[0] for o in found.outputs]
+        rows = [found.choose(o) or found.of(o)[0] for o in found.outputs]
         status = RESULTS.budget_spent if stopped else RESULTS.ok
         status = RESULTS.diverged if self.vetoed else status
         stats = {"leaderboard": found, "look": {o: {"memory": 9} for o in outputs}}

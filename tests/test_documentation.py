@@ -25,7 +25,7 @@ from jaxnarx.settings.tree import replace_at
 from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.commands.flags import with_options
 from jaxnarx.shell.commands.parse import parse
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -224,7 +224,7 @@ def test_every_status_has_advice():
     rows = re.findall(
         r"^\| `(\w+)` \|.*\|(.+)\|$", (DOCS / "reference/messages.md").read_text(), re.M
     )
-    assert set(NAMES) <= {name for name, advice in rows if advice.strip()}
+    assert set(STATUS_NAMES) <= {name for name, advice in rows if advice.strip()}
 
 
 def test_texts_of_branches_and_variables_are_read():

@@ -137,7 +137,7 @@ def test_a_package_is_loaded_by_the_first_look_up_that_misses(tmp_path):
     about = tmp_path / "toy-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy\nVersion: 1.0\n")
-    entry = f"[{extensions.GROUP}]\ntoy = toy_extension\n"
+    entry = f"[{extensions.ENTRY_POINT_GROUP}]\ntoy = toy_extension\n"
     (about / "entry_points.txt").write_text(entry)
     (tmp_path / "toy_extension.py").write_text(PACKAGE)
     paths = [str(tmp_path), *filter(None, os.environ.get("PYTHONPATH", "").split(":"))]

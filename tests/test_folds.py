@@ -74,7 +74,7 @@ def test_training_runs_go_through_the_block_without_looking_at_it(g):
     net = common.named("coupled")
     value = simulate(net, fold(g).train).value
     for n in range(2):
-        out = found().left_out(g)[n]
+        out = found().held_out_samples(g)[n]
         # A block at the beginning leaves a start behind it, no other changes the run.
         first = int(np.argmin(out)) if out[0] else 0
         plain = oracles.free_run(rows(n)[first:], common.to_oracle(net))
@@ -93,7 +93,7 @@ def test_what_is_left_out_changes_nothing_that_is_trained():
     g = 1
     spoilt = [rows(n).copy() for n in range(2)]
     for n, r in enumerate(spoilt):
-        r[found().left_out(g)[n], Y:] = 1e3
+        r[found().held_out_samples(g)[n], Y:] = 1e3
     other = found().fold(common.from_rows(spoilt), g)
     pool = polynomial_pool(
         data().channels, input_lags=(0, 1), output_lags=(1, 2), degree=1
@@ -118,7 +118,7 @@ def test_rows_of_regression_keep_clear_of_the_block():
     }
     length = made["train"].batch.valid.shape[1]
     for n in range(2):
-        out, own = found().left_out(1)[n], found().labels[n] == 1
+        out, own = found().held_out_samples(1)[n], found().labels[n] == 1
         want: dict[str, list[int]] = {"train": [], "left": []}
         for t in range(history, len(out)):
             if not out[t - history : t + 1].any():

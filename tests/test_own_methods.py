@@ -146,7 +146,7 @@ def test_regions_of_a_partition_have_the_free_run_of_the_closed_form(halving):
     for _ in search.candidates(max_models=1, grown_roots=1):
         pass
     (root,) = search.roots
-    (found,) = search.partitioned("halving", halving())
+    (found,) = search.divide_by_partition("halving", halving())
     network = found.network()
     assert found.name.startswith("4 regions") and len(network.regions(0)) == 4
     assert found.free_run < root.free_run
@@ -158,7 +158,7 @@ def test_regions_of_a_partition_have_the_free_run_of_the_closed_form(halving):
     own = np.asarray(run.computed[0])[-len(expected) :, 0]
     np.testing.assert_allclose(own[60:], shift + scale * expected[60:], atol=1e-9)
     with pytest.raises(SpecError, match="returns a validity function"):
-        list(search.partitioned("nothing", lambda *_: None))
+        list(search.divide_by_partition("nothing", lambda *_: None))
 
 
 def test_a_partition_that_fails_is_a_row_of_the_leaderboard(monkeypatch):

@@ -26,8 +26,8 @@ from jaxnarx.settings import (
 )
 from jaxnarx.settings.tree import (
     METHOD_KINDS,
-    by_path,
-    fields_of,
+    field_hints,
+    flatten_table,
     from_dict,
     hint_at,
     replace_at,
@@ -76,7 +76,7 @@ def test_a_tree_spread_out_is_made_again():
 def test_every_kind_is_told_apart_by_its_name():
     for name, kind, told in METHOD_KINDS:
         scheduled = {"scheduling": ("a[t]",), "models": (2,)}
-        own = {k: v for k, v in scheduled.items() if k in fields_of(kind)}
+        own = {k: v for k, v in scheduled.items() if k in field_hints(kind)}
         assert to_dict(kind(**own, **told))["method"] == name
 
 
@@ -116,7 +116,7 @@ def test_values_are_found_by_path():
         value_at(tree, "grow.max_models") == 8 and value_at(tree, "grow") == "lolimot"
     )
     assert value_at(tree, "grow.smoothness") is None
-    flat = by_path(to_dict(tree))
+    flat = flatten_table(to_dict(tree))
     assert flat["grow.scheduling"] == ("a[t]",) and flat["select.max_terms"] == 25
     owner, _ = hint_at(Identification, "grow.local.significance")
     assert owner is StepwiseF

@@ -21,7 +21,7 @@ from jaxnarx.shell.commands import COMMANDS
 from jaxnarx.shell.commands.flags import with_options
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.interrupt import ENDING
-from jaxnarx.solution import NAMES, OKAY
+from jaxnarx.solution import OKAY_STATUSES, STATUS_NAMES
 from jaxnarx.sweep import read_sweep
 
 ROOT = Path(__file__).parents[1]
@@ -127,9 +127,9 @@ def test_exit_codes_are_those_of_the_command_line():
 
 def test_every_status_is_explained_in_the_order_of_the_program():
     rows = table(section("Statuses"), "status")
-    assert tuple(spans(row[0])[0] for row in rows) == NAMES
+    assert tuple(spans(row[0])[0] for row in rows) == STATUS_NAMES
     assert all(all(row) and len(row) == 3 for row in rows)
-    assert OKAY == 4 and "The first four" in section("Statuses")
+    assert OKAY_STATUSES == 4 and "The first four" in section("Statuses")
 
 
 def test_levels_and_remedies_are_those_of_the_verdict():

@@ -63,7 +63,7 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
 def test_a_temporary_folder_goes_with_its_owner(tmp_path, monkeypatch):
     """However that ends; that of a killed process is cleared by the next."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(files, "FRESH", 0.0)
+    monkeypatch.setattr(files, "FRESH_FOLDER_SECONDS", 0.0)
     code = "from jaxnarx.files import TemporaryFolder as T; t = T(); input()"
     environment = python_environment({"TMPDIR": str(tmp_path)})
     with subprocess.Popen(
@@ -83,10 +83,10 @@ def test_a_temporary_folder_goes_with_its_owner(tmp_path, monkeypatch):
 
 def test_a_link_in_place_of_a_temporary_folder_is_not_followed(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "t"))
-    monkeypatch.setattr(files, "FRESH", 0.0)
+    monkeypatch.setattr(files, "FRESH_FOLDER_SECONDS", 0.0)
     (tmp_path / "t").mkdir()
     (kept := tmp_path / "kept").mkdir()
     (kept / "file").touch()
-    (tmp_path / "t" / f"{files.TEMPORARY}x").symlink_to(kept)
+    (tmp_path / "t" / f"{files.TEMPORARY_PREFIX}x").symlink_to(kept)
     files.clear_temporary()
     assert (kept / "file").exists()

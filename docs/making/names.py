@@ -54,7 +54,7 @@ def public() -> tuple[Name, ...]:
     """Every public name once, in the order of the pages."""
     home = {
         name: page
-        for page, names in jaxnarx._HOME.items()  # noqa: SLF001
+        for page, names in jaxnarx._ROOM_NAMES.items()  # noqa: SLF001
         for name in names.split()
     }
     places = [(f"jaxnarx.{n}", home[n], getattr(jaxnarx, n)) for n in jaxnarx.__all__]

@@ -65,7 +65,10 @@ def public(root: Path) -> int:
     """Names that the package lists at its top."""
     tree = ast.parse((root / "jaxnarx" / "__init__.py").read_text(encoding="utf-8"))
     for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_HOME":
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in (
+            "_HOME",
+            "_ROOM_NAMES",
+        ):
             table = ast.literal_eval(node.value)
             return sum(len(names.split()) for names in table.values())
     raise ValueError(f"{root}: no list of public names")

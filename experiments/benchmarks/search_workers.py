@@ -120,7 +120,7 @@ def identify(
     wall, spent = time.perf_counter() - begin, _processor() - spent
     board = fit.stats["leaderboard"]
     (output,) = board.outputs
-    rows, chosen = board.of(output), board.chosen(output)
+    rows, chosen = board.of(output), board.choose(output)
     families: dict[str, int] = {}
     for row in rows:
         families[row.family] = families.get(row.family, 0) + 1
@@ -208,8 +208,8 @@ def equations(length: int, columns: int, threads: int) -> dict[str, Any]:
         "matrix product": lambda: [c @ o.T for c, o in pairs],
         "product alone": lambda: [c @ c.T for c in block.columns],
         "columns alone": lambda: empty.block(()),
-        "whole": lambda: empty.extended(empty.block(())),
-        "as the search does it, every 12th sample": lambda: sparse.extended(
+        "whole": lambda: empty.extend(empty.block(())),
+        "as the search does it, every 12th sample": lambda: sparse.extend(
             sparse.block(())
         ),
     }
@@ -259,7 +259,7 @@ def _signals(length: int, columns: int, every: int) -> Any:
     import numpy as np
 
     import jaxnarx as jnx
-    from jaxnarx.partition.closed_form.signals import signals_of
+    from jaxnarx.partition.closed_form.signals import make_signals
     from jaxnarx.regressors import Variables, polynomial_pool
 
     random = np.random.default_rng(0)
@@ -277,7 +277,7 @@ def _signals(length: int, columns: int, every: int) -> Any:
     labels = [np.full(n, k % GROUPS) for k, n in enumerate(lengths)]
     parts = labels, np.eye(GROUPS, dtype=bool)
     scheduling = Variables.of([(0, 0, None)])
-    return signals_of(data, pool, scheduling, *parts, history=8, every=every)
+    return make_signals(data, pool, scheduling, *parts, history=8, every=every)
 
 
 WORKERS = {f.__name__: f for f in (identify, prepare, peer, equations, peers.installed)}

@@ -102,11 +102,11 @@ def plain_run(network, v, x, measured, anchor):
     import jax
     import jax.numpy as jnp
 
-    from jaxnarx.arrays.recurrence import history_of
+    from jaxnarx.arrays.recurrence import past_outputs
     from jaxnarx.models import depth, general_step
 
     step, params = general_step(network), eqx.filter(network, eqx.is_array)
-    fresh = history_of(measured, depth(network))
+    fresh = past_outputs(measured, depth(network))
 
     def body(past, row):
         drive, fresh_t, anchor_t = row

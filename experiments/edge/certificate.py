@@ -47,7 +47,7 @@ def main() -> None:
         train = noisy(records(bed, INNER, 1, RECORDS, length), 1)
         output = OUTPUTS[bed]
         fit = jnx.identify(train, preset="quick", outputs=[output], candidates=most)
-        row = fit.stats["leaderboard"].chosen(output)
+        row = fit.stats["leaderboard"].choose(output)
         own = jnx.Dataset.from_arrays(
             [r.u for r in train],
             [r.y[:, [train.channels.output_names.index(output)]] for r in train],

@@ -119,7 +119,7 @@ def one(output: str, train: Any, tests: Any, fresh: Any, asked: Any) -> dict[str
     fit = jnx.identify(
         train, preset="quick", outputs=[output], candidates=asked.candidates
     )
-    row = fit.stats["leaderboard"].chosen(output)
+    row = fit.stats["leaderboard"].choose(output)
     network, o = fit.value, train.channels.output_names.index(output)
     spread = float(np.concatenate([r.y[:, o] for r in train]).std())
     figures: dict[str, Any] = {

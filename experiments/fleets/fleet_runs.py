@@ -18,7 +18,7 @@ from jaxnarx.sweep import (
     SweepTable,
     run_sweep,
 )
-from jaxnarx.sweep.cases import Case, label_of
+from jaxnarx.sweep.cases import Case, setting_label
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import results_folder  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -74,7 +74,7 @@ def identified(
     solution = run_sweep(work, place, chunk=CHUNK, progress=shown(place.name))
     wanted = KEPT + SCORES + tuple(f"{s}_start" for s in SCORES)
     told = [
-        {name: label_of(method, path) or 0 for name, path in SETTINGS.items()}
+        {name: setting_label(method, path) or 0 for name, path in SETTINGS.items()}
         for method in work.methods
     ]
     return [

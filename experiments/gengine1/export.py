@@ -41,7 +41,7 @@ def main() -> None:
         train, every = shortened(train[:4]), shortened(split.all[:2])
         preset, most = "linear", 3
     fit = jnx.identify(train, preset=preset, outputs=[OUTPUT], candidates=most)
-    row = fit.stats["leaderboard"].chosen(OUTPUT)
+    row = fit.stats["leaderboard"].choose(OUTPUT)
     from jaxnarx.exporters import TARGETS
 
     figures: dict[str, Any] = {

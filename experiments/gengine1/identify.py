@@ -83,7 +83,7 @@ def errors(network: jnx.Network, data: jnx.Dataset) -> dict[str, dict[str, Any]]
 def row_of(fit: Any, name: str, scores: dict[str, Any]) -> dict[str, Any]:
     """What was chosen for an output, what it promised, and what came."""
     board = fit.stats["leaderboard"]
-    chosen, best = board.chosen(name), board.best(name)
+    chosen, best = board.choose(name), board.best(name)
     place = NAMES.index(name)
     beside = {kind: values[place] for kind, values in REFERENCES.items()}
     linear = [r for r in board.of(name) if r.family == "OE" and r.eligible]

@@ -82,7 +82,7 @@ def fitted(
     """Residual of y after least squares on the columns; none in the first LAGS."""
     known = np.arange(LAGS + len(y))[None] >= LAGS
     fit = global_fit(np.stack(columns, axis=1)) if columns else None
-    left = y if fit is None else fit.without(y[:, None])[:, 0]
+    left = y if fit is None else fit.remove_fit(y[:, None])[:, 0]
     value = np.r_[np.zeros(LAGS), left][None]
     return make_residual(value, known, fit=fit, centre=centre)
 

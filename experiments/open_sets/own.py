@@ -61,7 +61,7 @@ def automatic(preset: str, budget: float | None) -> Method:
             board, store = fit.stats["leaderboard"], read_search(Path(place))
             rows: list[Row] = []
             for output in board.outputs:
-                taken = board.chosen(output)
+                taken = board.choose(output)
                 for rank, one in enumerate(board.of(output), 1):
                     name, _ = board.worst_group(one) or ("", None)
                     more = {"rank": rank, "chosen": one == taken, "worst_group": name}

@@ -4,9 +4,9 @@ Affine local models of Nelles' four processes (3 draws of excitation and noise e
 of Wiener's), of `gtdi` and `diesel` (2 each) and of the measured `gengine1`.
 Partitions: halving of the worst model (`lolimot`), oblique sigmoid gates (`tree`),
 Gaussians at samples drawn at random (`random`) or at means of clusters (`cluster`), and
-LOLIMOT's moved at random (`scattered`). From each the coefficients alone are refined on
-the free run, or, staged, first these and then everything, centres and widths or gates
-too.
+LOLIMOT's moved at random (`scatter_partition`). From each the coefficients alone are
+refined on the free run, or, staged, first these and then everything, centres and widths
+or gates too.
 
 - 1 to 8 models of `lolimot` and `tree`: how many does an error need?
 - 32 starts with 4 models, of which the validation record chooses: how far is the greedy

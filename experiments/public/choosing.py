@@ -57,7 +57,7 @@ def tried(name: str, seed: int, small: bool) -> list[dict[str, Any]]:
             method = replace(method, start="subspace", max_steps=2, first_steps=2)
         begin = time.perf_counter()
         try:
-            networks = fit_method(method, blocks.parted(train))
+            networks = fit_method(method, blocks.exclude_group(train))
         except (JaxnarxError, np.linalg.LinAlgError) as error:
             print(name, seed, states, degree, error)
             continue
@@ -91,7 +91,7 @@ def from_starts(method: Any, train: Any, blocks: Any, spread: float) -> list[Any
     losses = np.full((len(PULLS), len(blocks)), np.nan)
     for g, fold in enumerate(blocks.folds(train, whole=True)):
         try:
-            networks = fit_method(method, blocks.parted(train, g))
+            networks = fit_method(method, blocks.exclude_group(train, g))
         except (JaxnarxError, np.linalg.LinAlgError):
             return [None] * len(PULLS)
         for n, network in enumerate(networks):

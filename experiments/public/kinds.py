@@ -46,7 +46,7 @@ def identified(name: str, seed: int, small: bool) -> dict[str, Any]:
         fit = jnx.identify(train, preset=preset, folder=folder)
         seconds = time.perf_counter() - begin
         search, board = read_search(Path(folder)), fit.stats["leaderboard"]
-        chosen = board.chosen("y")
+        chosen = board.choose("y")
         rows = [row for row in board.rows if row.eligible]
         for row in sorted(rows, key=lambda row: -row.free_run):
             error, _, diverged = score(search.network(row.number), test, spread)

@@ -92,7 +92,7 @@ def taken(rows: list[Row]) -> Row | None:
         )
         for n, row in enumerate(able)
     ]
-    found = Leaderboard(tuple(contenders)).chosen("")
+    found = Leaderboard(tuple(contenders)).choose("")
     return None if found is None else able[found.number]
 
 
@@ -121,7 +121,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     train = open_set.train
     at = method.stages.index((row.get("regions", 1), row["pull"]))
     if train.samples <= rows:
-        data = groups_of(open_set).parted(train)
+        data = groups_of(open_set).exclude_group(train)
     else:
         data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()

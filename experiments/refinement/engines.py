@@ -64,7 +64,7 @@ def error(network: jnx.Network, data: jnx.Dataset) -> dict[str, Any]:
     """Pooled NRMSE one step ahead and in free run."""
     found = jnx.report(network, data)
     (name,) = network.output_names
-    row, step = found.pooled(name), found.pooled(name, mode="one step")
+    row, step = found.pooled_row(name), found.pooled_row(name, mode="one step")
     return {"free_run": row.nrmse, "one_step": step.nrmse, "status": row.status}
 
 

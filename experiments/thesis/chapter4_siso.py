@@ -162,7 +162,7 @@ def tested(model: LinearModel, data: jnx.Dataset) -> tuple[Diagnostics, dict[str
     figures = {
         "status": found.status_name,
         "p": {name: p for name, p, _ in one.rows},
-        "against": one.found(found.value.level),
+        "against": one.failed_tests(found.value.level),
         "condition": [float(c) for c in one.condition],
     }
     return found.value, figures

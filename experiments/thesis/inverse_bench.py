@@ -24,7 +24,7 @@ from inverse_bed import DOWN, STEP, UNIT
 
 import jaxnarx as jnx
 from jaxnarx.engines import Gtdi
-from jaxnarx.inverse.loop import Loop, connect, seen_by_inverse
+from jaxnarx.inverse.loop import Loop, connect, inverse_columns
 
 TRIM = 0.25
 """Largest trim of the fuel, as a share."""
@@ -119,7 +119,7 @@ def bench(
 def _drive(loop: Loop, engine: Gtdi, rows, signals, noise, cases: Case):
     """Commands and outputs of every case."""
     valid = jnp.ones(signals.shape, bool)
-    v, x = loop.inverse.columns(*seen_by_inverse(loop, signals, valid))
+    v, x = loop.inverse.columns(*inverse_columns(loop, signals, valid))
     drive = v.T, tuple(one.T for one in x)
     places = np.array(loop.forward.signals)
     recorded = signals[:, np.array(loop.command_signals)]

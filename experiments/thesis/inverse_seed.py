@@ -320,7 +320,7 @@ class Benches:
         row["mismatch"] = []
         for i in range(count):
             key = jax.random.fold_in(jax.random.key(1000 + self.seed), i)
-            engine = Gtdi().perturbed(key, MISMATCH)
+            engine = Gtdi().perturb(key, MISMATCH)
             tracks = self.all(self.chosen, engine)
             row["mismatch"].append({n: self.scored(t) for n, t in tracks.items()})
 

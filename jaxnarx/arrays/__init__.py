@@ -43,13 +43,13 @@ from jaxnarx.arrays.levenberg import begin_anew as begin_anew
 from jaxnarx.arrays.levenberg import begin_levenberg as begin_levenberg
 from jaxnarx.arrays.normal_equations import gram as gram
 from jaxnarx.arrays.normal_equations import ridge_solve as ridge_solve
-from jaxnarx.arrays.programs import plain as plain
 from jaxnarx.arrays.programs import program as program
+from jaxnarx.arrays.programs import strip_names as strip_names
 from jaxnarx.arrays.programs import twin as twin
 from jaxnarx.arrays.recurrence import free_run as free_run
-from jaxnarx.arrays.recurrence import history_of as history_of
 from jaxnarx.arrays.recurrence import linear_recurrence as linear_recurrence
 from jaxnarx.arrays.recurrence import own_history as own_history
+from jaxnarx.arrays.recurrence import past_outputs as past_outputs
 from jaxnarx.arrays.recurrence import polynomial_step as polynomial_step
 from jaxnarx.arrays.recurrence import run_history as run_history
 from jaxnarx.arrays.recurrence import sensitivities as sensitivities
@@ -60,5 +60,5 @@ from jaxnarx.arrays.recursive_least_squares import (
 from jaxnarx.arrays.recursive_least_squares import update_recursion as update_recursion
 from jaxnarx.arrays.sizes import bucket as bucket
 from jaxnarx.arrays.stable_polynomials import has_stable_roots as has_stable_roots
-from jaxnarx.arrays.windows import lagged as lagged
+from jaxnarx.arrays.windows import lag_signals as lag_signals
 from jaxnarx.arrays.windows import usable as usable

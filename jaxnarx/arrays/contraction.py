@@ -34,7 +34,7 @@ WIDTH_MULTIPLE = 16
 
 FORMING_COST, PACKING_COST, PRODUCT_COST = 16, 24, 100
 """Cost per sample of forming a left row, of packing a right row for one matrix product,
-and of a matrix product, counted in multiplications inside one. Measured."""
+and of a matrix product, counted in multiplications inside one. Found by measurement."""
 
 Range = tuple[int, int]
 
@@ -68,7 +68,7 @@ class ContractionPlan:
     """The matrix products for `variables` (the one included) and `degree`.
 
     Right rows are variables, at degree 4 pairs k <= l in lexical order; zeros fill them
-    up to `right`. Computed once on the host; static.
+    up to `right`. The tables are computed once on the host and are static.
     """
 
     variables: int
@@ -161,23 +161,27 @@ def positions(
     starts = np.array([group.left[0][0] for group in tables.groups])
     at = np.searchsorted(starts, middle, side="right") - 1
 
-    def of(value: Callable[[Group], int]):
+    def expand(value: Callable[[Group], int]):
         return np.array([value(group) for group in tables.groups])[at]
 
     row, right = middle - starts[at], last
     if degree > 2:
-        upper = of(lambda group: group.upper)
+        upper = expand(lambda group: group.upper)
         outer, right = (
             np.where(upper, last, rows[:, 0]),
             np.where(upper, rows[:, 0], last),
         )
-        first, stop = (of(lambda group, n=n: group.left[1][n]) for n in (0, 1))
+        first, stop = (expand(lambda group, n=n: group.left[1][n]) for n in (0, 1))
         row = row * (stop - first) + outer - first
-    width = of(lambda group: group.width)
-    return tables.offsets[at] + row * width + right - of(lambda group: group.right[0])
+    width = expand(lambda group: group.width)
+    return (
+        tables.offsets[at] + row * width + right - expand(lambda group: group.right[0])
+    )
 
 
-def _left(v: Float[Array, "vars block"], group: Group) -> Float[Array, "rows block"]:
+def _left_products(
+    v: Float[Array, "vars block"], group: Group
+) -> Float[Array, "rows block"]:
     """Left rows of a group, the outer factor running fastest."""
     first, *outer = (v[start:stop] for start, stop in group.left)
     for factor in outer:
@@ -210,7 +214,7 @@ def _products(
 
     def product(group: Group):
         columns = right[:, slice(*group.right)].reshape(-1, v.shape[1])
-        return jnp.einsum("lt,rt->lr", _left(v, group), columns)
+        return jnp.einsum("lt,rt->lr", _left_products(v, group), columns)
 
     return [product(group) for group in tables.groups]
 
@@ -237,7 +241,7 @@ def contract(
     size = -(-length // (blocks * WIDTH_MULTIPLE)) * WIDTH_MULTIPLE
     rest = length - (blocks - 1) * size
 
-    def padded(x):
+    def pad(x):
         return jnp.pad(x, ((0, 0), (0, size - rest)))
 
     def powers(v):
@@ -258,7 +262,7 @@ def contract(
         total = [a + b for a, b in zip(total, added, strict=True)]
         return (total, powers(next_v), next_q), None
 
-    first = powers(padded(v[:, :rest])), padded(q[:, :rest])
+    first = powers(pad(v[:, :rest])), pad(q[:, :rest])
     if blocks == 1:
         total = _products(*first, tables)
     else:

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays.programs import bound, plain, program
-from jaxnarx.solution import NAMES, RESULTS, code
+from jaxnarx.arrays.programs import bind, program, strip_names
+from jaxnarx.solution import RESULTS, STATUS_NAMES, code
 
 ROUNDING_LOSS = 1e-24
 """Loss (a mean square of scaled errors) that is nothing but rounding of float64."""
@@ -27,7 +27,7 @@ UNREACHED_STEPS = 2**30
 """A number of steps that no search makes."""
 
 OK, NO_IMPROVEMENT, STALLED, DIVERGED, UNIDENTIFIABLE, NOT_RUN = map(
-    NAMES.index,
+    STATUS_NAMES.index,
     ("ok", "no_improvement", "stalled", "diverged", "unidentifiable", "not_run"),
 )
 """Codes of the statuses that steps and stages have."""
@@ -125,7 +125,7 @@ class Incumbents(eqx.Module):
     start_loss: Number
     since: Count
 
-    def updated(self, here: ScoredPoint) -> "Incumbents":
+    def include(self, here: ScoredPoint) -> "Incumbents":
         """The incumbents with a point that may be the best."""
         low = here.score.loss <= self.start_loss
         leads = here.score.better(self.lead.score)
@@ -202,17 +202,19 @@ def advance(
     state = method.step(s.state)
     moved = ~fresh & (state.status == OK)
 
-    def scored() -> tuple[ValidationScore, Incumbents]:
+    def score_point() -> tuple[ValidationScore, Incumbents]:
         assert validate is not None
         score = as_score(validate(state.u))
-        return score, s.incumbents.updated(ScoredPoint(state.u, score, s.attempt))
+        return score, s.incumbents.include(ScoredPoint(state.u, score, s.attempt))
 
-    def unscored() -> tuple[ValidationScore, Incumbents]:
+    def keep_score() -> tuple[ValidationScore, Incumbents]:
         return jax.tree.map(jnp.asarray, (s.score, s.incumbents))
 
-    score, incumbents = unscored()
+    score, incumbents = keep_score()
     if validate is not None:
-        score, incumbents = jax.lax.cond(moved | (fresh & look), scored, unscored)
+        score, incumbents = jax.lax.cond(
+            moved | (fresh & look), score_point, keep_score
+        )
     since = jnp.where(fresh, 0, incumbents.since)
     small = jnp.where(moved & (state.gain < rules.tolerance), s.small + 1, 0)
     quiet = (small >= rules.quiet) | (state.loss <= rules.rounding)
@@ -238,7 +240,7 @@ def select_tree(first: Flag, a: Any, b: Any) -> Any:
 @program
 def update_incumbents(incumbents: Incumbents, here: ScoredPoint) -> Incumbents:
     """The best so far with a point that may be it, on the host."""
-    return incumbents.updated(here)
+    return incumbents.include(here)
 
 
 @program
@@ -263,7 +265,7 @@ class StepFigures(NamedTuple):
     @property
     def status_name(self) -> str:
         """Why the method has not moved, or `ok`."""
-        return NAMES[int(self.status)]
+        return STATUS_NAMES[int(self.status)]
 
 
 class Driver:
@@ -275,7 +277,7 @@ class Driver:
     def __init__(
         self, method: AbstractMethod, validate: Callable | None, rules: StoppingRules
     ):
-        self.method, self.validate, self.rules = plain(method), validate, rules
+        self.method, self.validate, self.rules = strip_names(method), validate, rules
 
     def start(
         self, s: SearchState, *, look: bool = True
@@ -316,7 +318,7 @@ class Driver:
         took a tenth of the time.
         """
         leaves, tree = jax.tree.flatten(s)
-        run = bound(_advance_and_tell, self.method, self.validate, self.rules, tree)
+        run = bind(_advance_and_tell, self.method, self.validate, self.rules, tree)
 
         def step(leaves: list, look: bool) -> tuple[list, StepFigures]:
             leaves, figures = run(leaves, look)
@@ -375,5 +377,5 @@ class SearchLog:
             "steps": len(self.history),
             "parameters": parameters,
             "seconds": clock.perf_counter() - self.begin,
-            "end": NAMES[int(code(status))],
+            "end": STATUS_NAMES[int(code(status))],
         }

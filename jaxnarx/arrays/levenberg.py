@@ -26,7 +26,7 @@ from jaxnarx.arrays.iteration import (
     AbstractState,
 )
 from jaxnarx.arrays.normal_equations import ridge_solve
-from jaxnarx.arrays.programs import plain, twin
+from jaxnarx.arrays.programs import strip_names, twin
 
 DAMPING_START = 1e-3
 DAMPING_LIMIT = 1e10
@@ -71,8 +71,8 @@ class AbstractProblem(eqx.Module):
     def linear(self, u: Float[Array, " params"]) -> Linear:
         """The loss and its normal equations: a run and its sensitivities.
 
-        Of the point `u`, or of one with entries in their best place that the method
-        does not step in: those without information.
+        They are those of the point `u`, or of `u` with the entries without information,
+        in which the method does not step, at their best place.
         """
 
     @abc.abstractmethod
@@ -116,7 +116,7 @@ class Levenberg(AbstractMethod):
     @property
     def nameless(self) -> "Levenberg":
         """The same method without names of channels, for programs."""
-        return twin(self, problem=plain(self.problem))
+        return twin(self, problem=strip_names(self.problem))
 
     def step(self, s: LevenbergState) -> LevenbergState:
         """One accepted step, raising the damping until the penalised loss falls.

@@ -20,7 +20,7 @@ MEMORY_MAP_FILES, MOST_MAPS = (
 """Memory maps of this process and how many it may have, where the system tells; every
 compiled program has about ten, and the compiler ends the process when none is left."""
 MAX_MAP_SHARE = 0.6
-"""Of them that may be in use."""
+"""Share of the memory maps that may be in use."""
 PROGRAMS_BETWEEN_CHECKS = 50
 """New programs between looks at their number."""
 _made = itertools.count(1)
@@ -36,20 +36,20 @@ def program(function: Callable[..., R]) -> Callable[..., R]:
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> R:
-        return bound(function, *args, **kwargs)()
+        return bind(function, *args, **kwargs)()
 
     return call
 
 
-def bound(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[..., R]:
+def bind(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[..., R]:
     """The program of a function with its first arguments given, as `program` takes
     them; the others are arrays, or trees of them.
 
-    What is static is looked at once, not in every call: that costs as much as a run of
-    a few hundred samples.
+    Static arguments are examined once, not in every call: that costs as much as a run
+    of a few hundred samples.
     """
-    named = {k: plain(a) for k, a in kwargs.items()}
-    leaves, tree = jax.tree.flatten((tuple(plain(a) for a in args), named))
+    named = {k: strip_names(a) for k, a in kwargs.items()}
+    leaves, tree = jax.tree.flatten((tuple(strip_names(a) for a in args), named))
     flags = [eqx.is_array(leaf) for leaf in leaves]
     pairs = list(zip(leaves, flags, strict=True))
     static = tuple(ARRAY_MARK if flag else leaf for leaf, flag in pairs)
@@ -87,10 +87,10 @@ def is_crowded() -> bool:
         return False
 
 
-def plain(value: Any) -> Any:
+def strip_names(value: Any) -> Any:
     """The twin without names, or the value itself; tuples by their elements."""
     if type(value) is tuple:
-        return tuple(plain(v) for v in value)
+        return tuple(strip_names(v) for v in value)
     return getattr(value, "nameless", value)
 
 

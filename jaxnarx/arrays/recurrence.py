@@ -84,20 +84,20 @@ def _gathering_step(table, source, lag) -> Step:
     return step
 
 
-def history_of(
+def past_outputs(
     y: Float[Array, "time outputs"], depth: int
 ) -> Float[Array, "time outputs depth"]:
     """Past outputs of every sample; `[t, :, d]` is `y[t - 1 - d]`.
 
     Before the start the first sample is repeated; such entries must not be used.
     """
-    padded = _before(y, depth)
+    padded = _prepend_copies(y, depth)
     return jnp.stack(
         [padded[depth - 1 - d : len(padded) - 1 - d] for d in range(depth)], axis=2
     )
 
 
-def _before(
+def _prepend_copies(
     y: Float[Array, "time outputs"], depth: int
 ) -> Float[Array, "longer outputs"]:
     """`y` behind `depth` copies of its first sample."""
@@ -125,7 +125,7 @@ def run_history(
     """The history each step of a finished run has seen: simulated, else measured."""
     depth = measured.shape[2]
     own = own_history(anchor, depth)[:, None, :]
-    return jnp.where(own, history_of(y, depth), measured)
+    return jnp.where(own, past_outputs(y, depth), measured)
 
 
 def linear_recurrence(
@@ -156,7 +156,7 @@ def _loop(step: Step, depth, unroll, params, drive, measured, anchor, lower, upp
     time = measured.shape[0]
     # Newest first: the history of a sample is then one slice, and no table of
     # histories has to be made and read.
-    backwards = _before(measured, depth)[::-1]
+    backwards = _prepend_copies(measured, depth)[::-1]
 
     def body(past, inputs):
         t, drive_t, anchor_t = inputs
@@ -184,7 +184,7 @@ def sensitivities(step: Step, params, drive, history, lower, upper):
     return jax.vmap(one)(drive, history)
 
 
-def _moving(primal, tangent):
+def _drop_zero_tangents(primal, tangent):
     """`primal` where it has a tangent, else None: a symbolic zero costs nothing."""
     return jax.tree.map(
         lambda t, p: None if t is None else p,
@@ -205,19 +205,19 @@ def _run_jvp(primals, tangents, *, step, depth, unroll):
     params, drive, measured, anchor, lower, upper = args
     y = _loop(step, depth, unroll, *args)
     own = own_history(anchor, depth)
-    history = run_history(y, history_of(measured, depth), anchor)
+    history = run_history(y, past_outputs(measured, depth), anchor)
     a, limited = sensitivities(step, params, drive, history, lower, upper)
 
     def rows(inputs, measured):
         # Histories taken from the measurement pass their own tangent on directly.
         seen = history
         if measured is not None:
-            seen = jnp.where(own[:, None], history, history_of(measured, depth))
+            seen = jnp.where(own[:, None], history, past_outputs(measured, depth))
         both = eqx.combine(inputs, (params, drive))
         return jax.vmap(step, in_axes=(None, 0, 0))(*both, seen)
 
     moved = tangents[0][:2], tangents[0][2]
-    moving = _moving(((params, drive), measured), moved)
+    moving = _drop_zero_tangents(((params, drive), measured), moved)
     _, direct = jax.jvp(rows, moving, moved)
     direct = jnp.where(limited, 0.0, direct)
     a = jnp.where(own[:, None, None], a, 0.0)

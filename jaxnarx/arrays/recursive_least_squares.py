@@ -10,10 +10,9 @@ by the updates of the thesis (4.40) to (4.42), extended by the factor lambda:
     theta <- theta + gamma P x (y - x'theta),      gamma = 1/(lambda/w + x'P x)
     P     <- (P - gamma P x x'P)/lambda .
 
-(4.40) is printed without the first theta on the right. Written like this, rounding
-makes P lose its symmetry and its sign on long or ill-conditioned records. Here P = S S'
-and S is carried, so that P cannot become indefinite: with f = S'x and a = lambda +
-w f'f,
+(4.40) is printed without the first theta on the right. In this form rounding makes P
+lose its symmetry and its sign on long or ill-conditioned records. Here P = S S' and S
+is carried, so that P cannot become indefinite: with f = S'x and a = lambda + w f'f,
 
     S <- (S - w/(a + sqrt(lambda a)) S f f')/sqrt(lambda) .
 

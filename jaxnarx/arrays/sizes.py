@@ -10,9 +10,9 @@ more than any run; beyond it 16."""
 def bucket(size: int) -> int:
     """The size rounded up to the next one that programs are made for.
 
-    A compiled program fits one size of arrays. What is added has weight zero and no
-    effect, so that a sample more compiles nothing anew: 400 and 480 give 512, 1,800
-    gives 1,856, and 100,000 gives 102,400.
+    A compiled program fits one size of arrays. The added samples have weight zero and
+    no effect, so that one sample more compiles nothing anew: 400 and 480 give 512,
+    1,800 gives 1,856, and 100,000 gives 102,400.
     """
     octave = 1 << max(size, 1).bit_length() - 1
     step = max(

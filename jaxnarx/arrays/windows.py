@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 
-def lagged(
+def lag_signals(
     signals: Float[Array, "time signals"],
     at: Int[Array, " rows"],
     rows: tuple[tuple[int, int], ...],

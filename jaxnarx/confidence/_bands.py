@@ -64,7 +64,7 @@ def bands(
 
     Args:
         network: The model.
-        uncertainty: That of `network`, or of one with the same structure.
+        uncertainty: Covariance of `network`, or of one with the same structure.
         data: Records with its channels, at its sample time.
         level: Probability of a band, between 0 and 1.
 
@@ -122,7 +122,7 @@ def square_root(
 ) -> Float[np.ndarray, "n n"]:
     """F with F F' the covariance, which may be singular.
 
-    By eigenvalues of the correlations; what rounding made negative is zero.
+    It uses eigenvalues of the correlations; those that rounding made negative are zero.
     """
     size = np.sqrt(np.diagonal(covariance))
     safe = np.where(size > 0, size, 1.0)

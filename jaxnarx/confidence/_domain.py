@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.confidence.domain_fit import feature_rows, layers_of
+from jaxnarx.confidence.domain_fit import compute_layers, feature_rows
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page, span_text
@@ -132,7 +132,7 @@ def domain(network: Network, data: Dataset | Prepared) -> Solution[DomainIndex]:
     data = match_records(network, data)
     values, blamed = [], []
     rows = feature_rows(known.features, data, None)
-    layers, at = layers_of(known, rows)
+    layers, at = compute_layers(known, rows)
     own = np.array(known.inputs)
     first = 0
     for record in data:

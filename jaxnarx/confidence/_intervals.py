@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.confidence.domain_fit import feature_rows, layers_of
+from jaxnarx.confidence.domain_fit import compute_layers, feature_rows
 from jaxnarx.confidence.enclosure import AbstractEnclosure
 from jaxnarx.confidence.error_model import error_variables_at
 from jaxnarx.data import Dataset
@@ -74,7 +74,7 @@ def intervals(
     value = simulated.value
     data = match_records(network, data)
     rows = feature_rows(domain.features, data, None)
-    index = layers_of(domain, rows)[0].max(axis=1)
+    index = compute_layers(domain, rows)[0].max(axis=1)
     half = np.full((sum(len(r) for r in data), len(network.modelled)), np.inf)
     for o in range(len(network.modelled)):
         z = error_variables_at(value, rows, index, o)

@@ -151,8 +151,8 @@ def uncertainty(
         has `rank`, `cond` (of the scaled Jacobian) and the chosen `order` of each
         output's noise.
     """
-    _one_of(noise, ("white", "coloured"), "noise")
-    _one_of(start, ("measured", "exact"), "start")
+    _require_one_of(noise, ("white", "coloured"), "noise")
+    _require_one_of(start, ("measured", "exact"), "start")
     ridge = not_negative(ridge, "ridge")
     network.require_measured("The uncertainty of parameters")
     task, _ = make_task(network, check_records(network, data))
@@ -191,7 +191,7 @@ def uncertainty(
     return Solution(value, status, stats, detail)
 
 
-def _one_of(value: str, known: tuple[str, ...], field: str) -> None:
+def _require_one_of(value: str, known: tuple[str, ...], field: str) -> None:
     if value not in known:
         names = " or ".join(map(repr, known))
         raise SpecError(f"{field} must be {names}, got {value!r}", field=field)
@@ -218,10 +218,10 @@ def pseudo_inverse(
 ) -> tuple[Float[np.ndarray, "params params"], Float[np.ndarray, " params"], float]:
     """Inverse of J'J + ridge diag(J'J) on the determined directions, zero elsewhere.
 
-    Columns of J are brought to unit length first, so that units do not matter. Beside
-    it the share of each parameter in the undetermined directions, 0 to 1, and the
-    condition of the scaled J over the determined ones. What is not finite counts as
-    undetermined altogether.
+    Columns of J are brought to unit length first, so that units do not matter. It comes
+    with the share of each parameter in the undetermined directions, 0 to 1, and the
+    condition of the scaled J over the determined ones. A parameter whose numbers are
+    not finite counts as undetermined altogether.
     """
     params = gram.shape[0]
     if not np.all(np.isfinite(gram)):

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import bucket, program
 from jaxnarx.checks import whole
-from jaxnarx.data import Dataset, Groups, shortened, stack_records
+from jaxnarx.data import Dataset, Groups, stack_records, thin_records
 from jaxnarx.data import groups as make_groups
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import LAYERS, Domain, Network
@@ -26,7 +26,7 @@ RUN_SAMPLES = 20_000
 POOL_SAMPLES = 20_000
 """Samples that points are chosen from."""
 MEMORY_CUTS = (0.25, 0.5, 0.75)
-"""Where in a record inputs become what they were, to see how long a run remembers."""
+"""Places in a record where inputs change back, to see how long a run remembers."""
 LEAST_SPREAD_SHARE = 1e-9
 """Spread of a feature, as a share of its size, below which it has not moved."""
 
@@ -44,7 +44,7 @@ class InputRows:
     group: Int[np.ndarray, " time"]
     at_sample: Int[np.ndarray, " time"]
 
-    def at(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
+    def select(self, some: Bool[np.ndarray, " time"]) -> "InputRows":
         """These samples alone."""
         parts = self.x[:, some], self.step[:, some], self.group[some]
         return InputRows(*parts, self.at_sample[some])
@@ -63,8 +63,9 @@ def fit_domain(
     Args:
         network: The model.
         data: The records that it was trained on.
-        groups: What is left out together when the borders are set
-            (`jaxnarx.data.groups`); default as the records say, else found.
+        groups: Groups of records that are held out together when the borders are set
+            (`jaxnarx.data.groups`); by default those that the records state, else
+            detected ones.
         points: Most stored points.
 
     Returns:
@@ -80,7 +81,7 @@ def fit_domain(
     used = used_inputs(network)
     if not used:
         raise SpecError("a network without inputs has no domain", field="network")
-    weight, memory = measure_influence(network, shortened(data, RUN_SAMPLES), used)
+    weight, memory = measure_influence(network, thin_records(data, RUN_SAMPLES), used)
     features = Variables.of(
         [(s, 0, None) for s in used]
         + [(s, 0, LowPass(memory * data.sample_time)) for s in used]
@@ -234,7 +235,7 @@ def _make_domain(
         spread,
         weight,
         stored,
-        _whitening(unit),
+        _whitening_matrix(unit),
         value.min(axis=1),
         value.max(axis=1),
         np.abs(rows.step).max(axis=1),
@@ -248,7 +249,7 @@ def _layers(domain: Domain, x, step):
     return domain.layers(x, step)
 
 
-def layers_of(
+def compute_layers(
     domain: Domain, rows: InputRows
 ) -> tuple[Float[np.ndarray, "time layers"], Int[np.ndarray, "time layers"]]:
     """`Domain.layers` of these samples, on the host, in the domain's precision."""
@@ -259,7 +260,7 @@ def layers_of(
     return np.asarray(values)[:count], np.asarray(blamed)[:count]
 
 
-def _whitening(
+def _whitening_matrix(
     unit: Float[np.ndarray, "features time"],
 ) -> Float[np.ndarray, "features features"]:
     """W with W S W' = 1 for the covariance S of features of unit size.
@@ -298,15 +299,15 @@ def fold_layers(domain: Domain, rows: InputRows) -> Float[np.ndarray, "time laye
     """Layers of all samples, of every group by a domain of the others, with the borders
     of this one; of samples that are in no group, by this one."""
     weight, points = np.asarray(domain.weight, float), len(domain.points)
-    values = layers_of(domain, rows)[0].copy()
+    values = compute_layers(domain, rows)[0].copy()
     for g in range(rows.group.max(initial=-1) + 1):
         out = rows.group == g
-        train = rows.at(~out & (rows.group >= 0))
+        train = rows.select(~out & (rows.group >= 0))
         if out.any() and len(train.group):
             fold = _make_domain(domain.features, train, weight, points)
             border = domain.border.astype(fold.border.dtype)
             fold = dataclasses.replace(fold, border=border)
-            values[out] = layers_of(fold, rows.at(out))[0]
+            values[out] = compute_layers(fold, rows.select(out))[0]
     return values
 
 

@@ -15,7 +15,7 @@ from jaxnarx.models import GROWTH_EXPONENT, STORED_PROBABILITIES, ErrorModel, Ne
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
 KNOTS_PER_VARIABLE = 6
-"""Of every variable, at quantiles of the records."""
+"""Knots of every variable, at quantiles of the records."""
 LEAST_ERROR_SHARE = 0.05
 """Errors below this share of their root mean square count as that."""
 RIDGES_TRIED = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
@@ -47,8 +47,8 @@ def fit_error_model(
         network: A network with a domain.
         data: Records that took no part in its training. Or those of the training, with
             `left_out`.
-        groups: What belongs together in `data` (`jaxnarx.data.groups`); default as the
-            records say, else found.
+        groups: Groups of records of `data` (`jaxnarx.data.groups`); by default those
+            that the records state, else detected ones.
         left_out: Free-run RMSE, in the output's unit, of every group by a model made
             without it, as a search has found it: errors of the training are that many
             times larger in use. NaN where it is not known.
@@ -79,7 +79,7 @@ def fit_error_model(
     for o in range(len(network.modelled)):
         own = _rows(network, data, run, rows, index, o)
         if left_out is not None:
-            own = _as_left_out(own, left_out[o])
+            own = _scale_to_held_out(own, left_out[o])
         if len(own.error) < FEWEST_ERRORS or not own.error.max() > 0:
             return dataclasses.replace(network, errors=None)
         # Channels in extreme units may overflow.
@@ -138,7 +138,9 @@ def _rows(network, data, run, rows, index, output) -> ErrorRows:
     return ErrorRows(z[:, good], error[good], rows.group[good])
 
 
-def _as_left_out(rows: ErrorRows, rmse: Float[np.ndarray, " groups"]) -> ErrorRows:
+def _scale_to_held_out(
+    rows: ErrorRows, rmse: Float[np.ndarray, " groups"]
+) -> ErrorRows:
     """Errors of the training as large as those of groups left out."""
     factor = np.full(len(rmse), np.nan)
     for g in range(len(rmse)):
@@ -163,7 +165,7 @@ def _learnt(rows: ErrorRows) -> tuple:
     hats = np.concatenate([_hats(z, k) for z, k in zip(rows.z, knots, strict=True)])
     hats = np.concatenate([np.ones((1, hats.shape[1])), hats])
     floor = LEAST_ERROR_SHARE * _rms(rows.error)
-    y = np.log(np.maximum(rows.error, floor)) - _outside(rows.z)
+    y = np.log(np.maximum(rows.error, floor)) - _log_growth(rows.z)
     labels = [g for g in np.unique(rows.group) if g >= 0]
     parts = [_normal(hats[:, rows.group == g], y[rows.group == g]) for g in labels]
     if len(parts) < 2:
@@ -177,11 +179,11 @@ def _learnt(rows: ErrorRows) -> tuple:
     for g, (a, b, *_) in zip(labels, parts, strict=True) if labels else ():
         own = rows.group == g
         fold = _solve(whole[0] - a, whole[1] - b, ridge)
-        size = np.exp(fold @ hats[:, own] + _outside(rows.z[:, own]))
+        size = np.exp(fold @ hats[:, own] + _log_growth(rows.z[:, own]))
         relative.append(rows.error[own] / size)
         weight.append(np.full(own.sum(), 1.0 / own.sum()))
     if not labels:
-        relative = [rows.error / np.exp(theta @ hats + _outside(rows.z))]
+        relative = [rows.error / np.exp(theta @ hats + _log_growth(rows.z))]
         weight = [np.ones(len(rows.error))]
     quantile = _quantiles(np.concatenate(relative), np.concatenate(weight))
     quantile = quantile * np.sqrt(1 + 1 / max(len(labels), 1))
@@ -194,7 +196,7 @@ def _rms(error: Float[np.ndarray, " time"]) -> float:
     return most * float(np.sqrt(np.mean((error / most) ** 2)))
 
 
-def _outside(z: Float[np.ndarray, "variables time"]) -> Float[np.ndarray, " time"]:
+def _log_growth(z: Float[np.ndarray, "variables time"]) -> Float[np.ndarray, " time"]:
     """Logarithm of what the index beyond the border adds."""
     return GROWTH_EXPONENT * np.log(np.maximum(z[-1], 1.0))
 

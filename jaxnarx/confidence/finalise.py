@@ -1,4 +1,4 @@
-"""What identification gives its model at the end: domain, certificate, and limits."""
+"""The last step of identification: domain, certificate and limits of the model."""
 
 import numpy as np
 from jaxtyping import Float
@@ -41,11 +41,11 @@ def attach_domain_and_intervals(
 def apply_release_limits(network: Network) -> Network:
     """The network with limits that let it follow inputs beyond their ranges.
 
-    What is stable for every input needs no bound of its feedback: the bounds of a
-    network with a certificate are wide, and inputs are taken as they are where it holds
-    for such inputs too. Others go on from the edge of their ranges to first order. On
-    virtual engines driven up to 2.5 times the trained ranges plain inputs had the
-    smallest error on most outputs, and held ones the largest (`experiments/edge`).
+    A model that is stable for every input needs no bound of its feedback: the bounds of
+    a network with a certificate are wide, and inputs are taken as they are where it
+    holds for such inputs too. Others go on from the edge of their ranges to first
+    order. On virtual engines driven up to 2.5 times the trained ranges plain inputs had
+    the smallest error on most outputs, and held ones the largest (`experiments/edge`).
     """
     margin = None if network.hold is None else float(network.hold)
     for outside in (FLAG, LINEAR):

@@ -1,4 +1,4 @@
-"""What a free run says about the parameters: their information, and variances by it.
+"""Information that a free run has about the parameters, and their variances.
 
 With S_t the derivative of the outputs y_t by the network's own parameters and H_t that
 by the measured samples the run started from, both obey the recursion of
@@ -31,7 +31,7 @@ class Sums(NamedTuple):
     by_start: Float[Array, "records params starts"]
 
 
-def _by_start(a, own, since) -> Float[Array, "rows outputs starts"]:
+def _start_derivative(a, own, since) -> Float[Array, "rows outputs starts"]:
     """Direct derivative by the measured samples before the start, newest first.
 
     `since` counts samples from the start; there lag d is the measured sample d - since.
@@ -57,7 +57,7 @@ def _stream(
 
     def direct(tangents, seen, time, record):
         a, own = seen
-        by_start = _by_start(fold_slopes(network, a), own, time - start[record])
+        by_start = _start_derivative(fold_slopes(network, a), own, time - start[record])
         return jnp.concatenate([tangents, by_start], axis=2)
 
     columns = layout.low.shape[0] + len(network.models) * depth(network)
@@ -88,7 +88,7 @@ def sums(
 ) -> Sums:
     """Everything about the parameters that their covariance needs, in one pass.
 
-    Of `layout` only the choice of parameters counts, not their limits: covariances of a
+    Only the choice of parameters in `layout` counts, not their limits: covariances of a
     parameter are those of its free neighbourhood.
     """
     y = states(network, drive, anchor)

@@ -1,4 +1,4 @@
-"""What an extension must hold to, as checks that run over yours.
+"""Contracts of extensions, as checks that run over yours.
 
     JAXNARX_EXTENSIONS=my_module pytest --pyargs jaxnarx.contracts
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from jaxnarx.contracts.life import plant, pool
 from jaxnarx.evaluation import ANALYSES, Analysis, FreeRun, Section, report
-from jaxnarx.identification import by_method
+from jaxnarx.identification import run_method
 from jaxnarx.models import Network
 from jaxnarx.settings import Identification
 
 
 def _network() -> Network:
     method = Identification(pool=pool(), refine=None)
-    return by_method(plant(), method, None, None).value
+    return run_method(plant(), method, None, None).value
 
 
 def _run() -> FreeRun:
@@ -24,8 +24,8 @@ def _run() -> FreeRun:
 
 
 def says_something_or_nothing(analysis: Analysis) -> None:
-    """Of a free run it makes a `Section` whose rows have a cell for every column, or
-    None; the same again."""
+    """It makes a `Section` of a free run, whose rows have a cell for every column, or
+    None; a second call gives the same."""
     first, again = analysis(_run()), analysis(_run())
     assert first is None or isinstance(first, Section)
     assert str(first) == str(again)
@@ -53,7 +53,7 @@ def _mask(one: Any) -> Any:
 
 
 def is_in_text_json_and_page(analysis: Analysis, folder: Path) -> None:
-    """What it says of a report stands in its text, in `report.json` and on its page."""
+    """Its section stands in the report's text, in `report.json` and on its page."""
     name = next(n for n, one in ANALYSES.added.items() if one is analysis)
     found = report(_network(), {"test": plant()}, stability=False, diagnostics=False)
     section = found.sections.get(name)

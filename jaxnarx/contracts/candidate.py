@@ -5,16 +5,18 @@ from pathlib import Path
 
 from jaxnarx.contracts.life import lives, plant
 from jaxnarx.data import groups
-from jaxnarx.identification import CandidateFactory, CandidateSearch, by_method
+from jaxnarx.identification import CandidateFactory, CandidateSearch, run_method
 from jaxnarx.partition import profile_data
 from jaxnarx.settings import Identification, Preset
 
-QUICK = Preset("of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True)
+QUICK_PRESET = Preset(
+    "of contracts", max_models=1, grown=0, fed_back=0, states=0, linear=True
+)
 
 
 def names_methods(candidate: CandidateFactory) -> None:
-    """Of data and an output it makes names, each once, and methods that end with a
-    model of this output."""
+    """It makes names, each once, and methods of data and an output; each method ends
+    with a model of this output."""
     found = list(candidate(plant(), "y"))
     assert found, "it has no candidate for two inputs and one output"
     names = [name for name, _ in found]
@@ -32,7 +34,7 @@ def is_tried_in_a_search(candidate: CandidateFactory) -> None:
     """It becomes a row of a leaderboard, with an error on records left out."""
     data = plant()
     search = CandidateSearch(
-        *(data, profile_data(data, "y"), groups(data), QUICK),
+        *(data, profile_data(data, "y"), groups(data), QUICK_PRESET),
         added={"added": candidate},
     )
     rows = [row for row, _ in search if row.family == "added"]
@@ -45,7 +47,7 @@ def lives_with_it(candidate: CandidateFactory, folder: Path) -> None:
     """The network of its first method is refined, saved, loaded and exported, or says
     that it cannot be."""
     _, method = next(iter(candidate(plant(), "y")))
-    found = by_method(plant(), method, None, None)
+    found = run_method(plant(), method, None, None)
     assert found.is_okay, found.detail
     lives(found.value, folder)
 

@@ -7,8 +7,8 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-NAMED = "JAXNARX_EXTENSIONS"
+MODULES_VARIABLE = "JAXNARX_EXTENSIONS"
 """Modules to import, separated by commas."""
 
-for module in filter(None, os.environ.get(NAMED, "").split(",")):
+for module in filter(None, os.environ.get(MODULES_VARIABLE, "").split(",")):
     importlib.import_module(module.strip())

@@ -15,12 +15,12 @@ from jaxnarx.data import Dataset
 from jaxnarx.engines import AbstractEngine, Noise, family, family_run, records
 from jaxnarx.errors import DataError, SpecError
 
-LENGTH = 60
+RUN_SAMPLES = 60
 
 
 def usual(engine: AbstractEngine) -> Dataset:
     """Two records under its usual excitation, without noise."""
-    return records(engine, jax.random.key(5), (LENGTH, LENGTH), noise=0)
+    return records(engine, jax.random.key(5), (RUN_SAMPLES, RUN_SAMPLES), noise=0)
 
 
 def names_agree(bed: AbstractEngine, excited: Dataset) -> None:
@@ -41,12 +41,12 @@ def excitation_is_inside_the_domain_and_repeats(
     """The usual excitation obeys the domain; one key gives one signal, another key
     another."""
     first, second = excited.records
-    assert first.u.shape == (LENGTH, len(bed.channels.inputs))
+    assert first.u.shape == (RUN_SAMPLES, len(bed.channels.inputs))
     for j, (low, high) in enumerate(bed.domain.values()):
         assert low <= first.u[:, j].min() and first.u[:, j].max() <= high
     assert not np.array_equal(first.u, second.u)
     excite_key = jax.random.split(jax.random.key(5))[0]
-    again = bed.excite(jax.random.fold_in(excite_key, 0), LENGTH)
+    again = bed.excite(jax.random.fold_in(excite_key, 0), RUN_SAMPLES)
     np.testing.assert_array_equal(first.u, again)
 
 
@@ -64,7 +64,8 @@ def flags_cover_every_event(bed: AbstractEngine, excited: Dataset) -> None:
     u = excited.records[0].u
     flags = bed.flags(u)
     assert flags and all(
-        broken.shape == (LENGTH,) and broken.dtype == bool for broken in flags.values()
+        broken.shape == (RUN_SAMPLES,) and broken.dtype == bool
+        for broken in flags.values()
     )
     # A bed at rest in the middle of its usual range breaks nothing.
     assert not any(broken[0] for broken in flags.values())
@@ -106,7 +107,7 @@ def relatives_differ_and_run(bed: AbstractEngine, excited: Dataset) -> None:
     u = jnp.asarray(excited.records[0].u)
     engines: Any = family(bed, jax.random.key(1), 3, spread=0.02)
     found = family_run(engines, u, chunk=2)
-    assert found.shape == (3, LENGTH, len(bed.channels.outputs))
+    assert found.shape == (3, RUN_SAMPLES, len(bed.channels.outputs))
     assert np.isfinite(found).all()
     assert np.ptp(found[:, -1, 0]) > 0
     one = jax.tree.map(lambda leaf: leaf[2], engines)
@@ -121,8 +122,8 @@ def relatives_differ_and_run(bed: AbstractEngine, excited: Dataset) -> None:
 def every_varied_parameter_is_moved_alone(
     bed: AbstractEngine, excited: Dataset
 ) -> None:
-    """`perturbed` moves those that `varied` names and no other."""
-    moved = bed.perturbed(jax.random.key(2), 0.1)
+    """`perturb` moves those that `varied` names and no other."""
+    moved = bed.perturb(jax.random.key(2), 0.1)
     pairs = zip(jax.tree.leaves(bed), jax.tree.leaves(moved), strict=True)
     assert sum(bool(a != b) for a, b in pairs) == len(bed.varied)
 

@@ -1,4 +1,4 @@
-"""What becomes of a network: it runs, is refined, saved, loaded and exported."""
+"""The life of a network: it runs, is refined, saved, loaded and exported."""
 
 import functools
 from pathlib import Path

@@ -32,7 +32,7 @@ def makes_a_validity_function(partition: Partitioner, names: Sequence[str]) -> N
     assert isinstance(found, AbstractValidity)
     kind = type(found)
     assert VALIDITIES.get(kind.__name__) is kind, "its class is not registered"
-    for check in of_validity.ALONE:
+    for check in of_validity.CHECKS_WITHOUT_NETWORK:
         check(found, len(names))
 
 
@@ -47,7 +47,7 @@ def says_the_same_twice(partition: Partitioner, names: Sequence[str]) -> None:
 def does_not_look_at_samples_without_weight(
     partition: Partitioner, names: Sequence[str]
 ) -> None:
-    """What stands where the weight is zero changes nothing."""
+    """Values of samples whose weight is zero change nothing."""
     z, columns, output, weight = _problem(len(names))
     weight[::3] = 0.0
     first = partition(z, columns, output, weight)

@@ -40,14 +40,14 @@ def refuses_what_is_not_there(write: Write, suffix: str, folder: Path) -> None:
     """An unknown column is a DataFileError that names it."""
     path = folder / f"a{suffix}"
     write(path)
-    _refused(path, ["no such column"], Asked(), "no such column")
+    _require_refusal(path, ["no such column"], Asked(), "no such column")
 
 
 def refuses_what_is_too_large(write: Write, suffix: str, folder: Path) -> None:
     """More than `max_bytes` is a DataFileError, before it is read."""
     path = folder / f"a{suffix}"
     columns = write(path)
-    _refused(path, list(columns), Asked(max_bytes=8), "max_bytes")
+    _require_refusal(path, list(columns), Asked(max_bytes=8), "max_bytes")
 
 
 def refuses_what_is_damaged(write: Write, suffix: str, folder: Path) -> None:
@@ -79,7 +79,7 @@ CHECKS = (
 )
 
 
-def _refused(path: Path, wanted: list[str], asked: Asked, word: str) -> None:
+def _require_refusal(path: Path, wanted: list[str], asked: Asked, word: str) -> None:
     try:
         read_table(path, wanted, asked)
     except DataFileError as error:

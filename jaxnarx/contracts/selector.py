@@ -9,15 +9,15 @@ from jaxnarx.partition import grow
 from jaxnarx.selection import select
 from jaxnarx.settings import Global, Selector
 
-TERMS, ROWS = 7, 300
+CANDIDATE_TERMS, SAMPLE_ROWS = 7, 300
 
 
 def _problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns of independent terms; the output is made of the third and the sixth."""
     rng = np.random.default_rng(3)
-    columns = rng.normal(size=(TERMS, ROWS))
-    output = 2.0 * columns[2] - columns[5] + 0.05 * rng.normal(size=ROWS)
-    return columns, output, np.ones(ROWS)
+    columns = rng.normal(size=(CANDIDATE_TERMS, SAMPLE_ROWS))
+    output = 2.0 * columns[2] - columns[5] + 0.05 * rng.normal(size=SAMPLE_ROWS)
+    return columns, output, np.ones(SAMPLE_ROWS)
 
 
 def chooses_rows_of_its_columns(selector: Selector) -> None:
@@ -27,7 +27,7 @@ def chooses_rows_of_its_columns(selector: Selector) -> None:
     kept = [a.copy() for a in given]
     found = np.asarray(selector(*given))
     assert found.ndim == 1 and np.issubdtype(found.dtype, np.integer)
-    assert len(found) and found.min() >= 0 and found.max() < TERMS
+    assert len(found) and found.min() >= 0 and found.max() < CANDIDATE_TERMS
     assert len(set(found.tolist())) == len(found)
     for one, two in zip(given, kept, strict=True):
         np.testing.assert_array_equal(one, two)
@@ -37,7 +37,7 @@ def finds_what_the_output_is_made_of(selector: Selector) -> None:
     """Find the true ones among independent candidates without much noise, and not
     choose everything."""
     found = np.asarray(selector(*_problem())).tolist()
-    assert {2, 5} <= set(found) and len(found) < TERMS
+    assert {2, 5} <= set(found) and len(found) < CANDIDATE_TERMS
 
 
 def says_the_same_twice(selector: Selector) -> None:
@@ -47,12 +47,17 @@ def says_the_same_twice(selector: Selector) -> None:
 
 
 def does_not_look_at_samples_without_weight(selector: Selector) -> None:
-    """What stands where the weight is zero changes nothing."""
+    """Values of samples whose weight is zero change nothing."""
     columns, output, weight = _problem()
     weight[::3] = 0.0
     first = np.asarray(selector(columns, output, weight))
     columns, output = columns.copy(), output.copy()
-    odd = 1e3 * np.random.default_rng(8).normal(size=(TERMS + 1, ROWS))[:, ::3]
+    odd = (
+        1e3
+        * np.random.default_rng(8).normal(size=(CANDIDATE_TERMS + 1, SAMPLE_ROWS))[
+            :, ::3
+        ]
+    )
     columns[:, ::3], output[::3] = odd[:-1], odd[-1]
     np.testing.assert_array_equal(first, np.asarray(selector(columns, output, weight)))
 
@@ -60,7 +65,7 @@ def does_not_look_at_samples_without_weight(selector: Selector) -> None:
 def does_not_depend_on_the_order_of_terms(selector: Selector) -> None:
     """Candidates in another order: the same terms are chosen."""
     columns, output, weight = _problem()
-    order = np.roll(np.arange(TERMS), 3)
+    order = np.roll(np.arange(CANDIDATE_TERMS), 3)
     first = set(np.asarray(selector(columns, output, weight)).tolist())
     found = np.asarray(selector(columns[order], output, weight))
     assert set(order[found].tolist()) == first

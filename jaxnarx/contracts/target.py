@@ -14,9 +14,9 @@ from jaxnarx.contracts.life import plant, pool
 from jaxnarx.exporters import (
     ExportError,
     Target,
-    cases_of,
-    golden_of,
     lower,
+    make_cases,
+    make_golden,
     write_files,
 )
 from jaxnarx.models import Gaussians, Network
@@ -37,7 +37,7 @@ def writes_files_of_its_own(target: Target, folder: Path) -> None:
     same files."""
     for network in _networks():
         program = lower(network, "some_name")
-        golden = golden_of(program, cases_of(network, program, plant())[0])
+        golden = make_golden(program, make_cases(network, program, plant())[0])
         files, again = target.write(program, golden), target.write(program, golden)
         assert files and files == again
         for name, content in files.items():
@@ -50,10 +50,10 @@ def proves_what_it_writes(target: Target, folder: Path) -> None:
     nothing can be run here; where the model does otherwise it raises ExportError."""
     for n, network in enumerate(_networks()):
         program = lower(network, f"model{n}")
-        cases = cases_of(network, program, plant())
+        cases = make_cases(network, program, plant())
         place = folder / str(n)
         place.mkdir()
-        write_files(place, target.write(program, golden_of(program, cases[0])))
+        write_files(place, target.write(program, make_golden(program, cases[0])))
         found, left_out = target.prove(program, place, cases)
         assert found or left_out, "it is neither proven nor said why not"
         assert all(0 <= difference <= 1e-3 for difference in found.values())

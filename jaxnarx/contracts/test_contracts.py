@@ -28,13 +28,13 @@ from jaxnarx.settings import PARTITIONS, SELECTORS
 
 
 @functools.cache
-def of_engine(name: str) -> tuple[Any, ...]:
+def engine_and_records(name: str) -> tuple[Any, ...]:
     """The engine and its records, which are simulated once."""
     bed = BEDS[name]()
     return bed, engine.usual(bed)
 
 
-def of_example(registry: Registry[Any], name: str) -> Any:
+def make_example(registry: Registry[Any], name: str) -> Any:
     """The object that the example of an extension makes."""
     example = registry.example(name)
     if example is None:
@@ -43,17 +43,17 @@ def of_example(registry: Registry[Any], name: str) -> Any:
 
 
 KINDS_OF_EXTENSIONS: tuple[tuple[Registry[Any], Any, Callable[[str], Any]], ...] = (
-    (VALIDITIES, validity, lambda name: of_example(VALIDITIES, name)()),
+    (VALIDITIES, validity, lambda name: make_example(VALIDITIES, name)()),
     (SELECTORS, selector, lambda name: (SELECTORS[name],)),
     (
         PARTITIONS,
         partition,
-        lambda name: (PARTITIONS[name], of_example(PARTITIONS, name)()),
+        lambda name: (PARTITIONS[name], make_example(PARTITIONS, name)()),
     ),
     (CANDIDATES, candidate, lambda name: (CANDIDATES[name],)),
     (ANALYSES, analysis, lambda name: (ANALYSES[name],)),
-    (BEDS, engine, of_engine),
-    (KINDS, reader, lambda name: (of_example(KINDS, name), name)),
+    (BEDS, engine, engine_and_records),
+    (KINDS, reader, lambda name: (make_example(KINDS, name), name)),
     (TARGETS, target, lambda name: (TARGETS[name],)),
 )
 """Every registry, the module of its checks, and what these are given first."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.contracts.life import lives, plant, pool
-from jaxnarx.models import VALIDITIES, AbstractValidity, models_of
+from jaxnarx.models import VALIDITIES, AbstractValidity, count_models
 from jaxnarx.partition import grow
 from jaxnarx.settings import Given
 
@@ -23,9 +23,9 @@ _weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
     """Weights are not negative and sum to one, in the range and far beyond it.
 
-    What `is_convex` claims is tried by this.
+    This is the property that `is_convex` claims.
     """
-    models = models_of(validity, dims)
+    models = count_models(validity, dims)
     for distance in (1.0, 1e3, 1e100):
         z = distance * np.random.default_rng(0).uniform(-1.5, 2.5, size=(dims, 500))
         phi = _phi(validity, z, np.ones(models, bool))
@@ -37,7 +37,7 @@ def weights_sum_to_one(validity: AbstractValidity, dims: int) -> None:
 
 def inactive_models_weigh_nothing(validity: AbstractValidity, dims: int) -> None:
     """A model that is not active has weight zero, and the others share the rest."""
-    models = models_of(validity, dims)
+    models = count_models(validity, dims)
     if models == 1:
         return
     z = np.random.default_rng(1).uniform(-0.2, 1.2, size=(dims, 300))
@@ -48,7 +48,7 @@ def inactive_models_weigh_nothing(validity: AbstractValidity, dims: int) -> None
 
 def samples_do_not_know_one_another(validity: AbstractValidity, dims: int) -> None:
     """One point alone has the weights that it has among many."""
-    models = models_of(validity, dims)
+    models = count_models(validity, dims)
     z = np.random.default_rng(2).uniform(size=(dims, 5))
     many = _phi(validity, z, np.ones(models, bool))
     for n in range(5):
@@ -61,12 +61,12 @@ def derivatives_are_central_differences(validity: AbstractValidity, dims: int) -
     zeros."""
     if not validity.trained:
         return
-    models, rng = models_of(validity, dims), np.random.default_rng(4)
+    models, rng = count_models(validity, dims), np.random.default_rng(4)
     z = jnp.asarray(rng.uniform(size=(dims, 40)))
     share = jnp.asarray(rng.normal(size=(models, 40)))
 
     def value(parameters, z):
-        phi = validity.replaced(parameters)(z, jnp.ones(models, bool))
+        phi = validity.replace_parameters(parameters)(z, jnp.ones(models, bool))
         return jnp.sum(phi * share)
 
     compiled = jax.jit(value)
@@ -75,13 +75,15 @@ def derivatives_are_central_differences(validity: AbstractValidity, dims: int) -
     flat = np.concatenate([np.ravel(leaf) for leaf in leaves])
     ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
 
-    def at(x):
+    def evaluate(x):
         parts = zip(np.split(x, ends), leaves, strict=True)
         new = [jnp.asarray(p.reshape(q.shape)) for p, q in parts]
         return float(compiled(*jax.tree.unflatten(tree, new)))
 
     h, eye = 1e-6, np.eye(len(flat))
-    expected = [(at(flat + h * e) - at(flat - h * e)) / (2 * h) for e in eye]
+    expected = [
+        (evaluate(flat + h * e) - evaluate(flat - h * e)) / (2 * h) for e in eye
+    ]
     ours = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)])
     # h^2 of the third derivative and 1e-16/h of rounding.
     np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-6)
@@ -99,7 +101,7 @@ def limits_enclose_the_present(validity: AbstractValidity, dims: int) -> None:
 
 def check_refuses_other_sizes(validity: AbstractValidity, dims: int) -> None:
     """A file whose arrays do not fit is refused by a ValueError of `check`."""
-    models = models_of(validity, dims)
+    models = count_models(validity, dims)
     validity.check(models, dims)
     try:
         validity.check(models + 1, dims)
@@ -112,7 +114,7 @@ def regions_are_told(validity: AbstractValidity, dims: int) -> None:
     """`regions` says something of every local model, with the names it is given."""
     names = [f"x{n}[t]" for n in range(dims)]
     found = validity.regions(names, np.zeros(dims), np.ones(dims))
-    assert len(found) == models_of(validity, dims)
+    assert len(found) == count_models(validity, dims)
     assert all(isinstance(region, dict) for region in found)
 
 
@@ -124,7 +126,7 @@ def lives_with_it(validity: AbstractValidity, dims: int, folder: Path) -> None:
     lives(grow(pool(), plant(), given).value, folder)
 
 
-ALONE = (
+CHECKS_WITHOUT_NETWORK = (
     weights_sum_to_one,
     inactive_models_weigh_nothing,
     samples_do_not_know_one_another,
@@ -133,8 +135,8 @@ ALONE = (
     check_refuses_other_sizes,
     regions_are_told,
 )
-"""Those that need no network."""
-CHECKS = (*ALONE, lives_with_it)
+"""Checks that need no network."""
+CHECKS = (*CHECKS_WITHOUT_NETWORK, lives_with_it)
 
 
 def _phi(

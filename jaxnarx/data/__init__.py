@@ -16,12 +16,12 @@ from jaxnarx.data._groups import Groups as Groups
 from jaxnarx.data._groups import groups as groups
 from jaxnarx.data._hold_out import hold_out as hold_out
 from jaxnarx.data._join import join as join
-from jaxnarx.data._shortened import shortened as shortened
+from jaxnarx.data._shortened import thin_records as thin_records
 from jaxnarx.data._survey import ChannelGuess as ChannelGuess
 from jaxnarx.data._survey import Survey as Survey
 from jaxnarx.data._survey import measurement_files as measurement_files
 from jaxnarx.data._survey import survey as survey
-from jaxnarx.data.align_channels import in_units as in_units
+from jaxnarx.data.align_channels import convert_units as convert_units
 from jaxnarx.data.align_channels import match_channels as match_channels
 from jaxnarx.data.channels import Channel as Channel
 from jaxnarx.data.channels import Channels as Channels
@@ -37,7 +37,7 @@ from jaxnarx.data.files import read_files as read_files
 from jaxnarx.data.files import read_split as read_split
 from jaxnarx.data.findings import Finding as Finding
 from jaxnarx.data.findings import Findings as Findings
-from jaxnarx.data.fleet import PARTS as PARTS
+from jaxnarx.data.fleet import FLEET_PARTS as FLEET_PARTS
 from jaxnarx.data.fleet import Fleet as Fleet
 from jaxnarx.data.fleet import Padded as Padded
 from jaxnarx.data.lags import LagSuggestion as LagSuggestion
@@ -59,8 +59,8 @@ from jaxnarx.data.preparation import Shift as Shift
 from jaxnarx.data.preparation import ToCrankAngle as ToCrankAngle
 from jaxnarx.data.preparation import ToTime as ToTime
 from jaxnarx.data.preparation import prepare as prepare
+from jaxnarx.data.readers import FILE_WATCHER as FILE_WATCHER
 from jaxnarx.data.readers import KINDS as KINDS
-from jaxnarx.data.readers import WATCHER as WATCHER
 from jaxnarx.data.readers import Asked as Asked
 from jaxnarx.data.readers import contents as contents
 from jaxnarx.data.readers import read_table as read_table
@@ -68,7 +68,8 @@ from jaxnarx.data.readers.columns import numbers as numbers
 from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
-from jaxnarx.data.scaling import unit_of as unit_of
+from jaxnarx.data.scaling import scaling_unit as scaling_unit
+from jaxnarx.deprecation import find_old
 
 if TYPE_CHECKING:
     from jaxnarx.data.batch import Batch as Batch
@@ -92,7 +93,7 @@ __all__ = [
     "Hampel",
     "LagSuggestion",
     "LowPass",
-    "PARTS",
+    "FLEET_PARTS",
     "Padded",
     "Preparation",
     "Record",
@@ -110,7 +111,7 @@ __all__ = [
     "first_look",
     "groups",
     "hold_out",
-    "in_units",
+    "convert_units",
     "join",
     "load_toml",
     "match_channels",
@@ -119,7 +120,7 @@ __all__ = [
     "read",
     "read_files",
     "read_split",
-    "shortened",
+    "thin_records",
     "step_times",
     "suggest_lags",
 ]
@@ -129,9 +130,13 @@ _ON_ARRAYS = ("Batch", "check_precision", "stack_records")
 """Names that are loaded on first use, because they need jax."""
 
 
+_OLD_NAMES = {"in_units": "convert_units", "shortened": "thin_records"}
+"""Names of version 0.2 by those that have taken their place."""
+
+
 def __getattr__(name: str) -> Any:
     if name not in _ON_ARRAYS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return find_old(__name__, name, _OLD_NAMES)
     from jaxnarx.data import batch
 
     return getattr(batch, name)

@@ -15,7 +15,7 @@ from jaxnarx.data.findings import Finding, Findings
 
 @guard_arguments
 def check(data: Dataset, *, max_lag: int = 20) -> Findings:
-    """Check `data` for what may spoil a model, as a careful engineer would.
+    """Check `data` for faults that may spoil a model, as a careful engineer would.
 
     Constant, copied, saturated, stuck and outlying channels, and those far from zero;
     gaps; records that are too short or repeated, or have a channel in another unit than

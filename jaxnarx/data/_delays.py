@@ -28,7 +28,7 @@ class Delay:
 
 @dataclasses.dataclass(frozen=True)
 class Delays:
-    """A delay for every pair of channels.
+    """Delays between every pair of an input and an output.
 
     `reach` is the largest dead time looked at, in samples of `sample_time` [s].
     """
@@ -74,9 +74,9 @@ def delays(data: Dataset, *, reach: int = 100) -> Delays:
 
     `reach` is cut to a quarter of the usual length of the records. The delay is the
     dead time of the system of low order that best explains the output in free run
-    beside those of the other inputs (`dynamics`). What does not answer linearly may
-    show later than it acts, or not at all. Masked samples count with the value they are
-    held at.
+    beside those of the other inputs (`dynamics`). The delay of an input that acts
+    nonlinearly may come out too long, or not at all. Masked samples count with the
+    value they are held at.
     """
     whole(reach, "reach")
     if not data.samples:

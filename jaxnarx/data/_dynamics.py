@@ -26,7 +26,7 @@ LONGEST_DEAD_TIME = 500
 _CLEAR_DEVIATIONS = 6.0
 """Standard deviations of chance above which an answer is believed.
 
-Of 288 pairs of independent records, random walks among them, one exceeded 6; answers
+One of 288 pairs of independent records, random walks among them, exceeded 6; answers
 that explain a tenth of the variance of 4,000 rows have 16 and more.
 """
 
@@ -74,13 +74,13 @@ class Answer:
     @property
     def settling(self) -> int | None:
         """Lag by which 95 % of the impulse response, by magnitude, is over, or None."""
-        lag = int(np.ceil(self._passed(0.95))) * self.every
+        lag = int(np.ceil(self._steps_until(0.95))) * self.every
         return lag if self.clear else None
 
     @property
     def rise(self) -> float:
         """Samples after the dead time until 63 % of the impulse response is over."""
-        steps = self._passed(1 - np.exp(-1)) + 1 - self.fit.dead_time
+        steps = self._steps_until(1 - np.exp(-1)) + 1 - self.fit.dead_time
         return max(steps * self.every, 0.5)
 
     @property
@@ -90,7 +90,7 @@ class Answer:
         gain = float(np.sum(self.fit.impulse()))
         return float(np.copysign(np.sqrt(max(self.share, 0.0)), gain))
 
-    def _passed(self, share: float) -> float:
+    def _steps_until(self, share: float) -> float:
         """Steps until a share of the response is over, between steps."""
         part = np.cumsum(np.abs(self.fit.impulse()))
         if not part[-1] > 0:  # no response: nothing to wait for
@@ -117,8 +117,8 @@ class Dynamics:
         return self.answers.get(pair)
 
 
-_KNOWN: weakref.WeakKeyDictionary[Dataset, dict[int, Dynamics]]
-_KNOWN = weakref.WeakKeyDictionary()
+_DYNAMICS_CACHE: weakref.WeakKeyDictionary[Dataset, dict[int, Dynamics]]
+_DYNAMICS_CACHE = weakref.WeakKeyDictionary()
 
 
 def dynamics(data: Dataset, *, reach: int = LONGEST_DEAD_TIME) -> Dynamics:
@@ -146,7 +146,7 @@ def dynamics(data: Dataset, *, reach: int = LONGEST_DEAD_TIME) -> Dynamics:
     Björklund 2003, "A survey and comparison of time-delay estimation methods in linear
     systems": fits with an explicit dead time are the most accurate.
     """
-    known = _KNOWN.setdefault(data, {})
+    known = _DYNAMICS_CACHE.setdefault(data, {})
     if reach not in known:
         known[reach] = _dynamics(data, reach)
     return known[reach]
@@ -181,7 +181,7 @@ class _Fitting:
 
     def __init__(self, parts: list[Piece], reach: int, times: list[float]):
         # no level counts: without the pieces' own, small moves keep all their digits
-        parts = [Piece(_levelled(p.u), _levelled(p.y)) for p in parts]
+        parts = [Piece(_remove_means(p.u), _remove_means(p.y)) for p in parts]
         self.parts, self.reach, self.times = parts, reach, times
         self.inputs = _moving_channels([p.u for p in parts])
         self.outputs = _moving_channels([p.y for p in parts])
@@ -199,12 +199,12 @@ class _Fitting:
                 self._put(i, fits)
             for _ in range(_LEAST_CYCLES if len(self.inputs) > 1 else 1):
                 for i in self.inputs:
-                    clear = [o for o in self.outputs if self._judged(i, o).clear]
+                    clear = [o for o in self.outputs if self._assess(i, o).clear]
                     faint = [o for o in self.outputs if o not in clear]
                     self._put(i, self._lags(i, faint))
                     self._put(i, self._better(i, clear))
         pairs = ((i, o) for i in self.inputs for o in self.outputs)
-        return {p: self._judged(*p) for p in pairs}
+        return {p: self._assess(*p) for p in pairs}
 
     def _lags(self, i: int, outputs: list[int]) -> dict[int, LowOrderFit]:
         """The best lag with dead time for what other inputs leave of some outputs."""
@@ -244,7 +244,7 @@ class _Fitting:
                 left[o] += given[i, o] - answer
                 given[i, o] = answer
 
-    def _judged(self, i: int, o: int) -> Answer:
+    def _assess(self, i: int, o: int) -> Answer:
         explained = left = chance = whole = 0.0
         for part, residual, given in zip(
             self.parts, self.left, self.given, strict=True
@@ -268,7 +268,7 @@ class _Fitting:
         )
 
 
-def _levelled(x: Float[np.ndarray, "channels time"]):
+def _remove_means(x: Float[np.ndarray, "channels time"]):
     return x - x.mean(axis=1, keepdims=True)
 
 

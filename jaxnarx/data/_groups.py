@@ -18,6 +18,7 @@ from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.missing import hold
 from jaxnarx.data.record import Record
 from jaxnarx.data.repeated_cycles import Cycle, cycles
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataError, SpecError
 
 FEWEST_RECORDS = 3
@@ -63,7 +64,9 @@ class Groups:
         The first parts are the groups. Each of the others is a gap, which is left out
         with the blocks beside it and trains whenever both of them do.
         """
-        out = np.stack([np.concatenate(self.left_out(g)) for g in range(len(self))])
+        out = np.stack(
+            [np.concatenate(self.held_out_samples(g)) for g in range(len(self))]
+        )
         every, edges = np.concatenate(self.labels), np.cumsum([*map(len, self.labels)])
         gap = every < 0
         kinds, own = np.unique(out[:, gap], axis=1, return_inverse=True)
@@ -72,10 +75,12 @@ class Groups:
         apart = np.concatenate([np.eye(len(self), dtype=bool), kinds], axis=1)
         return tuple(np.split(every, edges[:-1])), apart
 
-    def left_out(self, g: int) -> tuple[Bool[np.ndarray, " _"], ...]:
+    def held_out_samples(self, g: int) -> tuple[Bool[np.ndarray, " _"], ...]:
         """The samples of every record that train nothing while group `g` is left out:
         its own, and the gaps beside them."""
-        return tuple(_left_out(label, g) for label in self.labels)
+        return tuple(_held_out_samples(label, g) for label in self.labels)
+
+    left_out = old_method("left_out", "held_out_samples")
 
     def fold(self, data: Dataset, g: int, *, whole: bool = False) -> Fold:
         """Training records without group `g`, and those that judge it.
@@ -99,8 +104,8 @@ class Groups:
             f"the groups are those of records with {lengths} samples, the data have "
             f"{[len(r) for r in data]}; make groups of these data",
         )
-        pairs = zip(data, self.left_out(g), strict=True)
-        train = [_without(record, out) for record, out in pairs]
+        pairs = zip(data, self.held_out_samples(g), strict=True)
+        train = [_mask_outputs(record, out) for record, out in pairs]
         seen = [r.valid[:, r.u.shape[1] :].any() for r in train]
         if whole:
             train = [
@@ -109,11 +114,11 @@ class Groups:
         else:
             train = [r for r, s in zip(train, seen, strict=True) if s]
         pairs = zip(data, self.labels, strict=True)
-        left = [_only(r, label == g) for r, label in pairs if (label == g).any()]
+        left = [_score_only(r, label == g) for r, label in pairs if (label == g).any()]
         sides = (dataclasses.replace(data, records=tuple(s)) for s in (train, left))
         return Fold(self.names[g], *sides)
 
-    def parted(self, data: Dataset, g: int | None = None) -> Dataset:
+    def exclude_group(self, data: Dataset, g: int | None = None) -> Dataset:
         """Training records without group `g`, of runs that end where it begins.
 
         Every record comes twice, valid up to the block that is left out, and behind it:
@@ -127,11 +132,15 @@ class Groups:
         out = (
             tuple(np.zeros(len(r), bool) for r in data)
             if g is None
-            else self.left_out(g)
+            else self.held_out_samples(g)
         )
         pairs = list(zip(data, out, strict=True))
-        parts = [_before(r, o) for r, o in pairs] + [_behind(r, o) for r, o in pairs]
+        parts = [_end_before(r, o) for r, o in pairs] + [
+            _begin_behind(r, o) for r, o in pairs
+        ]
         return dataclasses.replace(data, records=tuple(parts))
+
+    parted = old_method("parted", "exclude_group")
 
     def folds(self, data: Dataset, *, whole: bool = False) -> Iterator[Fold]:
         """Every group left out in turn, see `fold`."""
@@ -173,7 +182,7 @@ def groups(
     if named:
         return _groups_by_name(data, named, folds)
     found = cycles(data)
-    return _dealt(data, found, folds) or _blocks(data, found, folds, gap)
+    return _deal_records(data, found, folds) or _blocks(data, found, folds, gap)
 
 
 def whole_groups(data: Dataset, folds: int) -> Groups | None:
@@ -182,18 +191,20 @@ def whole_groups(data: Dataset, folds: int) -> Groups | None:
     return (
         _groups_by_name(data, named, folds)
         if named
-        else _dealt(data, cycles(data), folds)
+        else _deal_records(data, cycles(data), folds)
     )
 
 
-def _left_out(label: Int[np.ndarray, " time"], g: int) -> Bool[np.ndarray, " time"]:
+def _held_out_samples(
+    label: Int[np.ndarray, " time"], g: int
+) -> Bool[np.ndarray, " time"]:
     at = np.arange(len(label))
     before = np.maximum.accumulate(np.where(label >= 0, at, 0))
     after = np.minimum.accumulate(np.where(label >= 0, at, len(label) - 1)[::-1])[::-1]
     return (label[before] == g) | (label[after] == g)
 
 
-def _without(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
+def _mask_outputs(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     """The record with missing outputs where they are left `out`."""
     if not out.any():
         return record
@@ -203,12 +214,12 @@ def _without(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     return dataclasses.replace(record, y=y, valid=valid)
 
 
-def _before(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
+def _end_before(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     """The record, not valid from the first row that is left out on."""
     return _valid_in(record, 0, int(np.argmax(out)) if out.any() else len(record))
 
 
-def _behind(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
+def _begin_behind(record: Record, out: Bool[np.ndarray, " time"]) -> Record:
     """The record, not valid up to the last row that is left out."""
     last = int(np.flatnonzero(out)[-1]) if out.any() else len(record)
     part = _valid_in(record, last + 1, len(record))
@@ -227,7 +238,7 @@ def _empty_record(record: Record) -> Record:
     return dataclasses.replace(record, valid=np.zeros_like(record.valid))
 
 
-def _only(record: Record, own: Bool[np.ndarray, " time"]) -> Record:
+def _score_only(record: Record, own: Bool[np.ndarray, " time"]) -> Record:
     """The record with its `own` samples scored alone."""
     scored = own if record.scored is None else own & record.scored
     return record if own.all() else dataclasses.replace(record, scored=scored)
@@ -277,10 +288,10 @@ def _groups_by_name(
             "train on. Name two groups or more, or not all records.",
             field="named",
         )
-    return _whole(data, members, told)
+    return _label_records(data, members, told)
 
 
-def _dealt(data: Dataset, found: list[Cycle], folds: int) -> Groups | None:
+def _deal_records(data: Dataset, found: list[Cycle], folds: int) -> Groups | None:
     """Groups of whole records, where enough are independent."""
     parts = [list(cycle.records) for cycle in found]
     if (
@@ -289,7 +300,7 @@ def _dealt(data: Dataset, found: list[Cycle], folds: int) -> Groups | None:
     ):
         return None
     members = _deal(parts, data, folds)
-    return _whole(data, members, [_describe(data, part) for part in members])
+    return _label_records(data, members, [_describe(data, part) for part in members])
 
 
 def _tie_repeats(data: Dataset) -> list[list[int]]:
@@ -312,7 +323,7 @@ def _describe(data: Dataset, part: Sequence[int]) -> str:
     return ", ".join(data.records[n].name for n in part)
 
 
-def _whole(data: Dataset, members: list[list[int]], names: list[str]) -> Groups:
+def _label_records(data: Dataset, members: list[list[int]], names: list[str]) -> Groups:
     of = {n: g for g, part in enumerate(members) for n in part}
     labels = tuple(np.full(len(r), of[n]) for n, r in enumerate(data))
     return Groups(tuple(names), labels, True)

@@ -18,10 +18,10 @@ from jaxnarx.errors import DataError, SpecError
 def hold_out(data: Dataset, *, share: float | int = 0.2) -> tuple[Dataset, Dataset]:
     """Split into training and validation; about `share` of the samples validate.
 
-    Of the groups of whole records of about that size (`jaxnarx.data.groups`) the one
-    that is nearest to it is held out, of equal ones the first. Where records are too
-    few for that, the last part of every one is cut off; those that repeat each other
-    are cut at the same place. The order of records is kept.
+    The group of whole records (`jaxnarx.data.groups`) whose size is nearest to that is
+    held out, the first of equal ones. Where records are too few for that, the last part
+    of every one is cut off; those that repeat each other are cut at the same place. The
+    order of records is kept.
     """
     if not 0 < share < 1:
         raise SpecError(

@@ -14,7 +14,7 @@ GOLDEN_RATIO = (5**0.5 - 1) / 2
 """Its multiples, less whole numbers, are spread evenly whatever their count."""
 
 
-def shortened(data: Dataset, rows: int) -> Dataset:
+def thin_records(data: Dataset, rows: int) -> Dataset:
     """At most about `rows` samples, in their order and at their sample time.
 
     Every record keeps the same share: a long one as stretches at equal distances, the

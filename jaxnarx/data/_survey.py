@@ -1,4 +1,4 @@
-"""What is in a folder of measurements: channels, time, layout, and a proposal which
+"""Survey of a folder of measurements: channels, time, layout, and a proposal which
 channels are inputs and outputs, and which records train and test."""
 
 import dataclasses
@@ -83,11 +83,11 @@ def survey(
 ) -> Survey:
     """Look into files of measurements, and propose what to make of them.
 
-    Channels that not all files hold are not proposed. What is constant, the same as
-    another, text, or mostly missing is left out with that as its reason. `outputs` and
-    `inputs` name what is known; others are guessed by their names and by whether they
-    move in steps. `sample_time` [s] is needed where the files do not tell the time,
-    `columns` where CSV files have no header.
+    Channels that not all files hold are not proposed. A channel that is constant, the
+    same as another, text, or mostly missing is left out with that as its reason.
+    `outputs` and `inputs` name what is known; others are guessed by their names and by
+    whether they move in steps. `sample_time` [s] is needed where the files do not tell
+    the time, `columns` where CSV files have no header.
     """
     layout = file_layout(files[0])
     if columns:
@@ -95,7 +95,7 @@ def survey(
     asked = Asked(layout, table, sample_time)
     every = [contents(file, asked) for file in files]
     runs = tuple(Run(file) for file in files)
-    families = [f for f in map(_family, every) if f is not None and not table]
+    families = [f for f in map(_channel_family, every) if f is not None and not table]
     if len(families) == len(files):
         every = [list(f.columns.values()) for f in families]
         pairs = zip(files, families, strict=True)
@@ -159,7 +159,7 @@ def survey(
     )
 
 
-def _family(columns: Sequence[Column]) -> Family | None:
+def _channel_family(columns: Sequence[Column]) -> Family | None:
     return find_family(columns, _TIME_NAMES)
 
 

@@ -30,8 +30,8 @@ def match_channels(data: Dataset, channels: Channels) -> tuple[Dataset, list[str
     inputs = [own.signal(name) for name in channels.input_names]
     outputs = [own.signal(name) for name in channels.output_names]
     matched = Channels(
-        tuple(_stated(c, own) for c in channels.inputs),
-        tuple(_stated(c, own) for c in channels.outputs),
+        tuple(_fill_unit(c, own) for c in channels.inputs),
+        tuple(_fill_unit(c, own) for c in channels.outputs),
     )
     records = tuple(_pick(record, inputs, outputs, how) for record in data)
     told = tuple(
@@ -42,7 +42,7 @@ def match_channels(data: Dataset, channels: Channels) -> tuple[Dataset, list[str
     return Dataset(records, matched, data.sample_time, data.notes + told), extra
 
 
-def in_units(data: Dataset, channels: Channels) -> Dataset:
+def convert_units(data: Dataset, channels: Channels) -> Dataset:
     """All of `data`, those of its channels that `channels` name too in their units.
 
     Where a unit cannot be converted it stays.
@@ -86,7 +86,7 @@ def _unit(channel: Channel, own: Channels) -> str:
     return own.all[own.signal(channel.name)].unit
 
 
-def _stated(channel: Channel, own: Channels) -> Channel:
+def _fill_unit(channel: Channel, own: Channels) -> Channel:
     return channel if channel.unit else own.all[own.signal(channel.name)]
 
 

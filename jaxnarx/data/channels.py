@@ -123,13 +123,13 @@ def make_channels(
     """The schema; a unit for a channel that does not exist is a SpecError."""
     units = dict(units or {})
 
-    def named(given):
+    def to_channels(given):
         given = [given] if isinstance(given, str | Channel) else list(given)
         return tuple(
             c if isinstance(c, Channel) else Channel(c, units.get(c, "")) for c in given
         )
 
-    channels = Channels(named(inputs), named(outputs))
+    channels = Channels(to_channels(inputs), to_channels(outputs))
     if not channels.outputs:
         raise SpecError("outputs is empty; name at least one output", field="outputs")
     for name, unit in units.items():

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.pieces import pieces
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 
 _PE_TOLERANCE = 1e-9
 
@@ -20,14 +20,14 @@ def excitation_order(data: Dataset, i: int, *, order: int) -> int:
     2, a sum of m sines 2 m (Söderström and Stoica 1989, section 5.4). Windows do not
     cross records.
     """
-    unit = unit_of(*(record.u[:, i] for record in data))
+    unit = scaling_unit(*(record.u[:, i] for record in data))
     level = float((data.records[0].u[:, i] / unit).mean())
     gram, total, count = np.zeros((order, order)), np.zeros(order), 0
     for record in data:
         if len(record) < order:
             continue
         x = record.u[:, i].astype(np.float64) / unit - level
-        own, sums = _lagged(x, order)
+        own, sums = _lagged_sums(x, order)
         gram += own
         total += sums
         count += len(x) - order + 1
@@ -40,7 +40,7 @@ def excitation_order(data: Dataset, i: int, *, order: int) -> int:
     return int(np.sum(values > _PE_TOLERANCE * values[-1]))
 
 
-def _lagged(
+def _lagged_sums(
     x: Float[np.ndarray, " time"], order: int
 ) -> tuple[Float[np.ndarray, "order order"], Float[np.ndarray, " order"]]:
     """Sums of x(t - a) x(t - b) and of x(t - a), over all t with full history.
@@ -105,7 +105,7 @@ def correlations(data: Dataset, *, past: int = 20, ahead: int = 100) -> Correlat
         cross += spectrum[:n, None].conj() * spectrum[None, n:]
     whiten = np.ones((n, size // 2 + 1))
     for i in range(n):
-        whiten[i] = _whitening(np.asarray(irfft(power[i], size)), size)
+        whiten[i] = _whitening_gain(np.asarray(irfft(power[i], size)), size)
     values = np.asarray(irfft(cross * whiten[:, None], size))
     variance_u = np.asarray(irfft(power[:n] * whiten, size))[:, 0]
     variance_y = np.asarray(irfft(power[None, n:] * whiten[:, None], size))[..., 0]
@@ -120,7 +120,7 @@ def correlations(data: Dataset, *, past: int = 20, ahead: int = 100) -> Correlat
     )
 
 
-def _whitening(auto: Float[np.ndarray, " lags"], size: int):
+def _whitening_gain(auto: Float[np.ndarray, " lags"], size: int):
     """Squared gain of the filter 1 - sum a_k q^-k that whitens this autocovariance."""
     order = min(_AR_ORDER, size // 4)
     if auto[0] <= 0:

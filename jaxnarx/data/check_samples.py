@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, Shaped
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.findings import Finding
 from jaxnarx.data.record import Record
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 
 _SHOWN_ROWS = 20
 _MIN_RUN = 20
@@ -126,7 +126,7 @@ def precision(data: Dataset) -> Iterator[Finding]:
 
 def duplicates(data: Dataset) -> Iterator[Finding]:
     """Pairs of channels that are equal, or equal up to scale and offset."""
-    unit = unit_of(*(limit.T for limit in _limits(data)))
+    unit = scaling_unit(*(limit.T for limit in _limits(data)))
     mean, gram = _moments(data, unit)
     size = np.sqrt(np.diag(gram))
     safe = np.where(size > 0, size, 1)
@@ -207,7 +207,7 @@ def stuck(data: Dataset) -> Iterator[Finding]:
                 )
                 found = _measured_runs(record, j, pairs[at & long])
                 if len(found):
-                    yield _stuck(data, record, channel.name, found, word, share)
+                    yield _stuck_finding(data, record, channel.name, found, word, share)
 
 
 def _length(pairs):
@@ -226,7 +226,7 @@ def _measured_runs(record, j, pairs):
     return pairs[np.array(keep, bool)]
 
 
-def _stuck(data, record, name, pairs, word, share) -> Finding:
+def _stuck_finding(data, record, name, pairs, word, share) -> Finding:
     rows = spans(record, pairs)
     times = seconds(rows, record, data.sample_time)
     listed = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in times[:5])
@@ -262,7 +262,7 @@ def spikes(data: Dataset) -> Iterator[Finding]:
             continue
         for j in range(len(names)):
             x = record.signal(j)
-            far = _far(x, 0.05 * spread[j])
+            far = _outlying_rows(x, 0.05 * spread[j])
             rows = _hampel(x, far[record.valid[far, j]], spread[j])
             if rows.size:
                 pairs = np.stack([rows, rows + 1], axis=1)
@@ -290,7 +290,9 @@ def _spread(data: Dataset) -> Float[np.ndarray, " signals"]:
     return high - low
 
 
-def _far(x: Float[np.ndarray, " time"], limit: float) -> Int[np.ndarray, " rows"]:
+def _outlying_rows(
+    x: Float[np.ndarray, " time"], limit: float
+) -> Int[np.ndarray, " rows"]:
     """Rows that are further than `limit` from the running median of five."""
     p = np.concatenate([x[:2], x, x[-2:]])
     found = [
@@ -358,7 +360,7 @@ def offsets(data: Dataset) -> Iterator[Finding]:
         x = np.concatenate([r.signal(j)[r.valid[:, j]] for r in data])
         if not x.size or x.min() == x.max():
             continue
-        unit = unit_of(x)
+        unit = scaling_unit(x)
         mean, spread = float((x / unit).mean() * unit), float((x / unit).std() * unit)
         if abs(mean) <= HUGE_OFFSET_DEVIATIONS * spread:
             continue

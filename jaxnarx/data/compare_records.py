@@ -2,8 +2,9 @@
 
 A record may visit another operating range than its fellows; then its channels move
 less, or more, together. Where one channel alone is another size than the other channels
-of its record say, its unit is another. What they say is a linear regression on all
-other channels, fitted without the record to averages over blocks of time.
+of its record say, its unit is another. The expected values come from a linear
+regression on all other channels, fitted without the record to averages over blocks of
+time.
 """
 
 import dataclasses
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.findings import Finding, Severity
 from jaxnarx.data.record import Record
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 from jaxnarx.data.units import conversion
 
 LEAST_RECORDS = 4
@@ -41,7 +42,7 @@ MAX_REST_SHARE = 0.5
 RANGE_FACTOR = 5.0
 """Factor between ranges that is noted although the other channels do not tell."""
 REGRESSION_RIDGE = 1e-6
-"""Of the regressions, as a share of the variance of each channel."""
+"""Ridge of the regressions, as a share of the variance of each channel."""
 ZERO_CELSIUS_IN_KELVIN = 273.15
 UNIT_TOLERANCE = 0.15
 """Relative distance from which a factor is told to be that of two units."""
@@ -73,7 +74,7 @@ def far_levels(data: Dataset) -> Iterator[Finding]:
         known = [x for x in known if x.size]
         if len(known) < 2:
             continue
-        unit = unit_of(*known)
+        unit = scaling_unit(*known)
         size = np.array([len(x) for x in known])
         level = np.array([(x / unit).mean() for x in known])
         within = np.average([(x / unit).var() for x in known], weights=size)
@@ -133,7 +134,7 @@ class Blocks:
     @classmethod
     def of(cls, data: Dataset) -> "Blocks":
         """The values of every record."""
-        unit = unit_of(*(r.signals.T for r in data)).astype(np.float64)
+        unit = scaling_unit(*(r.signals.T for r in data)).astype(np.float64)
         low, high = np.stack([_limits(r, unit) for r in data], axis=1)
         blocks = [_averages(r, unit) for r in data]
         channels = len(unit)
@@ -196,7 +197,7 @@ def _worst(blocks: Blocks, units: list[str]) -> Suspicion | None:
 class _Beside:
     """One record beside what regressions on the others say of each channel.
 
-    Of arrays by channel: `says` is the level that they say, `spread` and `said` the
+    Arrays by channel: `says` is the level that they say, `spread` and `said` the
     standard deviations of the channel and of what they say, `both` their covariance,
     `rest` the standard deviation that the regression leaves in the others, `follows`
     its correlation there.
@@ -228,17 +229,17 @@ class _Beside:
         size = self.spread[j] * self.said[j]
         slopes = self.slopes[self.slopes[:, j] > 0, j]
         if self.follows[j] < LEAST_CORRELATION:
-            return _by_range(self.blocks, self.r, j)
+            return _suspect_ranges(self.blocks, self.r, j)
         if not size > 0 or len(slopes) < 3:
             return None
         if abs(self.both[j]) < LEAST_CORRELATION * size:
             return None
         moves = float(self.both[j] / self.spread[j] ** 2 / np.median(slopes))
         if abs(np.log(abs(moves))) < np.log(LEAST_FACTOR):
-            return self._shifted(j, unit) if moves > 0 else self._negated(j)
-        return self._scaled(j, moves, slopes) if moves > 0 else None
+            return self._suspect_offset(j, unit) if moves > 0 else self._suspect_sign(j)
+        return self._suspect_factor(j, moves, slopes) if moves > 0 else None
 
-    def _scaled(self, j: int, moves: float, slopes) -> Suspicion | None:
+    def _suspect_factor(self, j: int, moves: float, slopes) -> Suspicion | None:
         """The suspicion of a factor: that of the movement, or of the level where both
         say the same and it is known the better."""
         says, level = self.says[j], self.level[j]
@@ -255,12 +256,12 @@ class _Beside:
             ordinary = abs(np.log(abs(says / np.median(self.they_say[:, j]))))
         if not stands_out or abs(np.log(factor)) < 1.5 * ordinary:
             return None
-        return self._mended(j, factor, 0.0, f"its unit ({_describe_factor(factor)})")
+        return self._suspect(j, factor, 0.0, f"its unit ({_describe_factor(factor)})")
 
-    def _negated(self, j: int) -> Suspicion | None:
-        return self._mended(j, -1.0, 0.0, "its sign (factor -1)")
+    def _suspect_sign(self, j: int) -> Suspicion | None:
+        return self._suspect(j, -1.0, 0.0, "its sign (factor -1)")
 
-    def _shifted(self, j: int, unit: str) -> Suspicion | None:
+    def _suspect_offset(self, j: int, unit: str) -> Suspicion | None:
         """Kelvin among degrees Celsius, or the reverse."""
         size = self.blocks.unit[j]
         is_temperature = not unit or conversion(unit, "K") is not None
@@ -273,9 +274,9 @@ class _Beside:
             np.copysign(ZERO_CELSIUS_IN_KELVIN, self.says[j] - self.level[j])
         )
         text = f"its unit (offset {offset:+.2f}, degC and K)"
-        return self._mended(j, 1.0, offset / size, text)
+        return self._suspect(j, 1.0, offset / size, text)
 
-    def _mended(
+    def _suspect(
         self, j: int, factor: float, offset: float, text: str
     ) -> Suspicion | None:
         """The suspicion where the mend brings the channel clearly nearer."""
@@ -316,7 +317,7 @@ def _least(logs: Float[np.ndarray, " records"]) -> float:
     )
 
 
-def _by_range(blocks: Blocks, r: int, j: int) -> Suspicion | None:
+def _suspect_ranges(blocks: Blocks, r: int, j: int) -> Suspicion | None:
     """A range beyond all others of a channel that the other channels do not tell of:
     a note, for the record may have been run so."""
     reach = np.maximum(np.abs(blocks.low[:, j]), np.abs(blocks.high[:, j]))

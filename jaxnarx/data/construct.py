@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data.channels import Channels
-from jaxnarx.data.missing import Source, alike
+from jaxnarx.data.missing import Source, unify_types
 from jaxnarx.data.record import RowSource
 from jaxnarx.errors import DataError, SpecError
 
@@ -37,7 +37,7 @@ def array_sources(
         Source(label, np.concatenate(pair, axis=1), RowSource(label if names else ""))
         for label, *pair in zip(labels, us, ys, strict=True)
     ]
-    return alike(sources)
+    return unify_types(sources)
 
 
 def _records(data: Any, names: list[str], field: str) -> list[np.ndarray]:
@@ -53,8 +53,8 @@ def _records(data: Any, names: list[str], field: str) -> list[np.ndarray]:
     if any(isinstance(d, list | tuple) or np.ndim(d) == 0 for d in data):
         raise SpecError(
             f"{field} is a nested list, which could be rows or records. Give "
-            f"np.asarray({field}) of shape {_expected(names)} for one record, or a "
-            "list of such arrays for several.",
+            f"np.asarray({field}) of shape {_expected_shape(names)} for one record, or "
+            "a list of such arrays for several.",
             field=field,
         )
     return [_matrix(d, names, f"{field}[{i}]") for i, d in enumerate(data)]
@@ -67,7 +67,7 @@ def _matrix(data: Any, names: list[str], field: str) -> Float[np.ndarray, "time 
         return x[:, None]
     if x.ndim == 2 and x.shape[1] == n:
         return x
-    what = f"{field} has shape {x.shape}, expected {_expected(names)}. "
+    what = f"{field} has shape {x.shape}, expected {_expected_shape(names)}. "
     if x.ndim == 2 and x.shape[0] == n:
         what += f"It looks transposed: pass {field}.T, rows are time."
     elif x.ndim == 3:
@@ -88,14 +88,14 @@ def _floats(data: Any, names: list[str], field: str) -> np.ndarray:
     except ValueError as error:
         raise SpecError(
             f"{field} is not an array of numbers ({error}); expected shape "
-            f"{_expected(names)}",
+            f"{_expected_shape(names)}",
             field=field,
         ) from error
     if x.dtype.kind not in "fiub":
         raise SpecError(
             f"{field} holds {_REFUSED_KINDS.get(x.dtype.kind, str(x.dtype))}, "
-            f"expected real numbers of shape {_expected(names)}. Convert it first, "
-            "with NaN where a sample is missing.",
+            f"expected real numbers of shape {_expected_shape(names)}. Convert it "
+            "first, with NaN where a sample is missing.",
             field=field,
         )
     return x if x.dtype == np.float32 else x.astype(np.float64)
@@ -111,7 +111,7 @@ _REFUSED_KINDS = {
 }
 
 
-def _expected(names: list[str]) -> str:
+def _expected_shape(names: list[str]) -> str:
     return f"(time, {len(names)}) for {', '.join(names) or 'no channel'}"
 
 

@@ -120,7 +120,7 @@ def parse_cut(pattern: str, field: str) -> tuple[str, Cut | None]:
     )
 
 
-def columns_of(cuts: Iterable[Cut | None]) -> list[str]:
+def trigger_columns(cuts: Iterable[Cut | None]) -> list[str]:
     """The columns that triggers look at."""
     return list(dict.fromkeys(c.column for c in cuts if c is not None and c.column))
 

@@ -97,8 +97,8 @@ class Dataset:
             sample_time: Time from one sample to the next [s].
             units: Units by channel name.
             names: Names of the records (default "record 1", ...).
-            missing: What NaN and inf mean: "refuse" raises DataError, "mask" holds the
-                previous sample (the next at the beginning) and marks it invalid,
+            missing: Treatment of NaN and inf: "refuse" raises DataError, "mask" holds
+                the previous sample (the next at the beginning) and marks it invalid,
                 "split" begins a new record after every gap, "interpolate" joins
                 neighbours by a line and masks the ends.
 

@@ -43,11 +43,11 @@ def find_family(columns: Sequence[Column], is_time: re.Pattern) -> Family | None
     """
     known = [c for c in columns if not c.text]
     places = max((len(_MEMBER_PATTERN.findall(c.name)) for c in known), default=0)
-    found = [f for k in range(places) for f in [_family(known, k, is_time)] if f]
+    found = [f for k in range(places) for f in [_family_at(known, k, is_time)] if f]
     return max(found, key=lambda f: len(f.members), default=None)
 
 
-def _family(columns: Sequence[Column], place: int, is_time) -> Family | None:
+def _family_at(columns: Sequence[Column], place: int, is_time) -> Family | None:
     kinds: dict[str, dict[str, Column]] = {}
     common: dict[str, Column] = {}
     for column in columns:
@@ -90,7 +90,7 @@ def is_numbered(description: Description) -> bool:
     return any(NUMBER_MARK in column for column in description.wanted)
 
 
-def members_of(file: Path, description: Description) -> tuple[str, ...]:
+def list_members(file: Path, description: Description) -> tuple[str, ...]:
     """Numbers or words with which a file has all columns of a description; none where
     it has columns of just these names."""
     names = {column.name for column in contents(file, description.asked)}

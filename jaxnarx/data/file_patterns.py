@@ -1,4 +1,4 @@
-"""Which files a description means: patterns, parts, and groups left out together."""
+"""Files of a description: patterns, parts, and groups that are held out together."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data.channels import Channel, Channels
-from jaxnarx.data.crop import Cut, columns_of
+from jaxnarx.data.crop import Cut, trigger_columns
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.description import PARTS, Description, load_description
 from jaxnarx.data.digest import fingerprint
-from jaxnarx.data.families import NUMBER_MARK, is_numbered, members_of, read_member
+from jaxnarx.data.families import NUMBER_MARK, is_numbered, list_members, read_member
 from jaxnarx.data.file_patterns import find_files, find_groups, require_inside
 from jaxnarx.data.frames import one_sample_time
-from jaxnarx.data.missing import Source, alike, assemble
+from jaxnarx.data.missing import Source, assemble, unify_types
 from jaxnarx.data.preparation import Preparation
 from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
@@ -199,7 +199,7 @@ def _assemble_records(
     steps, notes = [], []
     channels, stated_by = description.channels, {}
     left = max_bytes
-    wanted = [*description.wanted, *columns_of(cut for _, cut in chosen)]
+    wanted = [*description.wanted, *trigger_columns(cut for _, cut in chosen)]
     for n, file, cut, member in _each(chosen, description):
         asked = dataclasses.replace(description.asked, max_bytes=left)
         table = read_member(file, wanted, asked, member)
@@ -208,7 +208,7 @@ def _assemble_records(
         notes += [(table.place.lead, note) for note in table.notes]
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}
-        channels, how = _in_units(channels, units, stated_by, table.place.name)
+        channels, how = _apply_units(channels, units, stated_by, table.place.name)
         with guard_reading(file, "numbers"):
             source, step = table_source(
                 table,
@@ -229,11 +229,11 @@ def _assemble_records(
         steps.append((table.place.name, step))
     step = one_sample_time(steps)
     place = {one.name: n for n, own in enumerate(sources) for one in own}
-    every = alike([one for own in sources for one in own])
+    every = unify_types([one for own in sources for one in own])
     records = assemble(every, channels, step, description.missing)
     # pieces of a record that is split are called name#1, ...
     known = [r.name if r.name in place else r.name.rpartition("#")[0] for r in records]
-    data = Dataset(records, channels, step, _once(notes))
+    data = Dataset(records, channels, step, _merge_notes(notes))
     return data, [place[name] for name in known]
 
 
@@ -244,7 +244,7 @@ def _each(
     where they are numbered."""
     numbered = is_numbered(description)
     for n, (file, cut) in enumerate(chosen):
-        known = members_of(file, description) if numbered else ()
+        known = list_members(file, description) if numbered else ()
         wanted = cut.members if cut is not None else ()
         for member in wanted:
             if member not in known:
@@ -257,7 +257,7 @@ def _each(
             yield n, file, cut, member
 
 
-def _once(notes: list[tuple[str, str]]) -> tuple[str, ...]:
+def _merge_notes(notes: list[tuple[str, str]]) -> tuple[str, ...]:
     """Notes with what leads them; what several files have alike is told once."""
     files: dict[str, dict[str, None]] = {}
     for lead, note in notes:
@@ -300,7 +300,7 @@ def _root(path: Path, root, description: Description) -> Path:
     return folder
 
 
-def _in_units(
+def _apply_units(
     channels: Channels, units: dict[str, str], stated_by: dict[str, str], source: str
 ) -> tuple[Channels, dict[str, Conversion]]:
     """The channels, with units that the file `source` states where they have none, and
@@ -310,7 +310,7 @@ def _in_units(
     """
     how: dict[str, Conversion] = {}
 
-    def stated(channel: Channel) -> Channel:
+    def apply_unit(channel: Channel) -> Channel:
         own = bare(units[channel.name])
         if own and channel.unit:
             found = conversion(own, channel.unit)
@@ -328,7 +328,8 @@ def _in_units(
         return Channel(channel.name, channel.unit or own)
 
     found = Channels(
-        tuple(map(stated, channels.inputs)), tuple(map(stated, channels.outputs))
+        tuple(map(apply_unit, channels.inputs)),
+        tuple(map(apply_unit, channels.outputs)),
     )
     return found, how
 

@@ -1,4 +1,4 @@
-"""What a look at the data turned up: values that read well and survive as JSON."""
+"""Findings of a check of the data: values that read well and survive as JSON."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ class Finding:
 
 @dataclasses.dataclass(frozen=True)
 class Findings:
-    """Findings, errors first. `is_okay` while none of them is an error."""
+    """Findings of a check, errors first; `is_okay` where none of them is an error."""
 
     items: tuple[Finding, ...]
 

@@ -14,21 +14,23 @@ from jaxnarx.data.align_channels import match_channels
 from jaxnarx.data.channels import Channels
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.formatting import align_columns, brief, page, some
 
 Choice = slice | int | str | Sequence[int | str]
-"""Which records of every engine belong to a part: by position or by name."""
+"""Choice of the records of every engine that belong to a part: by position or by
+name."""
 
-PARTS = ("train", "validation", "test")
+FLEET_PARTS = ("train", "validation", "test")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Padded:
     """One part of all members: records in physical units, padded with their last row.
 
-    `valid` is False for missing samples and padding alike, `length` zero for records
-    that a member does not have; `names` are those of the records.
+    `valid` is False for missing samples and for padding; `length` is zero for records
+    that a member does not have; `names` are the names of the records.
     """
 
     signals: Float[np.ndarray, "members records time signals"]
@@ -42,7 +44,7 @@ class Padded:
         names = tuple(self.names[n] for n in at.tolist())
         return Padded(self.signals[at], self.valid[at], self.length[at], names)
 
-    def widened(self, records: int, time: int) -> "Padded":
+    def widen(self, records: int, time: int) -> "Padded":
         """The part with room for more records, and longer ones."""
         more_records = records - self.signals.shape[1]
         more_time = time - self.signals.shape[2]
@@ -54,6 +56,8 @@ class Padded:
             np.pad(self.length, wide[:2]),
             self.names,
         )
+
+    widened = old_method("widened", "widen")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -129,7 +133,7 @@ class Fleet:
     @property
     def parts(self) -> dict[str, Padded]:
         """The parts there are, by name."""
-        every = {name: getattr(self, name) for name in PARTS}
+        every = {name: getattr(self, name) for name in FLEET_PARTS}
         return {name: part for name, part in every.items() if part is not None}
 
     def index(self, name: str) -> int:
@@ -197,7 +201,7 @@ def _member(data, channels: Channels, step: float, wanted) -> _Member:
             f"{data.sample_time:g} s; resample the data",
             field="sample_time",
         )
-    parts = {name: _chosen(data, choice) for name, choice in wanted.items()}
+    parts = {name: _choose_records(data, choice) for name, choice in wanted.items()}
     for name, records in parts.items():
         if not records:
             return _Member(parts, "too_short", f"no record for {name}")
@@ -218,7 +222,7 @@ def _member(data, channels: Channels, step: float, wanted) -> _Member:
     return _Member(parts)
 
 
-def _chosen(data: Dataset, choice: Choice) -> list[Record]:
+def _choose_records(data: Dataset, choice: Choice) -> list[Record]:
     if isinstance(choice, slice):
         return list(data.records[choice])
     wanted = [choice] if isinstance(choice, int | str) else list(choice)

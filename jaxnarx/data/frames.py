@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data.channels import Channels
-from jaxnarx.data.missing import Source, alike
+from jaxnarx.data.missing import Source, unify_types
 from jaxnarx.data.readers.columns import Table, table_source
 from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import positive_sample_time, require_time_unit
@@ -49,7 +49,7 @@ def frame_sources(
         for name, rows, place in _pieces(table, record)
     ]
     step = one_sample_time([(s.name, dt) for s, dt in parts])
-    return alike([s for s, _ in parts]), step
+    return unify_types([s for s, _ in parts]), step
 
 
 def one_sample_time(steps: Sequence[tuple[str, float]]) -> float:

@@ -16,10 +16,10 @@ from jaxnarx.formatting import page
 def step_times(data: Dataset, output: str) -> dict[str, float]:
     """Seconds that `output` takes for 63 % of its answer to a step of each input.
 
-    Of the systems of low order that best explain the output in free run (`dynamics`),
-    from the end of the dead time: for a first-order lag its time constant. Responses
-    that change sign are counted by magnitude. Inputs without a clear response are left
-    out.
+    The time is that of the system of low order that best explains the output in free
+    run (`dynamics`), from the end of the dead time: for a first-order lag its time
+    constant. Responses that change sign are counted by magnitude. Inputs without a
+    clear response are left out.
     """
     known = data.channels.output_names
     require_known(output, known, "output")

@@ -1,4 +1,4 @@
-"""From rows as they came to finite records: what happens to NaN and inf."""
+"""Finite records from rows as they came: treatment of NaN and inf."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ class Source:
     cuts: Sequence[int] = ()
 
 
-def alike(sources: Sequence[Source]) -> list[Source]:
+def unify_types(sources: Sequence[Source]) -> list[Source]:
     """The sources in one type: float32 when all are, else float64."""
     single = all(s.x.dtype == np.float32 for s in sources)
     dtype = np.float32 if single else np.float64
@@ -63,7 +63,7 @@ def assemble(
     _require_moderate(sources, channels)
     if missing == "refuse":
         _require_finite(sources, channels, sample_time)
-    treat = _TREATMENTS[missing]
+    treat = _MISSING_TREATMENTS[missing]
     n_inputs = len(channels.inputs)
     return tuple(
         Record(
@@ -80,7 +80,7 @@ def assemble(
 
 def require_missing(missing: object) -> None:
     """SpecError unless `missing` is one of the four treatments."""
-    choice(missing, _TREATMENTS, "missing")
+    choice(missing, _MISSING_TREATMENTS, "missing")
 
 
 _Piece = tuple[np.ndarray, np.ndarray, str, int]
@@ -130,7 +130,7 @@ def _split(source: Source) -> list[_Piece]:
     return pieces
 
 
-_TREATMENTS: dict[str, Callable[[Source], list[_Piece]]] = {
+_MISSING_TREATMENTS: dict[str, Callable[[Source], list[_Piece]]] = {
     "refuse": _refuse,
     "mask": _mask,
     "split": _split,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.record import Record
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 
 _ANALYSED_ROWS = 1 << 15
 """About as many rows are looked at; statistics gain little from more."""
@@ -31,9 +31,9 @@ class Piece:
 def pieces(data: Dataset, *, every: int = 1) -> list[Piece]:
     """All rows of `data`, or pieces evenly spread over them where there are many.
 
-    Of every `every` rows the mean. Every channel is freed of its mean over all pieces
-    and divided by its standard deviation, so that no offset and no unit matters; a
-    constant channel is zero.
+    A row is the mean of `every` rows. Every channel is freed of its mean over all
+    pieces and divided by its standard deviation, so that no offset and no unit matters;
+    a constant channel is zero.
     """
     spans = [(r, 0, len(r)) for r in data if len(r)]
     if data.samples > _ANALYSED_ROWS * every:
@@ -81,7 +81,7 @@ def standardise(
 
     A constant channel is zero.
     """
-    unit = unit_of(*parts)[:, None]
+    unit = scaling_unit(*parts)[:, None]
     parts = [p / unit for p in parts]
     count = sum(p.shape[1] for p in parts)
     mean = np.sum([p.sum(axis=1) for p in parts], axis=0) / count

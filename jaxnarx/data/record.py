@@ -18,10 +18,10 @@ class Record:
     record's first row in its source, so that messages can name rows as the user sees
     them.
 
-    `scored` marks the rows whose error counts, None stands for all: of a record in
-    which one block is judged, the rest is measured history (`jaxnarx.data.groups`).
-    `group` names what the record is left out together with in cross-validation; empty
-    where that is to be found.
+    `scored` marks the rows whose error counts, None stands for all: in a record of
+    which one block is scored, the rest is measured history (`jaxnarx.data.groups`).
+    `group` is the group of records that are held out together in cross-validation;
+    empty where groups are to be detected.
     """
 
     u: Float[np.ndarray, "time inputs"]

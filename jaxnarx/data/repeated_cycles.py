@@ -1,9 +1,9 @@
 """Records that repeat each other's inputs: one test cycle, driven more than once.
 
 Two records repeat each other where their inputs agree in course and in level, perhaps
-with a small shift in time, as far as the shorter one goes. What is compared is the
-concordance of Lin (1989) over all inputs, each in units of its standard deviation over
-all records:
+with a small shift in time, as far as the shorter one goes. The measure of likeness is
+the concordance of Lin (1989) over all inputs, each in units of its standard deviation
+over all records:
 
     likeness = 2 sum cov(a, b) / sum (var a + var b + (mean a - mean b)^2)
 
@@ -152,7 +152,7 @@ def _course(x: Float[np.ndarray, "inputs time"], size: int) -> InputCourse:
 
 def shift_between(a: InputCourse, b: InputCourse) -> int | None:
     """The sample of `a` at which `b` begins, None where they do not repeat."""
-    likeness, chance, lag = likeness_of(a, b)
+    likeness, chance, lag = compare_courses(a, b)
     return (
         lag
         if likeness > np.clip(CHANCE_DEVIATIONS * chance, LEAST_LIKENESS, SURE_LIKENESS)
@@ -160,7 +160,7 @@ def shift_between(a: InputCourse, b: InputCourse) -> int | None:
     )
 
 
-def likeness_of(a: InputCourse, b: InputCourse) -> tuple[float, float, int]:
+def compare_courses(a: InputCourse, b: InputCourse) -> tuple[float, float, int]:
     """The largest likeness over small shifts, its deviation under chance, the shift.
 
     The deviation is that of the covariance at full overlap of independent signals with

@@ -130,7 +130,7 @@ def assign_roles(
             return "left out", f"the same as {twins[one.name]}, up to scale"
         if one.name in twins:
             return "left out", f"the same as {twins[one.name]}"
-        by_name = _by_name(one.name)
+        by_name = _role_by_name(one.name)
         if inputs and not outputs and by_name == "output":
             return by_name, "by its name"
         if inputs:
@@ -153,7 +153,7 @@ def assign_roles(
     return told if outputs or inputs else _both(told)
 
 
-def _by_name(name: str) -> str:
+def _role_by_name(name: str) -> str:
     """`"input"`, `"output"`, or nothing."""
     if _SAID_INPUT.search(name):
         return "input"

@@ -13,7 +13,7 @@ from jaxnarx.data.channels import Channel, Channels
 from jaxnarx.data.compare_records import other_units
 from jaxnarx.data.dataset import Dataset
 from jaxnarx.data.families import NUMBER_MARK, read_member
-from jaxnarx.data.missing import Source, alike, assemble
+from jaxnarx.data.missing import Source, assemble, unify_types
 from jaxnarx.data.readers.columns import Asked, Table
 from jaxnarx.data.repeated_cycles import cycles
 from jaxnarx.data.roles import ChannelGuess
@@ -26,7 +26,7 @@ DIVIDED_SAMPLES = 200
 TRAINING_SHARE, PAUSE_SHARE = 0.7, 0.05
 """Shares of it: what trains, and what lies between that and what tests."""
 _PART_WORDS = {"train": "train|est(?![a-z])", "validate": "val", "test": "test"}
-"""What names say records are for."""
+"""Words in names that state a record's purpose."""
 
 Looked = Sequence[tuple[Mapping[str, Float[np.ndarray, " rows"]], Mapping[str, str]]]
 """Samples by channel, and why others have none, of every record."""
@@ -92,7 +92,7 @@ def _dataset(
         x += [] if outputs else [np.ones(rows)]
         sources.append(Source(name, np.stack(x, axis=1)))
     try:
-        return Dataset(assemble(alike(sources), own, 1.0, "mask"), own, 1.0)
+        return Dataset(assemble(unify_types(sources), own, 1.0, "mask"), own, 1.0)
     except DataError:
         return None
 
@@ -163,7 +163,7 @@ def _divide_record(run: Run, rows: int, step: float) -> dict[str, tuple[Run, ...
     if rows < DIVIDED_SAMPLES or not step > 0:
         return {"files": (run,)}
     end, begin = (
-        _rounded(share * rows * step)
+        _round_time(share * rows * step)
         for share in (TRAINING_SHARE, TRAINING_SHARE + PAUSE_SHARE)
     )
     return {
@@ -172,5 +172,5 @@ def _divide_record(run: Run, rows: int, step: float) -> dict[str, tuple[Run, ...
     }
 
 
-def _rounded(time: float) -> float:
+def _round_time(time: float) -> float:
     return float(f"{time:.3g}")

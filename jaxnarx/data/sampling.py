@@ -28,7 +28,7 @@ STATIC_ADVICE = (
     "without lags: jaxnarx identify engine.toml --input-lags 0 --output-lags "
     "--partition tree."
 )
-"""What to do with data that are no time series."""
+"""Advice for data that are no time series."""
 
 
 def require_time_unit(unit: object) -> None:

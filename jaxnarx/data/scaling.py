@@ -6,7 +6,7 @@ from jaxtyping import Float
 from jaxnarx.data.dataset import Dataset
 
 
-def unit_of(*parts: Float[np.ndarray, "*axes _"]) -> Float[np.ndarray, "*axes"]:
+def scaling_unit(*parts: Float[np.ndarray, "*axes _"]) -> Float[np.ndarray, "*axes"]:
     """The power of two below the largest magnitude along the last axis of all `parts`.
 
     Dividing by it is exact, and leaves numbers whose powers neither overflow nor

@@ -72,7 +72,7 @@ def adjust(
     status = RESULTS.ok if improved else RESULTS.no_improvement
     level = best.level[: plan.level.shape[0]]
     best = eqx.tree_at(lambda p: p.level, plan, level)
-    return Solution(best, status, stats, _told(start, end, efficiency))
+    return Solution(best, status, stats, _describe_gain(start, end, efficiency))
 
 
 def _require_inputs(plan: AprbsPlan, names: list[str]) -> None:
@@ -124,7 +124,7 @@ def _descend(sensitivity, plan, reference, method):
         value, moved, state = _step(sensitivity, plan, share, reference, state, method)
         values.append(float(value))
         if values[-1] <= min(values):
-            best = _with(plan, share)
+            best = _set_level_shares(plan, share)
         share = moved
     return best, [value - values[0] for value in values[1:]]
 
@@ -134,7 +134,7 @@ def _step(sensitivity, plan, share, reference, state, method):
     """The criterion at `share`, and where the next step leads."""
 
     def criterion(share):
-        slope = sensitivity(render(_with(plan, share)))
+        slope = sensitivity(render(_set_level_shares(plan, share)))
         return objective(slope, reference, method)
 
     value, gradient = jax.value_and_grad(criterion)(share)
@@ -142,7 +142,7 @@ def _step(sensitivity, plan, share, reference, state, method):
     # optax counts its steps in int32 whatever the promotion rules of the user are.
     with jax.numpy_dtype_promotion("standard"):
         update, state = _optimiser(method).update(gradient, state, share)
-    return value, _share(reachable(_with(plan, share + update))), state
+    return value, _share(reachable(_set_level_shares(plan, share + update))), state
 
 
 @eqx.filter_jit
@@ -156,12 +156,14 @@ def _share(plan: AprbsPlan) -> Float[Array, "segments inputs"]:
     return (plan.level - plan.low[None]) / span[None]
 
 
-def _with(plan: AprbsPlan, share: Float[Array, "segments inputs"]) -> AprbsPlan:
+def _set_level_shares(
+    plan: AprbsPlan, share: Float[Array, "segments inputs"]
+) -> AprbsPlan:
     level = plan.low[None] + share * (plan.high - plan.low)[None]
     return eqx.tree_at(lambda p: p.level, plan, level)
 
 
-def _told(start: Criteria, end: Criteria, efficiency: float) -> str:
+def _describe_gain(start: Criteria, end: Criteria, efficiency: float) -> str:
     return (
         f"log det of the information {float(start.log_det):.4g} -> "
         f"{float(end.log_det):.4g} (as if {efficiency:.3g} times as long), trace of "

@@ -1,4 +1,4 @@
-"""What an information matrix is worth: the criteria D, A and G."""
+"""The criteria D, A and G of an information matrix."""
 
 from typing import NamedTuple
 
@@ -40,13 +40,13 @@ def criteria(
     rounding = 64 * jnp.finfo(size.dtype).eps * rows.shape[0] ** 0.5
     diagonal = jnp.where((size > 0) & (diagonal > rounding), diagonal, 0.0)
 
-    def whitened(rows: Float[Array, "rows params"]) -> Float[Array, "params rows"]:
+    def whiten(rows: Float[Array, "rows params"]) -> Float[Array, "params rows"]:
         scaled = (rows / safe[None]).T
         return jax.scipy.linalg.solve_triangular(lower, scaled, lower=True)
 
     identity = jnp.eye(size.shape[0], dtype=size.dtype)
     points = reference.reshape(-1, reference.shape[-1])
-    variance = jnp.sum(whitened(points) ** 2, axis=0)
+    variance = jnp.sum(whiten(points) ** 2, axis=0)
     variance = jnp.sum(variance.reshape(reference.shape[:2]), axis=1)
     top = jnp.max(variance)
     if power is not None:
@@ -54,7 +54,7 @@ def criteria(
         top = jax.lax.stop_gradient(top) * share ** (1 / power)
     return Criteria(
         log_det=2 * jnp.sum(jnp.log(diagonal * safe)),
-        trace=jnp.sum(whitened(identity) ** 2),
+        trace=jnp.sum(whiten(identity) ** 2),
         largest=top,
     )
 

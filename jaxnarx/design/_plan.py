@@ -24,7 +24,7 @@ from jaxnarx.design.views import (
     watch,
 )
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, memory_of
+from jaxnarx.models import Network, input_memory
 from jaxnarx.solution import RESULTS, Solution
 
 HOLD_MEMORIES = 0.5, 4.0
@@ -102,13 +102,13 @@ def plan(
             the training.
         forbidden: Combinations of inputs that must not be, such as
             "speed > 3000 & load < 5".
-        limits: Highest value by output, or (lowest, highest). Kept by the free run with
-            the 99 % prediction interval of a network that knows its errors
+        limits: Highest value by output, or (lowest, highest). The free run keeps them
+            with the 99 % prediction interval of a network that knows its errors
             (`jnx.intervals`), which widens outside of the domain.
         hold: Shortest and longest time that an input keeps a level [s]; default half
             and four times the network's memory, which may be far from that of parts of
             the engine that it has not seen at work.
-        seed: Of the random stretches.
+        seed: Seed of the random stretches.
 
     Returns:
         `value` is the `TestPlan`. `stats`: `information` gained, and `random`, what
@@ -167,7 +167,9 @@ class Maker:
         steps: list[Step] = []
         while len(u) < self.lead + length:
             share = (len(u) - self.lead) / (OUTWARD_SHARE * length)
-            tests, refused = self.candidates(u, _between(self.known, self.space, share))
+            tests, refused = self.candidates(
+                u, _interpolate_spaces(self.known, self.space, share)
+            )
             k, step, information = self.choose(tests, refused, information)
             steps.append(step)
             u = np.concatenate([u, tests[k, self.lead : self.lead + self.size]])
@@ -203,11 +205,11 @@ class Maker:
         self, tests: Float[np.ndarray, "tests time inputs"]
     ) -> Bool[np.ndarray, " tests"]:
         """Whether predicted outputs keep their limits, with a margin."""
-        seen = self.watched(tests)
+        seen = self.view_tests(tests)
         room = self.limits.room(seen.y, margins(self.network, seen))
         return np.all(room[:, self.lead :] > 0, axis=(1, 2))
 
-    def watched(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
+    def view_tests(self, tests: Float[np.ndarray, "tests time inputs"]) -> Seen:
         """The view of tests by the network, on the host; always of as many."""
         count = (
             CANDIDATE_STRETCHES * SCREENED_FACTOR
@@ -291,7 +293,7 @@ def margins(network: Network, seen: Seen) -> Float[np.ndarray, "tests time outpu
 def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
     """Shortest and longest hold [samples]."""
     if asked is None:
-        pair = tuple(h * memory_of(network) for h in HOLD_MEMORIES)
+        pair = tuple(h * input_memory(network) for h in HOLD_MEMORIES)
     else:
         pair = tuple(t / float(network.sample_time) for t in span(asked, "hold"))
         require(pair[0] > 0, "hold", f"hold must be of times above zero, got {asked}")
@@ -312,7 +314,7 @@ def _make(
     low, high = (np.clip(a, limits.low, limits.high) for a in _training_range(network))
     known = dataclasses.replace(space, low=low, high=high)
     size = min(max(2, round(STRETCH_HOLDS * hold[1])), max(length, 2))
-    lead = math.ceil(LEAD_MEMORIES * memory_of(network)) + network.history
+    lead = math.ceil(LEAD_MEMORIES * input_memory(network)) + network.history
     middle = 0.5 * (space.low + space.high)
     drawn = stretches(random, space, middle, CANDIDATE_STRETCHES, size, hold)[1:]
     sensitivity = run_sensitivity(network, lead)
@@ -348,7 +350,7 @@ def _training_range(network: Network) -> tuple[Float[np.ndarray, " inputs"], ...
     return tuple(np.asarray(a, float)[:inputs] for a in (network.low, network.high))
 
 
-def _between(known: Space, space: Space, share: float) -> Space:
+def _interpolate_spaces(known: Space, space: Space, share: float) -> Space:
     """Move from the first to the second space, by a share up to one."""
     share = min(share, 1.0)
     low, high = (

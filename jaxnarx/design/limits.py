@@ -1,4 +1,4 @@
-"""What a test plan must keep to: ranges, rates, combinations, predicted outputs."""
+"""Limits of a test plan: ranges, rates, combinations, predicted outputs."""
 
 import dataclasses
 import math

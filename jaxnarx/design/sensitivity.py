@@ -34,8 +34,9 @@ class ResponseSensitivity(AbstractSensitivity):
     """Sensitivity of any simulation `response(parameters, inputs)` -> (time, outputs).
 
     `parameters` is the vector about which information is wanted, at its best present
-    value; `noise` the standard deviation of each output. By forward mode, one tangent a
-    parameter. A virtual engine, for example: `lambda p, u: place(engine, p).run(u)`.
+    value; `noise` the standard deviation of each output. It uses forward mode, one
+    tangent per parameter. A virtual engine, for example: `lambda p, u: place(engine,
+    p).run(u)`.
     """
 
     response: Callable[..., Any]
@@ -102,7 +103,7 @@ class NetworkSensitivity(AbstractSensitivity):
     def _run(self, network: Network, inputs: Float[Array, "time inputs"]):
         """Lagged and scheduling variables and scaled outputs of the run."""
         u = _prepend_inputs(network, inputs, self.lead)
-        y = _from_rest(network, u)
+        y = _run_from_rest(network, u)
         at = jnp.array(network.modelled)
         gain = network.gain[jnp.array(network.signals)][None]
         outputs = jnp.zeros((u.shape[0], len(network.channels.outputs)), u.dtype)
@@ -131,7 +132,7 @@ def rest_run(
 
     `lead` samples of the first inputs bring it to rest before.
     """
-    y = _from_rest(network, _prepend_inputs(network, inputs, lead))
+    y = _run_from_rest(network, _prepend_inputs(network, inputs, lead))
     return y[-inputs.shape[0] :, : len(network.modelled)]
 
 
@@ -143,7 +144,7 @@ def _prepend_inputs(
     return jnp.concatenate([jnp.tile(inputs[:1], (before, 1)), inputs])
 
 
-def _from_rest(
+def _run_from_rest(
     network: Network, u: Float[Array, "time inputs"]
 ) -> Float[Array, "time states"]:
     """All that a free run computes, begun in the middle of its bounds; scaled."""
@@ -175,14 +176,17 @@ def network_sensitivity(
     at = jnp.array(network.signals)
     deviation = 0.01 * (network.high - network.low)[at]
     if noise is not None:
-        deviation = jnp.asarray(_named(noise, network.output_names), deviation.dtype)
+        deviation = jnp.asarray(
+            _list_noise(noise, network.output_names), deviation.dtype
+        )
     return NetworkSensitivity(
         network, deviation, _coefficients(network), one_step, lead
     )
 
 
 def run_sensitivity(network: Network, lead: int) -> NetworkSensitivity:
-    """That of a free run, also of a network with hidden channels; noise of size one."""
+    """Sensitivity of a free run, also of a network with hidden channels; noise of size
+    one."""
     _require_own(network)
     noise = jnp.ones(len(network.models), network.gain.dtype)
     return NetworkSensitivity(network, noise, _coefficients(network), False, lead)
@@ -203,16 +207,16 @@ def _require_own(network: Network) -> None:
 def _coefficients(network: Network) -> tuple[tuple[tuple[int, int], ...], ...]:
     """Model and slot of all coefficients in use, by output."""
     return tuple(
-        tuple((m, s) for m, s in np.argwhere(_in_use(model)).tolist())
+        tuple((m, s) for m, s in np.argwhere(_used_slots(model)).tolist())
         for model in network.models
     )
 
 
-def _in_use(model: OutputModel) -> Bool[np.ndarray, "models slots"]:
+def _used_slots(model: OutputModel) -> Bool[np.ndarray, "models slots"]:
     return np.asarray(model.local.used) & np.asarray(model.active)[:, None]
 
 
-def _named(noise: Mapping[str, float], names: list[str]) -> list[float]:
+def _list_noise(noise: Mapping[str, float], names: list[str]) -> list[float]:
     if set(noise) != set(names) or not all(0 < v < np.inf for v in noise.values()):
         raise SpecError(
             f"noise must give a positive standard deviation for {', '.join(names)}, "

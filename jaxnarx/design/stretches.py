@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.excitation import AprbsPlan, render
 
 Allows = Callable[[Float[np.ndarray, "*rows inputs"]], Bool[np.ndarray, "*rows"]]
-"""Of levels of all inputs, whether they may be together."""
+"""Tells whether levels of all inputs are allowed together."""
 
 
 def all_combinations(u: Float[np.ndarray, "*rows inputs"]) -> Bool[np.ndarray, "*rows"]:
@@ -40,15 +40,15 @@ class Space:
         """Levels alike everywhere: more of them near the ends, where a polynomial is
         determined worst, served local models worse (`experiments/edge/plans.py`).
         Combinations that are not allowed are drawn again, some times."""
-        share = self._drawn(random, shape)
+        share = self._draw(random, shape)
         for _ in range(MAX_REDRAWS):
             bad = ~self.allows(share)
             if not bad.any():
                 break
-            share = np.where(bad[..., None], self._drawn(random, shape), share)
+            share = np.where(bad[..., None], self._draw(random, shape), share)
         return share
 
-    def _drawn(
+    def _draw(
         self, random: np.random.Generator, shape: tuple[int, ...]
     ) -> Float[np.ndarray, "*shape inputs"]:
         share = random.uniform(size=(*shape, len(self.low)))
@@ -70,9 +70,9 @@ def stretches(
     stays there, and the last `near` of them do not go all the way.
 
     Holds, from the shortest to the longest of `hold` [samples], are as many in every
-    octave; a test begins in the midst of the first of them. Of every second test all
-    inputs have the same, so that the levels they are drawn at come together, of the
-    others each has its own. Rates hold, at the joint too.
+    octave; a test begins in the midst of the first of them. In every second test all
+    inputs share them, so that the levels they are drawn at come together; in the others
+    each input has its own. Rates hold, at the joint too.
     """
     shortest, longest = hold
     shape = count, 2 + -(-length // shortest), len(begin)

@@ -1,4 +1,4 @@
-"""What a network shows of a test before it is run: outputs, index, information.
+"""A network's view of a test before it is run: outputs, index, information.
 
 The information of a test is twofold. About the coefficients: derivatives of the free
 run along the directions of the coefficients that it follows most over the allowed
@@ -70,7 +70,7 @@ class View(eqx.Module):
         """The terms of the error."""
         return len(_factors(len(self.table) // 2))
 
-    def seen(self, u: Float[Array, "time inputs"]) -> Seen:
+    def view_from_rest(self, u: Float[Array, "time inputs"]) -> Seen:
         """The view of a test that begins at rest."""
         network = self.sensitivity.network
         y = rest_run(network, u, self.sensitivity.lead) * _gain(network)[None]
@@ -82,7 +82,7 @@ class View(eqx.Module):
         return record_columns(u, None, at, self.domain.features, time)
 
     def index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
-        """That of the domain, one at its border."""
+        """Index of the domain, one at its border."""
         own = u[:, np.array(self.domain.inputs)]
         step = jnp.diff(own, axis=0, prepend=own[:1]).T
         return self.domain.layers(self.features(u), step)[0].max(axis=1)
@@ -127,7 +127,7 @@ def _factors(inputs: int) -> Int[np.ndarray, "terms degree"]:
 
 
 def _gain(network: Network) -> Float[Array, " outputs"]:
-    """That brings what a run computes to physical units."""
+    """Gains that bring computed outputs to physical units."""
     return network.gain[np.array(network.signals[: len(network.modelled)])]
 
 
@@ -176,7 +176,7 @@ def _slopes(sensitivity: NetworkSensitivity, u: Float[Array, "time inputs"]):
 @eqx.filter_jit
 def watch(view: View, u: Float[Array, "tests time inputs"]) -> Seen:
     """Outputs, features and index of tests."""
-    return jax.vmap(view.seen)(u)
+    return jax.vmap(view.view_from_rest)(u)
 
 
 @eqx.filter_jit

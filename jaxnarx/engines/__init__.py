@@ -21,7 +21,7 @@ from jaxnarx.engines.pfi_dyno import PfiDyno as PfiDyno
 from jaxnarx.engines.vct import Vct as Vct
 from jaxnarx.extensions import Registry
 
-_OWN: Mapping[str, Callable[[], AbstractEngine]] = {
+_OWN_BEDS: Mapping[str, Callable[[], AbstractEngine]] = {
     "pfi": Pfi,
     "pfi-dyno": PfiDyno,
     "pfi-cc": CrossleyCook,
@@ -29,5 +29,5 @@ _OWN: Mapping[str, Callable[[], AbstractEngine]] = {
     "gtdi": Gtdi,
     "vct": Vct,
 }
-BEDS: Registry[Callable[[], AbstractEngine]] = Registry("engine", _OWN)
+BEDS: Registry[Callable[[], AbstractEngine]] = Registry("engine", _OWN_BEDS)
 """Every bed by its name on the command line."""

@@ -17,10 +17,10 @@ Engine = TypeVar("Engine", bound=AbstractEngine)
 def family(
     engine: Engine, key: PRNGKeyArray, count: int, *, spread: ScalarLike = 0.05
 ) -> Engine:
-    """`count` random relatives of `engine` as one stacked tree; see `perturbed`."""
+    """`count` random relatives of `engine` as one stacked tree; see `perturb`."""
     whole(count, "count")
     keys = jax.random.split(key, count)
-    return jax.vmap(lambda k: engine.perturbed(k, spread))(keys)
+    return jax.vmap(lambda k: engine.perturb(k, spread))(keys)
 
 
 def family_run(

@@ -61,8 +61,8 @@ class Diesel(AbstractEngine):
     Inputs: fuel u_d [mg per cylinder and cycle], EGR valve u_e [%, 0 shut], VGT u_v
     [%, 100 open], engine speed N [rpm].
 
-    The bed samples plain time, every `interval` seconds. What depends on fuel and speed
-    without delay, such as torque, is measured before the new inputs act.
+    The bed samples plain time, every `interval` seconds. Quantities that depend on fuel
+    and speed without delay, such as torque, are measured before the new inputs act.
 
     Air flow answers the VGT with either sign: closing from 75 % raises W_c, closing
     from 30 % lowers it. All values are published [P] unless tagged [O], our own choice.
@@ -188,7 +188,7 @@ class Diesel(AbstractEngine):
         "VGT": (30.0, 75.0),
         "speed": (1100.0, 1700.0),
     }
-    """Those of `excite`."""
+    """Ranges of `excite`."""
     domain: ClassVar[Borders] = {
         "fuel": (1.0, 250.0),
         "EGR": (0.0, 100.0),

@@ -1,4 +1,5 @@
-"""What every virtual engine offers: event-sampled records, steady states, limits."""
+"""The interface of every virtual engine: event-sampled records, steady states,
+limits."""
 
 import abc
 import functools
@@ -12,12 +13,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, PyTree, ScalarLike
 
 from jaxnarx.data import Channels, Dataset, Record
+from jaxnarx.deprecation import old_method
 from jaxnarx.engines import bench
 
 Engine = TypeVar("Engine", bound="AbstractEngine")
 
-SEVERAL = 8
-"""From as many records on, they run side by side in one loop."""
+SIDE_BY_SIDE_RECORDS = 8
+"""Number of records from which on they run side by side in one loop."""
 
 
 def parameter(default: float) -> Any:
@@ -44,14 +46,14 @@ class AbstractEngine(eqx.Module):
     """
 
     varied: ClassVar[Mapping[str, float]]
-    """How far each parameter moves in `perturbed`, relative to `spread`; parameters of
+    """How far each parameter moves in `perturb`, relative to `spread`; parameters of
     a part have dotted names."""
     channels: ClassVar[Channels]
     """Names and units of the inputs and outputs, in the order of the columns."""
     ranges: ClassVar[Borders]
     """Usual range of each input, in its unit; for excitation, not enforced."""
     domain: ClassVar[Borders]
-    """Where the model holds, by input; `simulate` refuses what is outside."""
+    """Range in which the model holds, by input; `simulate` refuses what is outside."""
     limits: ClassVar[Borders]
     """Outputs outside these bounds end a run: the engine has stalled, or worse."""
     noise: ClassVar[Mapping[str, bench.Noise]]
@@ -174,7 +176,7 @@ class AbstractEngine(eqx.Module):
         channels = Channels(inputs=self.channels.inputs, outputs=chosen)
         return Dataset(tuple(records), channels, self.sample_time)
 
-    def perturbed(self: Engine, key: PRNGKeyArray, spread: ScalarLike) -> Engine:
+    def perturb(self: Engine, key: PRNGKeyArray, spread: ScalarLike) -> Engine:
         """Another engine of the same type.
 
         Each parameter p named in `varied`, with weight w, becomes p exp(spread w e), e
@@ -187,12 +189,14 @@ class AbstractEngine(eqx.Module):
             for weight, e in zip(self.varied.values(), draws, strict=True)
         ]
 
-        def chosen(engine):
+        def varied_leaves(engine):
             return [_part(engine, name) for name in self.varied]
 
-        old = chosen(self)
+        old = varied_leaves(self)
         new = [p * f.astype(p.dtype) for p, f in zip(old, factors, strict=True)]
-        return eqx.tree_at(chosen, self, new)
+        return eqx.tree_at(varied_leaves, self, new)
+
+    perturbed = old_method("perturbed", "perturb")
 
 
 def _part(engine: Any, name: str) -> Any:
@@ -220,7 +224,7 @@ def _run_all(
     Few records run one after the other: side by side they would share a loop whose
     steps cost several times as much and could skip nothing.
     """
-    if len(inputs) < SEVERAL:
+    if len(inputs) < SIDE_BY_SIDE_RECORDS:
         clean = jax.lax.map(lambda u: engine.run(u), inputs)
     else:
         clean = jax.vmap(lambda u: engine.run(u))(inputs)

@@ -132,7 +132,7 @@ def find_rest(
     one = jnp.ones((), start.dtype)
     unit = jnp.eye(start.size, dtype=start.dtype)
 
-    def scaled(z: Float[Array, " states"]):
+    def scaled_rate(z: Float[Array, " states"]):
         value = rate(z * scale, frozen) / scale
         return value, value
 
@@ -142,9 +142,9 @@ def find_rest(
 
     def step(carry):
         z, _, duration, size, count = carry
-        slope, now = jax.jacfwd(scaled, has_aux=True)(z)
+        slope, now = jax.jacfwd(scaled_rate, has_aux=True)(z)
         change = jnp.linalg.solve(unit / duration - slope, now)
-        defect = duration * scaled(z + change)[0] - change
+        defect = duration * scaled_rate(z + change)[0] - change
         near = jnp.maximum(jnp.abs(z), FLOOR)
         moved = jnp.max(jnp.abs(change / near))
         okay = (moved <= CHANGE) & (jnp.max(jnp.abs(defect / near)) <= DEFECT)

@@ -228,7 +228,7 @@ class Pfi(AbstractEngine):
 
         injection = self.cylinders * self.injector_gain * 1e-6 * speed / 120  # kg/s/ms
         pulse = self.injector_offset + air / (self.stoichiometric * injection)
-        pulse = _given(drive.pulse, pulse)
+        pulse = _value_or_default(drive.pulse, pulse)
         injected = injection * jnp.maximum(pulse - self.injector_offset, 0.0)
         share, time = film_share(bar, n), film_time(bar, n)
         evaporated = film / time
@@ -236,12 +236,12 @@ class Pfi(AbstractEngine):
         ratio = air / (self.stoichiometric * jnp.maximum(fuel, 1e-9))
 
         best = best_spark(bar, n)
-        spark = _given(drive.spark, jnp.clip(best - 3, 8.0, 40.0))
+        spark = _value_or_default(drive.spark, jnp.clip(best - 3, 8.0, 40.0))
         efficiency = indicated_efficiency(bar, n, ratio, spark - best)
         indicated = self.heating_value * efficiency * fuel / omega
-        torque = _given(drive.indicated, indicated) - self._friction(bar, n)
+        torque = _value_or_default(drive.indicated, indicated) - self._friction(bar, n)
         load = self.load_constant + self.load_quadratic * n**2
-        load = _given(drive.load, load)
+        load = _value_or_default(drive.load, load)
 
         rate = (torque - load) / self.inertia
         derivative = jnp.stack(
@@ -340,7 +340,9 @@ class Pfi(AbstractEngine):
         return self.friction_scale * per_speed / RPM
 
 
-def _given(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+def _value_or_default(
+    value: ScalarLike | None, otherwise: Float[Array, ""]
+) -> Float[Array, ""]:
     if value is None:
         return otherwise
     return jnp.asarray(value, otherwise.dtype)

@@ -133,9 +133,8 @@ class PfiDyno(AbstractEngine):
     def advance(self, carry, inputs: Float[Array, " inputs"]):
         """One event of 360 degrees at the imposed speed.
 
-        What goes into the delay lines is sampled at the start of the event, with the
-        new pulse width: of a change of it, the share that does not wet the wall is
-        burnt at once.
+        The delay lines sample at the start of the event, with the new pulse width: of a
+        change of it, the share that does not wet the wall is burnt at once.
         """
         state, reading, before, duties, torques, ratios = carry
         duties, duty = shift(duties, inputs[0])

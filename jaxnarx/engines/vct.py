@@ -170,7 +170,7 @@ class Vct(AbstractEngine):
         "AFR command": (14.64 / 1.08, 14.64 / 0.92),
         "speed": (900.0, 2000.0),
     }
-    """Those of `excite`: stoichiometric fuel times 0.92 to 1.08 [O]."""
+    """Ranges of `excite`: stoichiometric fuel times 0.92 to 1.08 [O]."""
     domain: ClassVar[Borders] = {
         "throttle": (7.0, 22.0),
         "cam command": (0.0, 35.0),

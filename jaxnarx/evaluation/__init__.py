@@ -51,7 +51,7 @@ from jaxnarx.evaluation.section import FreeRun as FreeRun
 from jaxnarx.evaluation.section import Section as Section
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
 from jaxnarx.evaluation.sizes import errors_by_size as errors_by_size
-from jaxnarx.evaluation.table import data_of as data_of
+from jaxnarx.evaluation.table import name_data as name_data
 from jaxnarx.evaluation.table import number as number
 from jaxnarx.evaluation.table import rows_beside as rows_beside
 from jaxnarx.evaluation.traces import Residuals as Residuals

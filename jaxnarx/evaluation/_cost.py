@@ -15,13 +15,13 @@ from jaxnarx.exporters import (
     TERMS,
     WEIGHTS,
     SampleProgram,
+    count_stored_for_weights,
     lower,
-    stored_for_weights,
 )
 from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 
-NAMES = {
+COUNT_NAMES = {
     "mul": "multiplications",
     "add": "additions",
     "sub": "additions",
@@ -59,10 +59,10 @@ class Operations:
 class Cost:
     """Operations of one sample by their purpose, and the size of the model.
 
-    `frame` are scales, limits, flags, and what stands for missing inputs. `regressors`
-    counts the terms of all local models, the constant left out; `parameters` all
-    numbers to be stored: coefficients, constants among them, and those of the validity
-    functions. In the cost of a network `outputs` holds each output's.
+    `frame` counts scales, limits, flags, and the replacement of missing inputs.
+    `regressors` counts the terms of all local models, the constant left out;
+    `parameters` all numbers to be stored: coefficients, constants among them, and those
+    of the validity functions. In the cost of a network `outputs` holds each output's.
     """
 
     terms: Operations
@@ -85,12 +85,14 @@ class Cost:
         rows = dict(self.outputs)
         if len(rows) != 1:
             rows["all"] = self
-        return {n: {title: get(c) for title, get in COLUMNS} for n, c in rows.items()}
+        return {
+            n: {title: get(c) for title, get in COST_COLUMNS} for n, c in rows.items()
+        }
 
     @property
     def table(self) -> str:
         """`to_dict` as aligned text."""
-        lines = [("", *(title for title, _ in COLUMNS))]
+        lines = [("", *(title for title, _ in COST_COLUMNS))]
         lines += [(n, *map(str, row.values())) for n, row in self.to_dict().items()]
         return "\n".join(align_columns(lines))
 
@@ -107,7 +109,7 @@ class Cost:
         return self.total.total
 
 
-COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
+COST_COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
     ("models", lambda c: c.local_models),
     ("regressors", lambda c: c.regressors),
     ("parameters", lambda c: c.parameters),
@@ -125,13 +127,13 @@ COLUMNS: tuple[tuple[str, Callable[[Cost], int]], ...] = (
 def cost(network: Network) -> Cost:
     """Operations a control unit does at one sample, output by output and in total.
 
-    Counted are those of the exported form (`jaxnarx.exporters.lower`), without the
-    domain index and intervals: what every target computes, products of variables that
-    local models have in common formed once. Their purpose is that of whoever needs them
-    first: the terms of the local models, the weights of these with the scaling of the
-    scheduling, the blend, filters, and the frame of scales, limits and flags around
-    them. The cost of one output holds what it alone would take; in the total what
-    outputs have in common counts once.
+    The counts are those of the exported form (`jaxnarx.exporters.lower`), without the
+    domain index and intervals: the operations that every target computes, products of
+    variables that local models have in common formed once. Their purpose is that of
+    whoever needs them first: the terms of the local models, the weights of these with
+    the scaling of the scheduling, the blend, filters, and the frame of scales, limits
+    and flags around them. The cost of one output holds what it alone would take; in the
+    total what outputs have in common counts once.
 
     Args:
         network: The model. `SpecError` where its validity function cannot be exported.
@@ -147,7 +149,7 @@ def cost(network: Network) -> Cost:
     outputs: dict[str, Cost] = {}
     for o, name in enumerate(network.computed_names):
         values = [program.fed[o], program.limited[o], *program.outputs[o : o + 1]]
-        own = program.closed(values, without=lines)
+        own = program.state_closure(values, without=lines)
         outputs[name] = _cost(program, own, _sizes(network, o), {})
     sizes = [
         (one.parameters, one.local_models, one.regressors) for one in outputs.values()
@@ -166,20 +168,20 @@ def _cost(
     """The cost of these operations, by their purpose."""
     ops = (program.ops[n] for n in values)
     counts = collections.Counter(
-        (op.purpose, NAMES[op.kind]) for op in ops if op.kind in NAMES
+        (op.purpose, COUNT_NAMES[op.kind]) for op in ops if op.kind in COUNT_NAMES
     )
 
-    def of(purpose: str) -> Operations:
+    def operations_for(purpose: str) -> Operations:
         kinds = (field.name for field in dataclasses.fields(Operations))
         return Operations(*(counts[purpose, kind] for kind in kinds))
 
     parameters, local_models, regressors = sizes
     return Cost(
-        terms=of(TERMS),
-        weights=of(WEIGHTS),
-        blend=of(BLEND),
-        filters=of(FILTERS),
-        frame=of(FRAME),
+        terms=operations_for(TERMS),
+        weights=operations_for(WEIGHTS),
+        blend=operations_for(BLEND),
+        filters=operations_for(FILTERS),
+        frame=operations_for(FRAME),
         parameters=parameters,
         local_models=local_models,
         regressors=regressors,
@@ -196,7 +198,7 @@ def _sizes(network: Network, output: int) -> tuple[int, int, int]:
     terms = [np.unique(index[m, used[m]]) for m in active]
     coefficients = sum(map(len, terms))
     constants = int(sum(constant[own].sum() for own in terms))
-    stored = stored_for_weights(network, output)
+    stored = count_stored_for_weights(network, output)
     return coefficients + stored, len(active), coefficients - constants
 
 
@@ -204,7 +206,7 @@ def _sizes(network: Network, output: int) -> tuple[int, int, int]:
 def pareto(
     points: Float[np.ndarray, "points objectives"],
 ) -> Bool[np.ndarray, " points"]:
-    """Which points no other dominates, every objective to be made small.
+    """Mark the points that no other dominates; every objective is to be small.
 
     A point dominates another if it is nowhere larger and somewhere smaller; of equal
     points all stay. A point with a value that is not a number is never on the front;

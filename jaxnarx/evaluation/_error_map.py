@@ -1,4 +1,4 @@
-"""Where in the operating range the free run errs: its error over two variables."""
+"""Error map of the free run: its error over two variables."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import usable
 from jaxnarx.checks import require_known
-from jaxnarx.data import Dataset, unit_of
+from jaxnarx.data import Dataset, scaling_unit
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.formatting import page
@@ -19,7 +19,7 @@ from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_names
 from jaxnarx.simulation import Prepared, ensure_prepared, simulate, stack_batch
 
-CELLS = 12
+MAP_CELLS = 12
 """Cells along each variable."""
 THIN_CELL = 20
 """Samples of a cell below which its error says little."""
@@ -155,7 +155,7 @@ def error_maps(
         at = [n * length + np.flatnonzero(one.scored[:, 0]) for n, one in calm]
         at = np.concatenate(at) if at else np.zeros(0, int)
         good = known[at]
-        if good.sum() < 2 * CELLS:
+        if good.sum() < 2 * MAP_CELLS:
             continue
         y = np.concatenate([one.measured[one.scored] for _, one in calm])[good]
         simulated = np.concatenate([one.predicted[one.scored] for _, one in calm])[good]
@@ -224,11 +224,11 @@ def _share(
     value: Float[np.ndarray, " samples"], y: Float[np.ndarray, " samples"]
 ) -> float:
     """Share of the variance of `y` that its means over bins of `value` explain."""
-    edges = np.unique(np.quantile(value, np.linspace(0, 1, CELLS + 1)))
+    edges = np.unique(np.quantile(value, np.linspace(0, 1, MAP_CELLS + 1)))
     if len(edges) < 2 or not np.ptp(y):
         return 0.0
     at = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
-    y = y / unit_of(y)
+    y = y / scaling_unit(y)
     count = np.bincount(at)
     mean = np.bincount(at, y - y.mean()) / np.maximum(count, 1)
     return float(np.sum(count * mean**2) / (len(y) * y.var()))
@@ -243,7 +243,7 @@ def _map(
     error: Float[np.ndarray, " samples"],
     place: Int[np.ndarray, "samples 2"],
 ) -> ErrorMap:
-    samples, *edges = np.histogram2d(x, z, CELLS)
+    samples, *edges = np.histogram2d(x, z, MAP_CELLS)
     scale = float(np.max(np.abs(error))) or 1.0
     seen = samples > 0
     count = np.where(seen, samples, np.nan)
@@ -251,12 +251,12 @@ def _map(
     bias = np.histogram2d(x, z, edges, weights=error)[0] / count
     # Of deviations from the mean of the cell, not of squares: no digits are lost.
     at = [
-        np.clip(np.searchsorted(e, v, side="right") - 1, 0, CELLS - 1)
+        np.clip(np.searchsorted(e, v, side="right") - 1, 0, MAP_CELLS - 1)
         for e, v in zip(edges, (x, z), strict=True)
     ]
     apart = (error - bias[at[0], at[1]]) ** 2
     spread = np.sqrt(np.histogram2d(x, z, edges, weights=apart)[0] / count)
-    places = np.full((CELLS, CELLS, 2), -1)
+    places = np.full((MAP_CELLS, MAP_CELLS, 2), -1)
     order = np.argsort(np.abs(error), kind="stable")  # the largest is written last
     places[at[0][order], at[1][order]] = place[order]
     return ErrorMap(

@@ -16,7 +16,7 @@ from jaxnarx.models import (
 )
 from jaxnarx.regressors import variable_names
 
-NOTICEABLE = 0.05
+NOTICEABLE_REACTIVATION = 0.05
 """Reactivation that a report mentions."""
 
 
@@ -81,7 +81,7 @@ def reactivation_notes(network: Any, data: Dataset) -> list[str]:
             continue
         x = scheduling_cloud(data, model.scheduling)
         rise = _rise(validity, active, scaled_points(model, x))
-        if rise.size and rise.max() > NOTICEABLE:
+        if rise.size and rise.max() > NOTICEABLE_REACTIVATION:
             m, j, p = np.unravel_index(rise.argmax(), rise.shape)
             variables = variable_names(network.channels, model.scheduling)
             place = ", ".join(

@@ -1,4 +1,4 @@
-"""Which local model carries the error of the free run."""
+"""Share of each local model in the error of the free run."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,9 +13,9 @@ from jaxnarx.models import Network, scaled_points, weights_of
 from jaxnarx.regressors import row_columns
 from jaxnarx.simulation import Prepared, stack_batch
 
-POINTS = 4096
+EXAMINED_SAMPLES = 4096
 """Samples looked at, evenly spaced; always as many, so that one program serves."""
-UNEVEN = 1.5
+UNEVEN_ERROR_FACTOR = 1.5
 """Share of the error over the share of samples from which a region is pointed at."""
 
 
@@ -56,9 +56,9 @@ def region_errors(
         at, error = np.concatenate(at), np.concatenate(error)
         if not len(at):
             continue
-        step = max(1, -(-len(at) // POINTS))
+        step = max(1, -(-len(at) // EXAMINED_SAMPLES))
         at, error = at[::step], error[::step]
-        lead = leading_at(network, batch, o, at)
+        lead = leading_models(network, batch, o, at)
         if lead is not None:
             found += _shares(network, o, lead, error)
     return tuple(found)
@@ -71,7 +71,7 @@ def _has_regions(network: Network, output: int) -> bool:
     return bool(several and network.tells(model.scheduling))
 
 
-def leading_at(
+def leading_models(
     network: Network, batch: Batch, output: int, at: Int[np.ndarray, " points"]
 ) -> Int[np.ndarray, " points"] | None:
     """The local model of the largest weight at up to 4,096 rows of a batch; None where
@@ -81,7 +81,7 @@ def leading_at(
     model = network.models[output]
     x = row_columns(batch, at, model.scheduling, float(network.sample_time))
     x = x.T.astype(float)
-    padded = np.concatenate([x, np.repeat(x[:1], POINTS - len(x), axis=0)])
+    padded = np.concatenate([x, np.repeat(x[:1], EXAMINED_SAMPLES - len(x), axis=0)])
     active = np.asarray(model.active)
     phi = weights_of(model.validity, scaled_points(model, padded).T, active)
     return np.where(active[:, None], phi, -1.0)[:, : len(x)].argmax(axis=0)
@@ -129,12 +129,13 @@ def region_text(region: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def region_sentence(errors: tuple[RegionError, ...], output: str, part: str) -> str:
-    """Which region carries the error of an output; empty where there are none."""
+    """The region that carries the error of an output, in words; empty where there are
+    none."""
     own = [one for one in errors if one.output == output]
     if not own:
         return ""
     one = own[0]
-    if one.error < UNEVEN * one.samples:
+    if one.error < UNEVEN_ERROR_FACTOR * one.samples:
         return f"The error on {part} is spread over the regions as the samples are."
     return (
         f"Region {one.model} ({one.region}) carries {one.error:.0%} of the squared "

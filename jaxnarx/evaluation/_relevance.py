@@ -16,7 +16,7 @@ from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
-BLOCKS = 20
+DEFAULT_BLOCKS = 20
 """Blocks into which all samples are cut where nothing is said."""
 
 
@@ -121,7 +121,7 @@ def relevance(
 def _block(data: Dataset, block: float | int | None) -> int:
     """Samples of a block."""
     if block is None:
-        return max(data.samples // BLOCKS, 1)
+        return max(data.samples // DEFAULT_BLOCKS, 1)
     if not block >= data.sample_time:
         raise SpecError(
             f"block is a time of at least one sample ({data.sample_time:g} s), got "

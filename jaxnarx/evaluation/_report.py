@@ -1,4 +1,4 @@
-"""What a report holds: one-step, k-step and free-run figures of a network, and where
+"""The value of a report: one-step, k-step and free-run figures of a network, and where
 it can be trusted."""
 
 import dataclasses
@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxnarx.data import Channel
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation._region_errors import RegionError
@@ -20,11 +21,11 @@ from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.page_records import ShownRecord
 from jaxnarx.evaluation.remarks import stability_values
 from jaxnarx.evaluation.residual_tests import Diagnostics
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row
 from jaxnarx.evaluation.rules import judge
 from jaxnarx.evaluation.section import Section
 from jaxnarx.evaluation.summary import Summary, summary
-from jaxnarx.evaluation.table import beside_lines, strict, text_table
+from jaxnarx.evaluation.table import comparison_lines, strict, text_table
 from jaxnarx.evaluation.traces import Residuals, Trace
 from jaxnarx.evaluation.verdict import Verdict
 from jaxnarx.evaluation.worst_segments import ErrorStretch
@@ -134,15 +135,17 @@ class Report:
         """Names of the datasets scored, in the order given."""
         return tuple(dict.fromkeys(row.part for row in self.rows))
 
-    def pooled(
+    def pooled_row(
         self, output: str, *, part: str | None = None, mode: str = FREE_RUN
     ) -> Row:
         """The row of all records of a part (default: `main`) together."""
         for row in self.rows:
             key = (row.output, row.part, row.mode, row.record)
-            if key == (output, part or self.main, mode, POOLED):
+            if key == (output, part or self.main, mode, POOLED_NAME):
                 return row
         raise SpecError(f"no scores of {output!r}, {part or self.main!r}, {mode!r}")
+
+    pooled = old_method("pooled", "pooled_row")
 
     @property
     def table(self) -> str:
@@ -159,7 +162,7 @@ class Report:
         ]
         told += [f"{self.main}, free run, {one}" for one in self.distributions]
         own = [line for one in self.sections.values() for line in ("", *one.lines())]
-        return "\n".join([*lines, *beside_lines(self), *told, *notes, *own])
+        return "\n".join([*lines, *comparison_lines(self), *told, *notes, *own])
 
     def __str__(self) -> str:
         return self.table

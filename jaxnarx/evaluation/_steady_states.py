@@ -1,4 +1,4 @@
-"""Where the outputs rest under constant inputs: along one input, and over two."""
+"""Steady states of the outputs under constant inputs: along one input, and over two."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -16,11 +16,11 @@ from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.simulation import Trajectories, match_records, simulate
 
-SHORTEST, LONGEST, GROWTH = 512, 8192, 4
+SHORTEST_REST_SAMPLES, LONGEST_REST_SAMPLES, REST_SAMPLES_FACTOR = 512, 8192, 4
 """Samples of a run to rest: so many at first, and longer while something moves."""
-CALM, STILL = 1e-3, 1e-9
+CALM_RANGE_SHARE, STILL_RANGE_SHARE = 1e-3, 1e-9
 """Share of the output's range that may be left to go, and what counts as no motion."""
-POINTS, CELLS = 33, 21
+CURVE_POINTS, SURFACE_CELLS = 33, 21
 """Values of an input along an intersection, and along each side of a surface."""
 
 
@@ -93,24 +93,25 @@ def steady_states(
     *,
     level: float | int = 0.9,
     uncertainty: Any = None,
-    longest: int = LONGEST,
+    longest: int = LONGEST_REST_SAMPLES,
 ) -> SteadyStates:
     """Find where the free run comes to rest when the inputs are constant.
 
     Every point is a run of its own that begins at the outputs `start` and goes on until
-    the output has settled: less than 1/1000 of its trained range is left to go. What is
-    found is what the model does; where several rests are possible, that reached from
-    `start`.
+    the output has settled: less than 1/1000 of its trained range is left to go. The
+    result is the model's behaviour, not the engine's; of several possible states of
+    rest it is the one reached from `start`.
 
     Args:
         network: The model.
         inputs: Rows in the order of its input channels, physical units.
         start: All output channels where a run begins.
         level: Probability of the band.
-        uncertainty: That of the network's parameters; the band then says how sure the
-            model is of its own rest (`jnx.bands`). Without, a network that knows its
-            errors says where measurements will lie (`jnx.intervals`).
-        longest: Samples of the longest run; what has not settled by then has not.
+        uncertainty: Uncertainty of the network's parameters; the band then says how
+            sure the model is of its own rest (`jnx.bands`). Without, a network that
+            knows its errors says where measurements will lie (`jnx.intervals`).
+        longest: Samples of the longest run; an output that moves at its end has not
+            settled.
 
     Returns:
         Outputs by point, with bands and the index of the domain where there are such.
@@ -126,26 +127,26 @@ def steady_states(
     value = np.full((points, outputs), np.nan)
     settled = np.zeros((points, outputs), bool)
     lower, upper, index = None, None, None
-    samples, pending = max(SHORTEST, 2 * network.before), np.arange(points)
+    samples, pending = max(SHORTEST_REST_SAMPLES, 2 * network.before), np.arange(points)
     while len(pending):
         data = _constant(network, inputs[pending], start, samples)
         run = simulate(network, data).value
         value[pending], settled[pending] = _rest(network, run)
         band = _band(network, data, run, level, uncertainty)
         pairs = zip((lower, upper), band, strict=True)
-        lower, upper = (_into(a, pending, b) for a, b in pairs)
-        index = _into(index, pending, _index(network, data))
-        if samples * GROWTH > longest:
+        lower, upper = (_update_points(a, pending, b) for a, b in pairs)
+        index = _update_points(index, pending, _index(network, data))
+        if samples * REST_SAMPLES_FACTOR > longest:
             break
         lost = np.stack(run.diverged).any(axis=1)
         pending = pending[~settled[pending].all(axis=1) & ~lost]
-        samples *= GROWTH
+        samples *= REST_SAMPLES_FACTOR
     value = np.where(settled, value, np.nan)
     channels = network.output_channels
     return SteadyStates(channels, inputs, value, settled, lower, upper, index)
 
 
-def _into(
+def _update_points(
     old: np.ndarray | None, at: np.ndarray, new: np.ndarray | None
 ) -> np.ndarray | None:
     """`old` with `new` at some points; the first round has all of them."""
@@ -169,11 +170,12 @@ def intersections(
     *,
     at: Mapping[str, float] | None = None,
     over: Sequence[str] | None = None,
-    points: int = POINTS,
+    points: int = CURVE_POINTS,
     level: float | int = 0.9,
     uncertainty: Any = None,
 ) -> tuple[Intersection, ...]:
-    """Every output at rest over one input at a time, through an operating point.
+    """Steady states of every output over one input at a time, through an operating
+    point.
 
     Args:
         network: The model.
@@ -183,7 +185,7 @@ def intersections(
         over: Names of the inputs (default: all).
         points: Values along each input, over its trained range.
         level: Probability of the band.
-        uncertainty: As of `steady_states`.
+        uncertainty: Uncertainty as in `steady_states`.
 
     Returns:
         One intersection for every output and input, output by output.
@@ -239,7 +241,7 @@ def response_surface(
     *,
     output: str | None = None,
     at: Mapping[str, float] | None = None,
-    cells: int = CELLS,
+    cells: int = SURFACE_CELLS,
 ) -> ResponseSurface:
     """One output at rest over two inputs, the others at an operating point.
 
@@ -341,8 +343,8 @@ def _rest(
 ) -> tuple[Float[np.ndarray, "points outputs"], Bool[np.ndarray, "points outputs"]]:
     """The last value of every run, and whether it has settled there.
 
-    What is left to go follows from the last two tenths of the run, as of a geometric
-    series: a slow approach moves little and has far to go.
+    The remaining distance follows from the last two tenths of the run, as for a
+    geometric series: a slow approach moves little and has far to go.
     """
     span = np.asarray(network.high - network.low, float)[np.array(network.signals)]
     span = span[: len(network.modelled)]
@@ -352,7 +354,7 @@ def _rest(
     size = np.where(span > 0, span, 1.0)[None]
     ratio = moved / np.where(before > 0, before, np.inf)
     left = moved * ratio / np.where(ratio < 1, 1 - ratio, np.nan)
-    calm = (left <= CALM * size) | (moved <= STILL * size)
+    calm = (left <= CALM_RANGE_SHARE * size) | (moved <= STILL_RANGE_SHARE * size)
     return y[:, -1], calm & ~np.stack(run.diverged) & np.isfinite(moved)
 
 

@@ -12,7 +12,7 @@ from jaxnarx.models import Network
 from jaxnarx.regressors import Variables, row_columns
 from jaxnarx.simulation import has_diverged, match_records, tables
 
-NAME = "linear, same lags"
+BASELINE_NAME = "linear, same lags"
 
 
 def linear_runs(

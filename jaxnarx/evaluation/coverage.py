@@ -17,17 +17,17 @@ from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared
 
-LEVEL = 0.9
+INTERVAL_LEVEL = 0.9
 """Probability of the intervals of a report."""
-SHORT = 0.03
+TOLERATED_SHORTFALL = 0.03
 """Share below the level that no report warns of."""
-UNLIKELY = 0.05
+UNLIKELY_PROBABILITY = 0.05
 """Probability that chance over records leaves as few inside."""
 SHORT_ALONE = 0.1
 """Share below the level of a single record, which tells nothing of chance."""
-WIDE = 2.9
-"""RMSE in half a width from which an interval of `LEVEL` is too wide to be of use; a
-normal error needs 1.64."""
+WIDE_HALF_WIDTH_RMSE = 2.9
+"""RMSE in half a width from which an interval of `INTERVAL_LEVEL` is too wide to be of
+use; a normal error needs 1.64."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class IntervalCoverage:
     @property
     def least(self) -> float:
         """The share that they must hold: the level less what chance explains."""
-        return self.level - max(self.chance, SHORT)
+        return self.level - max(self.chance, TOLERATED_SHORTFALL)
 
     @property
     def is_narrow(self) -> bool:
@@ -63,8 +63,13 @@ class IntervalCoverage:
     def is_wide(self) -> bool:
         """Whether they are far wider than the error asks for, and hold more than they
         claim. A normal error would need ndtri((1 + level)/2) times its deviation."""
-        normal = float(ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * LEVEL))
-        return self.held > self.level and self.half >= WIDE * normal * self.rmse
+        normal = float(
+            ndtri(0.5 + 0.5 * self.level) / ndtri(0.5 + 0.5 * INTERVAL_LEVEL)
+        )
+        return (
+            self.held > self.level
+            and self.half >= WIDE_HALF_WIDTH_RMSE * normal * self.rmse
+        )
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
@@ -82,7 +87,10 @@ def interval_runs(
         return {}
     return {
         part: intervals(
-            network, data, level=LEVEL, run=getattr(free[part], "value", free[part])
+            network,
+            data,
+            level=INTERVAL_LEVEL,
+            run=getattr(free[part], "value", free[part]),
         ).value
         for part, data in parts.items()
     }
@@ -132,7 +140,7 @@ def _chance(inside: list[Bool[np.ndarray, " samples"]]) -> float:
     share = np.concatenate(inside).mean()
     apart = sum((one.sum() - share * len(one)) ** 2 for one in inside)
     error = np.sqrt(apart * records / (records - 1)) / samples
-    return float(-stdtrit(records - 1, UNLIKELY) * error)
+    return float(-stdtrit(records - 1, UNLIKELY_PROBABILITY) * error)
 
 
 def coverage_notes(lines: Iterable[IntervalCoverage], main: str) -> list[str]:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.confidence import DomainIndex, Excursion, domain
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.extrapolation import NOTICEABLE
+from jaxnarx.evaluation.extrapolation import NOTICEABLE_OUTSIDE_SHARE
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.metrics import pooled_rms
@@ -18,10 +18,10 @@ from jaxnarx.simulation import Prepared
 
 INDEX_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Borders of the bins of the index."""
-BORDER = INDEX_EDGES.index(1.0)
-FEWEST = 20
+BORDER_EDGE = INDEX_EDGES.index(1.0)
+FEWEST_BIN_SAMPLES = 20
 """Samples of the smallest bin that has an error."""
-WORST = 10
+SHOWN_STRETCHES = 10
 """Stretches of time that are told."""
 
 
@@ -35,10 +35,10 @@ class ErrorByIndex:
     rms: Float[np.ndarray, " bins"]
     samples: Int[np.ndarray, " bins"]
 
-    def over(self, first: int, stop: int) -> float | None:
+    def pool_bins(self, first: int, stop: int) -> float | None:
         """Over several bins together; None where they have too few samples."""
         count, rms = self.samples[first:stop], self.rms[first:stop]
-        if count.sum() < FEWEST:
+        if count.sum() < FEWEST_BIN_SAMPLES:
             return None
         # Of a bin with few samples nothing is told, and little would be changed by it.
         known = ~np.isnan(rms)
@@ -47,12 +47,12 @@ class ErrorByIndex:
     @property
     def inside(self) -> float | None:
         """Up to the border."""
-        return self.over(0, BORDER)
+        return self.pool_bins(0, BORDER_EDGE)
 
     @property
     def outside(self) -> float | None:
         """Beyond it."""
-        return self.over(BORDER, len(self.rms))
+        return self.pool_bins(BORDER_EDGE, len(self.rms))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,12 +99,12 @@ def domain_errors(
             continue
         error = np.concatenate([e[s] for e, s, _ in pairs])
         value = np.concatenate([i[s[:, 0]] for _, s, i in pairs])
-        errors.append(_binned(channel, error, value))
+        errors.append(_bin_errors(channel, error, value))
     share = {part: value.outside for part, value in found.items()}
-    return DomainErrors(share, found[main].excursions[:WORST], tuple(errors))
+    return DomainErrors(share, found[main].excursions[:SHOWN_STRETCHES], tuple(errors))
 
 
-def _binned(
+def _bin_errors(
     channel: Channel,
     error: Float[np.ndarray, " samples"],
     index: Float[np.ndarray, " samples"],
@@ -115,7 +115,7 @@ def _binned(
     count = np.bincount(at, minlength=len(INDEX_EDGES) - 1)
     scale = float(np.max(np.abs(error), initial=0.0)) or 1.0
     square = np.bincount(at, (error / scale) ** 2, minlength=len(count))
-    enough = count >= FEWEST
+    enough = count >= FEWEST_BIN_SAMPLES
     mean = square / np.where(enough, count, 1)
     rms = np.where(enough, scale * np.sqrt(mean), np.nan)
     return ErrorByIndex(channel.name, channel.unit, rms, count)
@@ -126,7 +126,7 @@ def domain_notes(found: DomainErrors | None, main: str) -> list[str]:
     the main one is there, and where it is farthest."""
     notes = []
     for part, share in () if found is None else found.outside.items():
-        if share < NOTICEABLE:
+        if share < NOTICEABLE_OUTSIDE_SHARE:
             continue
         text = f"{100 * share:.3g} % of the {part} samples are outside of the domain "
         text += "that the model knows (index above 1)"

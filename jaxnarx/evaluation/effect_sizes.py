@@ -9,7 +9,7 @@ import numpy as np
 from jaxnarx import metrics
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.domain_errors import DomainErrors
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, ScoredSamples
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, ScoredSamples
 from jaxnarx.formatting import page
 
 
@@ -70,7 +70,9 @@ def effects(
     """One for every output; `free` are its samples on the main part, and `others` those
     of other models by their name."""
     pooled = {
-        (r.part, r.output): r for r in rows if (r.mode, r.record) == (FREE_RUN, POOLED)
+        (r.part, r.output): r
+        for r in rows
+        if (r.mode, r.record) == (FREE_RUN, POOLED_NAME)
     }
     names = list(dict.fromkeys(r.output for r in rows))
     found = []
@@ -83,7 +85,7 @@ def effects(
                 row.r2,
                 tuple(_comparisons(name, own, others)),
                 _ratio(row.nrmse, trained.nrmse if trained else None),
-                _outside(name, known),
+                _outside_ratio(name, known),
             )
         )
     return tuple(found)
@@ -118,7 +120,7 @@ def _error(samples: ScoredSamples) -> float:
     return float(error[0])
 
 
-def _outside(output: str, known: DomainErrors | None) -> float | None:
+def _outside_ratio(output: str, known: DomainErrors | None) -> float | None:
     errors: Any = () if known is None else known.errors
     one = next((e for e in errors if e.output == output), None)
     return None if one is None else _ratio(one.outside, one.inside)

@@ -10,9 +10,9 @@ from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.evaluation.table import number
 from jaxnarx.formatting import page
 
-POINTS = 201
-"""Of the cumulated curve."""
-MOST = 0.95
+CURVE_POINTS = 201
+"""Points of the cumulated curve."""
+REPORTED_QUANTILE = 0.95
 """Share of the samples whose error is told beside the largest."""
 
 
@@ -41,12 +41,12 @@ class ErrorDistribution:
     @property
     def most(self) -> float:
         """The error that 95 % of the samples do not exceed."""
-        return float(np.interp(MOST, self.share, self.size))
+        return float(np.interp(REPORTED_QUANTILE, self.share, self.size))
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
         text = (
-            f"{self.output}: {MOST:.0%} of the errors up to "
+            f"{self.output}: {REPORTED_QUANTILE:.0%} of the errors up to "
             f"{number(self.most, '.3g')}{unit}, the largest "
             f"{number(self.largest, '.3g')}{unit}"
         )
@@ -70,7 +70,7 @@ def error_distribution(
     if not errors:
         return None
     size = np.sort(np.concatenate(errors))
-    share = np.linspace(0.0, 1.0, min(POINTS, len(size)))
+    share = np.linspace(0.0, 1.0, min(CURVE_POINTS, len(size)))
     if len(size) == 1:
         share = np.array([1.0])
     curve = np.quantile(size, share)

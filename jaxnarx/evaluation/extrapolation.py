@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Dataset, match_channels
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.formatting import page
 from jaxnarx.models import FLAG, OUTSIDE_WORDS, Network
 
-NOTICEABLE = 0.01
+NOTICEABLE_OUTSIDE_SHARE = 0.01
 """Share of samples outside from which a report says so."""
 
 
@@ -51,7 +51,7 @@ class Outside:
     _repr_html_ = page
 
 
-def outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
+def find_outside(network: Any, parts: Mapping[str, Dataset]) -> tuple[Outside, ...]:
     """Every input that leaves its range in a part, farthest first."""
     if not isinstance(network, Network):
         return ()
@@ -82,7 +82,7 @@ def range_notes(
     """
     share: dict[str, float] = {}
     for row in rows:
-        if row.mode == FREE_RUN and row.record == POOLED:
+        if row.mode == FREE_RUN and row.record == POOLED_NAME:
             share[row.part] = max(share.get(row.part, 0.0), row.share_outside)
     how_far = {part: [o for o in found if o.part == part] for part in share}
     what = OUTSIDE_WORDS[outside].behind_share
@@ -92,7 +92,7 @@ def range_notes(
         + "".join(f"; {o}" for o in how_far[part][:4])
         + ". `extrapolated` of a run's value marks them."
         for part, value in share.items()
-        if value >= NOTICEABLE
+        if value >= NOTICEABLE_OUTSIDE_SHARE
     ]
 
 
@@ -101,13 +101,13 @@ def held_notes(rows: Iterable[Row]) -> list[str]:
     1 % of the samples were; free run."""
     rows = [row for row in rows if row.mode == FREE_RUN and row.samples]
     notes = []
-    for pooled in (row for row in rows if row.record == POOLED):
+    for pooled in (row for row in rows if row.record == POOLED_NAME):
         own = [
             row
             for row in rows
             if (row.part, row.output) == (pooled.part, pooled.output)
             and row is not pooled
-            and row.held >= NOTICEABLE * row.samples
+            and row.held >= NOTICEABLE_OUTSIDE_SHARE * row.samples
         ]
         own.sort(key=lambda row: -row.held / row.samples)
         if not own:

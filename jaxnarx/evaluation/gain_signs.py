@@ -1,10 +1,10 @@
 """Steady-state gains over the domain: inputs whose gain changes sign or jumps.
 
 Physics seldom turns round: more fuel, more heat. At measured operating points spread
-over the data every input is moved by `STEP` of its trained range to either side and the
-model is run to rest. An input that moves an output up at some points and down at others
-is told, and so is a small move of an input that moves an output far: whether the engine
-does that is the user's to say.
+over the data every input is moved by 5 % (`INPUT_STEP_SHARE`) of its trained range to
+either side and the model is run to rest. An input that moves an output up at some
+points and down at others is told, and so is a small move of an input that moves an
+output far: whether the engine does that is the user's to say.
 """
 
 import dataclasses
@@ -21,20 +21,20 @@ from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.simulation import match_records
 
-RUNS = 160
+MAX_REST_RUNS = 160
 """Runs to rest, of all points and inputs together."""
-FEWEST, MOST = 4, 24
+FEWEST_POINTS, MOST_POINTS = 4, 24
 """Operating points."""
-LONGEST = 2048
+LONGEST_REST_SAMPLES = 2048
 """Samples of the longest run to rest."""
-STEP = 0.05
+INPUT_STEP_SHARE = 0.05
 """Share of its trained range by which an input is moved to either side."""
-FLAT = 0.05
+FLAT_RANGE_SHARE = 0.05
 """Share of its trained range that an output has to move for the whole range of an
 input; a smaller gain has no sign."""
-RARE = 0.02
+RARE_POINT_SHARE = 0.02
 """Share of the points from which a sign is told, at least two points."""
-JUMP, USUAL = 0.2, 4.0
+JUMP_RANGE_SHARE, JUMP_MEDIAN_FACTOR = 0.2, 4.0
 """Share of its range that an output jumps by one step of an input, and how many times
 that is the median of all points."""
 
@@ -94,7 +94,7 @@ def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
         return ()
     low, high = (np.asarray(e, float) for e in (network.low, network.high))
     steps = np.zeros((len(moved), rows.shape[1]))
-    steps[np.arange(len(moved)), moved] = STEP * (high - low)[moved]
+    steps[np.arange(len(moved)), moved] = INPUT_STEP_SHARE * (high - low)[moved]
     asked = np.stack([rows[None] - steps[:, None], rows[None] + steps[:, None]])
     inputs = slice(0, rows.shape[1])
     asked = np.clip(asked, low[inputs], high[inputs])
@@ -102,7 +102,7 @@ def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
     start = operating_point(network, data)[1]
     # Bands are not asked for.
     bare = dataclasses.replace(network, errors=None)
-    found = steady_states(bare, every, start, longest=LONGEST)
+    found = steady_states(bare, every, start, longest=LONGEST_REST_SAMPLES)
     value = found.value
     if found.index is not None:
         value = np.where((found.index <= 1)[:, None], value, np.nan)
@@ -142,14 +142,14 @@ def _points(
     rows = np.concatenate([r.signals[r.valid.all(axis=1)] for r in data])[:, :inputs]
     low, high = (np.asarray(e)[:inputs] for e in (network.low, network.high))
     rows = rows[np.all((rows >= low) & (rows <= high), axis=1)]
-    count = int(np.clip(RUNS // (1 + 2 * moved), FEWEST, MOST))
+    count = int(np.clip(MAX_REST_RUNS // (1 + 2 * moved), FEWEST_POINTS, MOST_POINTS))
     at = (
         np.unique(np.linspace(0, len(rows) - 1, count).astype(int)) if len(rows) else []
     )
     return rows[np.asarray(at, int)].astype(float)
 
 
-def _finding_of(
+def _make_finding(
     kind: str,
     name: tuple[str, str, str],
     here: Float[np.ndarray, " points"],
@@ -159,7 +159,7 @@ def _finding_of(
 ) -> Iterator[GainFinding]:
     """A finding where enough of the known points are flagged."""
     count = int(flag.sum())
-    if count >= max(2, RARE * known):
+    if count >= max(2, RARE_POINT_SHARE * known):
         ends = float(here[flag].min()), float(here[flag].max())
         yield GainFinding(kind, *name, count / known, *ends, rises)
 
@@ -173,10 +173,10 @@ def _sign(
     """The rarer sign of the gain, of values in shares of their ranges."""
     with np.errstate(invalid="ignore"):
         gain = (y[2] - y[0]) / (x[2] - x[0])
-        up, down = gain > FLAT, gain < -FLAT
+        up, down = gain > FLAT_RANGE_SHARE, gain < -FLAT_RANGE_SHARE
     rises = bool(up.sum() < down.sum())
     known = int(up.sum() + down.sum())
-    yield from _finding_of("sign", name, here, up if rises else down, known, rises)
+    yield from _make_finding("sign", name, here, up if rises else down, known, rises)
 
 
 def _jump(
@@ -187,14 +187,14 @@ def _jump(
 ) -> Iterator[GainFinding]:
     """Points at which one step moves the output far."""
     run = np.where(np.diff(x, axis=0) > 0, np.diff(x, axis=0), np.nan)
-    step = STEP * np.diff(y, axis=0) / run
+    step = INPUT_STEP_SHARE * np.diff(y, axis=0) / run
     known = np.asarray(np.isfinite(step).any(axis=0))
     if not known.any():
         return
     size = np.nanmax(np.abs(step[:, known]), axis=0)
-    far = (size >= JUMP) & (size >= USUAL * np.median(size))
+    far = (size >= JUMP_RANGE_SHARE) & (size >= JUMP_MEDIAN_FACTOR * np.median(size))
     flag = np.zeros(len(known), bool)
     flag[known] = far
     if flag.any():
         rises = bool(np.nansum(step[:, flag]) > 0)
-        yield from _finding_of("jump", name, here, flag, int(known.sum()), rises)
+        yield from _make_finding("jump", name, here, flag, int(known.sum()), rises)

@@ -13,7 +13,7 @@ from jaxnarx.arrays import program
 from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, fed_back, held_inputs, scheduling_values
+from jaxnarx.models import Network, fed_back_variables, held_inputs, scheduling_values
 from jaxnarx.regressors import (
     Variables,
     evaluate,
@@ -25,7 +25,7 @@ from jaxnarx.regressors import (
 )
 from jaxnarx.simulation import match_records, tables
 
-POINTS = 600
+EXAMINED_SAMPLES = 600
 """Samples looked at, evenly spaced."""
 
 
@@ -56,15 +56,15 @@ def local_behaviour(
     *,
     output: str | None = None,
     over: Sequence[str] = (),
-    points: int = POINTS,
+    points: int = EXAMINED_SAMPLES,
 ) -> tuple[LocalBehaviour, ...]:
     """Static gains and slowest poles of every local model of one output.
 
     Each is taken alone (its validity one) at measured samples where its validity is the
     largest; `points` of `data` in all, evenly spaced. `output` defaults to the first,
     `over` to the scheduling variables; a model without any needs it, such as
-    `over=["speed[t]"]`. A model that leads nowhere has no points. What other outputs
-    feed into a local model counts as an input.
+    `over=["speed[t]"]`. A model that leads nowhere has no points. Other outputs that
+    feed into a local model count as inputs.
     """
     network.require_measured("The behaviour of local models")
     o = _position(network, output)
@@ -83,7 +83,7 @@ def local_behaviour(
     slope, phi = _slopes(
         network, *jax.device_put((v, columns(model.scheduling))), output=o
     )
-    lead, shown = np.asarray(phi).argmax(axis=0), _shown(network, o, over)
+    lead, shown = np.asarray(phi).argmax(axis=0), _shown_variables(network, o, over)
     place, names = columns(shown).T, variable_names(network.channels, shown)
     return tuple(
         _behaviour(
@@ -102,7 +102,7 @@ def _position(network: Network, output: str | None) -> int:
     return names.index(output)
 
 
-def _shown(network: Network, o: int, over: Sequence[str]) -> Variables:
+def _shown_variables(network: Network, o: int, over: Sequence[str]) -> Variables:
     if over:
         return Variables.of([parse_variable(network.channels, name) for name in over])
     if not len(network.models[o].scheduling):
@@ -148,7 +148,7 @@ def _behaviour(
     """The behaviour of one local model, from its slopes at its own points."""
     own = [
         (row, lag)
-        for row, output, lag in fed_back(network.variables, network.signals)
+        for row, output, lag in fed_back_variables(network.variables, network.signals)
         if output == o
     ]
     past = np.zeros((slope.shape[1], max((lag for _, lag in own), default=0) + 1))

@@ -11,7 +11,7 @@ from jaxnarx.confidence import DomainIndex, Intervals
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.models import Network
-from jaxnarx.simulation import Prepared, dataset_of, ensure_prepared
+from jaxnarx.simulation import Prepared, ensure_prepared, get_dataset
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class ShownRecord:
     def __len__(self) -> int:
         return len(self.simulated)
 
-    def measured(self, output: int) -> Float[np.ndarray, " time"]:
+    def measurement(self, output: int) -> Float[np.ndarray, " time"]:
         """The measurement of an output: outputs are the last of the signals."""
         place = len(self.signals) - self.simulated.shape[1] + output
         return list(self.signals.values())[place]
@@ -54,7 +54,7 @@ class ShownRecord:
     def residual(self, output: int) -> Float[np.ndarray, " time"]:
         """Measured minus simulated, NaN where it does not count."""
         with np.errstate(over="ignore", invalid="ignore"):
-            off = self.measured(output) - self.simulated[:, output]
+            off = self.measurement(output) - self.simulated[:, output]
         return np.where(self.scored[:, output], off, np.nan)
 
     def error(self, output: int) -> float | None:
@@ -84,7 +84,7 @@ def shown_records(
     those of other models, by model and output.
     """
     starts, begins = _begins(network, data, run)
-    data = dataset_of(data)
+    data = get_dataset(data)
     names = [channel.name for channel in outputs]
     columns = data.channels.names
     order = [n for n in columns if n not in names] + names
@@ -132,7 +132,7 @@ def _begins(
 ) -> tuple[list[int], list[Float[np.ndarray, "begin computed"] | None]]:
     """The samples at which free runs begin, and what they begin from."""
     if not isinstance(network, Network):
-        known = dataset_of(data)
+        known = get_dataset(data)
         return [0] * len(known), [None] * len(known)
     _, origin = ensure_prepared(network, data)
     own, starts = origin.matched, origin.masks.start.tolist()

@@ -13,10 +13,10 @@ from jaxnarx.data import Dataset, stack_records
 from jaxnarx.models import Network, OutputModel, SigmoidTree, weights_at
 from jaxnarx.regressors import Variables, row_columns, variable_names
 
-POINTS = 2000
+SHOWN_DATA_POINTS = 2000
 """Data points kept to show where measurements lie."""
 
-FINENESS = {1: 401, 2: 161}
+GRID_POINTS = {1: 401, 2: 161}
 """Points a side of the grid on which weights are shown, by number of variables."""
 
 
@@ -76,7 +76,7 @@ def scheduling_ranges(model: OutputModel) -> list[tuple[float, float]]:
 
 
 def scheduling_cloud(
-    data: Dataset, scheduling: Variables, *, points: int = POINTS
+    data: Dataset, scheduling: Variables, *, points: int = SHOWN_DATA_POINTS
 ) -> Float[np.ndarray, "samples dims"]:
     """Measured scheduling variables, evenly thinned; rows that lack one left out."""
     batch = stack_records(data)
@@ -93,7 +93,7 @@ def _side(network: Network, o: int, ranges: list[tuple[float, float]]) -> dict:
     active = np.asarray(model.active)
     regions = [r for r, on in zip(network.regions(o), active, strict=True) if on]
     side: dict[str, Any] = {"regions": regions}
-    points = FINENESS.get(len(ranges))
+    points = GRID_POINTS.get(len(ranges))
     if points is not None:
         axes = [np.linspace(low, high, points) for low, high in ranges]
         x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

@@ -1,4 +1,4 @@
-"""What a reader of the scores must know beside them, in plain sentences."""
+"""Remarks that a reader of the scores needs, in plain sentences."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.data import Channels, Dataset, fingerprint, other_units
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
-from jaxnarx.evaluation.table import data_of, number
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, nrmse_within
+from jaxnarx.evaluation.table import name_data, number
 from jaxnarx.formatting import list_names
 from jaxnarx.models import Network
 from jaxnarx.refinement import stability
 from jaxnarx.simulation import Prepared
 from jaxnarx.solution import Solution
 
-APART = 3.0
+WITHIN_RECORDS_FACTOR = 3.0
 """Times the NRMSE from which that within records is told beside it."""
-MOSTLY = 0.5
+OFFSET_ERROR_SHARE = 0.5
 """Share of the free-run error from which its offsets are told."""
 
 
@@ -27,7 +27,7 @@ def data_notes(
 
     `channels` are those of the model, `modelled` the names of its outputs.
     """
-    notes = _repeated(parts) + _other_units(parts)
+    notes = _repeated_records(parts) + _other_units(parts)
     if len(parts) > 1 and "test" not in parts:
         notes.append(
             "No test data: the figures come from records that took part in choosing "
@@ -39,20 +39,20 @@ def data_notes(
         notes.append(f"Outputs that are not modelled: {list_names(unused)}.")
     told: dict[str, list[str]] = {}
     for part, data in parts.items():
-        notes += _masked(part, data, list(known))
+        notes += _masked_samples(part, data, list(known))
         extra = [name for name in data.channels.names if name not in known]
         if extra:
             notes.append(f"Extra channels in {part}, ignored: {list_names(extra)}.")
         notes += [
             f"Units differ: the model's {c.name} is in {known[c.name] or 'no unit'}, "
-            f"the {data_of(part)}'s in {c.unit or 'no unit'}."
+            f"the {name_data(part)}'s in {c.unit or 'no unit'}."
             for c in data.channels.all
             if known.get(c.name, c.unit) != c.unit
         ]
         for note in data.notes:
             told.setdefault(note, []).append(part)
     for note, found in told.items():
-        notes.append(f"Of the {data_of(list_names(found))}: {note}.")
+        notes.append(f"Of the {name_data(list_names(found))}: {note}.")
     return notes
 
 
@@ -65,7 +65,7 @@ def _other_units(parts: Mapping[str, Dataset]) -> list[str]:
     return [f"{finding.message}" for finding in found]
 
 
-def _masked(part: str, data: Dataset, used: list[str]) -> list[str]:
+def _masked_samples(part: str, data: Dataset, used: list[str]) -> list[str]:
     """Faults 1 and 18: samples that were missing, or removed as outliers."""
     counts = {
         name: sum(int((~r.valid[:, i]).sum()) for r in data)
@@ -90,7 +90,7 @@ def score_notes(rows: Iterable[Row]) -> list[str]:
     rows = list(rows)
     notes = [_divergence(row, rows) for row in rows if _is_pooled_loss(row)]
     for row in rows:
-        if row.record != POOLED and (
+        if row.record != POOLED_NAME and (
             row.mode == rows[-1].mode or row.status == "too short"
         ):
             notes += _edge(row)
@@ -106,9 +106,9 @@ def _levels(rows: list[Row]) -> list[str]:
         f"records differ from each other; by the deviation within records it is "
         f"{within[row.output, row.part]:.2g}."
         for row in rows
-        if row.record == POOLED
+        if row.record == POOLED_NAME
         and row.nrmse
-        and within.get((row.output, row.part), 0.0) >= APART * row.nrmse
+        and within.get((row.output, row.part), 0.0) >= WITHIN_RECORDS_FACTOR * row.nrmse
     ]
 
 
@@ -123,7 +123,7 @@ def _offsets(rows: list[Row]) -> list[str]:
     for row in rows:
         largest[row.output] = max(largest.get(row.output, 0.0), row.rmse or 0.0)
     for row in rows:
-        if row.record == POOLED or row.offset is None or row.rmse is None:
+        if row.record == POOLED_NAME or row.offset is None or row.rmse is None:
             continue
         key, size = (row.output, row.part), largest[row.output] or 1.0
         total[key] = total.get(key, 0.0) + row.samples * (row.rmse / size) ** 2
@@ -134,11 +134,11 @@ def _offsets(rows: list[Row]) -> list[str]:
         "lacks, or a sensor that drifts."
         for key, value in total.items()
         for output, part in [key]
-        if 0 < value < np.inf and constant[key] >= MOSTLY * value
+        if 0 < value < np.inf and constant[key] >= OFFSET_ERROR_SHARE * value
     ]
 
 
-def _repeated(parts: Mapping[str, Dataset]) -> list[str]:
+def _repeated_records(parts: Mapping[str, Dataset]) -> list[str]:
     """Fault 23: data that was learned from proves nothing."""
     seen = {
         part: {fingerprint(r, data.channels.names): r.name for r in data}
@@ -169,7 +169,7 @@ def _pairs(names: list[str]) -> list[tuple[str, str]]:
 
 
 def _is_pooled_loss(row: Row) -> bool:
-    return row.diverged and row.record == POOLED
+    return row.diverged and row.record == POOLED_NAME
 
 
 def _divergence(row: Row, rows: list[Row]) -> str:
@@ -178,7 +178,7 @@ def _divergence(row: Row, rows: list[Row]) -> str:
         for r in rows
         if (r.part, r.output, r.mode) == (row.part, row.output, row.mode)
         and r.diverged
-        and r.record != POOLED
+        and r.record != POOLED_NAME
     ]
     note = f"{row.output}, {row.part}, {row.mode}: {row.status}, records "
     note += f"{list_names(lost)}."
@@ -209,7 +209,7 @@ def _edge(row: Row) -> list[str]:
     return []
 
 
-SAMPLES = 2000
+EXAMINED_SAMPLES = 2000
 """Samples a report looks at, evenly spaced: it should not take longer than the runs."""
 
 
@@ -221,7 +221,7 @@ def assess(network: Any, data: Dataset | Prepared, free: Any) -> Any:
     if not isinstance(network, Network):
         return None
     simulated = free if isinstance(free, Solution) else None
-    return stability(network, data, samples=SAMPLES, simulated=simulated).value
+    return stability(network, data, samples=EXAMINED_SAMPLES, simulated=simulated).value
 
 
 def stability_notes(value: Any, part: str) -> list[str]:
@@ -243,14 +243,14 @@ def stability_values(value: Any) -> dict[str, Any] | None:
     }
 
 
-GAINS = 3
+LISTED_GAINS = 3
 """Gains that change sign or jump that are told one by one."""
-TOTALS = 4
+LISTED_TOTALS = 4
 """Outputs whose cycle totals are told."""
 
 
 def verdict_remarks(report: Any) -> Iterator[str]:
-    """What to look at in a report, and what says nothing against the model."""
+    """Remarks of a report that change no verdict."""
     yield from _wide_intervals(report)
     yield from _gains(report)
     yield from _totals(report)
@@ -273,9 +273,9 @@ def _wide_intervals(report: Any) -> Iterator[str]:
 def _gains(report: Any) -> Iterator[str]:
     """Gains that change sign or jump, the commonest first."""
     found = sorted(report.gains, key=lambda one: -one.share)
-    yield from map(str, found[:GAINS])
-    if len(found) > GAINS:
-        yield f"{len(found) - GAINS} more gains change sign or jump"
+    yield from map(str, found[:LISTED_GAINS])
+    if len(found) > LISTED_GAINS:
+        yield f"{len(found) - LISTED_GAINS} more gains change sign or jump"
 
 
 def _totals(report: Any) -> Iterator[str]:
@@ -286,16 +286,23 @@ def _totals(report: Any) -> Iterator[str]:
     """
     found: dict[str, list[float | None]] = {}
     for row in report.rows:
-        if (row.part, row.mode) == (report.main, FREE_RUN) and row.record != POOLED:
+        if (row.part, row.mode) == (
+            report.main,
+            FREE_RUN,
+        ) and row.record != POOLED_NAME:
             found.setdefault(row.output, []).append(row.total_error)
     known = {k: [e for e in errors if e is not None] for k, errors in found.items()}
     worst = sorted(filter(known.get, known), key=lambda k: -max(map(abs, known[k])))
     if report.main == "train" or not worst:
         return
-    told = [_total(k, known[k], len(found[k])) for k in worst[:TOTALS]]
-    told += [f"{len(worst) - TOTALS} more outputs"] if len(worst) > TOTALS else []
+    told = [_total(k, known[k], len(found[k])) for k in worst[:LISTED_TOTALS]]
+    told += (
+        [f"{len(worst) - LISTED_TOTALS} more outputs"]
+        if len(worst) > LISTED_TOTALS
+        else []
+    )
     yield (
-        f"sums over a record of {data_of(report.main)}, simulated minus measured: "
+        f"sums over a record of {name_data(report.main)}, simulated minus measured: "
         f"{'; '.join(told)} (seen on these records, no prediction interval)"
     )
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive, require
 from jaxnarx.confidence import DomainIndex, Intervals
-from jaxnarx.data import Channel, Dataset, data_hash, in_units
+from jaxnarx.data import Channel, Dataset, convert_units, data_hash
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._cost import cost
 from jaxnarx.evaluation._error_map import error_maps
@@ -16,7 +16,7 @@ from jaxnarx.evaluation._reactivation import reactivation_notes
 from jaxnarx.evaluation._region_errors import region_errors
 from jaxnarx.evaluation._report import Report
 from jaxnarx.evaluation.analyses import run_analyses
-from jaxnarx.evaluation.baseline import NAME, linear_runs
+from jaxnarx.evaluation.baseline import BASELINE_NAME, linear_runs
 from jaxnarx.evaluation.coverage import coverage, coverage_notes, interval_runs
 from jaxnarx.evaluation.domain_errors import (
     domain_errors,
@@ -25,7 +25,7 @@ from jaxnarx.evaluation.domain_errors import (
 )
 from jaxnarx.evaluation.effect_sizes import effects
 from jaxnarx.evaluation.error_distribution import error_distribution
-from jaxnarx.evaluation.extrapolation import held_notes, outside, range_notes
+from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_notes
 from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
 from jaxnarx.evaluation.page_records import ShownRecord, shown_records
 from jaxnarx.evaluation.regions import describe_partition
@@ -45,7 +45,7 @@ from jaxnarx.evaluation.rows import (
     score,
 )
 from jaxnarx.evaluation.section import FreeRun
-from jaxnarx.evaluation.table import data_of
+from jaxnarx.evaluation.table import name_data
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst_segments import worst_stretches
 from jaxnarx.formatting import count
@@ -104,7 +104,7 @@ def report(
             of that by part.
         selection: Stored in the form that `Report` tells, as is `history`.
         history: The steps of the refinement.
-        partition: Shown instead of the network's own; that of
+        partition: It is shown instead of the network's own; that of
             `describe_partition(network, start=before)` also shows the network before
             refinement.
         stability: True assesses up to 2000 samples of the main part, False leaves it
@@ -118,7 +118,7 @@ def report(
             the two that schedule most of each output.
         within: Tolerance of the free-run error in the unit of the outputs; the report
             tells the share of the samples that keep it.
-        provenance: Stored beside the versions and data hashes.
+        provenance: Text that is stored beside the versions and data hashes.
 
     Returns:
         A `Report`: `print` shows its table, `verdict` what the model is good for.
@@ -134,7 +134,9 @@ def report(
     main = "test" if "test" in parts else list(parts)[-1]
     if not (stability is None or isinstance(stability, bool)):
         _require_result(stability, "summary", "stability")
-    parts = {part: in_units(data, network.channels) for part, data in parts.items()}
+    parts = {
+        part: convert_units(data, network.channels) for part, data in parts.items()
+    }
     ready = {part: _ready(network, data) for part, data in parts.items()}
     outputs = tuple(network.output_channels)
     known = simulated if isinstance(simulated, Mapping) else {}
@@ -152,7 +154,7 @@ def report(
     )
     modelled = [channel.name for channel in outputs]
     notes = data_notes(parts, network.channels, modelled) + score_notes(rows)
-    strayed = outside(network, parts)
+    strayed = find_outside(network, parts)
     limits = _limits(network)
     beyond = network.outside if isinstance(network, Network) else FLAG
     notes += range_notes(rows, strayed, outside=beyond) + held_notes(rows)
@@ -368,7 +370,7 @@ def _free_runs_beside(
     # Without lags of outputs a linear model of the same lags is no match for states.
     if isinstance(network, Network) and not network.hidden and "train" in parts:
         linear = linear_runs(network, parts["train"], parts[main], free)
-        runs[NAME] = list(zip(network.output_channels, linear, strict=True))
+        runs[BASELINE_NAME] = list(zip(network.output_channels, linear, strict=True))
     for name, other in others.items():
         channels = tuple(other.output_channels)
         run = _free_run(other, parts[main], None)
@@ -432,7 +434,7 @@ def _provenance(parts: Mapping[str, Dataset]) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:  # run from a source folder
             versions[package] = "not installed"
     described = {
-        data_of(part): f"{count(len(data), 'record')}, "
+        name_data(part): f"{count(len(data), 'record')}, "
         f"{count(data.samples, 'sample')} at {data.sample_time:g} s; content "
         f"sha256 {data_hash(data)}"
         for part, data in parts.items()

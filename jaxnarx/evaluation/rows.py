@@ -12,9 +12,9 @@ from jaxnarx.checks import require_known
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.errors import SpecError
 
-POOLED = "pooled"
+POOLED_NAME = "pooled"
 FREE_RUN = "free run"
-CANCELLED = 0.05
+CANCELLED_SUM_SHARE = 0.05
 """Size of a measured sum, over that of its magnitudes, up to which it cancels."""
 
 
@@ -78,7 +78,8 @@ class ScoredSamples:
     extrapolated: Bool[np.ndarray, " time"]
     diverged: bool
     short: bool
-    """Measured, but without a sample that is predicted from complete history."""
+    """True for a measured output without a sample that is predicted from complete
+    history."""
 
     @property
     def silent(self) -> Bool[np.ndarray, " time"]:
@@ -121,7 +122,7 @@ def score(
             unit=channel.unit,
             mode=mode,
             record=record,
-            **(dict.fromkeys(metrics.PERFECT) if diverged else _metrics(chosen)),
+            **(dict.fromkeys(metrics.PERFECT_VALUES) if diverged else _metrics(chosen)),
             samples=sum(int(s.scored.sum()) for s in chosen),
             limited=sum(int((s.limited & s.scored).sum()) for s in chosen),
             held=sum(int((s.held & s.scored).sum()) for s in chosen),
@@ -139,9 +140,9 @@ def score(
     if lost:
         others = _metrics(calm) if calm else None
         status = f"diverged ({lost} of {len(samples)})"
-        rows = [row(samples, POOLED, status, others)]
+        rows = [row(samples, POOLED_NAME, status, others)]
     else:
-        rows = [row(samples, POOLED, _status(samples))]
+        rows = [row(samples, POOLED_NAME, _status(samples))]
     return tuple(rows + [row([s], s.record, _status([s])) for s in samples])
 
 
@@ -180,7 +181,9 @@ def _samples(data: Dataset, run: Any, r: int, o: int, column: int) -> ScoredSamp
     )
 
 
-def _pooled(samples: list[ScoredSamples]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pool_samples(
+    samples: list[ScoredSamples],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (
         np.concatenate([s.measured for s in samples]),
         np.concatenate([s.predicted for s in samples]),
@@ -189,18 +192,18 @@ def _pooled(samples: list[ScoredSamples]) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _metrics(samples: list[ScoredSamples]) -> dict[str, float]:
-    values = metrics.scores(*_pooled(samples))
-    return {name: float(values[name][0]) for name in metrics.PERFECT}
+    values = metrics.scores(*_pool_samples(samples))
+    return {name: float(values[name][0]) for name in metrics.PERFECT_VALUES}
 
 
 def _balance(samples: list[ScoredSamples]) -> dict[str, float | None]:
     """The mean of measured minus predicted, and the error of the sum in percent."""
     if not any(s.scored.any() for s in samples):
         return {"offset": None, "total_error": None}
-    measured, predicted, scored = _pooled(samples)
+    measured, predicted, scored = _pool_samples(samples)
     y, error = measured[scored], (measured - predicted)[scored]
     offset, level = float(error.mean()), abs(float(y.mean()))
-    cancels = level <= CANCELLED * float(np.abs(y).mean())
+    cancels = level <= CANCELLED_SUM_SHARE * float(np.abs(y).mean())
     return {
         "offset": offset,
         "total_error": None if cancels else -100.0 * offset / level,
@@ -208,7 +211,7 @@ def _balance(samples: list[ScoredSamples]) -> dict[str, float | None]:
 
 
 def _status(samples: list[ScoredSamples]) -> str:
-    measured, _, scored = _pooled(samples)
+    measured, _, scored = _pool_samples(samples)
     if any(s.diverged for s in samples):
         return "diverged"
     if not scored.any():
@@ -226,7 +229,7 @@ def nrmse_within(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
     error: dict[tuple[str, str], float] = {}
     moved: dict[tuple[str, str], float] = {}
     for row in rows:
-        if row.record == POOLED or not row.rmse or not row.nrmse:
+        if row.record == POOLED_NAME or not row.rmse or not row.nrmse:
             continue
         if np.isfinite(row.nrmse):
             key = (row.output, row.part)

@@ -4,7 +4,7 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 
 - leaves its bounds in any record (diverges), or
 - is no better than the mean of the measurement on records that were not trained on
-  (NRMSE of `WORTHLESS` or more), or
+  (NRMSE of 1 or more, `WORTHLESS_NRMSE`), or
 - has nothing to be judged by: no valid sample on the main part, or
 - comes from a search in which it diverged on the records left out, or was no better
   there than the mean by a standard error.
@@ -12,21 +12,23 @@ All of it rests on the free run, output by output. **Not usable** is a model tha
 **Usable with limits** is one that does not, but
 
 - leaves more than a tenth of the variance of an output unexplained on any part (NRMSE
-  above `ACCURATE`), or is more than `OVERFITTED` times worse than on its training data;
-- is far off in single records: RMSE of `FAR` times the median record's, and above
-  `ACCURATE` of the output's spread;
+  above 0.32, `ACCURATE_NRMSE`), or is more than twice (`OVERFIT_FACTOR`) as bad as on
+  its training data;
+- is far off in single records: RMSE of 3 times (`FAR_RECORD_FACTOR`) the median
+  record's, and above 0.32 (`ACCURATE_NRMSE`) of the output's spread;
 - has a worse free run than a linear model of the same lags, by more than 2 %;
-- was held by its feedback bound at `NOTICEABLE` of the samples;
-- forgets its past nowhere surely: no contraction at `UNSURE` of the samples, or a local
-  model that is unstable by itself at most samples where it leads;
-- was judged on data it was made with or on a constant output, or met inputs `REACH` of
-  their trained width outside and left its range at `STRAYED` of the samples;
-- comes from a search, and is `PROMISED` times worse on test data than on the records
-  that were left out there, or no better than the mean in one group of them;
+- was held by its feedback bound at 1 % (`NOTICEABLE_OUTSIDE_SHARE`) of the samples;
+- may not forget its past: no contraction at 10 % (`UNSURE_SAMPLE_SHARE`) of the
+  samples, or a local model that is unstable by itself at most samples where it leads;
+- was judged on data it was made with or on a constant output, or met inputs 10 %
+  (`OUTSIDE_WIDTH_SHARE`) of their trained width outside and left its range at 5 %
+  (`OUTSIDE_SAMPLE_SHARE`) of the samples;
+- comes from a search, and is 1.5 times (`HELD_OUT_FACTOR`) as bad on test data as on
+  the records held out there, or no better than the mean in one group of them;
 - has prediction intervals that hold less than they claim, beyond chance over records.
 
-Else it is **good**. What a user should look at and what changes no verdict is a
-**remark**: prediction intervals that hold more than they claim and are about three
+Else it is **good**. A finding that changes no verdict, but that a user should look at,
+is a **remark**: prediction intervals that hold more than they claim and are about three
 times as wide as the error; steady-state gains that change sign over the data, or jump;
 the errors of cycle totals. Tests of residuals take no part: with many samples they find
 fault with any model, see `Diagnostics`.
@@ -39,12 +41,12 @@ import numpy as np
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation._region_errors import RegionError
-from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.baseline import BASELINE_NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
-from jaxnarx.evaluation.extrapolation import NOTICEABLE, Outside
+from jaxnarx.evaluation.extrapolation import NOTICEABLE_OUTSIDE_SHARE, Outside
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.remarks import verdict_remarks
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row, nrmse_within
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, nrmse_within
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import (
     AT_LEAST,
@@ -57,18 +59,22 @@ from jaxnarx.evaluation.verdict import (
     VerdictRule,
 )
 
-WORTHLESS, ACCURATE = 1.0, 0.1**0.5
+WORTHLESS_NRMSE, ACCURATE_NRMSE = 1.0, 0.1**0.5
 """NRMSE of the mean, and the one that leaves a tenth of the variance."""
-OVERFITTED, SMALL = 2.0, 0.1
+OVERFIT_FACTOR, SMALL_NRMSE = 2.0, 0.1
 """Factor over the training NRMSE, and the NRMSE up to which it does not matter."""
-FAR = 3.0
-BETTER = 0.98
+FAR_RECORD_FACTOR = 3.0
+"""Factor over the median record's RMSE from which a record is far off."""
+BETTER_ERROR_SHARE = 0.98
 """Share of the error below which another model counts as better."""
-UNSURE = 0.1
-REACH, STRAYED = 0.1, 0.05
-UNSTABLE = 0.5
+UNSURE_SAMPLE_SHARE = 0.1
+"""Share of the samples without contraction that limits the use of a model."""
+OUTSIDE_WIDTH_SHARE, OUTSIDE_SAMPLE_SHARE = 0.1, 0.05
+"""Distance of an input beyond its trained range, in that of its width, and share of the
+samples outside, that limit the use of a model together."""
+UNSTABLE_SAMPLE_SHARE = 0.5
 """Share of the samples that a local model leads from which it counts as unstable."""
-PROMISED = 1.5
+HELD_OUT_FACTOR = 1.5
 """Factor over the NRMSE of records left out."""
 
 
@@ -99,7 +105,7 @@ class Scored(Protocol):
     def gains(self) -> tuple[GainFinding, ...]: ...
     @property
     def leaderboard(self) -> Mapping[str, Any] | None: ...
-    def pooled(self, output: str) -> Row: ...
+    def pooled_row(self, output: str) -> Row: ...
 
 
 def judge(report: Scored) -> Verdict:
@@ -107,7 +113,7 @@ def judge(report: Scored) -> Verdict:
     rows = [r for r in report.rows if r.mode == FREE_RUN]
     rules = [*_runs(report, rows), *_errors(report, rows), *_records(rows)]
     rules += [*_compare_with_linear(report), *_memory(report), *_data(report, rows)]
-    rules += [*_held_out(report, rows), *_intervals(report)]
+    rules += [*_held_out_rules(report, rows), *_intervals(report)]
     findings = [rule.reason for rule in rules if rule.reason is not None]
     findings.sort(key=lambda f: f.level != UNUSABLE)
     return Verdict(
@@ -121,7 +127,7 @@ def judge(report: Scored) -> Verdict:
 
 
 def _praise(report: Scored) -> str:
-    shares = [report.pooled(c.name).r2 for c in report.outputs]
+    shares = [report.pooled_row(c.name).r2 for c in report.outputs]
     least = min((s for s in shares if s is not None), default=0.0)
     names = ", ".join(c.name for c in report.outputs)
     every = "at least " if len(shares) > 1 else ""
@@ -131,20 +137,20 @@ def _praise(report: Scored) -> str:
     )
 
 
-def _pooled(rows: Iterable[Row]) -> list[Row]:
-    return [r for r in rows if r.record == POOLED]
+def _pooled_rows(rows: Iterable[Row]) -> list[Row]:
+    return [r for r in rows if r.record == POOLED_NAME]
 
 
 def _main_first(report: Scored, rows: list[Row]) -> list[Row]:
     """Pooled rows, those of the main part first."""
-    return sorted(_pooled(rows), key=lambda r: r.part != report.main)
+    return sorted(_pooled_rows(rows), key=lambda r: r.part != report.main)
 
 
 def _runs(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """Divergence, nothing to judge, limits that act."""
     for row in _main_first(report, rows):
         share, where = row.share_outside, f"{row.output} on {row.part}"
-        yield _bounded(row, rows)
+        yield _bound_rule(row, rows)
         if row.diverged:
             continue
         if row.part == report.main:
@@ -153,9 +159,14 @@ def _runs(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
                 continue
         held = row.limited / max(row.samples, 1)
         text = f"the feedback bound holds {where} at {held:.0%} of the samples"
-        helps = "cover" if share >= STRAYED else "bounded"
+        helps = "cover" if share >= OUTSIDE_SAMPLE_SHARE else "bounded"
         rule = VerdictRule(
-            "feedback bound", row.output, row.part, held, BELOW, NOTICEABLE
+            "feedback bound",
+            row.output,
+            row.part,
+            held,
+            BELOW,
+            NOTICEABLE_OUTSIDE_SHARE,
         )
         yield rule.explain(LIMITED, text, helps)
 
@@ -177,19 +188,19 @@ def _judgeable(row: Row) -> VerdictRule:
     return rule
 
 
-def _bounded(row: Row, rows: list[Row]) -> VerdictRule:
+def _bound_rule(row: Row, rows: list[Row]) -> VerdictRule:
     """Whether the free run of a part stays within its bounds in all records."""
     lost = [
         r
         for r in rows
         if (r.part, r.output) == (row.part, row.output)
         and r.diverged
-        and r.record != POOLED
+        and r.record != POOLED_NAME
     ]
     share = max((r.share_outside for r in lost), default=0.0)
     names = ", ".join(r.record for r in lost[:3]) or "all records"
     names += f" and {len(lost) - 3} more" if len(lost) > 3 else ""
-    strayed = share >= STRAYED
+    strayed = share >= OUTSIDE_SAMPLE_SHARE
     text = f"the free run of {row.output} on {row.part} diverges in {names}"
     if strayed:
         text += f", {share:.0%} of it outside the trained range"
@@ -200,18 +211,20 @@ def _bounded(row: Row, rows: list[Row]) -> VerdictRule:
 
 def _errors(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """Errors of whole parts, by themselves and beside that of training."""
-    trained = {r.output: r.nrmse for r in _pooled(rows) if r.part == "train"}
+    trained = {r.output: r.nrmse for r in _pooled_rows(rows) if r.part == "train"}
     within = nrmse_within(rows)
     for row in _main_first(report, rows):
         place, learned = (row.output, row.part), row.part == "train"
         where = f"{row.output} on {row.part}"
         error = row.nrmse if row.status == "ok" else None
-        worthless = not learned and error is not None and error >= WORTHLESS
+        worthless = not learned and error is not None and error >= WORTHLESS_NRMSE
         if not learned:
             text = f"the free run of {where} is no better than the mean"
-            rule = VerdictRule("better than the mean", *place, error, BELOW, WORTHLESS)
+            rule = VerdictRule(
+                "better than the mean", *place, error, BELOW, WORTHLESS_NRMSE
+            )
             yield rule.explain(UNUSABLE, f"{text} ({_nrmse(error)})", "richer")
-        rule = VerdictRule("accuracy", *place, error, AT_MOST, ACCURATE)
+        rule = VerdictRule("accuracy", *place, error, AT_MOST, ACCURATE_NRMSE)
         text = _unexplained_share(where, error)
         yield rule if worthless else rule.explain(LIMITED, text, "richer")
         if learned:
@@ -219,7 +232,7 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
         inside = None if error is None else within.get(place)
         text = f"within a record the free run of {where} is no better than its mean"
         rule = VerdictRule(
-            "better than the mean in records", *place, inside, BELOW, WORTHLESS
+            "better than the mean in records", *place, inside, BELOW, WORTHLESS_NRMSE
         )
         text += f" ({_nrmse(inside)})"
         yield rule if worthless else rule.explain(LIMITED, text, "richer")
@@ -228,7 +241,7 @@ def _errors(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
             continue
         times = error / own if error is not None and own else np.inf
         text = f"the error of {where} is {times:.2g} times that of training"
-        most = max(SMALL, OVERFITTED * own)
+        most = max(SMALL_NRMSE, OVERFIT_FACTOR * own)
         rule = VerdictRule("overfitting", *place, error, AT_MOST, most)
         yield rule.explain(LIMITED, text, "simpler")
 
@@ -237,7 +250,7 @@ def _unexplained_share(where: str, nrmse: float | None) -> str:
     """The share of the variance that the free run leaves; above one no share is
     told."""
     text = f"the free run of {where} is worse than the mean"
-    if nrmse is not None and nrmse < WORTHLESS:
+    if nrmse is not None and nrmse < WORTHLESS_NRMSE:
         text = f"the free run leaves {nrmse**2:.0%} of the variance of {where}"
     return f"{text} ({_nrmse(nrmse)})"
 
@@ -252,15 +265,20 @@ def _records(rows: list[Row]) -> Iterator[VerdictRule]:
         own = [r for r in rows if r.output == output]
         spread = {
             r.part: r.rmse / r.nrmse
-            for r in _pooled(own)
+            for r in _pooled_rows(own)
             if r.rmse is not None and r.nrmse
         }
-        single = [(r.rmse, r) for r in own if r.record != POOLED and r.rmse is not None]
+        single = [
+            (r.rmse, r) for r in own if r.record != POOLED_NAME and r.rmse is not None
+        ]
         if len(single) < 3:
             continue
         usual = float(np.median([error for error, _ in single]))
         parts = {r.part for r in own}
-        most = {p: max(FAR * usual, ACCURATE * spread.get(p, np.inf)) for p in parts}
+        most = {
+            p: max(FAR_RECORD_FACTOR * usual, ACCURATE_NRMSE * spread.get(p, np.inf))
+            for p in parts
+        }
         far = [(error, r) for error, r in single if error > most[r.part]]
         error, row = max(far or single, key=lambda pair: pair[0])
         unit = f" {row.unit}" if row.unit not in ("", "-", "1") else ""
@@ -278,14 +296,14 @@ def _records(rows: list[Row]) -> Iterator[VerdictRule]:
 
 def _compare_with_linear(report: Scored) -> Iterator[VerdictRule]:
     """A linear model that does better."""
-    for row in report.beside.get(NAME, ()):
+    for row in report.beside.get(BASELINE_NAME, ()):
         if row.nrmse is None:
             continue
-        own, name = report.pooled(row.output).nrmse, "beside a linear model"
+        own, name = report.pooled_row(row.output).nrmse, "beside a linear model"
         text = f"a linear model of the same lags does better on {row.output}"
         text += f" ({_nrmse(row.nrmse)}, this one {number(own, '.3g')})"
         rule = VerdictRule(
-            name, row.output, report.main, own, AT_MOST, row.nrmse / BETTER
+            name, row.output, report.main, own, AT_MOST, row.nrmse / BETTER_ERROR_SHARE
         )
         yield rule.explain(LIMITED, text, "linear")
 
@@ -302,13 +320,13 @@ def _memory(report: Scored) -> Iterator[VerdictRule]:
         text += f" leads ({_region(report, row)}pole {row.median:.4g})"
         where, share = f"local model {row.model}", float(row.unstable)
         rule = VerdictRule(
-            "share unstable", row.output, where, share, AT_MOST, UNSTABLE
+            "share unstable", row.output, where, share, AT_MOST, UNSTABLE_SAMPLE_SHARE
         )
         yield rule.explain(LIMITED, text, "unstable")
     share = 0.0 if found.contracts else float(found.bound.fails)
     text = f"nothing shows that it forgets its past at {share:.0%} of the samples"
     rule = VerdictRule(
-        "share without contraction", "", report.main, share, BELOW, UNSURE
+        "share without contraction", "", report.main, share, BELOW, UNSURE_SAMPLE_SHARE
     )
     yield rule.explain(LIMITED, text, "unstable")
 
@@ -334,14 +352,23 @@ def _data(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     text += _held_out_error(report)
     rule = VerdictRule("independent parts", "", report.main, apart, AT_LEAST, 1.0)
     yield rule if repeated else rule.explain(LIMITED, text, "test")
-    main = [r for r in _pooled(rows) if r.part == report.main]
+    main = [r for r in _pooled_rows(rows) if r.part == report.main]
     share = max((r.share_outside for r in main), default=0.0)
-    far = [o for o in report.outside if o.part == report.main and o.beyond >= REACH]
+    far = [
+        o
+        for o in report.outside
+        if o.part == report.main and o.beyond >= OUTSIDE_WIDTH_SHARE
+    ]
     text = f"{share:.0%} of the {report.main} samples lie outside the trained range"
     text += f" ({far[0]})" if far else ""
     share = share if far else 0.0
     rule = VerdictRule(
-        "share beyond trained range", "", report.main, share, BELOW, STRAYED
+        "share beyond trained range",
+        "",
+        report.main,
+        share,
+        BELOW,
+        OUTSIDE_SAMPLE_SHARE,
     )
     yield rule.explain(LIMITED, text, "cover")
 
@@ -359,7 +386,7 @@ def _intervals(report: Scored) -> Iterator[VerdictRule]:
             yield rule.explain(LIMITED, text, "intervals")
 
 
-def _in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _rows_in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """The row of the leaderboard that the model of each output is."""
     for output, entry in (report.leaderboard or {}).items():
         for row in entry["rows"]:
@@ -371,16 +398,16 @@ def _held_out_error(report: Scored) -> str:
     """The error on records left out, where there are no test data."""
     told = [
         f"{output} {row['free_run']:.3g}"
-        for output, row in _in_use(report)
+        for output, row in _rows_in_use(report)
         if row["free_run"] is not None
     ]
     return f"; NRMSE on records left out: {', '.join(told)}" if told else ""
 
 
-def _held_out(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
+def _held_out_rules(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """The free run over records that the search left out."""
-    tested = {r.output: r.nrmse for r in _pooled(rows) if r.part == "test"}
-    for output, row in _in_use(report):
+    tested = {r.output: r.nrmse for r in _pooled_rows(rows) if r.part == "test"}
+    for output, row in _rows_in_use(report):
         error, worst = row["free_run"], row["worst_group_error"]
         place = output, "held out"
         where = f"the free run of {output} on records left out of training"
@@ -394,19 +421,19 @@ def _held_out(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
         more = f" ± {spread:.2g}" if spread else ""
         text = f"{where} is no better than the mean"
         mean = VerdictRule(
-            "better than the mean", *place, error + spread, BELOW, WORTHLESS
+            "better than the mean", *place, error + spread, BELOW, WORTHLESS_NRMSE
         )
         yield mean.explain(UNUSABLE, f"{text} ({_nrmse(error)}{more})", "richer")
-        group = VerdictRule("worst group", *place, worst, BELOW, WORTHLESS)
+        group = VerdictRule("worst group", *place, worst, BELOW, WORTHLESS_NRMSE)
         text = f"{text} in {row['worst_group']} ({_nrmse(worst)})"
         yield group.explain(LIMITED, text, "records") if mean.passed else group
         if test is None:
-            rule = VerdictRule("accuracy", *place, error, AT_MOST, ACCURATE)
+            rule = VerdictRule("accuracy", *place, error, AT_MOST, ACCURATE_NRMSE)
             text = f"{where} leaves {error**2:.0%} of the variance ({_nrmse(error)})"
             told = not mean.passed or group.passed is False
             yield rule if told else rule.explain(LIMITED, text, "richer")
         elif error:
-            most = max(SMALL, PROMISED * error)
+            most = max(SMALL_NRMSE, HELD_OUT_FACTOR * error)
             text = f"the error of {output} on test is {test / error:.2g} times that on "
             text += "records left out of training"
             rule = VerdictRule("beside held out", output, "test", test, AT_MOST, most)

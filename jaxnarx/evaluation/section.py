@@ -15,7 +15,7 @@ from jaxtyping import Float
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.evaluation.table import number, strict
-from jaxnarx.formatting import align_columns
+from jaxnarx.formatting import align_columns, page
 from jaxnarx.models import Network
 from jaxnarx.simulation import simulate
 
@@ -61,6 +61,8 @@ class Section:
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
+
+    _repr_html_ = page
 
     def lines(self, width: int = 88) -> Iterator[str]:
         """The section as text: title, sentences, table; charts are for the page."""

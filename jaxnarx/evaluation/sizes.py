@@ -85,7 +85,7 @@ def errors_by_size(
     whole = grow(selection, next(iter(parts.values())), Global()).value
     counts = [selection.size(o) for o in range(len(selection.output_names))]
     sizes = np.arange(1, max(counts) + 1)
-    networks = [_first(whole, selection, int(n)) for n in sizes]
+    networks = [_truncate(whole, selection, int(n)) for n in sizes]
     prices = [cost(network) for network in networks]
     scores = {
         (part, mode): [_nrmse(n, part_data, mode) for n in networks]
@@ -105,7 +105,7 @@ def errors_by_size(
     return tuple(found)
 
 
-def _first(network: Network, selection: Any, size: int) -> Network:
+def _truncate(network: Network, selection: Any, size: int) -> Network:
     """The network with the first `size` terms, in the shapes of the whole one."""
     models = []
     for o, model in enumerate(network.models):

@@ -1,4 +1,4 @@
-"""What a reader wants first: may the model be used, where, why, and what comes next."""
+"""The summary of a report: may the model be used, where, why, and what comes next."""
 
 import dataclasses
 import textwrap
@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.evaluation._error_map import ErrorMap
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row
 from jaxnarx.evaluation.table import number
 from jaxnarx.evaluation.verdict import GOOD, LIMITED, UNUSABLE, Verdict
 from jaxnarx.formatting import span_text
 from jaxnarx.models import OUTSIDE_WORDS, Network
 
-USE = {
+VERDICT_USES = {
     GOOD: "it can stand in for the engine wherever its inputs stay within the range it "
     "was trained for.",
     LIMITED: "it can be used within the range it was trained for if the reasons below "
     "do not matter there.",
     UNUSABLE: "do not rely on its free run.",
 }
-"""What a verdict means for use."""
-CHANNELS = 8
+"""Meaning of a verdict for use."""
+LISTED_INPUTS = 8
 """Inputs whose ranges are told."""
-CAUSES = 4
+LISTED_CAUSES = 4
 """Reasons that are told at once."""
 
 
@@ -39,7 +39,7 @@ class Summary:
     more: int
     """Reasons that are not told."""
     also: tuple[str, ...]
-    """What to look at, whatever the verdict."""
+    """Points to look at, whatever the verdict."""
     helps: str
     worst_record: str
     worst_place: tuple[str, ...]
@@ -78,10 +78,10 @@ def summary(report: Any) -> Summary:
     causes = tuple(reason.text for reason in found.findings)
     return Summary(
         found.level,
-        USE[found.level],
-        tuple(_where(report)),
-        causes[:CAUSES] or (found.praise,),
-        max(len(causes) - CAUSES, 0),
+        VERDICT_USES[found.level],
+        tuple(_describe_range(report)),
+        causes[:LISTED_CAUSES] or (found.praise,),
+        max(len(causes) - LISTED_CAUSES, 0),
         found.remarks,
         found.helps,
         _worst_record(report),
@@ -89,7 +89,7 @@ def summary(report: Any) -> Summary:
     )
 
 
-def _where(report: Any) -> Iterator[str]:
+def _describe_range(report: Any) -> Iterator[str]:
     """The range it was trained for, and how far the main part is inside."""
     network = report.network
     if isinstance(network, Network):
@@ -97,7 +97,7 @@ def _where(report: Any) -> Iterator[str]:
         low, high = np.asarray(network.low), np.asarray(network.high)
         ranges = [
             f"{c.name} {float(low[s]):.4g} to {float(high[s]):.4g}" + _unit(c.unit)
-            for s, c in inputs[:CHANNELS]
+            for s, c in inputs[:LISTED_INPUTS]
         ]
         more = len(inputs) - len(ranges)
         ranges += [f"{more} more"] if more > 0 else []
@@ -105,7 +105,7 @@ def _where(report: Any) -> Iterator[str]:
         yield f"trained for {', '.join(ranges)}. {beyond}."
     share = report.domain.outside.get(report.main) if report.domain else None
     if share is None:
-        rows = [r for r in _rows(report) if r.record == POOLED]
+        rows = [r for r in _rows(report) if r.record == POOLED_NAME]
         share = max((r.share_outside for r in rows), default=0.0)
     inside = 100 * (1 - share)
     yield f"{inside:.3g} % of the {report.main} samples lie within what it knows"
@@ -118,7 +118,7 @@ def _worst_record(report: Any) -> str:
         rows = [
             r
             for r in _rows(report)
-            if r.output == channel.name and r.record != POOLED and r.samples
+            if r.output == channel.name and r.record != POOLED_NAME and r.samples
         ]
         lost = [r for r in rows if r.diverged]
         if lost:
@@ -127,7 +127,7 @@ def _worst_record(report: Any) -> str:
         if lost or len(known) < 2:
             continue
         error, record = max(known)
-        pooled = report.pooled(channel.name).rmse
+        pooled = report.pooled_row(channel.name).rmse
         times = error / pooled if pooled else None
         text = f"{channel.name} in {record}: RMSE {number(error, '.3g')}"
         text += _unit(channel.unit)

@@ -8,10 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxnarx.evaluation.rows import FREE_RUN, POOLED, Row
+from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row
 from jaxnarx.formatting import ratio_text
 
-HEADER = (
+TABLE_HEADER = (
     "record",
     "mode",
     "RMSE",
@@ -23,12 +23,12 @@ HEADER = (
     "samples",
     "limited",
 )
-FIGURES = slice(2, 8)
+FIGURE_COLUMNS = slice(2, 8)
 """Columns of figures; a status stands in the first, and may run over the others."""
-MISSING = ("",) * 5
+MISSING_FIGURES = ("",) * 5
 
 
-def data_of(part: str) -> str:
+def name_data(part: str) -> str:
     """`test data`; of a part without a name of its own `data`."""
     return part if part == "data" else f"{part} data"
 
@@ -40,7 +40,7 @@ def number(value: float | None, style: str = ".4g") -> str:
     return format(value, style) if math.isfinite(value) else str(float(value))
 
 
-WORST = 3
+SHOWN_RECORDS = 3
 """Records of an output that a table shows."""
 
 
@@ -52,15 +52,15 @@ def text_table(rows: Iterable[Row], main: str) -> str:
         blocks.setdefault((row.part, row.output), []).append(row)
     order = sorted(blocks, key=lambda key: key[0] != main)
     return "\n\n".join(
-        _block(_rows_to_show(blocks[key], WORST if key[0] == main else 0))
+        _block(_rows_to_show(blocks[key], SHOWN_RECORDS if key[0] == main else 0))
         for key in order
     )
 
 
 def _rows_to_show(rows: list[Row], most: int) -> list[Row]:
     """Pooled rows, then the records with the largest errors in free run."""
-    pooled = [r for r in rows if r.record == POOLED]
-    single = [r for r in rows if r.record != POOLED]
+    pooled = [r for r in rows if r.record == POOLED_NAME]
+    single = [r for r in rows if r.record != POOLED_NAME]
     errors = {r.record: _size(r) for r in single if r.mode == FREE_RUN}
     worst = sorted(errors, key=lambda name: -errors[name])
     if len(worst) < 2:
@@ -77,7 +77,7 @@ def _size(row: Row) -> float:
 
 def rows_beside(report: Any) -> list[tuple[str, list[Row | None]]]:
     """This model and those beside it: (name, pooled free-run row of every output)."""
-    own = [report.pooled(c.name) for c in report.outputs]
+    own = [report.pooled_row(c.name) for c in report.outputs]
     found = {"this model": own, **report.beside}
     return [
         (name, [{r.output: r for r in rows}.get(c.name) for c in report.outputs])
@@ -85,7 +85,7 @@ def rows_beside(report: Any) -> list[tuple[str, list[Row | None]]]:
     ]
 
 
-def beside_lines(report: Any) -> list[str]:
+def comparison_lines(report: Any) -> list[str]:
     """NRMSE of the free run on the main part, this model and those beside it."""
     if not report.beside:
         return []
@@ -101,7 +101,7 @@ def beside_lines(report: Any) -> list[str]:
     ]
     return [
         "",
-        f"free run beside other models, NRMSE on {data_of(report.main)}",
+        f"free run beside other models, NRMSE on {name_data(report.main)}",
         *out,
         "",
     ]
@@ -122,17 +122,17 @@ def _block(rows: list[Row]) -> str:
     by_record: dict[str, list[Row]] = {}
     for row in rows:
         by_record.setdefault(row.record, []).append(row)
-    lines: list[tuple[str, ...]] = [HEADER]
+    lines: list[tuple[str, ...]] = [TABLE_HEADER]
     for record, group in by_record.items():
         for i, row in enumerate(group):
             lines.append((_short(record) if i == 0 else "", row.mode, *_cells(row)))
-    return f"{label}, {data_of(first.part)}\n" + _align(lines)
+    return f"{label}, {name_data(first.part)}\n" + _align(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
     counts = (str(row.samples), str(row.limited) if row.limited else "")
     if row.diverged:
-        return (row.status, *MISSING, *counts)
+        return (row.status, *MISSING_FIGURES, *counts)
     figures = (row.rmse, row.nrmse, row.r2)
     return (
         *map(number, figures),
@@ -145,22 +145,22 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 def _align(lines: list[tuple[str, ...]]) -> str:
     """Text left, figures right; a status may run over the empty cells beside it."""
-    spilling = [cells[FIGURES][1:] == MISSING for cells in lines]
+    spilling = [cells[FIGURE_COLUMNS][1:] == MISSING_FIGURES for cells in lines]
     widths = [
         max(
             len(cells[i])
             for cells, spills in zip(lines, spilling, strict=True)
             if not (spills and i == 2)
         )
-        for i in range(len(HEADER))
+        for i in range(len(TABLE_HEADER))
     ]
-    free = sum(widths[FIGURES]) + 2 * len(MISSING)
+    free = sum(widths[FIGURE_COLUMNS]) + 2 * len(MISSING_FIGURES)
     out = []
     for cells, spills in zip(lines, spilling, strict=True):
         left = [c.ljust(w) for c, w in zip(cells[:2], widths[:2], strict=True)]
         right = [c.rjust(w) for c, w in zip(cells, widths, strict=True)]
-        middle = [cells[2].rjust(free)] if spills else right[FIGURES]
-        out.append("  ".join(left + middle + right[FIGURES.stop :]).rstrip())
+        middle = [cells[2].rjust(free)] if spills else right[FIGURE_COLUMNS]
+        out.append("  ".join(left + middle + right[FIGURE_COLUMNS.stop :]).rstrip())
     rule = "-" * max(map(len, out))
     return "\n".join([rule, out[0], rule, *out[1:], rule])
 

@@ -1,4 +1,4 @@
-"""What the figures of a report need: chosen records, and residuals in free run."""
+"""Data of a report's figures: chosen records, and residuals in free run."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from jaxnarx import metrics
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.rows import ScoredSamples
 
-PAIRS = 3000
+SCATTER_PAIRS = 3000
 """At most so many (measured, simulated) pairs are kept for the scatter figure."""
 
 
@@ -89,7 +89,7 @@ def residuals(channel: Channel, free: list[ScoredSamples], bins: int = 41) -> Re
     simulated = np.concatenate([s.predicted[s.scored] for s in calm])
     error = measured - simulated
     counts, edges = _histogram(error, bins)
-    kept = np.unique(np.linspace(0, len(error) - 1, PAIRS).astype(int))
+    kept = np.unique(np.linspace(0, len(error) - 1, SCATTER_PAIRS).astype(int))
     return Residuals(
         channel,
         float(error.mean()),

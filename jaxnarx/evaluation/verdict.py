@@ -1,4 +1,5 @@
-"""What a verdict is: its level, the reasons for it, and the rules it comes from."""
+"""The verdict on a model: its level, the reasons for it, and the rules it comes
+from."""
 
 import dataclasses
 import math
@@ -9,7 +10,7 @@ from jaxnarx.formatting import page
 
 GOOD, LIMITED, UNUSABLE = "good", "usable with limits", "not usable"
 AT_MOST, BELOW, AT_LEAST = "at most", "below", "at least"
-"""What a value must be beside its limit."""
+"""Comparisons of a value with its limit."""
 
 REMEDIES = {
     "bounded": "choose terms by simulation error, lower the degree, or let inputs "
@@ -24,8 +25,8 @@ REMEDIES = {
     "intervals": "more groups of training records, of the kinds that are met in use",
     "records": "look at these records: channels, sensors, operating range",
 }
-"""What helps, by the name that findings carry."""
-SEARCHED = REMEDIES | {
+"""Remedies, by the name that findings carry."""
+REMEDIES_AFTER_SEARCH = REMEDIES | {
     "bounded": "training records that reach as far, or linear models",
     "unstable": "`--preset ecu`, which takes only models that are stable for certain",
     "richer": "a larger preset, other inputs, or more training records, above all like "
@@ -51,9 +52,9 @@ class VerdictRule:
     `"below"`, `"at least"`) `limit`.
 
     `output` is empty where the rule is about the whole model; `where` names the part,
-    the records or the local model. A `value` of None could not be had, as the error of
-    a run that diverged. `reason` is what the verdict says where the rule failed; it is
-    None where another rule has said so.
+    the records or the local model. `value` is None where it does not exist, as for the
+    error of a run that diverged. `reason` is the verdict's sentence where the rule
+    failed; None where another rule has given it.
     """
 
     name: str
@@ -104,7 +105,7 @@ class Verdict:
     findings: tuple[Reason, ...]
     praise: str = ""
     remarks: tuple[str, ...] = ()
-    """What to look at, whatever the level."""
+    """Points to look at, whatever the level."""
     searched: bool = False
     """Whether the model comes from a search."""
     rules: tuple[VerdictRule, ...] = ()
@@ -135,7 +136,7 @@ class Verdict:
     def helps(self) -> str:
         """The measure that helps against the worst reason; empty where there is
         none."""
-        known = SEARCHED if self.searched else REMEDIES
+        known = REMEDIES_AFTER_SEARCH if self.searched else REMEDIES
         return known[self.remedy] if self.findings else ""
 
     def to_dict(self) -> dict[str, Any]:

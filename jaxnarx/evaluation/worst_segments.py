@@ -9,19 +9,19 @@ from jaxtyping import Bool, Float
 
 from jaxnarx.confidence import DomainIndex
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation._region_errors import leading_at, region_text
+from jaxnarx.evaluation._region_errors import leading_models, region_text
 from jaxnarx.evaluation.rows import ScoredSamples
 from jaxnarx.formatting import page, span_text
 from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared, stack_batch
 
-WORST = 10
+SEGMENTS_PER_OUTPUT = 10
 """Stretches of every output."""
-SHARE = 0.005
+WINDOW_TIME_SHARE = 0.005
 """Length of time over which errors are averaged, in that of all records."""
-SHORTEST, LONGEST = 5, 200
+SHORTEST_WINDOW_SAMPLES, LONGEST_WINDOW_SAMPLES = 5, 200
 """The same in samples."""
-EDGE = 0.5
+SEGMENT_EDGE_SHARE = 0.5
 """A stretch ends where the mean squared error falls below this share of its peak."""
 
 
@@ -30,11 +30,11 @@ class ErrorStretch:
     """A stretch of time, in seconds from the record's begin, with a large error.
 
     `rmse` and `bias` (mean of measured minus simulated) are in the unit of the output,
-    `times` is the RMSE in that of all samples. Of the stretch are told: the largest
-    `index` of the domain with the `layer` and `channel` it is owed to, where the
-    network knows its domain; the `region` of the local model that leads at its peak;
-    the share of samples at which the feedback bound acted, at which the output was held
-    at its range, and at which an input was outside of its range.
+    `times` is the RMSE in that of all samples. The stretch states the largest `index`
+    of the domain with the `layer` and `channel` it is owed to, where the network knows
+    its domain; the `region` of the local model that leads at its peak; the share of
+    samples at which the feedback bound acted, at which the output was held at its
+    range, and at which an input was outside of its range.
     """
 
     output: str
@@ -93,7 +93,13 @@ def worst_stretches(
     """
     found: list[ErrorStretch] = []
     total = sum(int(one.scored.sum()) for one in free[0]) if free else 0
-    window = int(np.clip(round(SHARE * total), SHORTEST, LONGEST))
+    window = int(
+        np.clip(
+            round(WINDOW_TIME_SHARE * total),
+            SHORTEST_WINDOW_SAMPLES,
+            LONGEST_WINDOW_SAMPLES,
+        )
+    )
     for o, (channel, samples) in enumerate(zip(outputs, free, strict=True)):
         calm = {n: one for n, one in enumerate(samples) if not one.diverged}
         errors = {
@@ -124,13 +130,13 @@ def _places(calm, errors, largest, window) -> list[tuple[int, int, slice]]:
         for n, one in calm.items()
     }
     found = []
-    for _ in range(WORST):
+    for _ in range(SEGMENTS_PER_OUTPUT):
         n = max(means, key=lambda n: means[n].max(initial=0))
         at = int(np.argmax(means[n]))
         peak = means[n][at]
         if not peak > 0:
             break
-        low = means[n] < EDGE * peak
+        low = means[n] < SEGMENT_EDGE_SHARE * peak
         before, behind = np.flatnonzero(low[:at]), np.flatnonzero(low[at:])
         start = int(before[-1]) + 1 if len(before) else 0
         stop = at + int(behind[0]) if len(behind) else len(low)
@@ -162,7 +168,9 @@ def _regions(
         return nothing
     _, batch = stack_batch(network, data)
     length = batch.valid.shape[1]
-    lead = leading_at(network, batch, o, np.array([n * length + t for n, t in peaks]))
+    lead = leading_models(
+        network, batch, o, np.array([n * length + t for n, t in peaks])
+    )
     if lead is None:
         return nothing
     regions = network.regions(o)

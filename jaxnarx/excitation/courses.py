@@ -110,7 +110,7 @@ def limit_slope(
     high: Number | None = None,
     sample_time: Number | None = None,
 ) -> Float[Array, " time"]:
-    """`signal` as an actuator follows it that stays in range and has a largest slope.
+    """Limit the range and the slope of `signal`, as an actuator does that follows it.
 
         x_0 = c(u_0),  x_t = x_{t-1} + clip(c(u_t) - x_{t-1}, -d, d),  d = rate dt
 

@@ -22,8 +22,8 @@ def latin_hypercube(
 
     Within its stratum a point is uniform; the strata of different inputs are paired at
     random. `improve` swaps coordinates between points while this lowers the centred L2
-    discrepancy (seconds for some hundred points). Drawn on the host: `key` cannot be
-    traced.
+    discrepancy (seconds for some hundred points). The points are drawn on the host:
+    `key` cannot be traced.
 
     Reference: M. D. McKay, R. J. Beckman, W. J. Conover, Technometrics 21, 1979.
     """
@@ -32,7 +32,7 @@ def latin_hypercube(
     low, high = box(low, high)
     optimization = "random-cd" if improve else None
     engine = qmc.LatinHypercube(len(low), optimization=optimization, **_seed(key))
-    return _scaled(engine.random(whole(count, "count")), low, high)
+    return _scale(engine.random(whole(count, "count")), low, high)
 
 
 def sobol(
@@ -54,7 +54,7 @@ def sobol(
     seed = {} if key is None else _seed(key)
     engine = qmc.Sobol(len(low), scramble=key is not None, **seed)
     points = engine.random_base2((count - 1).bit_length())[:count]
-    return _scaled(points, low, high)
+    return _scale(points, low, high)
 
 
 def uniform(
@@ -63,7 +63,7 @@ def uniform(
     """`count` independent points, uniform over the box: what the others improve on."""
     low, high = box(low, high)
     shape = (whole(count, "count"), len(low))
-    return _scaled(jax.random.uniform(key, shape, float), low, high)
+    return _scale(jax.random.uniform(key, shape, float), low, high)
 
 
 def discrepancy(
@@ -114,7 +114,7 @@ def box(
     return low, high
 
 
-def _scaled(unit, low, high) -> Float[Array, "points inputs"]:
+def _scale(unit, low, high) -> Float[Array, "points inputs"]:
     return jnp.asarray(low + (high - low) * np.asarray(unit), float)
 
 

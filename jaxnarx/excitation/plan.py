@@ -231,17 +231,18 @@ def aprbs_plan(
     gaps as it goes; "uniform" draws independently.
 
     A step that the rate cannot complete within its hold is a SpecError, or with
-    `shorten` ends where the rate takes it. Drawn on the host: not to be traced.
+    `shorten` ends where the rate takes it. The plan is drawn on the host and cannot be
+    traced.
     """
     length = whole(length, "length")
     choice(placement, PLACEMENTS, "placement")
     low, high = _borders(inputs)
     hold_key, level_key = jax.random.split(key)
-    ranges = _by_name(hold, inputs, "hold")
+    ranges = _values_by_input(hold, inputs, "hold")
     holds = _holds(hold_key, length, ranges, hold_distribution, together)
     used = np.sum(np.cumsum(holds, axis=0) - holds < length, axis=0)
     unit = _place_points(level_key, placement, used)
-    rates = _by_name(np.inf if rate is None else rate, inputs, "rate", np.inf)
+    rates = _values_by_input(np.inf if rate is None else rate, inputs, "rate", np.inf)
     plan = AprbsPlan(
         level=jnp.asarray(low + (high - low) * unit, float),
         hold=jnp.asarray(holds[: len(unit)]),
@@ -264,7 +265,9 @@ def _borders(inputs: Mapping[str, Pair]) -> tuple[np.ndarray, np.ndarray]:
     return pairs[:, 0], pairs[:, 1]
 
 
-def _by_name(given, inputs: Mapping[str, Pair], field: str, default=None) -> list:
+def _values_by_input(
+    given, inputs: Mapping[str, Pair], field: str, default=None
+) -> list:
     """One value per input, from a value for all or a mapping."""
     if not isinstance(given, Mapping):
         return [given] * len(inputs)

@@ -23,7 +23,7 @@ from jaxnarx.errors import SpecError
 HoldDistribution = Literal["uniform", "geometric", "log-uniform"]
 HOLD_DISTRIBUTIONS = ("uniform", "geometric", "log-uniform")
 
-_CUT = 0.05
+_CUT_SHARE = 0.05
 
 
 def hold_range(hold: tuple[int, int]) -> tuple[int, int]:
@@ -62,8 +62,8 @@ def hold_times(
         return jax.random.randint(key, (count,), shortest, longest + 1)
     u = jax.random.uniform(key, (count,), float)
     if distribution == "geometric":
-        scale = (longest + 1 - shortest) / -jnp.log(_CUT)
-        exact = shortest - scale * jnp.log1p(-u * (1 - _CUT))
+        scale = (longest + 1 - shortest) / -jnp.log(_CUT_SHARE)
+        exact = shortest - scale * jnp.log1p(-u * (1 - _CUT_SHARE))
     else:
         exact = shortest * ((longest + 1) / shortest) ** u
     # Rounding may put u next to one onto longest + 1.
@@ -74,7 +74,7 @@ LevelDistribution = Literal["uniform", "latin", "arcsine"]
 LEVEL_DISTRIBUTIONS = ("uniform", "latin", "arcsine")
 
 
-def drawn_levels(
+def draw_levels(
     key: PRNGKeyArray,
     used: Bool[Array, " segments"],
     amplitude: Pair,
@@ -103,7 +103,7 @@ def drawn_levels(
     return low + (high - low) * jnp.minimum(share, 1.0)
 
 
-def given_levels(
+def repeat_levels(
     key: PRNGKeyArray, count: int, levels: Sequence[Number]
 ) -> Float[Array, " segments"]:
     """`count` of `levels`, in rounds: each once in random order, then each again."""
@@ -134,7 +134,7 @@ def aprbs(
     `hold_distribution`: "uniform", "geometric" or "log-uniform", see `hold_times`.
     `level_distribution`: "uniform"; "latin", in which each of as many equal strata as
     there are segments is visited once; "arcsine", which visits the ends most, see
-    `drawn_levels`. `levels` instead of `amplitude` gives the levels themselves: all of
+    `draw_levels`. `levels` instead of `amplitude` gives the levels themselves: all of
     them in random order, then all again.
 
     Long holds show gains, short ones dynamics, and the levels visit the whole range,
@@ -154,10 +154,10 @@ def aprbs(
     ends = jnp.cumsum(holds)
     used: Bool[Array, " segments"] = ends - holds < length
     if amplitude is not None:
-        staircase = drawn_levels(level_key, used, amplitude, level_distribution)
+        staircase = draw_levels(level_key, used, amplitude, level_distribution)
     else:
         assert levels is not None
-        staircase = given_levels(level_key, most, levels)
+        staircase = repeat_levels(level_key, most, levels)
     return staircase[jnp.searchsorted(ends, jnp.arange(length), side="right")]
 
 

@@ -3,7 +3,7 @@
 from jaxnarx.exporters._export import TARGETS as TARGETS
 from jaxnarx.exporters._export import Exported as Exported
 from jaxnarx.exporters._export import export as export
-from jaxnarx.exporters._export import golden_of as golden_of
+from jaxnarx.exporters._export import make_golden as make_golden
 from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
@@ -17,11 +17,13 @@ from jaxnarx.exporters.form import TERMS as TERMS
 from jaxnarx.exporters.form import WEIGHTS as WEIGHTS
 from jaxnarx.exporters.form import SampleProgram as SampleProgram
 from jaxnarx.exporters.interpret import Instance as Instance
-from jaxnarx.exporters.parameters import stored_for_weights as stored_for_weights
+from jaxnarx.exporters.parameters import (
+    count_stored_for_weights as count_stored_for_weights,
+)
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE as DOUBLE_TOLERANCE
 from jaxnarx.exporters.proof import Case as Case
 from jaxnarx.exporters.proof import ExportError as ExportError
-from jaxnarx.exporters.proof import cases_of as cases_of
+from jaxnarx.exporters.proof import make_cases as make_cases
 from jaxnarx.exporters.proof import worst as worst
 from jaxnarx.exporters.readback import read_parameters as read_parameters
 from jaxnarx.exporters.target import Target as Target

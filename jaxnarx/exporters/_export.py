@@ -19,7 +19,7 @@ from jaxnarx.exporters.dcm import dcm_files, prove_dcm
 from jaxnarx.exporters.fmu import fmu, prove_fmu2, prove_fmu3
 from jaxnarx.exporters.form import BOTH, ONLY_DOUBLE, PRECISIONS, SampleProgram
 from jaxnarx.exporters.interpret import Instance
-from jaxnarx.exporters.maps import axes_of
+from jaxnarx.exporters.maps import choose_axes
 from jaxnarx.exporters.matlab import matlab_files
 from jaxnarx.exporters.proof import Case, ExportError, SinglePrecisionError
 from jaxnarx.exporters.python import python_files
@@ -29,7 +29,7 @@ from jaxnarx.files import TemporaryFolder
 from jaxnarx.formatting import page
 from jaxnarx.models import HOLD, Network
 
-_OWN: dict[str, Target] = {
+_OWN_TARGETS: dict[str, Target] = {
     "c": Target("C99: header, source, self-test", c99.sources, runners.prove_c),
     "fmu2": Target("FMI 2.0, co-simulation: binary and source", fmu(2), prove_fmu2),
     "fmu3": Target("FMI 3.0, co-simulation: binary and source", fmu(3), prove_fmu3),
@@ -47,8 +47,8 @@ _OWN: dict[str, Target] = {
     "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
     "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
 }
-TARGETS = Registry("target", _OWN)
-"""What a model can be exported to."""
+TARGETS = Registry("target", _OWN_TARGETS)
+"""Formats of export."""
 GOLDEN_SAMPLES = 200
 """Samples of the self-test."""
 
@@ -121,7 +121,7 @@ def export(
     precision: str = BOTH,
     verify: bool = True,
 ) -> Exported:
-    """The network as source files that do the same, sample by sample.
+    """Export the network as source files that compute the same, sample by sample.
 
     Every target is written from one list of operations (`jaxnarx.exporters.form`) and
     run over the records of `data` (without: over steps within the trained ranges)
@@ -140,7 +140,7 @@ def export(
             co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"dcm"` (parameters,
             and maps at rest), `"a2l"` (names of the C files for calibration tools),
             or what is registered in `jaxnarx.exporters.TARGETS`.
-        name: What the files and their functions are called.
+        name: Name of the files and their functions.
         over: The two inputs that maps at rest go over; default: of each output those
             that schedule it, then those that move it most.
         index: Whether a network that knows its domain tells its index at every sample.
@@ -165,7 +165,7 @@ def export(
     program = lower(network, name, index=index, level=level)
     program = dataclasses.replace(program, precision=precision)
     records = proof.make_steps(network) if data is None else data
-    cases = proof.cases_of(network, program, records)
+    cases = proof.make_cases(network, program, records)
     if not cases:
         raise SpecError(
             "no record begins with the complete samples that a proof starts from; give "
@@ -173,9 +173,9 @@ def export(
             field="data",
         )
     gapped = proof.dropouts(network, records)
-    cases += proof.cases_of(network, program, gapped, missing=HOLD)
-    axes = {"axes": axes_of(network, program, over)}
-    golden = golden_of(program, cases[0]) | axes
+    cases += proof.make_cases(network, program, gapped, missing=HOLD)
+    axes = {"axes": choose_axes(network, program, over)}
+    golden = make_golden(program, cases[0]) | axes
     found = _write_and_prove(program, golden, to, cases, verify)
     if found.failed:
         found = _explain_failures(found, network, records)
@@ -185,7 +185,7 @@ def export(
     return found
 
 
-def golden_of(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
+def make_golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:
     """A stretch of a record for the self-test, with what the program makes of it."""
     inputs = case.inputs[: program.history + GOLDEN_SAMPLES]
     instance = Instance(program)

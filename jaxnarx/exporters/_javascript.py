@@ -2,7 +2,7 @@
 
 from string import Template
 
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
+from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
@@ -23,7 +23,7 @@ def _syntax(program: SampleProgram) -> Syntax:
     del program
     return Syntax(
         source=sources("TABLES.{name}", "this.{name}", 0, "[{}]"),
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "{0} > {1} ? {0} : {1}",
             "min": "{0} < {1} ? {0} : {1}",

@@ -18,8 +18,8 @@ from jaxnarx.exporters.form import (
     BLEND,
     FILTERS,
     FRAME,
-    HALF,
-    INDEX,
+    HALF_FLAG_PREFIX,
+    INDEX_FLAG,
     TERMS,
     WEIGHTS,
     Builder,
@@ -31,9 +31,9 @@ from jaxnarx.exporters.form import (
 )
 from jaxnarx.exporters.limits import limited_outputs
 from jaxnarx.exporters.names import identifier, identifiers
-from jaxnarx.exporters.notes import notes_of
+from jaxnarx.exporters.notes import policy_notes
 from jaxnarx.exporters.parameters import (
-    THETA,
+    THETA_TABLE,
     OutputAt,
     column_names,
     has_regions,
@@ -114,7 +114,7 @@ class _Lowering:
         limited: list[Value] = []
         for o, model in enumerate(network.models):
             value = self._output(o, model)
-            bounded, beyond = self._bounded(o, value)
+            bounded, beyond = self._bound_output(o, value)
             fed.append(bounded)
             limited.append(beyond)
             self.lines[f"y_{self.names[o]}"].source = bounded
@@ -123,8 +123,8 @@ class _Lowering:
             b.mul(y, b.const(float(self.gain[s])))
             for y, s in zip(fed, own, strict=True)
         ]
-        limited = self._limited(limited)
-        flags = {"extrapolated": self._extrapolated()}
+        limited = self._limit_flags(limited)
+        flags = {"extrapolated": self._extrapolation_flag()}
         reported = physical[: len(network.modelled)]
         outputs, kept = limited_outputs(b, network, self.entrance, reported, flags)
         self.states |= kept
@@ -148,14 +148,14 @@ class _Lowering:
                 name,
                 line.length,
                 line.source,
-                b.replaced(line.start, first),
+                b.substitute(line.start, first),
                 line.measured,
             )
             for name, line in self.lines.items()
             if line.length and line.source is not None
         ]
         states = [
-            dataclasses.replace(s, start=b.replaced(s.start, first))
+            dataclasses.replace(s, start=b.substitute(s.start, first))
             for s in (*self.states.values(), *self.entrance.states())
         ]
         channels = (*network.channels.inputs, *network.channels.outputs)
@@ -176,7 +176,7 @@ class _Lowering:
             fed=tuple(physical),
             limited=tuple(limited),
             flags=flags,
-            notes=notes_of(network, flags),
+            notes=policy_notes(network, flags),
         )
 
     def _ports(self, channels: Any, signals: Any) -> tuple[Port, ...]:
@@ -191,7 +191,7 @@ class _Lowering:
         """A signal as it is, held where it is missing."""
         return self.entrance.signal(signal)
 
-    def _seen(self, signal: int) -> Value:
+    def _held_signal(self, signal: int) -> Value:
         """A signal as the network sees it, physical."""
         raw = self._raw(signal)
         if self.network.plain or signal >= self.given:
@@ -199,9 +199,10 @@ class _Lowering:
         b = self.b
         return b.clip(raw, b.const(self.low[signal]), b.const(self.high[signal]))
 
-    def _scaled(self, signal: int, *, far: bool) -> Value:
-        """Divided by its gain; `far`: how far it is beyond what is held."""
-        b, seen = self.b, self._seen(signal)
+    def _scale_signal(self, signal: int, *, far: bool) -> Value:
+        """Return a signal divided by its gain; `far`: how far it is beyond what is
+        held."""
+        b, seen = self.b, self._held_signal(signal)
         value = b.op("sub", self._raw(signal), seen) if far else seen
         return b.mul(value, b.const(1 / self.gain[signal]))
 
@@ -212,29 +213,29 @@ class _Lowering:
         if signal in self.network.signals:
             if far:
                 return self.b.const(0.0)
-            return self._fed(self.network.signals.index(signal), lag)
+            return self._delay_output(self.network.signals.index(signal), lag)
         if far and signal >= self.given:
             return self.b.const(0.0)
         with self.b.purpose(FRAME):
-            value = self._scaled(signal, far=far)
+            value = self._scale_signal(signal, far=far)
         base = self._base("far" if far else "u", signal)
         if filter_ is not None:
             with self.b.purpose(FILTERS):
-                value, base = self._filtered(value, base, filter_)
-        return value if lag == 0 else self._lagged(base, lag, value)
+                value, base = self._filter(value, base, filter_)
+        return value if lag == 0 else self._delay(base, lag, value)
 
     def _base(self, kind: str, signal: int) -> str:
         """The name of what is kept of a signal."""
         channels = (*self.network.channels.inputs, *self.network.channels.outputs)
         return f"{kind}_{identifier(channels[signal].name)[:24]}_{signal}"
 
-    def _lagged(self, name: str, lag: int, value: Value) -> Value:
+    def _delay(self, name: str, lag: int, value: Value) -> Value:
         start = self.rest.get(value, value)
         line = self.lines.setdefault(name, _Line(value, start, value))
         line.length = max(line.length, lag)
         return self.b.op("delay", source=(name, lag))
 
-    def _filtered(
+    def _filter(
         self, value: Value, base: str, filter_: AbstractFilter
     ) -> tuple[Value, str]:
         """A signal through a filter: cascades that begin alike share their states."""
@@ -277,20 +278,20 @@ class _Lowering:
         """A delay line `y_` of a name that the measured output o begins."""
         b, scale = self.b, self.b.const(1 / self.gain[self.network.signals[o]])
         line = f"y_{name}"
-        start = b.mul(self.entrance.measured(o), scale)
+        start = b.mul(self.entrance.measured_output(o), scale)
         before = b.op("delay", source=(line, 1))
-        measured = self.entrance.measured(
+        measured = self.entrance.measured_output(
             o, b.mul(b.op("measured", source=o), scale), before
         )
         return _Line(None, start, measured)
 
-    def _fed(self, o: int, lag: int, group: int | None = None) -> Value:
+    def _delay_output(self, o: int, lag: int, group: int | None = None) -> Value:
         name = f"y_{self.names[o]}" + ("" if group is None else f"_group{group + 1}")
         line = self.lines[name]
         line.length = max(line.length, lag)
         return self.b.op("delay", source=(name, lag))
 
-    def _bounded(self, o: int, value: Value) -> tuple[Value, Value]:
+    def _bound_output(self, o: int, value: Value) -> tuple[Value, Value]:
         b = self.b
         low, high = (
             b.const(float(np.asarray(a)[o]))
@@ -299,7 +300,7 @@ class _Lowering:
         inside = b.op("min", b.op("less", low, value), b.op("less", value, high))
         return b.clip(value, low, high), b.no(inside)
 
-    def _limited(self, acted: list[Value]) -> list[Value]:
+    def _limit_flags(self, acted: list[Value]) -> list[Value]:
         """Flags of the bound on an output or on any hidden channel, which enters all
         outputs; then of every hidden channel alone."""
         count = len(self.network.modelled)
@@ -318,10 +319,14 @@ class _Lowering:
             return b.parameters(f"{kind}_{name}", values, about, columns=columns)
 
         with b.purpose(WEIGHTS):
-            z = self._scheduling(model, tables) if has_regions(at) else []
+            z = self._scheduling_values(model, tables) if has_regions(at) else []
             phi, total = weights(b, at, z, tables)
         factor = np.asarray(model.local.factor)
-        dense, used, table = THETA.read(at), THETA.columns(at), tables("theta")
+        dense, used, table = (
+            THETA_TABLE.read(at),
+            THETA_TABLE.columns(at),
+            tables("theta"),
+        )
         group_of: dict[int, int] = {}
         own = None if model.own is None else np.asarray(model.own)[:, active]
         if own is not None:
@@ -342,7 +347,7 @@ class _Lowering:
         if own is not None:
             for g, row in enumerate(own):
                 value = self._group(np.flatnonzero(row).tolist(), phi, local)
-                bounded, _ = self._bounded(o, value)
+                bounded, _ = self._bound_output(o, value)
                 self.lines[f"y_{name}_group{g + 1}"].source = bounded
         with b.purpose(BLEND):
             blend = b.dot(phi, local)
@@ -375,7 +380,7 @@ class _Lowering:
         b, entries = self.b, self.network.variables.entries
         chosen = [entries[n - 1] for n in row.tolist() if n > 0]
         values = [
-            self._fed(o, lag, group)
+            self._delay_output(o, lag, group)
             if group is not None and signal == self.network.signals[o]
             else self._variable(signal, lag, filter_)
             for signal, lag, filter_ in chosen
@@ -393,7 +398,7 @@ class _Lowering:
         ]
         return b.add(product, *beyond)
 
-    def _scheduling(self, model: OutputModel, tables: Tables) -> list[Value]:
+    def _scheduling_values(self, model: OutputModel, tables: Tables) -> list[Value]:
         b, (factor, subtracted) = self.b, tables("scheduling")
         values = [self._variable(*entry) for entry in model.scheduling.entries]
         return [
@@ -403,7 +408,7 @@ class _Lowering:
 
     # limits ------------------------------------------------------------------------
 
-    def _extrapolated(self) -> Value:
+    def _extrapolation_flag(self) -> Value:
         """The flag of a signal in a term or in the scheduling that leaves its range, or
         is missing."""
         b, found = self.b, []
@@ -433,12 +438,12 @@ class _Lowering:
         x = [self._feature(*entry) for entry in domain.features.entries]
         raw = [self._raw(s) for s in domain.inputs]
         step = [
-            b.op("sub", now, self._lagged(self._base("in", s), 1, now))
+            b.op("sub", now, self._delay(self._base("in", s), 1, now))
             for s, now in zip(domain.inputs, raw, strict=True)
         ]
         far = domain_index(b, domain, x, step)
         far = b.op("where", self.entrance.missing, b.const(LARGEST_INDEX), far)
-        flags = {INDEX: far} if index else {}
+        flags = {INDEX_FLAG: far} if index else {}
         if level is None or errors is None:
             return flags
         used = len(x) // 2
@@ -448,17 +453,20 @@ class _Lowering:
         ]
         for o in range(len(self.network.modelled)):
             before = b.mul(
-                self._fed(o, 1), b.const(float(self.gain[self.network.signals[o]]))
+                self._delay_output(o, 1),
+                b.const(float(self.gain[self.network.signals[o]])),
             )
             moved = b.size(b.op("sub", physical[o], before), 1.0)
             z = [*x, *apart, physical[o], moved, far]
             name = self.names[o]
-            flags[f"{HALF}{name}"] = half_width(b, errors, o, level, z, name)
+            flags[f"{HALF_FLAG_PREFIX}{name}"] = half_width(
+                b, errors, o, level, z, name
+            )
         return flags
 
     def _feature(self, signal: int, lag: int, filter_: AbstractFilter | None) -> Value:
         """An input as it is, physical, and through a filter."""
         raw, base = self._raw(signal), self._base("in", signal)
         if filter_ is not None:
-            raw, base = self._filtered(raw, base, filter_)
-        return raw if lag == 0 else self._lagged(base, lag, raw)
+            raw, base = self._filter(raw, base, filter_)
+        return raw if lag == 0 else self._delay(base, lag, raw)

@@ -1,9 +1,9 @@
 """A2L 1.71: what the arrays and outputs of the C files are, for calibration tools.
 
 A skeleton: addresses are zero until a tool finds them by the names of the symbols in
-the program that was built. Parameters are those of the C source. What is measured has
-to be there: the program keeps the last inputs in `NAME_real NAME_in[...]` and the last
-outputs in `NAME_out NAME_now`.
+the program that was built. Parameters are those of the C source. Measured values must
+exist in memory: the program keeps the last inputs in `NAME_real NAME_in[...]` and the
+last outputs in `NAME_out NAME_now`.
 """
 
 import re
@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.exporters.code import digits
-from jaxnarx.exporters.dcm import plain
+from jaxnarx.exporters.dcm import sanitise
 from jaxnarx.exporters.form import ONLY_DOUBLE, ParameterTable, Port, SampleProgram
 from jaxnarx.exporters.names import identifiers
 from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, Proof
 
 LARGEST_SINGLE = 3.4e38
-"""Where no range is known: all of single precision."""
+"""Range where none is known: all of single precision."""
 
 
 def a2l_files(program: SampleProgram, golden: Golden) -> Files:
@@ -66,11 +66,11 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     for one in measured:
         yield from _measurement(program, *one)
     yield f"/begin FUNCTION {name} {about}"
-    yield from _listed("DEF_CHARACTERISTIC", [f"{name}_{t.name}" for t in tables])
+    yield from _list_block("DEF_CHARACTERISTIC", [f"{name}_{t.name}" for t in tables])
     count = len(program.inputs)
     words = [word for word, *_ in measured]
-    yield from _listed("IN_MEASUREMENT", words[:count])
-    yield from _listed("OUT_MEASUREMENT", words[count:])
+    yield from _list_block("IN_MEASUREMENT", words[:count])
+    yield from _list_block("OUT_MEASUREMENT", words[count:])
     yield "/end FUNCTION"
     yield "/end MODULE"
     yield "/end PROJECT"
@@ -78,7 +78,7 @@ def _lines(program: SampleProgram) -> Iterable[str]:
 
 def quote(text: str) -> str:
     """A text in quotation marks that it cannot leave."""
-    return '"' + plain(text).replace("\\", "/").replace("/*", "/ *") + '"'
+    return '"' + sanitise(text).replace("\\", "/").replace("/*", "/ *") + '"'
 
 
 def _type(program: SampleProgram) -> str:
@@ -129,7 +129,7 @@ def _measurement(
     yield "/end MEASUREMENT"
 
 
-def _listed(what: str, words: list[str]) -> Iterable[str]:
+def _list_block(what: str, words: list[str]) -> Iterable[str]:
     if words:
         yield f"/begin {what}"
         yield from (f"  {word}" for word in words)

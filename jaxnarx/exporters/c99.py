@@ -5,7 +5,14 @@ from collections.abc import Iterable
 
 from jaxnarx.exporters.c_selftest import selftest
 from jaxnarx.exporters.c_start import starts
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits, statements, symbol_of
+from jaxnarx.exporters.code import (
+    INFIX_TEMPLATES,
+    Syntax,
+    comment,
+    digits,
+    statements,
+    value_text,
+)
 from jaxnarx.exporters.form import (
     ONLY_DOUBLE,
     ONLY_SINGLE,
@@ -49,7 +56,7 @@ def _syntax(program: SampleProgram) -> Syntax:
             "delay": lambda at: f"s->{at[0]}[{at[1] - 1}]",
             "state": lambda own: f"s->{own}",
         },
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "({0} > {1}) ? {0} : {1}",
             "min": "({0} < {1}) ? {0} : {1}",
@@ -63,7 +70,7 @@ def _syntax(program: SampleProgram) -> Syntax:
     )
 
 
-_DEVIATIONS = [
+_MISRA_DEVIATIONS = [
     "/* Checked by cppcheck with its MISRA C:2012 rules. Deviations: 2.5 and 8.7,",
     " * macros and functions of the header are an interface for others. */",
 ]
@@ -195,7 +202,7 @@ def _source(program: SampleProgram) -> str:
     kinds = {op.kind for op in program.ops}
     functions = [f for f in ("exp", "sqrt") if f in kinds]
     lines = [
-        *_DEVIATIONS,
+        *_MISRA_DEVIATIONS,
         f'#include "{name}.h"',
         "",
         "#include <math.h>",
@@ -222,24 +229,24 @@ def _source(program: SampleProgram) -> str:
         "",
         f"void {name}_begin({arguments}, const {name}_real *y)",
         "{",
-        *_unused(program, program.begin, ("measured", "y"), ("input", "u")),
+        *_void_unused(program, program.begin, ("measured", "y"), ("input", "u")),
         *statements(program, program.begin, syntax),
-        *_filled(program, syntax),
+        *_fill_lines(program, syntax),
         "}",
         "",
         f"void {name}_observe({arguments}, const {name}_real *y)",
         "{",
-        *_unused(program, program.observe, ("measured", "y"), ("input", "u")),
+        *_void_unused(program, program.observe, ("measured", "y"), ("input", "u")),
         *statements(program, program.observe, syntax),
-        *_kept(program, syntax, measured=True),
+        *_store_states(program, syntax, measured=True),
         "}",
         "",
         f"void {name}_step({arguments}, {name}_out *out)",
         "{",
-        *_unused(program, program.step, ("input", "u")),
+        *_void_unused(program, program.step, ("input", "u")),
         *statements(program, program.step, syntax),
         *(
-            f"    out->{field}[{k}] = {symbol_of(program, n, syntax)};"
+            f"    out->{field}[{k}] = {value_text(program, n, syntax)};"
             for field, values in (("reported", program.outputs), ("fed", program.fed))
             for k, n in enumerate(values)
         ),
@@ -248,16 +255,16 @@ def _source(program: SampleProgram) -> str:
             for k, n in enumerate(program.limited)
             for line in (
                 f"    out->limited[{k}] = 0;",
-                f"    if ({symbol_of(program, n, syntax)} > {syntax.number(0.5)}) {{",
+                f"    if ({value_text(program, n, syntax)} > {syntax.number(0.5)}) {{",
                 f"        out->limited[{k}] = 1;",
                 "    }",
             )
         ),
         *(
-            f"    out->{flag} = {symbol_of(program, n, syntax)};"
+            f"    out->{flag} = {value_text(program, n, syntax)};"
             for flag, n in program.flags.items()
         ),
-        *_kept(program, syntax, measured=False),
+        *_store_states(program, syntax, measured=False),
         "}",
         "",
         *starts(program, syntax),
@@ -290,19 +297,19 @@ def _quote(port: Port) -> str:
     return f'"{text}"'
 
 
-def _unused(
+def _void_unused(
     program: SampleProgram, needed: Iterable[Value], *pairs: tuple[str, str]
 ) -> list[str]:
     kinds = {program.ops[n].kind for n in needed}
     return [f"    (void){argument};" for kind, argument in pairs if kind not in kinds]
 
 
-def _filled(program: SampleProgram, syntax: Syntax) -> list[str]:
+def _fill_lines(program: SampleProgram, syntax: Syntax) -> list[str]:
     lines = []
     if any(d.length > 1 for d in program.delays):
         lines.append("    int k;")
     for line in program.delays:
-        value = symbol_of(program, line.start, syntax)
+        value = value_text(program, line.start, syntax)
         if line.length > 1:
             lines.append(f"    for (k = 0; k < {line.length}; k++) {{")
             lines.append(f"        s->{line.name}[k] = {value};")
@@ -310,19 +317,21 @@ def _filled(program: SampleProgram, syntax: Syntax) -> list[str]:
         else:
             lines.append(f"    s->{line.name}[0] = {value};")
     return lines + [
-        f"    s->{state.name} = {symbol_of(program, state.start, syntax)};"
+        f"    s->{state.name} = {value_text(program, state.start, syntax)};"
         for state in program.states
     ]
 
 
-def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str]:
+def _store_states(
+    program: SampleProgram, syntax: Syntax, *, measured: bool
+) -> list[str]:
     """Every value first, then the assignments: sources may be states themselves."""
     lines, real = [], f"{program.name}_real"
     if any(d.length > 1 for d in program.delays):
         lines.append("    int k;")
     later = []
     for n, line in enumerate(program.delays):
-        value = symbol_of(program, line.measured if measured else line.source, syntax)
+        value = value_text(program, line.measured if measured else line.source, syntax)
         lines.append(f"    const {real} d{n} = {value};")
         if line.length > 1:
             later.append(f"    for (k = {line.length - 1}; k > 0; k--) {{")
@@ -331,7 +340,7 @@ def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str
         later.append(f"    s->{line.name}[0] = d{n};")
     for n, state in enumerate(program.states):
         lines.append(
-            f"    const {real} x{n} = {symbol_of(program, state.source, syntax)};"
+            f"    const {real} x{n} = {value_text(program, state.source, syntax)};"
         )
         later.append(f"    s->{state.name} = x{n};")
     return lines + later
@@ -339,13 +348,13 @@ def _kept(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str
 
 def _jacobian(program: SampleProgram, syntax: Syntax) -> list[str]:
     name = program.name
-    needed = program.needed([n for row in program.jacobian for n in row])
+    needed = program.needed_operations([n for row in program.jacobian for n in row])
     columns = len(program.inputs) + len(program.past)
     return [
         f"void {name}_jacobian(const {name}_state *s, const {name}_real *u, "
         f"{name}_real *slopes)",
         "{",
-        *_unused(program, needed, ("input", "u")),
+        *_void_unused(program, needed, ("input", "u")),
         *(
             []
             if {"delay", "state"} & {program.ops[n].kind for n in needed}
@@ -353,7 +362,7 @@ def _jacobian(program: SampleProgram, syntax: Syntax) -> list[str]:
         ),
         *statements(program, needed, syntax),
         *(
-            f"    slopes[{o * columns + k}] = {symbol_of(program, n, syntax)};"
+            f"    slopes[{o * columns + k}] = {value_text(program, n, syntax)};"
             for o, row in enumerate(program.jacobian)
             for k, n in enumerate(row)
         ),

@@ -1,4 +1,4 @@
-"""What a run of the C starts from: steady state, mean, given outputs, zeros."""
+"""Starts of a run of the C: steady state, mean, given outputs, zeros."""
 
 from jaxnarx.exporters.code import Syntax
 from jaxnarx.exporters.form import SampleProgram

@@ -95,7 +95,7 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
             )
             return _count_values(found, source)
         if field == "WERT":
-            values += [number_of(w, source, number, name) for w in rest]
+            values += [parse_number(w, source, number, name) for w in rest]
             places += [number] * len(rest)
         elif field == "TEXT" and kind in VALUE_BLOCKS:
             raise _wrong(source, number, f"block {name} has a text in place of numbers")
@@ -129,7 +129,7 @@ def _single(blocks: list[CalibrationBlock], source: str) -> list[CalibrationBloc
     return blocks
 
 
-def number_of(word: str, source: str, line: int, block: str) -> float:
+def parse_number(word: str, source: str, line: int, block: str) -> float:
     """A finite number with a decimal point."""
     value = float(word) if NUMBER_PATTERN.fullmatch(word) else math.nan
     if not math.isfinite(value):
@@ -164,7 +164,7 @@ def read_arrays(text: str, source: str, names: Iterable[str]) -> list[Calibratio
             at += entry[: len(entry) - len(entry.lstrip())].count("\n")
             word = CAST_PATTERN.sub("", entry).strip()
             word = re.sub(r"(?<=[\d.])[fFlL]$", "", word)
-            values.append(number_of(word, source, at, name))
+            values.append(parse_number(word, source, at, name))
             places.append(at)
             at += entry.lstrip().count("\n")
         block = CalibrationBlock(

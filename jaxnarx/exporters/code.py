@@ -33,7 +33,7 @@ class Syntax:
         return f"v{n}"
 
 
-INFIX = {
+INFIX_TEMPLATES = {
     "add": "{0} + {1}",
     "sub": "{0} - {1}",
     "mul": "{0} * {1}",
@@ -64,7 +64,7 @@ def statements(
     return lines
 
 
-def symbol_of(program: SampleProgram, n: Value, syntax: Syntax) -> str:
+def value_text(program: SampleProgram, n: Value, syntax: Syntax) -> str:
     """The text of value `n`."""
     return syntax.value(program.ops[n], n)
 

@@ -11,7 +11,7 @@ WARNING_FLAGS = (
     "-Wconversion",
     "-Werror",
 )
-"""What every exported file is compiled with."""
+"""Flags that every exported file is compiled with."""
 
 
 def compilers() -> tuple[str, ...]:

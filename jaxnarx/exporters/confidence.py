@@ -1,4 +1,4 @@
-"""What a model knows of its own trust as operations: index of the domain, intervals."""
+"""Domain index and prediction intervals of a model, as operations."""
 
 import numpy as np
 

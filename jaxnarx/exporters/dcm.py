@@ -26,7 +26,7 @@ def dcm_files(program: SampleProgram, golden: Golden) -> Files:
     return {f"{program.name}.dcm": text.encode("iso-8859-1")}
 
 
-def plain(text: str) -> str:
+def sanitise(text: str) -> str:
     """A text of ISO 8859-1 that stays inside of its quotation marks, and in its line
     and comment."""
     text = " ".join(text.replace('"', "'").replace("*/", "* /").split())
@@ -35,14 +35,14 @@ def plain(text: str) -> str:
 
 def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
     name, names = program.name, map_names(program)
-    yield f"* {name}: {_from(program)}"
+    yield f"* {name}: {_describe_ports(program)}"
     yield f"* Blocks {name}_{REST_NAME}_... are what the model does at rest. They are"
     yield "* for reading: who changes the other blocks changes the model."
     yield ""
     yield "KONSERVIERUNG_FORMAT 2.0"
     yield ""
     yield "FUNKTIONEN"
-    yield f'  FKT {name} "" "{_from(program)}"'
+    yield f'  FKT {name} "" "{_describe_ports(program)}"'
     yield "END"
     for table in program.tables:
         if table.values.size:
@@ -51,12 +51,13 @@ def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
     found = {one.output: one for one in maps}
     for port in program.reported:
         yield ""
+        no_map = f"* no map of {sanitise(port.name)}:"
         if port not in found:
-            yield f"* no map of {plain(port.name)}: none of the inputs has been moved"
+            yield f"{no_map} none of the inputs has been moved"
         elif np.all(np.isfinite(found[port].values)):
             yield from _map(names[port], name, found[port])
         else:
-            yield f"* no map of {plain(port.name)}: it does not come to rest everywhere"
+            yield f"{no_map} it does not come to rest everywhere"
 
 
 def map_names(program: SampleProgram) -> dict[Port, str]:
@@ -68,12 +69,14 @@ def map_names(program: SampleProgram) -> dict[Port, str]:
     }
 
 
-def _from(program: SampleProgram) -> str:
+def _describe_ports(program: SampleProgram) -> str:
     outputs, inputs = (
         ", ".join(port.name for port in ports)
         for ports in (program.reported, program.inputs)
     )
-    return plain(f"{outputs} from {inputs}, a sample every {program.sample_time:g} s")
+    return sanitise(
+        f"{outputs} from {inputs}, a sample every {program.sample_time:g} s"
+    )
 
 
 def _table(name: str, table: ParameterTable) -> Iterable[str]:
@@ -81,11 +84,11 @@ def _table(name: str, table: ParameterTable) -> Iterable[str]:
     rows, columns = values.shape
     size = f"{columns} @ {rows}" if table.values.ndim > 1 else str(columns)
     yield f"FESTWERTEBLOCK {name}_{table.name} {size}"
-    yield f'  LANGNAME "{plain(table.about)}"'
+    yield f'  LANGNAME "{sanitise(table.about)}"'
     yield f"  FUNKTION {name}"
-    yield f'  EINHEIT_W "{plain(table.unit)}"'
+    yield f'  EINHEIT_W "{sanitise(table.unit)}"'
     for k, column in enumerate(table.columns, start=1):
-        yield f"  * column {k}: {plain(column)}"
+        yield f"  * column {k}: {sanitise(column)}"
     for row in values:
         yield f"  WERT {' '.join(map(digits, row))}"
     yield "END"
@@ -95,11 +98,11 @@ def _map(block: str, function: str, found: RestMap) -> Iterable[str]:
     size = " ".join(str(len(points)) for points in found.points)
     over = " and ".join(port.name for port in found.axes)
     yield f"{'KENNFELD' if len(found.axes) > 1 else 'KENNLINIE'} {block} {size}"
-    yield f'  LANGNAME "{plain(f"{found.output.name} at rest over {over}")}"'
+    yield f'  LANGNAME "{sanitise(f"{found.output.name} at rest over {over}")}"'
     yield f"  FUNKTION {function}"
     for axis, port in zip("XY", found.axes, strict=False):
-        yield f'  EINHEIT_{axis} "{plain(port.unit)}"'
-    yield f'  EINHEIT_W "{plain(found.output.unit)}"'
+        yield f'  EINHEIT_{axis} "{sanitise(port.unit)}"'
+    yield f'  EINHEIT_W "{sanitise(found.output.unit)}"'
     first, *second = found.points
     yield f"  ST/X {' '.join(map(digits, first))}"
     columns = found.values.reshape(len(first), -1).T

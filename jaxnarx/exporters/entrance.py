@@ -1,4 +1,4 @@
-"""Where inputs and measured outputs enter a program: what is missing is held.
+"""Entrance of inputs and measured outputs into a program: missing ones are held.
 
 The rule is that of `jaxnarx.models.missing`. A comparison with NaN is false, so a value
 is there where its size is less than the largest one; this holds wherever the language
@@ -42,7 +42,7 @@ class Entrance:
         self.held[signal] = StateValue(name, clean, first)
         return clean
 
-    def measured(
+    def measured_output(
         self, o: int, value: Value | None = None, else_: Value | None = None
     ) -> Value:
         """The measured output o, or a value made of it; where it is missing another, by

@@ -26,10 +26,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxnarx.deprecation import old_method
+
 ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
 """Number types that C is written and proven for."""
 
-INDEX, HALF = "index", "half_"
+INDEX_FLAG, HALF_FLAG_PREFIX = "index", "half_"
 """Flags: the index of the domain, and half of a prediction interval by output."""
 
 TERMS, WEIGHTS, BLEND, FILTERS, FRAME = "terms", "weights", "blend", "filters", "frame"
@@ -100,16 +102,16 @@ class Port:
 
 @dataclasses.dataclass(frozen=True)
 class SampleProgram:
-    """One sample of a model; see the module.
+    """The program of one sample of a model: inputs, operations and states.
 
-    `outputs` are reported values in physical units, `fed` what is fed back of each (the
-    modelled outputs, then hidden ones), `limited` whether the feedback bound acted on
-    it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o by
-    the inputs of this sample and then by the `past` outputs, (line, k), as they are in
-    the lines: divided by the gain. `history` samples of measured inputs and outputs
-    begin a run, if there are any. `notes` are what whoever calls the code has to know,
-    a paragraph each, for the comments of every target. `precision` says which of the
-    number types of C the source may be compiled in.
+    `outputs` are reported values in physical units, `fed` the fed-back values (of the
+    modelled outputs, then of hidden ones), `limited` whether the feedback bound acted
+    on it, `flags` further values by name. Row o of `jacobian` has the slopes of `fed` o
+    by the inputs of this sample and then by the `past` outputs, (line, k), as they are
+    in the lines: divided by the gain. `history` samples of measured inputs and outputs
+    begin a run, if there are any. `notes` are paragraphs for callers of the code, which
+    stand in the comments of every target. `precision` says which of the number types of
+    C the source may be compiled in.
     """
 
     name: str
@@ -131,14 +133,16 @@ class SampleProgram:
     notes: tuple[str, ...] = ()
     precision: str = BOTH
 
-    def needed(self, values: Iterable[Value]) -> list[Value]:
+    def needed_operations(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""
         return _needed_values(self.ops, values)
+
+    needed = old_method("needed", "needed_operations")
 
     @property
     def step(self) -> list[Value]:
         """The operations of one sample of a free run."""
-        return self.needed(
+        return self.needed_operations(
             [
                 *(*self.outputs, *self.fed, *self.limited, *self.flags.values()),
                 *(line.source for line in self.delays),
@@ -149,13 +153,17 @@ class SampleProgram:
     @property
     def begin(self) -> list[Value]:
         """The operations that start from the first inputs and outputs."""
-        return self.needed([kept.start for kept in (*self.delays, *self.states)])
+        return self.needed_operations(
+            [kept.start for kept in (*self.delays, *self.states)]
+        )
 
     @property
     def observe(self) -> list[Value]:
         """The operations of one sample of measured history."""
         lines = (line.measured for line in self.delays)
-        return self.needed([*lines, *(state.source for state in self.states)])
+        return self.needed_operations(
+            [*lines, *(state.source for state in self.states)]
+        )
 
     @property
     def operations(self) -> int:
@@ -169,15 +177,19 @@ class SampleProgram:
 
     def model_step(self) -> list[Value]:
         """The operations of one sample without what the index and intervals take."""
-        flags = [n for f, n in self.flags.items() if f != INDEX and f[:5] != HALF]
-        return self.closed([*self.outputs, *self.fed, *self.limited, *flags])
+        flags = [
+            n
+            for f, n in self.flags.items()
+            if f != INDEX_FLAG and f[:5] != HALF_FLAG_PREFIX
+        ]
+        return self.state_closure([*self.outputs, *self.fed, *self.limited, *flags])
 
-    def closed(
+    def state_closure(
         self, values: Iterable[Value], without: Sequence[str] = ()
     ) -> list[Value]:
         """The operations that values take, and those of all that is kept for them from
         sample to sample, but for the lines `without`."""
-        found = self.needed(values)
+        found = self.needed_operations(values)
         count = -1
         while count < len(found):
             count = len(found)
@@ -185,7 +197,7 @@ class SampleProgram:
             names = {at[0] if isinstance(at, tuple) else at for at in kept}
             names -= set(without)
             lines = [k.source for k in (*self.delays, *self.states) if k.name in names]
-            found = self.needed([*found, *lines])
+            found = self.needed_operations([*found, *lines])
         return found
 
     def _count(self, values: Iterable[Value]) -> int:
@@ -197,7 +209,9 @@ class SampleProgram:
         text, model = f"{self.operations} operations a sample", self.model_operations
         if model == self.operations:
             return text
-        extra = "the index of the domain" if INDEX in self.flags else "the intervals"
+        extra = (
+            "the index of the domain" if INDEX_FLAG in self.flags else "the intervals"
+        )
         return f"{text}, {model} of them without {extra}"
 
     def table(self, name: str) -> ParameterTable:
@@ -237,7 +251,7 @@ class Builder:
 
     def op(self, kind: str, *args: Value, source: Any = None) -> Value:
         """The value of an operation."""
-        folded = self._folded(kind, args)
+        folded = self._fold(kind, args)
         if folded is not None:
             return folded
         op = Op(kind, args, source, self._purpose)
@@ -308,7 +322,7 @@ class Builder:
             "div", one, self.op("add", one, self.op("exp", self.op("neg", a)))
         )
 
-    def replaced(self, value: Value, by: Mapping[Value, Value]) -> Value:
+    def substitute(self, value: Value, by: Mapping[Value, Value]) -> Value:
         """The value with others in place of some that it takes."""
         found = dict(by)
         for n in _needed_values(self.ops, [value]):
@@ -330,7 +344,7 @@ class Builder:
         op = self.ops[n]
         return op.source if op.kind == "const" else None
 
-    def _folded(self, kind: str, args: tuple[Value, ...]) -> Value | None:
+    def _fold(self, kind: str, args: tuple[Value, ...]) -> Value | None:
         """The value that needs no operation, if there is one."""
         if kind in SOURCE_KINDS:
             return None

@@ -204,7 +204,7 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
     middle, width = (jnp.asarray(a, u.dtype) for a in instance._ranges(inputs))
     runs = u.shape[1:]
 
-    def kept():
+    def broadcast_state():
         held = instance.delays, instance.states
         return jax.tree.map(
             lambda x: jnp.broadcast_to(jnp.asarray(x, u.dtype), runs), held
@@ -214,7 +214,7 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
         n, rested, *_ = carry
         return (n < LONGEST_SETTLING) & jnp.any(rested == LONGEST_SETTLING)
 
-    def after(carry):
+    def advance(carry):
         n, rested, still, before, held = carry
         instance.delays, instance.states = held
         now = instance.step(u)["fed"]
@@ -224,14 +224,14 @@ def _samples_to_rest(program: SampleProgram, inputs: Inputs):
         rested = jnp.where(
             (still > STILL_SAMPLES) & (rested == LONGEST_SETTLING), n, rested
         )
-        return n + 1, rested, still, now, kept()
+        return n + 1, rested, still, now, broadcast_state()
 
     @jax.jit
     def run():
         instance.begin(u, middle)
         none = jnp.zeros(runs, int)
-        start = 0, none + LONGEST_SETTLING, none, middle, kept()
-        _, rested, _, _, held = jax.lax.while_loop(goes_on, after, start)
+        start = 0, none + LONGEST_SETTLING, none, middle, broadcast_state()
+        _, rested, _, _, held = jax.lax.while_loop(goes_on, advance, start)
         return rested, held
 
     rested, held = jax.tree.map(np.asarray, run())

@@ -1,4 +1,4 @@
-"""What is reported of computed outputs, as operations: see `jaxnarx.models.limits`."""
+"""Reported outputs from computed ones, as operations: see `jaxnarx.models.limits`."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""What a model does at rest, over one or two inputs: the maps that calibrators know."""
+"""Maps of a model at rest over one or two inputs, as calibrators know them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -32,13 +32,13 @@ class RestMap:
     values: Float[np.ndarray, "first *second"]
 
 
-def axes_of(
+def choose_axes(
     network: Network, program: SampleProgram, over: Sequence[str] | None = None
 ) -> Int[np.ndarray, "reported two"]:
     """The inputs that every output's map goes over, by their places in the program.
 
-    Those named, or the first two that schedule the output; `FREE_AXIS` where it has
-    fewer.
+    They are those named, or the first two that schedule the output; `FREE_AXIS` where
+    it has fewer.
     """
     names = [port.name for port in program.inputs]
     count = len(program.reported)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.checks import require
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
+from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.interpret import MEAN, STEADY, ZEROS, Instance
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
@@ -81,7 +81,7 @@ def _syntax(program: SampleProgram) -> Syntax:
 
     return Syntax(
         source=sources("", "s.{name}", 1, "({})") | {"table": entry},
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "max({0}, {1})",
             "min": "min({0}, {1})",
@@ -283,7 +283,7 @@ fprintf('%s: differs by %.3g of the largest value\\n', what, max(off(:)));
 end
 """)
 _STEADY_PAGE = Template("clear $name\ncompare('steady', from_steady, 1e-8, inputs);\n")
-"""Where a steady state is found depends on rounding, by a sample."""
+"""The sample at which a steady state is found depends on rounding, by one."""
 _UNSETTLED_NOTE = (
     f"% 'steady' takes more than {SETTLING_SAMPLES} samples: it is not tried here.\n"
 )

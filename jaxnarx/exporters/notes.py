@@ -1,29 +1,29 @@
-"""What whoever calls exported code has to know of the model's policies."""
+"""Notes on the model's policies for whoever calls exported code."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from jaxnarx.exporters.form import INDEX
+from jaxnarx.exporters.form import INDEX_FLAG
 from jaxnarx.models import (
     LARGEST_INDEX,
     Network,
+    describe_limits,
     describe_missing,
-    limits_of,
 )
 
 
-def notes_of(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
+def policy_notes(network: Network, flags: Iterable[str]) -> tuple[str, ...]:
     """A paragraph for each policy."""
-    index = f", its index is {LARGEST_INDEX:g}" if INDEX in flags else ""
+    index = f", its index is {LARGEST_INDEX:g}" if INDEX_FLAG in flags else ""
     missing = describe_missing(network, index)
     return (
         f"{missing} Measured outputs of the start are treated alike.",
-        " ".join(limits_of(network)),
-        _bound(network),
+        " ".join(describe_limits(network)),
+        _bound_note(network),
     )
 
 
-def _bound(network: Network) -> str:
+def _bound_note(network: Network) -> str:
     hidden = " or on a hidden channel, which enters it" if network.hidden else ""
     return (
         "limited is 1 where the bound of what is fed back has acted on an output"

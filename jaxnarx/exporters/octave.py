@@ -74,9 +74,7 @@ def prove_matlab(program: SampleProgram, folder: Path, cases: Sequence[Case]) ->
     if octave() is None:
         return {}, ["matlab: there is no Octave here"]
     run_octave(folder, f"{program.name}_test")
-    first, *_, last = (
-        case.beginning(RUN_SAMPLES) for case in (*cases[:1], *cases[-1:])
-    )
+    first, *_, last = (case.truncate(RUN_SAMPLES) for case in (*cases[:1], *cases[-1:]))
     run = octave_runner(folder, program)
     found = worst([first, last], run, DOUBLE_TOLERANCE, "MATLAB function")
     left_out = []

@@ -66,7 +66,7 @@ class AbstractTable(abc.ABC):
 
     about: str
 
-    def stored(self, at: OutputAt) -> int:
+    def count_stored(self, at: OutputAt) -> int:
         """The number of entries that have to be stored."""
         return self.read(at).size
 
@@ -86,7 +86,7 @@ def _positive(values: Values, changed: np.ndarray) -> None:
         raise ValueError("every number must be above zero")
 
 
-def _like(value: np.ndarray, array: Any) -> jax.Array:
+def _cast_like(value: np.ndarray, array: Any) -> jax.Array:
     return jax.device_put(value.astype(np.asarray(array).dtype))
 
 
@@ -122,7 +122,7 @@ class Field(AbstractTable):
         old = getattr(validity, self.field)
         new, rows = np.atleast_1d(np.array(old, float)), self._rows(at)
         new[rows] = np.where(changed, values, new[rows])
-        new = _like(new.reshape(np.shape(old)), old)
+        new = _cast_like(new.reshape(np.shape(old)), old)
         validity = dataclasses.replace(validity, **{self.field: new})
         return dataclasses.replace(at.model, validity=validity)
 
@@ -135,8 +135,8 @@ def _gates(at: OutputAt) -> tuple[SigmoidTree, np.ndarray]:
     return tree, np.flatnonzero(np.any(path != 0, axis=0))
 
 
-def _with(at: OutputAt, tree: SigmoidTree, **fields: np.ndarray) -> OutputModel:
-    new = {name: _like(v, getattr(tree, name)) for name, v in fields.items()}
+def _replace_tree(at: OutputAt, tree: SigmoidTree, **fields: np.ndarray) -> OutputModel:
+    new = {name: _cast_like(v, getattr(tree, name)) for name, v in fields.items()}
     validity = dataclasses.replace(tree, **new)
     return dataclasses.replace(at.model, validity=validity)
 
@@ -147,7 +147,7 @@ class Gates(AbstractTable):
 
     about: str = "directions of the gates, times steepness"
 
-    def stored(self, at: OutputAt) -> int:
+    def count_stored(self, at: OutputAt) -> int:
         """A variable that a gate does not look at has none."""
         return int(np.count_nonzero(self.read(at)))
 
@@ -175,7 +175,7 @@ class Gates(AbstractTable):
         direction[at_gate] = values[turned] / steep[:, None]
         log_steepness[at_gate] = np.log(steep)
         fields = dict(direction=direction, border=border, log_steepness=log_steepness)
-        return _with(at, tree, **fields)
+        return _replace_tree(at, tree, **fields)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,7 +198,7 @@ class GateBorders(AbstractTable):
         border = np.array(tree.border, float)
         steep = np.exp(np.asarray(tree.log_steepness, float))[gates]
         border[gates] = np.where(changed, values / steep, border[gates])
-        return _with(at, tree, border=border)
+        return _replace_tree(at, tree, border=border)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,8 +232,8 @@ class Scaling(AbstractTable):
         offset = np.where(moved, values[1] * new, offset)
         return dataclasses.replace(
             at.model,
-            offset=_like(offset, at.model.offset),
-            span=_like(new, at.model.span),
+            offset=_cast_like(offset, at.model.offset),
+            span=_cast_like(new, at.model.span),
         )
 
 
@@ -274,7 +274,7 @@ class Coefficients(AbstractTable):
             first, *others = slots
             rest = coefficient[m, others].sum()
             coefficient[m, first] = values[row, column] - rest
-        new = _like(coefficient, local.coefficient)
+        new = _cast_like(coefficient, local.coefficient)
         local = dataclasses.replace(local, coefficient=new)
         return dataclasses.replace(at.model, local=local)
 
@@ -283,7 +283,7 @@ def _rows(what: str) -> str:
     return f"{what}, a row for every local model or gate, of scheduling from 0 to 1"
 
 
-_BOXES = {
+_BOX_FIELDS = {
     what: Field(what, _rows(f"{what} borders of the boxes")) for what in ("low", "high")
 }
 VALIDITIES: dict[type, dict[str, AbstractTable]] = {
@@ -296,9 +296,9 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
             lambda x: -np.log(x),
         ),
     },
-    Boxes: {**_BOXES},
+    Boxes: {**_BOX_FIELDS},
     Compact: {
-        **_BOXES,
+        **_BOX_FIELDS,
         "steepness": Field(
             "log_margin",
             _rows("steepness of the borders"),
@@ -320,7 +320,7 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
     SigmoidTree: {"gate": Gates(), "gate_border": GateBorders()},
 }
 """Tables of every validity function that is known here, in the order of writing."""
-THETA, SCHEDULING = Coefficients(), Scaling()
+THETA_TABLE, SCHEDULING_TABLE = Coefficients(), Scaling()
 
 
 def has_regions(at: OutputAt) -> bool:
@@ -331,29 +331,29 @@ def has_regions(at: OutputAt) -> bool:
 def tables_at(at: OutputAt) -> Mapping[str, AbstractTable]:
     """The tables of an output by the first part of their names."""
     if not has_regions(at):
-        return {"theta": THETA}
+        return {"theta": THETA_TABLE}
     kind = VALIDITIES.get(type(at.model.validity), {})
-    return {"scheduling": SCHEDULING, **kind, "theta": THETA}
+    return {"scheduling": SCHEDULING_TABLE, **kind, "theta": THETA_TABLE}
 
 
-def stored_for_weights(network: Network, output: int) -> int:
+def count_stored_for_weights(network: Network, output: int) -> int:
     """The number of entries that an output's validity functions are made of."""
     at = OutputAt(network, output)
     kind = VALIDITIES.get(type(at.model.validity), {}) if has_regions(at) else {}
-    return sum(table.stored(at) for table in kind.values())
+    return sum(table.count_stored(at) for table in kind.values())
 
 
 def column_names(at: OutputAt, kind: str, values: Values) -> list[str]:
     """The names of a table's columns: terms, or scheduling variables."""
     if kind == "theta":
-        rows = np.asarray(at.model.local.factor)[THETA.columns(at)].tolist()
+        rows = np.asarray(at.model.local.factor)[THETA_TABLE.columns(at)].tolist()
         return [term_name(at.network.variable_names, row) for row in rows]
     if values.ndim == 2:
         return variable_names(at.network.channels, at.model.scheduling)
     return []
 
 
-def tables_of(network: Network) -> dict[str, tuple[AbstractTable, int]]:
+def network_tables(network: Network) -> dict[str, tuple[AbstractTable, int]]:
     """All tables of a network, and whose they are: `theta_NOx` and the others."""
     words = identifiers(network.computed_names)
     return {

@@ -31,7 +31,8 @@ Runner = Callable[
     [Float[np.ndarray, "time inputs"], Float[np.ndarray, "begin computed"]],
     Float[np.ndarray, "time reported"],
 ]
-"""From inputs, and the measured outputs of the history and one sample more."""
+"""A function that runs a program over inputs, and the measured outputs of the history
+and one sample more."""
 
 
 class ExportError(JaxnarxError):
@@ -63,7 +64,8 @@ def make_steps(network: Network, samples: int = 400, seed: int = 0) -> Dataset:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
-    """A record as targets see it, and what the model reports behind its history.
+    """A record as targets see it, and the outputs that the model reports behind its
+    history.
 
     `measured` are the outputs, and estimates of hidden channels, up to the sample where
     the free run begins; `window` samples behind that are not compared.
@@ -74,7 +76,7 @@ class Case:
     expected: Float[np.ndarray, "rest reported"]
     window: int
 
-    def beginning(self, samples: int) -> "Case":
+    def truncate(self, samples: int) -> "Case":
         """The first samples of it; a free run does not know what comes."""
         history = len(self.inputs) - len(self.expected)
         count = max(samples, history + self.window + 1)
@@ -92,7 +94,7 @@ class Case:
         return float(np.max(np.where(np.isnan(off), np.inf, off), initial=0.0))
 
 
-def cases_of(
+def make_cases(
     network: Network,
     program: SampleProgram,
     data: Dataset,
@@ -116,7 +118,7 @@ def cases_of(
     first = program.history
     return [
         Case(
-            _as_measured(record, missing)[:, columns],
+            _measured_arrays(record, missing)[:, columns],
             scaled[n, : first + 1] * gain,
             np.asarray(run[n], float)[first:],
             network.window,
@@ -126,7 +128,7 @@ def cases_of(
     ]
 
 
-def _as_measured(
+def _measured_arrays(
     record: Record, missing: str | None
 ) -> Float[np.ndarray, "time signals"]:
     """Inputs and outputs, with numbers that are none where a sample is missing."""
@@ -156,7 +158,8 @@ def dropouts(network: Network, data: Dataset, seed: int = 0) -> Dataset:
 
 
 def worst(cases: Sequence[Case], run: Runner, most: float, what: str) -> float:
-    """The largest difference of all cases; ExportError where it is more than `most`."""
+    """Return the largest difference of all cases; ExportError where it is more than
+    `most`."""
     found = max(case.difference(run) for case in cases)
     if not found <= most:
         raise ExportError(

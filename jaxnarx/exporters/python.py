@@ -4,7 +4,7 @@ import keyword
 from string import Template
 
 from jaxnarx.checks import require
-from jaxnarx.exporters.code import INFIX, Syntax, comment, digits
+from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
 from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden
@@ -22,7 +22,7 @@ def _syntax(program: SampleProgram) -> Syntax:
     del program
     return Syntax(
         source=sources("self.{name}", "self.{name}", 0, "[{}]"),
-        operation=INFIX
+        operation=INFIX_TEMPLATES
         | {
             "max": "{0} if {0} > {1} else {1}",
             "min": "{0} if {0} < {1} else {1}",

@@ -16,7 +16,7 @@ from jaxnarx.exporters.calibration import (
 )
 from jaxnarx.exporters.form import ParameterTable
 from jaxnarx.exporters.maps import REST_NAME
-from jaxnarx.exporters.parameters import OutputAt, tables_of
+from jaxnarx.exporters.parameters import OutputAt, network_tables
 from jaxnarx.models import STORED_PROBABILITIES, Network, require_consistent, set_bounds
 from jaxnarx.refinement import attach_certificate
 
@@ -27,16 +27,16 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
 
     Blocks may be left out; maps at rest are passed over, they follow from the rest.
     Numbers are taken where they differ, in double precision, from what an export of
-    `network` holds, so that everything else stays as it is to the last digit. Of a
-    network that changes the prediction intervals are gone, for they were found by its
-    own errors; a certificate of stability is found anew for the changed numbers or,
-    where there is none, is gone with the wide bounds that it allowed. Its domain is
-    about the training records and stays.
+    `network` holds, so that everything else stays as it is to the last digit. A network
+    that changes loses its prediction intervals, for they come from its own errors; a
+    certificate of stability is found anew for the changed numbers or, where there is
+    none, is gone with the wide bounds that it allowed. Its domain is about the training
+    records and stays.
 
     Args:
         network: The network that was exported.
-        text: What the file holds.
-        source: What errors call it.
+        text: Text of the file.
+        source: Name of the file in errors.
 
     Returns:
         The network; `network` itself where no number differs.
@@ -59,14 +59,14 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
         blocks = read_dcm(text, source)
     else:
         blocks = read_arrays(text, source, [f"_{name}" for name in found])
-    tables, changed = tables_of(network), network
+    tables, changed = network_tables(network), network
     for name, block in _match_blocks(blocks, found, source).items():
         new = _shape_numbers(block, found[name], source)
         differs = new != found[name].values
         if not np.any(differs):
             continue
         if name not in tables:
-            raise _at(
+            raise _block_error(
                 source,
                 block,
                 differs,
@@ -79,8 +79,10 @@ def read_parameters(network: Network, text: str, source: str = "the text") -> Ne
             changed = dataclasses.replace(changed, models=models)
             require_consistent(changed)
         except ValueError as error:
-            raise _at(source, block, differs, f"cannot be so: {error}") from error
-    return network if changed is network else _as_known(changed)
+            raise _block_error(
+                source, block, differs, f"cannot be so: {error}"
+            ) from error
+    return network if changed is network else _renew_certificate(changed)
 
 
 def _match_blocks(
@@ -136,7 +138,7 @@ def _shape_numbers(
     return block.values.reshape(shape)
 
 
-def _at(
+def _block_error(
     source: str, block: CalibrationBlock, differs: np.ndarray, what: str
 ) -> DataFileError:
     line = block.lines[int(np.flatnonzero(differs.ravel())[0])]
@@ -145,7 +147,7 @@ def _at(
     )
 
 
-def _as_known(changed: Network) -> Network:
+def _renew_certificate(changed: Network) -> Network:
     """Drop what was known of the network that it was."""
     changed = dataclasses.replace(changed, errors=None)
     if changed.certificate is None:

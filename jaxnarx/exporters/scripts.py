@@ -1,4 +1,4 @@
-"""What files of one page have in common, in whatever language they are written.
+"""Common parts of files of one page, in whatever language they are written.
 
 A `Language` is a table of how its statements look and a page with places for them; the
 program fills the places. `python`, `javascript` and `matlab` are such tables.
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Template
 
-from jaxnarx.exporters.code import Syntax, comment, digits, statements, symbol_of
+from jaxnarx.exporters.code import Syntax, comment, digits, statements, value_text
 from jaxnarx.exporters.form import ParameterTable, SampleProgram, Value
 from jaxnarx.exporters.interpret import LONGEST_SETTLING, SETTLED_SHARE
 from jaxnarx.exporters.notes import wrap_paragraphs
@@ -54,7 +54,7 @@ def write_page(
         return language.row.format(items=between.join(items))
 
     def values(numbers: Iterable[Value]) -> str:
-        return row(symbol_of(program, n, syntax) for n in numbers)
+        return row(value_text(program, n, syntax) for n in numbers)
 
     def block(lines: Iterable[str]) -> str:
         return "\n".join(pad + line for line in lines)
@@ -77,19 +77,19 @@ def write_page(
         *(
             set_(
                 own(d.name),
-                _line(language.filled, d, symbol_of(program, d.start, syntax)),
+                _line(language.filled, d, value_text(program, d.start, syntax)),
             )
             for d in program.delays
         ),
         *(
-            set_(own(s.name), symbol_of(program, s.start, syntax))
+            set_(own(s.name), value_text(program, s.start, syntax))
             for s in program.states
         ),
     ]
     tables = [line for t in program.tables for line in language.table(t)]
     places = {
         "name": program.name,
-        "about": about(program),
+        "about": describe_ports(program),
         "notes": "\n".join(wrap_paragraphs(program.notes, language.remark)),
         "sample_time": digits(program.sample_time),
         "history": str(program.history),
@@ -112,7 +112,7 @@ def write_page(
         "fed": values(program.fed),
         "values": values(program.outputs),
         "flags": block(
-            set_(language.flag.format(name=flag), symbol_of(program, n, syntax))
+            set_(language.flag.format(name=flag), value_text(program, n, syntax))
             for flag, n in program.flags.items()
         ),
         "no_flags": block(
@@ -135,12 +135,12 @@ def _keep_states(
     syntax = language.syntax(program)
     later = []
     for n, line in enumerate(program.delays):
-        value = symbol_of(program, line.measured if measured else line.source, syntax)
+        value = value_text(program, line.measured if measured else line.source, syntax)
         yield syntax.assign.format(name=f"d{n}", value=value)
         own = language.own.format(name=line.name)
         later.append(language.entered.format(line=own, value=f"d{n}"))
     for n, state in enumerate(program.states):
-        value = symbol_of(program, state.source, syntax)
+        value = value_text(program, state.source, syntax)
         yield syntax.assign.format(name=f"x{n}", value=value)
         own = language.own.format(name=state.name)
         later.append(language.set.format(name=own, value=f"x{n}"))
@@ -171,7 +171,7 @@ def number(nan: str, infinity: str) -> Callable[[float], str]:
     return text
 
 
-def about(program: SampleProgram) -> str:
+def describe_ports(program: SampleProgram) -> str:
     """One line of what it is, for a comment."""
     ports = [
         ", ".join(f"{p.name} [{p.unit}]" if p.unit else p.name for p in some)

@@ -1,4 +1,4 @@
-"""What a target of an export is: how its files are written, and how they are proven."""
+"""Targets of an export: how their files are written, and how they are proven."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +12,7 @@ from jaxnarx.exporters.proof import Case
 Golden = Mapping[str, np.ndarray]
 """A stretch of a record: `inputs`, `measured` (the history and one sample more) and
 `outputs`, what the free run behind it reports, a row for every sample; and `axes`, the
-inputs that maps at rest go over (`jaxnarx.exporters.maps.axes_of`)."""
+inputs that maps at rest go over (`jaxnarx.exporters.maps.choose_axes`)."""
 Files = dict[str, str | bytes]
 """Texts and packed files by name."""
 Proof = tuple[dict[str, float], list[str]]

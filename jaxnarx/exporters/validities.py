@@ -34,7 +34,7 @@ def weights(b: Builder, at: OutputAt, z: list[Value], tables: Tables) -> Weights
             f"known are {', '.join(k.__name__ for k in VALIDITIES)}",
             field="validity",
         )
-    return _WRITERS[kind](b, at, z, tables)
+    return _VALIDITY_WRITERS[kind](b, at, z, tables)
 
 
 def _gaussians(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
@@ -138,7 +138,7 @@ def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     return products, None
 
 
-_WRITERS: dict[type, Callable[..., Weights]] = {
+_VALIDITY_WRITERS: dict[type, Callable[..., Weights]] = {
     Gaussians: _gaussians,
     Boxes: _boxes,
     Compact: _compact,

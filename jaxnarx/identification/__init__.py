@@ -1,7 +1,7 @@
 """A whole identification: by a search, or by one settings tree."""
 
 from jaxnarx.identification._by_method import Events, drop_unneeded
-from jaxnarx.identification._by_method import by_method as by_method
+from jaxnarx.identification._by_method import run_method as run_method
 from jaxnarx.identification.candidates import CANDIDATES, CandidateFactory
 from jaxnarx.identification.candidates import CandidateSearch as CandidateSearch
 from jaxnarx.identification.explain import (

@@ -16,7 +16,7 @@ from jaxnarx.solution import RESULTS, Solution
 Events = Callable[[dict[str, Any]], None]
 
 
-def by_method(
+def run_method(
     data: Dataset,
     method: Identification,
     validation: Dataset | None,

@@ -34,11 +34,12 @@ NEAR_BEST_FACTOR = 1.5
 Trial = tuple[str, list[str], Identification | HiddenStates]
 """Family, names of the candidates that a method ends with, and the method."""
 CandidateFactory = Callable[[Dataset, str], Iterable[tuple[str, Identification]]]
-"""What another package adds to a search: of the data and the name of an output, names
-and methods to be tried, those that promise most first."""
+"""A function by which another package adds candidates to a search: it takes the data
+and the name of an output, and gives names and methods to be tried, those that promise
+most first."""
 CANDIDATES: Registry[CandidateFactory] = Registry("candidate of identify", {})
-"""Families of other packages. Tried behind what is found in closed form; functions of
-modules, for outputs are searched in processes of their own."""
+"""Families of other packages. They are tried after the closed-form candidates;
+functions of modules, for outputs are searched in processes of their own."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,12 +94,14 @@ class CandidateSearch:
             limits = dict(max_models=1, degree=1)
         self.watch(Trying("closed form"))
         found_by = search.candidates(**limits, grown_roots=self.preset.grown)
-        for found in itertools.chain(found_by, self._partitioned(search)):
+        for found in itertools.chain(found_by, self._divide_by_partitions(search)):
             self.passed += 1
             if isinstance(found, Candidate):
                 row, network = found, None
             else:
-                row, network = self._closed(found, time.perf_counter() - begin)
+                row, network = self._score_closed_form(
+                    found, time.perf_counter() - begin
+                )
                 if (
                     row.eligible
                     and found.family in SUMMED_FAMILIES
@@ -121,22 +124,24 @@ class CandidateSearch:
         for family, trials in self.added.items():
             methods = trials(self.data, self.profile.output)
             own = ((family, [name], method) for name, method in methods)
-            yield from self._trained(own, MOST_ADDED, MOST_ADDED)
+            yield from self._train_methods(own, MOST_ADDED, MOST_ADDED)
         hidden = propose_state_space(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
         if self.data.samples <= SHORT_RECORDS:
             most = patience = 2 * most
-        yield from self._trained(hidden, most, patience)
+        yield from self._train_methods(hidden, most, patience)
         fed = propose_narx(self.data, self.profile)
-        yield from self._trained(fed, self.preset.fed_back, self.preset.patience)
+        yield from self._train_methods(fed, self.preset.fed_back, self.preset.patience)
 
-    def _partitioned(self, search: ClosedSearch) -> Iterator[ClosedForm | Candidate]:
+    def _divide_by_partitions(
+        self, search: ClosedSearch
+    ) -> Iterator[ClosedForm | Candidate]:
         """Candidates of partitions of other packages; a row of one that fails."""
         for name, partition in self.partitions.items():
             begin = time.perf_counter()
             try:
-                yield from search.partitioned(name, partition)
+                yield from search.divide_by_partition(name, partition)
             except (JaxnarxError, np.linalg.LinAlgError) as error:
                 seconds = time.perf_counter() - begin
                 row = self._row("shared feedback", f"regions, {name}", seconds, None)
@@ -147,10 +152,12 @@ class CandidateSearch:
         if self.best is None or np.nansum(losses) < np.nansum(self.best):
             self.best = losses
 
-    def _closed(self, found: ClosedForm, seconds: float) -> tuple[Candidate, Network]:
+    def _score_closed_form(
+        self, found: ClosedForm, seconds: float
+    ) -> tuple[Candidate, Network]:
         network = hold_to_range(found.network())
         row = self._row(found.family, found.name, seconds, network)
-        lost = found.diverged()
+        lost = found.count_diverged()
         if not lost:
             self._remember(found.losses())
         row = dataclasses.replace(
@@ -161,7 +168,7 @@ class CandidateSearch:
             diverged=lost,
             status="diverged" if lost else "ok",
         )
-        return _with_error(row, found.losses()), network
+        return _add_standard_error(row, found.losses()), network
 
     def _sum(self, found: Sum, seconds: float) -> Tried:
         network = found.network()
@@ -173,9 +180,9 @@ class CandidateSearch:
             groups=_list_errors(np.sqrt(found.losses())),
             one_step=found.one_step(),
         )
-        return _with_error(row, found.losses()), network
+        return _add_standard_error(row, found.losses()), network
 
-    def _trained(
+    def _train_methods(
         self, methods: Iterator[Trial], most: int, patience: int
     ) -> Iterator[Tried]:
         """Try methods that are trained step by step, so many of a kind at most.
@@ -209,7 +216,7 @@ class CandidateSearch:
                 continue
             seconds = (time.perf_counter() - begin) / len(names)
             for name, one in zip(names, found, strict=True):
-                tried = self._judged(family, name, one, seconds)
+                tried = self._score_trained(family, name, one, seconds)
                 promising |= self._is_near(tried[0])
                 yield tried
 
@@ -238,7 +245,7 @@ class CandidateSearch:
             watch=watch,
         )
 
-    def _judged(
+    def _score_trained(
         self, family: str, name: str, found: CrossValidation, seconds: float
     ) -> Tried:
         row = self._row(family, name, seconds, found.network, found.detail)
@@ -256,7 +263,7 @@ class CandidateSearch:
             one_step=found.one_step if np.isfinite(found.one_step) else None,
             status="ok",
         )
-        return _with_error(row, found.losses), found.network
+        return _add_standard_error(row, found.losses), found.network
 
     def _row(
         self,
@@ -290,7 +297,9 @@ def _losses(row: Candidate) -> Float[np.ndarray, " groups"]:
     return np.array([np.nan if e is None else e**2 for e in row.groups])
 
 
-def _with_error(row: Candidate, losses: Float[np.ndarray, " groups"]) -> Candidate:
+def _add_standard_error(
+    row: Candidate, losses: Float[np.ndarray, " groups"]
+) -> Candidate:
     """Add the standard error of the free run, from the spread between groups."""
     losses = losses[np.isfinite(losses)]
     if row.free_run is None or len(losses) < 2:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset, Groups, shortened
+from jaxnarx.data import Dataset, Groups, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
-from jaxnarx.identification._by_method import by_method
+from jaxnarx.identification._by_method import run_method
 from jaxnarx.linear import fit_states, refit_states
 from jaxnarx.models import Network, hold_to_range, set_ranges
 from jaxnarx.settings import HiddenStates, Identification
@@ -34,7 +34,7 @@ class CrossValidation:
     diverged: int
     """Records."""
     network: Network | None
-    """Trained on all records; None where the candidate was given up."""
+    """Network trained on all records; None where the candidate was given up."""
     detail: str = ""
 
     @property
@@ -57,23 +57,23 @@ def cross_validate(
 ) -> list[CrossValidation]:
     """Train without every group in turn, run freely over it; then train on everything.
 
-    A method may end with several networks of a kind (`trained`); each is judged. Given
-    up where runs of all of them diverge, or have errors far beyond those of the `best`
-    candidate. `spread` is the output's standard deviation. Stretches of up to `rows`
-    samples train; runs go over all samples of a group, held to the ranges of all data,
-    as the network of all is in use. The error one step ahead is left
-    out, NaN, where `one_step` is False, and by default with hidden states: it has an
-    estimate of these for every sample, and takes longer than the training. The first
-    `begin` samples of every record judge nothing (`DataProfile.begin`). `watch` is
-    called with the number of every fold, from 1, before it is trained.
+    A method may end with several networks of a kind (`trained`); each is judged. It is
+    given up where runs of all of them diverge, or have errors far beyond those of the
+    `best` candidate. `spread` is the output's standard deviation. Stretches of up to
+    `rows` samples train; runs go over all samples of a group, held to the ranges of all
+    data, as the network of all is in use. The error one step ahead is left out, NaN,
+    where `one_step` is False, and by default with hidden states: it has an estimate of
+    these for every sample, and takes longer than the training. The first `begin`
+    samples of every record judge nothing (`DataProfile.begin`). `watch` is called with
+    the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
     out where the error in training is beyond the best candidate's on what was left out.
     Without a group that of the strongest pull is then trained from where it stands, and
     again from there, the others one from the other: what a pull holds on to has been
     trained without the group. Candidates in closed form keep their partition and
-    feedback in the same way. Trained from the starts, without a group of a short record
-    they often end elsewhere, which says little of the network that is judged
+    feedback in the same way. Training from the starts without a group of a short record
+    often ends elsewhere, which says little of the network that is judged
     (`experiments/public/README.md`).
     """
     hidden = isinstance(method, HiddenStates)
@@ -83,14 +83,14 @@ def cross_validate(
     parted = False
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
-        everything = groups.parted(data) if parted else data
+        everything = groups.exclude_group(data) if parted else data
         whole = fit_full(method, everything, rows, best)
         every = [_Judging(len(groups), one_step, begin) for _ in whole]
         if told := _hopeless(whole, data, spread, best, begin):
-            return [one.judged(None, told) for one in every]
+            return [one.outcome(None, told) for one in every]
     for g, fold in enumerate(groups.folds(data, whole=True)):
         watch(g + 1)
-        train = groups.parted(data, g) if parted else fold.train
+        train = groups.exclude_group(data, g) if parted else fold.train
         if isinstance(method, HiddenStates):
             last = max(n for n, one in enumerate(every, 1) if not one.told)
             networks = refit_stages(whole[:last], method, train, data, rows)
@@ -101,10 +101,10 @@ def cross_validate(
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best)
         if all(one.told for one in every):
-            return [one.judged(None, one.told) for one in every]
+            return [one.outcome(None, one.told) for one in every]
     whole = whole or fit_method(method, data, rows)
     return [
-        one.judged(None if one.told else network, one.told)
+        one.outcome(None if one.told else network, one.told)
         for one, network in zip(every, whole, strict=True)
     ]
 
@@ -136,7 +136,7 @@ class _Judging:
             self.diverged += 1
         else:
             self._run(g, network, left, spread)
-        self.told = self._given_up(g, best)
+        self.told = self._stop_reason(g, best)
 
     def _run(self, g: int, network: Network, left: Dataset, spread: float) -> None:
         try:
@@ -149,7 +149,7 @@ class _Judging:
         except DataError:
             return
 
-    def _given_up(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
+    def _stop_reason(self, g: int, best: Float[np.ndarray, " groups"] | None) -> str:
         """Why no further group is tried, or ""."""
         if self.diverged:
             return "diverges"
@@ -159,7 +159,7 @@ class _Judging:
             return ""
         return f"given up after {g + 1} of {len(self.losses)} groups"
 
-    def judged(self, network: Network | None, detail: str = "") -> CrossValidation:
+    def outcome(self, network: Network | None, detail: str = "") -> CrossValidation:
         """The outcome."""
         one_step = np.nan
         if network is not None:
@@ -195,9 +195,9 @@ def refit_stages(
 ) -> list[Network | None]:
     """The networks of all stages trained once more, on these data.
 
-    Of every number of regions the first is trained twice from where it stands, for it
-    is pulled towards what it was, and that has seen other data; each other from the one
-    before it, or twice where that fails.
+    The first network of every number of regions is trained twice from where it stands,
+    for it is pulled towards its former parameters, which have seen other data; each
+    other starts from the one before it, or is trained twice where that fails.
     """
     found: list[Network | None] = []
     before, size = None, 0
@@ -260,13 +260,13 @@ def fit_method(
     some, known = _some(data, rows), data if known is None else known
     if isinstance(method, HiddenStates):
         return _hold_to_range(fit_states(some, method).stats["path"], known)
-    return _hold_to_range([by_method(some, method, None, None).value], known)
+    return _hold_to_range([run_method(some, method, None, None).value], known)
 
 
 def _some(data: Dataset, rows: int | None) -> Dataset:
     """Stretches of so many samples, of those that are valid."""
     count = sum(int(r.valid.any(axis=1).sum()) for r in data)
-    return data if rows is None or count <= rows else shortened(data, rows)
+    return data if rows is None or count <= rows else thin_records(data, rows)
 
 
 def _hold_to_range(networks: list[Network], known: Dataset) -> list[Network]:
@@ -286,8 +286,8 @@ def score(
     *,
     begin: int = 0,
 ) -> tuple[float, int, int]:
-    """Mean squared error, samples that count, and records that diverge; of a free run,
-    or so many steps ahead. Of one output. The first `begin` samples do not count;
+    """Mean squared error, samples that count, and records that diverge. The run of one
+    output is free, or `k` steps ahead. The first `begin` samples do not count;
     DataError where no other does."""
     run = (simulate(network, data) if k is None else predict(network, data, k)).value
     (o,) = network.modelled

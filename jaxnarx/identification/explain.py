@@ -1,4 +1,4 @@
-"""What a leaderboard says: the choice in words, and its rows as plain tables."""
+"""The choice of a leaderboard in words, and its rows as plain tables."""
 
 import math
 from typing import Any
@@ -56,7 +56,7 @@ def candidate_in_use(
     """The row of the model in use: taken by hand, else chosen, else the safest."""
     if taken is not None:
         return next(r for r in board.of(output) if r.number == taken)
-    return board.chosen(output) or safest(board, output)
+    return board.choose(output) or safest(board, output)
 
 
 def safest(board: Leaderboard, output: str) -> Candidate:
@@ -98,16 +98,18 @@ def describe(
     """The rows of an output, best first, and the words, as plain values for files."""
     row, front = candidate_in_use(board, output, taken), pareto(board, output)
     return {
-        "rows": [_plain(board, n, r, r == row) for n, r in enumerate(board.of(output))],
+        "rows": [
+            _row_table(board, n, r, r == row) for n, r in enumerate(board.of(output))
+        ],
         "rule": board.rule,
-        "chosen": getattr(board.chosen(output), "number", None),
+        "chosen": getattr(board.choose(output), "number", None),
         "used": row.number,
         "pareto": [r.number for r in front],
         "text": sentences(board, output, taken),
     }
 
 
-def _plain(
+def _row_table(
     board: Leaderboard, place: int, row: Candidate, is_used: bool
 ) -> dict[str, Any]:
     name, error = board.worst_group(row) or ("", None)
@@ -125,7 +127,7 @@ def _plain(
 
 
 def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
-    chosen, named = board.chosen(output), f"{output}: {title(row)}"
+    chosen, named = board.choose(output), f"{output}: {title(row)}"
     if chosen is None:
         return (
             f"{named}. Every candidate is vetoed: none stays bounded in free run on "

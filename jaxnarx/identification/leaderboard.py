@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxnarx.argument_checks import require_fit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.files import cell
 from jaxnarx.formatting import align_columns, page, some
@@ -26,9 +27,10 @@ class Candidate:
     """One candidate for one output.
 
     Errors are NRMSE: root mean square over the standard deviation of the output, pooled
-    over the samples that count. `free_run` is that of models each of which runs freely
-    over records that it was not trained on. Models with hidden states are trained on
-    all records first, then once more without those, from where they stand.
+    over the samples that count. `free_run` is the held-out error of leave-group-out
+    cross-validation: every model runs freely over records that it was not trained on.
+    Models with hidden states are trained on all records first, then once more without
+    the held-out ones, from the parameters found.
     """
 
     output: str
@@ -38,22 +40,23 @@ class Candidate:
     family: str
     """Constant, ARX, OE, filtered inputs, polynomial, shared feedback, LOLIMOT, ..."""
     name: str
-    """What sets it apart in its family, in words."""
+    """Description within its family, in words."""
     free_run: float | None = None
     """None where a model diverged, or there is none."""
     standard_error: float | None = None
-    """Of `free_run`, over groups."""
+    """Standard error of `free_run`, over groups."""
     groups: tuple[float | None, ...] = ()
     """`free_run` of every group."""
     one_step: float | None = None
     """One-step error on the same records."""
     diverged: int = 0
-    """Runs that diverged; any is a veto. Of candidates that are trained step by step
-    these are records left out; of those in closed form, whose errors on groups left out
-    are those of runs held to the trained range, groups left out and records run
-    by the model of all groups."""
+    """Runs that diverged; any is a veto. Runs of candidates that are trained step by
+    step are held-out records; runs of closed-form candidates, whose held-out errors are
+    those of runs held to the trained range, are held-out groups, and records run by the
+    model of all groups."""
     operations: int | None = None
-    """Of one sample of the exported code, without domain index and intervals."""
+    """Operations for one sample of the exported code, without domain index and
+    intervals."""
     parameters: int | None = None
     seconds: float = 0.0
     pole: float | None = None
@@ -103,14 +106,15 @@ class Leaderboard:
     group_names: tuple[str, ...] = ()
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best (that of
-    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Of those
-    one whose local models forget their past comes before one whose do not."""
+    the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Among
+    those a candidate whose local models forget their past comes before one whose do
+    not."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""
         lines = [f"Leaderboard: {len(self)} candidates"]
         for output in self.outputs:
-            chosen = self.chosen(output)
+            chosen = self.choose(output)
             rows = [("", output, "free run", "operations", "parameters", "family", "")]
             rows += [_line(row, row == chosen) for row in self.of(output)]
             left = [True, *(False,) * 4, True, True]
@@ -138,7 +142,7 @@ class Leaderboard:
         """The smallest error, whatever it costs."""
         return next((row for row in self.of(output) if row.eligible), None)
 
-    def chosen(self, output: str) -> Candidate | None:
+    def choose(self, output: str) -> Candidate | None:
         """The one to use by the rule; None where every candidate is vetoed."""
         best = self.best(output)
         if best is None or self.rule == "best":
@@ -147,6 +151,8 @@ class Leaderboard:
         near = [r for r in self.of(output) if r.eligible and close(r, best)]
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
+
+    chosen = old_method("chosen", "choose")
 
     def above_best(self, row: Candidate) -> tuple[float, float] | None:
         """The difference of the error to that of the best, and its standard error; None
@@ -174,7 +180,7 @@ class Leaderboard:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["rank", "chosen", *ROW_COLUMNS, *BOARD_COLUMNS])
         for output in self.outputs:
-            chosen = self.chosen(output)
+            chosen = self.choose(output)
             for rank, row in enumerate(self.of(output), 1):
                 name, error = self.worst_group(row) or ("", None)
                 values = [
@@ -237,9 +243,9 @@ def _is_within(row: Candidate, best: Candidate) -> bool:
 def _is_near(row: Candidate, best: Candidate) -> bool:
     """Whether the error exceeds that of the best by a standard error at most.
 
-    Of the difference, group by group: groups differ in how hard they are, which says
-    nothing about the candidates. With few groups that error is large; more than
-    `EQUAL_ERROR_SHARE` is not given away.
+    The standard error is that of the difference, group by group: groups differ in how
+    hard they are, which says nothing about the candidates. With few groups that error
+    is large; more than `EQUAL_ERROR_SHARE` is not given away.
     """
     if not _is_within(row, best):
         return False

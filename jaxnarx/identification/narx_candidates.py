@@ -33,7 +33,7 @@ def propose_narx(
         if degree == 1:
             yield from _local(data, profile, lags)
             continue
-        pool = pool_of(data, profile, lags, degree)
+        pool = make_narx_pool(data, profile, lags, degree)
         if pool is not None and len(pool) > terms:
             name = f"degree {degree}, {terms} terms, lags up to {lags}"
             yield "polynomial NARX", [name], _method(pool, terms, Global())
@@ -43,7 +43,7 @@ def _local(
     data: Dataset, profile: DataProfile, lags: int
 ) -> Iterator[tuple[str, list[str], Identification]]:
     """Affine local models over inputs and the last output."""
-    pool = pool_of(data, profile, lags, 1)
+    pool = make_narx_pool(data, profile, lags, 1)
     assert pool is not None
     over = [
         f"{n}[t-{d}]" if d else f"{n}[t]"
@@ -56,11 +56,13 @@ def _local(
         yield "LOLIMOT", [name], _method(pool, len(pool), method)
 
 
-def pool_of(data: Dataset, profile: DataProfile, lags: int, degree: int) -> Pool | None:
+def make_narx_pool(
+    data: Dataset, profile: DataProfile, lags: int, degree: int
+) -> Pool | None:
     """Inputs from their dead time on and outputs, all products; None if too many.
 
-    Of an input that seems to act late the last sample is there in place of the oldest:
-    a dead time is an estimate.
+    An input that seems to act late has its last sample in place of the oldest: a dead
+    time is an estimate.
     """
     names = data.channels.input_names
     variables = len(names) * (lags + 1) + lags

@@ -51,8 +51,12 @@ def joint_pool(methods: Sequence[Polynomial | Pool], channels: Channels) -> Pool
     return make_pool(
         Polynomial(
             outputs=first.outputs,
-            input_lags=_union([_by_name(m.input_lags, names[0]) for m in distinct]),
-            output_lags=_union([_by_name(m.output_lags, names[1]) for m in distinct]),
+            input_lags=_union(
+                [_lags_by_name(m.input_lags, names[0]) for m in distinct]
+            ),
+            output_lags=_union(
+                [_lags_by_name(m.output_lags, names[1]) for m in distinct]
+            ),
             filters=_all(m.filters for m in distinct),
             degree=max(m.degree for m in distinct),
             filter_lags=_all(m.filter_lags for m in distinct),
@@ -62,7 +66,7 @@ def joint_pool(methods: Sequence[Polynomial | Pool], channels: Channels) -> Pool
 
 
 def terms_of(method: Polynomial | Pool, pool: Pool) -> Bool[np.ndarray, " terms"]:
-    """Which terms of a larger pool the settings have."""
+    """True for the terms of a larger pool that the settings have."""
     own = make_pool(method, pool.channels)
     if own is pool:
         return np.ones(len(pool), bool)
@@ -72,7 +76,7 @@ def terms_of(method: Polynomial | Pool, pool: Pool) -> Bool[np.ndarray, " terms"
     return np.all(there[pool.factor], axis=1) & (degree <= own.degree)
 
 
-def _by_name(lags: Any, names: Iterable[str]) -> dict[str, Sequence[int]]:
+def _lags_by_name(lags: Any, names: Iterable[str]) -> dict[str, Sequence[int]]:
     return dict(lags) if isinstance(lags, Mapping) else {name: lags for name in names}
 
 

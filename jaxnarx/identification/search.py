@@ -1,7 +1,7 @@
 """The search for the best model: outputs side by side, candidates one after another.
 
 Outputs are searched in processes of their own where there are several and cores for
-them. What was tried is on the disk after every candidate.
+them. Results are written to disk after every candidate.
 """
 
 import dataclasses
@@ -98,7 +98,7 @@ def search(
             stopped = True
         facts = {n: k.to_dict(data.channels.input_names) for n, k in profiles.items()}
         found = _solution(race.store, list(outputs), stopped, race.late, facts)
-        left = _left_out(race.store.leaderboard, found.value, data)
+        left = _held_out_errors(race.store.leaderboard, found.value, data)
         network = attach_domain_and_intervals(
             apply_release_limits(found.value), data, groups, left
         )
@@ -124,30 +124,36 @@ class SearchRunner:
     def run(self, tasks: dict[str, OutputTask]) -> None:
         """Search every output."""
         places = {name: self.outputs.index(name) for name in tasks}
-        tasks = {n: t for n, t in tasks.items() if not self.store.finished(places[n])}
+        tasks = {
+            n: t for n, t in tasks.items() if not self.store.is_finished(places[n])
+        }
         workers = min(cores(), len(tasks))
         self.shares = TimeBudget(self.shares.until, len(tasks), max(workers, 1))
         if workers < 2:
             for name, task in tasks.items():
-                task = self._begun(name, task)
+                task = self._start_task(name, task)
                 for tried in task.run(functools.partial(self.watch, name)):
                     self.add(name, *tried)
                 self._finish(name, task)
         else:
             self._side_by_side(tasks)
 
-    def _begun(self, name: str, task: OutputTask) -> OutputTask:
+    def _start_task(self, name: str, task: OutputTask) -> OutputTask:
         """The task with its share of the time."""
         return dataclasses.replace(task, until=self.shares.begin(name, time.time()))
 
     def watch(self, output: str, trying: Trying) -> None:
         """Tell what is being tried."""
-        event = {"verb": "search", "output": output, "number": self._next(output)}
-        chosen = self.store.leaderboard.chosen(output)
+        event = {
+            "verb": "search",
+            "output": output,
+            "number": self._next_number(output),
+        }
+        chosen = self.store.leaderboard.choose(output)
         seconds = time.time() - self.begin
         self.tell(event | {"trying": trying, "chosen": chosen, "seconds": seconds})
 
-    def _next(self, output: str) -> int:
+    def _next_number(self, output: str) -> int:
         """Number of the next candidate of an output."""
         own = (r.number for r in self.store.leaderboard.rows if r.output == output)
         return 1 + max(own, default=NUMBERS_PER_OUTPUT * self.outputs.index(output))
@@ -162,18 +168,18 @@ class SearchRunner:
         ]
         if same:
             return
-        row = dataclasses.replace(row, number=self._next(output))
-        self.store = self.store.added(row, network)
+        row = dataclasses.replace(row, number=self._next_number(output))
+        self.store = self.store.add(row, network)
         board = self.store.leaderboard
         self.tell(
             {
                 "verb": "search",
                 "row": row,
-                "chosen": board.chosen(output),
+                "chosen": board.choose(output),
                 "done": len(board),
                 "of": None,
                 "seconds": time.time() - self.begin,
-                "left": self.shares.left(time.time()),
+                "left": self.shares.seconds_left(time.time()),
             }
         )
 
@@ -194,13 +200,13 @@ class SearchRunner:
             while waiting or running:
                 while waiting and len(running) < self.shares.workers:
                     name = waiting.pop(0)
-                    tasks[name] = self._begun(name, tasks[name])
+                    tasks[name] = self._start_task(name, tasks[name])
                     running[name] = SearchWorker(tasks[name])
                 for name, side in list(running.items()):
                     ended = side.ended
-                    for row, network in side.found():
+                    for row, network in side.read_new():
                         self.add(name, row, network)
-                    if (trying := side.trying()) is not None:
+                    if (trying := side.read_trying()) is not None:
                         self.watch(name, trying)
                     if ended:
                         side.close()
@@ -212,14 +218,14 @@ class SearchRunner:
                 side.close()
 
 
-def _left_out(
+def _held_out_errors(
     board: Leaderboard, network: Network, data: Dataset
 ) -> Float[np.ndarray, "outputs groups"] | None:
     """Free-run RMSE of every group left out, in the outputs' units; None where no
     candidate was fit to be chosen."""
     found = []
     for name in network.output_names:
-        row, o = board.chosen(name), data.channels.output_names.index(name)
+        row, o = board.choose(name), data.channels.output_names.index(name)
         if row is None:
             return None
         seen = [r.valid[:, len(data.channels.inputs) + o] for r in data]
@@ -241,7 +247,7 @@ def _solution(
     for output in outputs:
         if not board.of(output):
             continue  # interrupted before
-        row = board.chosen(output)
+        row = board.choose(output)
         if row is None:
             vetoed.append(output)
             row = next((r for r in board.of(output) if r.family == "constant"), None)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.argument_checks import is_fit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import DataFileError, ModelFileError, SpecError, guard_reading
 from jaxnarx.files import encodable, lock_folder, unwritable, write_whole
 from jaxnarx.identification.leaderboard import LARGEST_FIGURE, Candidate, Leaderboard
@@ -71,7 +72,7 @@ class SearchFolder:
             )
         return network
 
-    def added(self, row: Candidate, network: Network | None) -> "SearchFolder":
+    def add(self, row: Candidate, network: Network | None) -> "SearchFolder":
         """The folder with one more candidate, written to the disk: its model before its
         row."""
         if network is not None:
@@ -85,6 +86,8 @@ class SearchFolder:
         after.write()
         return after
 
+    added = old_method("added", "add")
+
     def save(self, number: int, network: Network) -> None:
         """Write the model of a candidate."""
         path = self.model_path(number)
@@ -94,9 +97,11 @@ class SearchFolder:
             raise unwritable(path, error) from error
         save(network, path)
 
-    def finished(self, output: int) -> bool:
+    def is_finished(self, output: int) -> bool:
         """Whether all candidates of an output, by its place, have been tried."""
         return self._mark(output).exists()
+
+    finished = old_method("finished", "is_finished")
 
     def finish(self, output: int) -> None:
         """Say that they have."""
@@ -133,7 +138,9 @@ def open_search(
     on the disk already come with the result. SpecError where the folder holds a search
     with another key, or another process searches there.
     """
-    new = SearchFolder(path, _plain(key), leaderboard, _lock(path / CANDIDATES_FOLDER))
+    new = SearchFolder(
+        path, _round_trip(key), leaderboard, _lock(path / CANDIDATES_FOLDER)
+    )
     if not (path / SEARCH_FILE).is_file():
         new.write()
         return new
@@ -173,7 +180,7 @@ class FolderLock:
 _OWN_LOCKS: weakref.WeakValueDictionary[Path, FolderLock] = (
     weakref.WeakValueDictionary()
 )
-"""Those of this process, which may open a folder again."""
+"""Locks of this process, which may open a folder again."""
 
 
 def _lock(place: Path) -> FolderLock:
@@ -249,15 +256,15 @@ def _encodable(table: Any) -> Any:
 def _finite(row: Candidate) -> Candidate:
     """Drop figures beyond the largest that a file holds."""
 
-    def kept(value: Any) -> Any:
+    def finite_or_none(value: Any) -> Any:
         return (
             None if isinstance(value, float) and not value <= LARGEST_FIGURE else value
         )
 
-    plain = {k: kept(v) for k, v in vars(row).items() if k != "groups"}
-    return Candidate(**plain, groups=tuple(kept(e) for e in row.groups))
+    plain = {k: finite_or_none(v) for k, v in vars(row).items() if k != "groups"}
+    return Candidate(**plain, groups=tuple(finite_or_none(e) for e in row.groups))
 
 
-def _plain(key: Mapping[str, Any]) -> dict[str, Any]:
+def _round_trip(key: Mapping[str, Any]) -> dict[str, Any]:
     """The key as it comes back from the file: tuples are lists."""
     return json.loads(json.dumps(dict(key), allow_nan=False))

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator
 
-from jaxnarx.data import Dataset, shortened
+from jaxnarx.data import Dataset, thin_records
 from jaxnarx.linear import linear_order
 from jaxnarx.settings import HiddenStates, Preset
 
-FAMILY = "hidden states"
+FAMILY_NAME = "hidden states"
 FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8, 2))
 MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
@@ -66,7 +66,7 @@ def propose_state_space(
             + f", pull {pull:g}"
             for r, pull in method.stages
         ]
-        yield FAMILY, names, method
+        yield FAMILY_NAME, names, method
 
 
 def _structures(
@@ -79,16 +79,16 @@ def _structures(
         len(data.channels.inputs),
     )
 
-    def borne(states: int, degree: int) -> int:
+    def most_regions(states: int, degree: int) -> int:
         """Regions that the data bear."""
         count = (states + 1) * math.comb(states + inputs + degree, degree)
         return int(most / count)
 
     states = preset.orders or IN_REGIONS
-    sizes = ((n, min(borne(n, 1), REGION_STATES)) for n in states)
+    sizes = ((n, min(most_regions(n, 1), REGION_STATES)) for n in states)
     in_regions = (size for size in sizes if size[1] > 1)
     for n, degree in _products(data, output, preset):
-        if not borne(n, degree):
+        if not most_regions(n, degree):
             continue
         yield n, degree, 1
         size = next(in_regions, None) if data.samples <= SHORT_RECORDS else None
@@ -111,6 +111,6 @@ def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int,
         yield from ((n, degree) for n in preset.orders for degree in (*degrees, 1))
         return
     usual = FEW_SAMPLES if short else FEW_INPUTS if few else MANY_INPUTS
-    n = linear_order(shortened(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
+    n = linear_order(thin_records(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
     own = () if n is None else ((n, degree) for degree in degrees)
     yield from dict.fromkeys([*own, *usual])

@@ -24,7 +24,7 @@ class TimeBudget:
         """An output is complete."""
         self.took.append(now - self.begun.pop(output))
 
-    def left(self, now: float) -> float | None:
+    def seconds_left(self, now: float) -> float | None:
         """Seconds until all is done, by what outputs took so far; None before one is
         complete."""
         if not self.took:

@@ -12,7 +12,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.confidence import attach_domain_and_intervals
 from jaxnarx.data import Channels, Dataset, Groups, join, match_channels
 from jaxnarx.errors import DataError, SpecError, suggest
-from jaxnarx.identification._by_method import Events, by_method
+from jaxnarx.identification._by_method import Events, run_method
 from jaxnarx.identification.search import search
 from jaxnarx.models import Network
 from jaxnarx.settings import PRESETS, Identification
@@ -69,22 +69,23 @@ def identify(
         outputs: Names of the outputs to be modelled; default all.
         states: Number of hidden states of the candidates that have some; 0 for none
             with any. Default: what the preset tries.
-        groups: What is left out together (`jaxnarx.data.groups`); default as the
-            records say, else records that repeat one another's inputs belong together.
-            Not beside `validation`.
+        groups: Groups of records that are held out together (`jaxnarx.data.groups`); by
+            default those that the records state, else records that repeat one another's
+            inputs. Not beside `validation`.
         validation: Records that judge growth and refinement of a method, and tell how
             large its errors are (`jnx.intervals`). A search
             counts them among the data, as a group of their own.
-        folder: Where the search writes what it has tried, after every candidate. The
+        folder: Folder to which the search writes every candidate that it has tried. The
             same call goes on there where an earlier one stopped; SpecError where the
             folder holds the search of other data or settings.
-        progress: Called on the host with dictionaries. Of a search: `verb` `"search"`,
-            and after every candidate its `row`, the row `chosen` so far, how many are
-            `done` `of` how many, `seconds` passed and `left` (None where that is not
-            known); while one is tried, its `output`, its `number` and as `trying` its
-            `family`, `name` and `fold` of `folds`. Of a method: `verb` is `"select"`,
-            `"grow"` or `"refine"`; with `candidates`, their number, before the first,
-            with `solution` after each, else with a row of that verb's own progress.
+        progress: A function called on the host with dictionaries. Of a search: `verb`
+            `"search"`, and after every candidate its `row`, the row `chosen` so far,
+            how many are `done` `of` how many, `seconds` passed and `left` (None where
+            that is not known); while one is tried, its `output`, its `number` and as
+            `trying` its `family`, `name` and `fold` of `folds`. Of a method: `verb` is
+            `"select"`, `"grow"` or `"refine"`; with `candidates`, their number, before
+            the first, with `solution` after each, else with a row of that verb's own
+            progress.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates
@@ -107,7 +108,7 @@ def identify(
             f"{changed[0]} belongs to a search; with a method there is none",
             field=changed[0],
         )
-    found = by_method(data, method, validation, progress)
+    found = run_method(data, method, validation, progress)
     value = attach_domain_and_intervals(found.value, data, apart=validation)
     return dataclasses.replace(found, value=value)
 

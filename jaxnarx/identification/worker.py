@@ -112,7 +112,7 @@ class SearchWorker:
         """Whether all candidates are there to be read."""
         return (self.place / END_FILE).exists() or self.process.poll() is not None
 
-    def found(self) -> Iterator[Tried]:
+    def read_new(self) -> Iterator[Tried]:
         """Candidates that are new; what has stopped the search is raised here."""
         while (path := self.place / str(self.read)).exists():
             row, has = _read(path)
@@ -129,7 +129,7 @@ class SearchWorker:
                 f"{self.process.returncode}: {said or 'it said nothing'}"
             )
 
-    def trying(self) -> Trying | None:
+    def read_trying(self) -> Trying | None:
         """The candidate that is being tried, where that is new."""
         path = self.place / TRYING_KEY
         if not path.exists() or (now := _read(path)) == self.told:

@@ -15,7 +15,7 @@ from jaxnarx.metrics import nrmse
 from jaxnarx.models import Network, report_outputs
 from jaxnarx.settings import ActuatorLimits
 from jaxnarx.simulation import has_diverged
-from jaxnarx.solution import NAMES, RESULTS, Solution
+from jaxnarx.solution import RESULTS, STATUS_NAMES, Solution
 
 LIMIT_TOLERANCE = 1e-9
 """Share of a range, or of a largest change, within which a limit counts as reached."""
@@ -151,8 +151,8 @@ def _solution(loop: Loop, task: CascadeTask, value: Tracking) -> Solution[Tracki
         ]
     )
     short = np.array([s >= len(r) for s, r in zip(task.start, task.data, strict=True)])
-    codes = np.where(short, NAMES.index("too_short"), 0)
-    codes = np.where(bad, NAMES.index("diverged"), codes)
+    codes = np.where(short, STATUS_NAMES.index("too_short"), 0)
+    codes = np.where(bad, STATUS_NAMES.index("diverged"), codes)
     stats: dict[str, Any] = {
         "record_status": codes,
         "nrmse": value.nrmse(),

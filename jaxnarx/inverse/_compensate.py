@@ -16,7 +16,7 @@ from jaxnarx.arrays import (
     begin_levenberg,
     begin_search,
     evaluate_at,
-    plain,
+    strip_names,
 )
 from jaxnarx.data import Dataset
 from jaxnarx.inverse.loop import Loop, connect
@@ -42,7 +42,7 @@ def compensate(
 ) -> Solution[Network]:
     """Train an inverse through a forward network that stays as it is.
 
-    What is minimised is the tracking error of `cascade` plus the price of moving the
+    The criterion is the tracking error of `cascade` plus the price of moving the
     commands, with the limits inside the loop; see `TrackingError`. Coefficients and
     partition of the inverse move, or what is True in `trainable` (`jaxnarx.freeze`).
     `references` and `validation` are as for `cascade`. Outputs that the model itself
@@ -85,12 +85,12 @@ class _Search:
     ):
         self.loop, self.layout, self.task, self.method = loop, layout, task, method
         self.spread = spreads(loop, task)
-        self.guard = plain(self._problem(guard, None))
+        self.guard = strip_names(self._problem(guard, None))
         start = np.asarray(layout.gather(layout.base))
         loss = np.asarray(evaluate_at(self.guard.loss, start))
         self.log = SearchLog(loss, progress)
         self.search = begin_search(begin_levenberg(start), loss)
-        self.start_tracking = float(evaluate_at(self.guard.tracking, start))
+        self.start_tracking = float(evaluate_at(self.guard.tracking_error, start))
 
     def _problem(self, task: CascadeTask, horizon: int | None) -> TrackingProblem:
         method = self.method
@@ -107,7 +107,7 @@ class _Search:
         best = np.asarray(self.search.best.u)
         if self.method.horizons:
             # Windows may end where the whole record does not hold.
-            loss = plain(self._problem(self.task, None)).loss
+            loss = strip_names(self._problem(self.task, None)).loss
             if evaluate_at(loss, best) < evaluate_at(loss, u):
                 u = best
         return self._solution(self._stage(u, None, self.method.max_steps)[1])
@@ -136,7 +136,7 @@ class _Search:
             network = self.layout.base
         stats = log.stats(status, best.score, self.layout.parameters)
         stats |= {
-            "tracking": float(evaluate_at(self.guard.tracking, u)),
+            "tracking": float(evaluate_at(self.guard.tracking_error, u)),
             "tracking_start": self.start_tracking,
         }
         detail = f"tracking loss {log.start_loss:.4g} -> {loss:.4g}"

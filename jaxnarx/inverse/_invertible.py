@@ -11,7 +11,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset, Finding, Findings
 from jaxnarx.formatting import brief, page
 from jaxnarx.inverse._reachable import Reach, reachable
-from jaxnarx.inverse.dataset import Lead, leads_of
+from jaxnarx.inverse.dataset import Lead, target_leads
 from jaxnarx.inverse.forward import dead_times, positions
 from jaxnarx.inverse.linearise import (
     LocalSlopes,
@@ -31,7 +31,8 @@ WEAK_SHARE = 0.02
 """A command is weak where its whole range moves the target by less than this share of
 the target's range; gains below this share of their median count as zero."""
 MAX_REST_SHARE = 0.05
-"""What a delayed inverse of a zero outside the unit circle may leave undone."""
+"""Share of the target that a delayed inverse of a zero outside the unit circle may
+miss."""
 LONGEST_LEAD = 60
 """Additional lead [samples] beyond which no delayed inverse is offered."""
 
@@ -85,7 +86,7 @@ def invertible(
     limits: ActuatorLimits | None = None,
     points: int = 600,
 ) -> Solution[Invertibility]:
-    """Look for what stands against an inverse of `forward` in the range of `data`.
+    """Check whether `forward` has an inverse in the range of `data`.
 
     The network is linearised at `points` samples. Findings, by kind:
 
@@ -112,11 +113,13 @@ def invertible(
     u, y = positions(forward, commands, targets)
     local = local_slopes(forward, data, points=points)
     gain = static_gain(local, y, u)
-    zero, extra = _outside(local, y, u)
+    zero, extra = _outer_zeros(local, y, u)
     dead = dead_times(forward)[np.array(y)][:, np.array(u)]
     needed = _needed_lead(dead, extra, targets)
     given = (
-        None if lead is None else leads_of(data, list(commands), list(targets), lead)
+        None
+        if lead is None
+        else target_leads(data, list(commands), list(targets), lead)
     )
     notes = _Notes(local, list(commands), list(targets))
     notes.effects(dead)
@@ -134,7 +137,7 @@ def invertible(
         if not found.is_okay:
             notes.add("warning", "unreachable", found.detail, ", ".join(targets))
     value = Invertibility(
-        *notes.ranked(),
+        *notes.rank(),
         command_names=tuple(commands),
         target_names=tuple(targets),
         place_names=tuple(forward.channels.names),
@@ -153,7 +156,7 @@ def invertible(
     return Solution(value, RESULTS.ok, stats)
 
 
-def _outside(
+def _outer_zeros(
     local: LocalSlopes, targets: list[int], commands: list[int]
 ) -> tuple[Float[np.ndarray, " points"], Int[np.ndarray, " points"]]:
     """Largest modulus of a zero, and the lead that those outside ask for."""
@@ -204,7 +207,7 @@ class _Notes:
         """One finding."""
         self.found.append((Finding(severity, kind, message, channel), region))
 
-    def ranked(self) -> tuple[Findings, tuple[Region | None, ...]]:
+    def rank(self) -> tuple[Findings, tuple[Region | None, ...]]:
         """Findings, errors first, and their regions in the same order."""
         findings = Findings(tuple(f for f, _ in self.found))
         regions = {id(f): region for f, region in self.found}

@@ -1,4 +1,4 @@
-"""Which references a plant can hold, and the commands that come nearest."""
+"""Reachable references of a plant, and the commands that come nearest to them."""
 
 import dataclasses
 import itertools
@@ -66,7 +66,7 @@ class _Aim(eqx.Module):
         network, at = self.map.network, np.array(self.targets)
         return y[at] * network.gain[np.array(network.signals)[at]], found
 
-    def missing(self, signals, share):
+    def remaining_error(self, signals, share):
         """The rest of the reference in training ranges; large without a state of
         rest."""
         network = self.map.network
@@ -161,10 +161,10 @@ def _nearest(
     """Commands, outputs and what is left, for every row."""
 
     def one(row):
-        left = jax.vmap(lambda s: jnp.sum(aim.missing(row, s) ** 2))(shares)
+        left = jax.vmap(lambda s: jnp.sum(aim.remaining_error(row, s) ** 2))(shares)
         share, _ = _refine(aim, row, shares[jnp.argmin(left)])
         u = aim.low + share * (aim.high - aim.low)
-        rest = jnp.sqrt(jnp.mean(aim.missing(row, share) ** 2))
+        rest = jnp.sqrt(jnp.mean(aim.remaining_error(row, share) ** 2))
         return u, aim.outputs(row, share)[0], rest
 
     return jax.lax.map(one, signals, batch_size=BLOCK_SAMPLES)
@@ -175,8 +175,8 @@ def _refine(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"])
 
     def step(_, state):
         share, damping = state
-        missing = aim.missing(row, share)
-        slope = jax.jacfwd(lambda s: aim.missing(row, s))(share)
+        missing = aim.remaining_error(row, share)
+        slope = jax.jacfwd(lambda s: aim.remaining_error(row, s))(share)
         # A command that pushes against its limit has no part in the step.
         push = slope.T @ missing
         free = ~(((share <= 0) & (push > 0)) | ((share >= 1) & (push < 0)))
@@ -185,7 +185,7 @@ def _refine(aim: _Aim, row: Float[Array, " signals"], share: Float[Array, " c"])
         scale = damping * jnp.maximum(jnp.diagonal(gram), 1e-6)
         move = jnp.linalg.solve(gram + jnp.diag(scale), slope.T @ missing)
         trial = jnp.clip(share - move, 0.0, 1.0)
-        better = jnp.sum(aim.missing(row, trial) ** 2) < jnp.sum(missing**2)
+        better = jnp.sum(aim.remaining_error(row, trial) ** 2) < jnp.sum(missing**2)
         damping = jnp.where(better, damping / 10, damping * 10)
         return jnp.where(better, trial, share), damping
 

@@ -60,7 +60,7 @@ def inverse_data(
     _require_known(commands, own.input_names, "commands")
     _require_known(targets, own.output_names, "targets")
     _require_known(states, own.output_names, "states", empty=True)
-    leads = leads_of(data, commands, targets, lead, forward)
+    leads = target_leads(data, commands, targets, lead, forward)
     others = [name for name in own.input_names if name not in commands]
 
     def channel(name: str) -> Channel:
@@ -86,7 +86,7 @@ def inverse_data(
     return Dataset(records, channels, data.sample_time)
 
 
-def leads_of(
+def target_leads(
     data: Dataset,
     commands: Sequence[str],
     targets: Sequence[str],

@@ -1,4 +1,4 @@
-"""What is read of a forward network: commands and targets by name, and dead times."""
+"""Commands, targets and dead times of a forward network, by name."""
 
 from collections.abc import Sequence
 

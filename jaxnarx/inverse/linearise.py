@@ -60,12 +60,12 @@ class LocalSlopes:
         total = np.zeros(shape, complex)
         for e, (signal, lag, filter_) in enumerate(self.entries):
             if signal in signals:
-                way = w**lag * self._passed(filter_, w)
+                way = w**lag * self._transfer_function(filter_, w)
                 column = signals.index(signal)
                 total[..., column] += way[None, :, None] * self.slope[:, None, :, e]
         return total
 
-    def _passed(
+    def _transfer_function(
         self, filter_: AbstractFilter | None, w: Complex[np.ndarray, " values"]
     ) -> Complex[np.ndarray, " values"]:
         """Transfer function of a filter, c (I - A w)^-1 b."""
@@ -107,7 +107,7 @@ def local_slopes(network: Network, data: Dataset, *, points: int = 600) -> Local
     """Linearise at `points` measured samples, evenly spaced.
 
     Local models with feedback of their own and hidden channels are refused: their past
-    is not measured. Of a network with limits, inputs beyond their range stand at its
+    is not measured. If the network has limits, inputs beyond their range stand at its
     edge.
     """
     require_shared(network)

@@ -45,7 +45,7 @@ class Loop(eqx.Module):
 
     @property
     def nameless(self) -> "Loop":
-        """That of the networks without names, for programs."""
+        """Copy with networks without names, so that names are no part of a program."""
         plain = self.inverse.nameless, self.forward.nameless
         return twin(self, inverse=plain[0], forward=plain[1])
 
@@ -118,14 +118,14 @@ def _fill_variables(
 ):
     """Both kinds of variables with `values` in physical units put in their places.
 
-    Column k of `values` is lag `first` + k. A network with limits sees them `within`
-    its ranges where they are inputs.
+    Column k of `values` is lag `first` + k. A network with limits holds them to
+    their ranges where they are inputs.
     """
     rows, sources, lags = _columns(places[0])
     if len(rows):
         signal = network.variables.signal[rows]
         given = values[sources, lags - first]
-        fresh = network.within(given, signal)
+        fresh = network.hold_inputs(given, signal)
         v = v.at[rows + 1].set(fresh / network.gain[signal])
         beyond = len(network.variables) + 1
         if v.shape[0] > beyond:
@@ -135,7 +135,7 @@ def _fill_variables(
         rows, sources, lags = _columns(own)
         if len(rows):
             fresh = values[sources, lags - first]
-            fresh = network.within(fresh, model.scheduling.signal[rows])
+            fresh = network.hold_inputs(fresh, model.scheduling.signal[rows])
             x_o = x_o.at[rows].set(fresh)
         out.append(x_o)
     return v, tuple(out)
@@ -187,7 +187,7 @@ def _require_named(given: Mapping[str, object], names: list[str], field: str) ->
         )
 
 
-def seen_by_inverse(
+def inverse_columns(
     loop: Loop,
     signals: Float[Array, "time signals"],
     valid: Bool[Array, "time signals"] | Bool[np.ndarray, "time signals"],
@@ -196,13 +196,13 @@ def seen_by_inverse(
     held."""
     at = jnp.arange(signals.shape[0])
 
-    def shifted(x):
+    def shift_signals(x):
         picked = [
             x[jnp.minimum(at + k, x.shape[0] - 1), s] for s, k in loop.wiring.source
         ]
         return jnp.stack(picked, axis=1)
 
-    return shifted(signals), shifted(jnp.asarray(valid))
+    return shift_signals(signals), shift_signals(jnp.asarray(valid))
 
 
 def run_record(
@@ -219,7 +219,7 @@ def run_record(
     """
     inverse, forward = loop.inverse, loop.forward
     f_v, f_x = forward.columns(signals, jnp.asarray(valid))
-    i_v, i_x = inverse.columns(*seen_by_inverse(loop, signals, valid))
+    i_v, i_x = inverse.columns(*inverse_columns(loop, signals, valid))
     drive = f_v.T, tuple(x.T for x in f_x), i_v.T, tuple(x.T for x in i_x)
     commands = signals[:, np.array(loop.command_signals)] / loop.command_gain[None]
     outputs = signals[:, np.array(forward.signals)] / loop.output_gain[None]

@@ -1,4 +1,5 @@
-"""Where some of many points lie, said by one channel and one border, or by two."""
+"""The region of some of many points, described by one channel and one border, or by
+two."""
 
 import dataclasses
 
@@ -50,7 +51,7 @@ class Region:
     def holds(
         self, place: Float[np.ndarray, "points channels"], names: list[str]
     ) -> Bool[np.ndarray, " points"]:
-        """Which points lie in it."""
+        """True for points that lie in it."""
         value = place[:, names.index(self.channel)]
         inside = value > self.border if self.above else value <= self.border
         return inside if self.also is None else inside & self.also.holds(place, names)

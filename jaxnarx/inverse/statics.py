@@ -12,7 +12,7 @@ from jaxnarx.regressors import Variables, realise
 NEWTON_STEPS = 12
 """Newton steps to the equilibrium; quadratic convergence needs about six."""
 EQUILIBRIUM_TOLERANCE = 1e-6
-"""What may be missing at an equilibrium, scaled."""
+"""Error allowed at an equilibrium, scaled."""
 
 
 class Statics(eqx.Module):
@@ -28,7 +28,7 @@ class Statics(eqx.Module):
         """Scaled outputs one step on when everything has been held for ever."""
         network = self.network
         own = np.array(network.signals)
-        held = network.within(signals).at[own].set(y * network.gain[own])
+        held = network.hold_inputs(signals).at[own].set(y * network.gain[own])
         v = held[network.variables.signal] / network.gain[network.variables.signal]
         v = jnp.concatenate([jnp.ones(1, v.dtype), v * self.terms])
         pairs = zip(network.models, self.scheduling, strict=True)

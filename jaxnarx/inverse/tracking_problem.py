@@ -93,7 +93,7 @@ class TrackingProblem(AbstractProblem):
 
     @property
     def nameless(self) -> "TrackingProblem":
-        """That of networks without names, for programs."""
+        """Copy with networks without names, so that names are no part of a program."""
         return twin(self, loop=self.loop.nameless, layout=self.layout.nameless)
 
     @property
@@ -106,7 +106,7 @@ class TrackingProblem(AbstractProblem):
         error, change = _losses(self.loop, self.layout, u, self.data)
         return error + change
 
-    def tracking(self, u: Float[Array, " params"]) -> Float[Array, ""]:
+    def tracking_error(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The tracking error alone."""
         return _losses(self.loop, self.layout, u, self.data)[0]
 

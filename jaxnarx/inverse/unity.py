@@ -26,10 +26,10 @@ below which an output has settled."""
 class UnityGain:
     """A cascade linearised at rest, at several operating points; physical units.
 
-    `place` holds the signals `place_names` of every point, `reference` what was asked
-    for and `output` where the targets have come to rest. `gain[p, i, j]` is the static
-    gain from reference j to target i, `response[p, f, i, j]` the complex one at
-    `frequency` f [Hz], against the reference at the same instant. `settled` is False
+    `place` holds the signals `place_names` of every point, `reference` the references
+    and `output` the values at which the targets have come to rest. `gain[p, i, j]` is
+    the static gain from reference j to target i, `response[p, f, i, j]` the complex one
+    at `frequency` f [Hz], against the reference at the same instant. `settled` is False
     where the output was still moving or its response had not died out, `held` True
     where a limit acted at rest (the gain by that command is then zero).
     """
@@ -126,12 +126,12 @@ def _respond(
         def outcome(signals):
             return run_record(loop, signals, valid, at == loop.history)
 
-        def by_pulse(signal):
+        def pulse_response(signal):
             pulse = jnp.zeros_like(signals).at[before + settle, signal].set(1.0)
             moved = jax.jvp(outcome, (signals,), (pulse,))[1]
             return moved[:, shown] * gain[None]
 
-        return outcome(signals), jax.vmap(by_pulse)(jnp.asarray(outputs))
+        return outcome(signals), jax.vmap(pulse_response)(jnp.asarray(outputs))
 
     return jax.lax.map(one, place)
 
@@ -174,11 +174,11 @@ def _value(
         frequency=frequency,
         response=np.einsum("pijt,ft->pfij", pulse, kernel),
         settled=(moved < SETTLED_SHARE).all(axis=1) & died,
-        held=_at_limit(loop, z[:, rest]),
+        held=_is_at_limit(loop, z[:, rest]),
     )
 
 
-def _at_limit(
+def _is_at_limit(
     loop: Loop, z: Float[np.ndarray, "points states"]
 ) -> Bool[np.ndarray, " points"]:
     """The samples at which a command or an output rests at its limit."""

@@ -1,4 +1,4 @@
-"""Which places of an inverse and of a forward network the loop fills itself."""
+"""Places of an inverse and of a forward network that the loop fills itself."""
 
 import dataclasses
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.arrays import history_of
+from jaxnarx.arrays import past_outputs
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.linear.adapt_program import (
@@ -97,7 +97,7 @@ def _samples(
         start = run(network, drive, jnp.asarray(anchor))
     else:
         start = run_steps(network, drive, jnp.asarray(1))[0]
-    past = jax.vmap(partial(history_of, depth=depth(network)))(drive.measured)
+    past = jax.vmap(partial(past_outputs, depth=depth(network)))(drive.measured)
     dtype = drive.measured.dtype
     every = (
         drive.v.swapaxes(1, 2),
@@ -139,18 +139,18 @@ def _stats(network: Network, record: WindowRecord) -> dict:
 def _status(network: Network, stats: dict) -> tuple[RESULTS, dict, str]:
     windows, names = len(stats["undone"]), network.output_names
 
-    def said(output: int, text: str):
+    def describe(output: int, text: str):
         name = names[output]
         return stats | {"channel": name}, f"{name}: {text}"
 
     restarts = stats["restarts"]
     for o in np.flatnonzero(restarts == windows).tolist():
         text = "every window made the error grow and was undone; lower start"
-        return RESULTS.stalled, *said(o, text)
+        return RESULTS.stalled, *describe(o, text)
     for o in np.flatnonzero(stats["frozen"] == stats["samples"]).tolist():
         text = "no sample brought news; the coefficients are unchanged"
-        return RESULTS.unidentifiable, *said(o, text)
+        return RESULTS.unidentifiable, *describe(o, text)
     for o in np.flatnonzero(restarts).tolist():
         text = f"{restarts[o]} of {windows} windows made the error grow, were undone"
-        return RESULTS.no_improvement, *said(o, text)
+        return RESULTS.no_improvement, *describe(o, text)
     return RESULTS.ok, stats, ""

@@ -45,10 +45,10 @@ class Innovations:
 
 @guard_arguments
 def innovations(model: LinearModel, data: Dataset) -> Innovations:
-    """e(t) of (2.3) for every sample: the one-step prediction errors.
+    """One-step prediction errors e(t) of (2.3) for every sample.
 
     The initial states of B/F of every record are those of least squares on the record;
-    e and C/D e before it are zero. Of an output-error model the errors are those of its
+    e and C/D e before it are zero. The errors of an output-error model are those of its
     free run. Channels are matched by name. `DataError` where no record has a complete
     window, `SpecError` at another sample time.
     """

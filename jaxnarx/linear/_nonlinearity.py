@@ -112,10 +112,10 @@ def nonlinearity(
                 f"noise must be a number, a dataset or 'repeats', got {noise!r}",
                 field="noise",
             )
-        return _against_repeats(data, options, leakage, level)
+        return _compare_with_repeats(data, options, leakage, level)
     found = spectra(data, **options)
     if isinstance(noise, Dataset):
-        floor, freedom = _still(noise, data, output, segment)
+        floor, freedom = _noise_spectrum(noise, data, output, segment)
         return _check(
             found, floor, freedom, leakage, level, "records at constant input"
         )
@@ -153,7 +153,7 @@ def _check(
     )
 
 
-def _still(noise: Dataset, data: Dataset, output: str | None, segment: int):
+def _noise_spectrum(noise: Dataset, data: Dataset, output: str | None, segment: int):
     """Spectrum of the output in records without motion, and its degrees of freedom."""
     noise, _ = match_channels(noise, data.channels)
     step = segment - int(round(segment * OVERLAP_SHARE))
@@ -164,7 +164,7 @@ def _still(noise: Dataset, data: Dataset, output: str | None, segment: int):
     return density, 2 * independent(len(x), taper, step)
 
 
-def _against_repeats(data: Dataset, options, leakage, level) -> NonlinearityCheck:
+def _compare_with_repeats(data: Dataset, options, leakage, level) -> NonlinearityCheck:
     """Against the scatter of repeated records, all on their mean."""
     first, count = data.records[0], len(data)
     if count < 2:
@@ -181,7 +181,7 @@ def _against_repeats(data: Dataset, options, leakage, level) -> NonlinearityChec
     found = spectra(dataclasses.replace(data, records=(mean,)), **options)
     scatter = tuple(dataclasses.replace(r, y=r.y - mean.y) for r in data.records)
     segment = options["segment"]
-    floor, freedom = _still(
+    floor, freedom = _noise_spectrum(
         dataclasses.replace(data, records=scatter), data, options["output"], segment
     )
     # The scatter about the mean is short of one repetition; the mean has 1/P of it.

@@ -101,7 +101,7 @@ def spectra(
         )
     one_sided = 2 * data.sample_time / float(np.sum(taper**2))
     s = np.einsum("nfi,nfj->fij", transforms.conj(), transforms) / count * one_sided
-    frequency = np.fft.rfftfreq(segment, data.sample_time)[_between(segment)]
+    frequency = np.fft.rfftfreq(segment, data.sample_time)[_inner_frequencies(segment)]
     response, noise, inverse = solve_response(s, inputs_used)
     total = np.real(s[:, -1, -1])
     coherence = np.clip(1 - noise / np.where(total > 0, total, 1.0), 0.0, 1.0)
@@ -140,7 +140,7 @@ def default_segment(data: Dataset) -> int:
     return max(16, min(1024, max((len(r) for r in data), default=0) // 8))
 
 
-def _between(segment: int) -> slice:
+def _inner_frequencies(segment: int) -> slice:
     """The frequencies of a real transform strictly between zero and the Nyquist
     frequency."""
     return slice(1, (segment + 1) // 2)
@@ -187,7 +187,7 @@ def segment_transforms(
         )
     cut = np.stack(pieces)
     cut = (cut - cut.mean(axis=1, keepdims=True)) * taper[None, :, None]
-    return np.fft.rfft(cut, axis=1)[:, _between(segment)], taper
+    return np.fft.rfft(cut, axis=1)[:, _inner_frequencies(segment)], taper
 
 
 def independent(count: int, taper: Float[np.ndarray, " segment"], step: int) -> float:

@@ -40,7 +40,7 @@ class RegressionRows(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class AdaptationPlan:
-    """Which local models of each output are adapted, and whether jointly."""
+    """Local models of each output that are adapted, and whether jointly."""
 
     chosen: tuple[tuple[int, ...], ...]
     joint: bool
@@ -246,7 +246,7 @@ def adapt_windows(
     """Final coefficients of the chosen models, and a record of every window."""
     joint = plan.joint
 
-    def rows_of(v, x):
+    def regression_rows(v, x):
         parts = zip(network.models, plan.chosen, x, strict=True)
         return [output_rows(m, c, v, x_o) for m, c, x_o in parts]
 
@@ -255,7 +255,7 @@ def adapt_windows(
         rows, v, x, y, measured, weight, anchor, start = now
         if simulated:
             past = jnp.where(anchor | lost, measured, past)
-            rows = rows_of(*with_history(network, v, x, past))
+            rows = regression_rows(*with_history(network, v, x, past))
         learnt = [
             _learn(output, row, y[o], weight[o], limits, joint)
             for o, (output, row) in enumerate(zip(outputs, rows, strict=True))
@@ -277,7 +277,7 @@ def adapt_windows(
         v, x = block.v, block.x
         rows = None
         if not simulated:
-            rows = rows_of(v.T, tuple(x_o.T for x_o in x))
+            rows = regression_rows(v.T, tuple(x_o.T for x_o in x))
         inner = (rows, v, x, *block[2:])
         (outputs, past, _), figures = jax.lax.scan(sample, carry, inner)
         error, error_start, counted, rested, held = figures

@@ -16,7 +16,7 @@ from jaxnarx.linear.orders import output_place, require_varying
 from jaxnarx.linear.prediction_error import PredictionErrorEnd, least_innovations
 from jaxnarx.linear.recursion import Signals, signals, window_start
 from jaxnarx.linear.starts import starts
-from jaxnarx.linear.structure import Structure, structure_of
+from jaxnarx.linear.structure import Structure, make_structure
 from jaxnarx.linear.triangle import triangle
 from jaxnarx.models import ranges
 from jaxnarx.regressors import require_samples
@@ -63,7 +63,7 @@ class ColumnScale:
         constant + A(1) mean_y - sum_i B_i(1)/F_i(1) mean_i. The covariance follows by
         the derivative of this map.
         """
-        value, slope = _mapped(
+        value, slope = _map_parameters(
             structure,
             jnp.asarray(parameters),
             jnp.asarray(self.mean),
@@ -74,7 +74,7 @@ class ColumnScale:
 
 
 @eqx.filter_jit
-def _mapped(structure: Structure, parameters, mean, spread):
+def _map_parameters(structure: Structure, parameters, mean, spread):
     def physical(theta):
         p = structure.split(theta)
         b = tuple(x * spread[-1] / spread[i] for i, x in enumerate(p.b))
@@ -128,7 +128,7 @@ def fit_linear(
         search `initial`, the states of every record as deviations from the mean.
     """
     place = output_place(data, output)
-    structure = structure_of(method, data.channels)
+    structure = make_structure(method, data.channels)
     if structure.is_linear:
         return _least_squares(data, structure, place)
     return _search_orders(data, structure, place, method)

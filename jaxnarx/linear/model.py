@@ -157,7 +157,7 @@ class LinearModel(eqx.Module):
 
         Everything over the common denominator: y = (1 - A F) y + sum_i B_i F/F_i u_i +
         F(1) constant, F the product of all F_i. An ARX model is unchanged and its
-        one-step predictions are the optimal ones. Of the others only the free run is
+        one-step predictions are the optimal ones. For the others only the free run is
         the model's own: their optimal one-step prediction needs C and D, see
         `innovations`. A free run starts from measured outputs.
         """

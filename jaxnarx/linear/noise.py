@@ -38,7 +38,7 @@ class NoiseModel(eqx.Module):
     def predict(self, data: Dataset) -> Innovations:
         """One-step predictions and their errors e, in the output's unit.
 
-        Scored where the free run is and the measurement is valid. `simulate` of the
+        True where the free run counts and the measurement is valid. `simulate` of the
         network is the free run of the whole: its best prediction without measurements.
         """
         errors = _errors(self.network, data)
@@ -60,9 +60,9 @@ def fit_noise(
 ) -> Solution[NoiseModel]:
     """Fit C and D, of the orders `nc` and `nd`, to the free-run error of one output.
 
-    By prediction error, as `fit_linear` does; a constant takes up the mean error. Stats
-    and statuses are those of `fit_linear`. `value.noise` has the polynomials, poles and
-    standard errors, `value.predict(data)` the predictions.
+    It minimises the prediction error, as `fit_linear` does; a constant takes up the
+    mean error. Stats and statuses are those of `fit_linear`. `value.noise` has the
+    polynomials, poles and standard errors, `value.predict(data)` the predictions.
     """
     errors = _errors(network, data)
     name = output or network.output_names[0]

@@ -1,4 +1,4 @@
-"""What an order search found: errors and criteria of every structure."""
+"""The table of an order search: errors and criteria of every structure."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -20,7 +20,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear.order_table import OrderSearch, order_search
-from jaxnarx.linear.structure import by_input
+from jaxnarx.linear.structure import orders_by_input
 from jaxnarx.linear.triangle import Triangle, triangle
 from jaxnarx.solution import RESULTS, Solution
 
@@ -208,9 +208,9 @@ class _Grid:
     @classmethod
     def of(cls, data: Dataset, na, nb, nk, *, together: bool) -> "_Grid":
         names = data.channels.input_names
-        lengths = _by_input(nb, names, "nb", 1)
+        lengths = _candidates_by_input(nb, names, "nb", 1)
         used = tuple(i for i, n in enumerate(lengths) if n is not None)
-        delays = _by_input(nk, names, "nk", 0)
+        delays = _candidates_by_input(nk, names, "nk", 0)
         if any(delays[i] is None for i in used):
             raise SpecError("nk must speak of every input that nb names", field="nk")
         chosen = tuple(lengths[i] or () for i in used)
@@ -258,11 +258,11 @@ class _Grid:
             yield _Chain(self.inputs, na, before, self.nb[-1], tuple(nk), self.together)
 
 
-def _by_input(given: Lengths, names: list[str], field: str, least: int):
+def _candidates_by_input(given: Lengths, names: list[str], field: str, least: int):
     """A tuple of candidates for every input, None for those left out."""
     if not isinstance(given, Mapping):
         return [_candidates(given, field, least)] * len(names)
-    by_input({name: 0 for name in given}, names, field)
+    orders_by_input({name: 0 for name in given}, names, field)
     return [
         _candidates(given[name], field, least) if name in given else None
         for name in names

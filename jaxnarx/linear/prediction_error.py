@@ -64,13 +64,13 @@ class PredictionErrorProblem(AbstractProblem):
         parts = (p.c, *p.f)
         return jnp.all(jnp.stack([has_stable_roots(jnp.asarray(x)) for x in parts]))
 
-    def _limited(self, u, loss: Float[Array, ""]) -> Float[Array, ""]:
+    def _reject_inadmissible(self, u, loss: Float[Array, ""]) -> Float[Array, ""]:
         return jnp.where(self.is_admissible(u), loss, jnp.inf)
 
     def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The loss; infinite where C or an F_i is not stable."""
         e = residuals(self.structure, *self._parts(u), self.data)
-        return self._limited(u, jnp.sum(e**2))
+        return self._reject_inadmissible(u, jnp.sum(e**2))
 
     def linear(self, u: Float[Array, " params"]) -> Linear:
         """The loss and its normal equations, the states of all records assembled."""
@@ -85,7 +85,7 @@ class PredictionErrorProblem(AbstractProblem):
         among = among.reshape(size - count, size - count)
         shared = jnp.sum(gram[:, :count, :count], axis=0)
         whole = jnp.block([[shared, across], [across.T, among]])
-        loss = self._limited(u, jnp.sum(e**2))
+        loss = self._reject_inadmissible(u, jnp.sum(e**2))
         return Linear(u, loss, jnp.concatenate(gradient), whole)
 
     def pull(self, start: Linear) -> Float[Array, " params"]:
@@ -93,7 +93,7 @@ class PredictionErrorProblem(AbstractProblem):
         return jnp.zeros_like(start.gradient)
 
 
-def start_of(
+def start_vector(
     structure: Structure, parameters: Float[np.ndarray, " params"], data: Signals
 ) -> Float[np.ndarray, " all"]:
     """The vector with these parameters and the best states of the records.
@@ -133,7 +133,7 @@ def least_innovations(
     driver = Driver(Levenberg(PredictionErrorProblem(structure, data)), None, rules)
     places, losses = [], []
     for start in starts:
-        u = start_of(structure, np.asarray(start), data)
+        u = start_vector(structure, np.asarray(start), data)
         place, begun = driver.start(begin_search(begin_levenberg(u)))
         places.append(place)
         losses.append(begun.loss if np.isfinite(begun.loss) else np.inf)

@@ -7,11 +7,12 @@ With w_i = B_i/F_i u_i the model (2.3) is
     e(t)   = v(t) + sum_k d_k v(t - k) - sum_k c_k e(t - k) ,
 
 a recursion with the outputs w_1 ... w_m, v and e, which `arrays.recurrence.free_run`
-runs and differentiates exactly. What acts on measured signals, B_i u_i and A y, is a
-convolution before the loop. A record begins at the first sample with a complete window;
-the w_i before it are its *initial states*, parameters of their own, v and e before it
-are zero. Where a window holds a missing sample, v and e are zero: nothing is known
-about the disturbance; w_i goes on with the values the inputs are held at.
+runs and differentiates exactly. The parts that act on measured signals, B_i u_i and A
+y, are a convolution before the loop. A record begins at the first sample with a
+complete window; the w_i before it are its *initial states*, parameters of their own, v
+and e before it are zero. Where a window holds a missing sample, v and e are zero:
+nothing is known about the disturbance; w_i goes on with the values the inputs are held
+at.
 """
 
 import equinox as eqx

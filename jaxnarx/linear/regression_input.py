@@ -31,7 +31,7 @@ def require_numbers(
             f"{x.shape} and {target.shape}{hint}",
             field="columns",
         )
-    labels = tuple(names) if names is not None else _numbered(x.shape[1])
+    labels = tuple(names) if names is not None else _number_names(x.shape[1])
     if len(labels) != x.shape[1]:
         raise SpecError(
             f"names must be one per column: {x.shape[1]} columns, {len(labels)} names",
@@ -44,7 +44,7 @@ def require_numbers(
     return x.astype(dtype), target.astype(dtype), labels
 
 
-def _numbered(terms: int) -> tuple[str, ...]:
+def _number_names(terms: int) -> tuple[str, ...]:
     return tuple(f"x{n + 1}" for n in range(terms))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 LARGEST_RADIUS = 0.99
-"""Where a root on the circle is put."""
+"""Radius at which a root on the circle is put."""
 
 
 def radius(polynomial: Float[np.ndarray, " _"]) -> float:

@@ -132,7 +132,7 @@ def _output_errors(structure: Structure, u, y, valid, long: _LongModel):
     ]
     found = _with_noise(structure, u, y, valid, pairs)
     if len(set(structure.nf)) == 1:
-        arx = _armax(_shared(structure), u, y, valid, None)
+        arx = _armax(_shared_structure(structure), u, y, valid, None)
         f = reflect_roots(np.asarray(arx.a))
         same = [(np.asarray(b), f) for b in arx.b]
         found += _with_noise(structure, u, y, valid, same)
@@ -161,7 +161,7 @@ def _with_shared_poles(structure: Structure, u, y, valid, long, plain: Polynomia
     return found
 
 
-def _shared(structure: Structure) -> Structure:
+def _shared_structure(structure: Structure) -> Structure:
     """The ARX model with the order of all F as that of A."""
     none = (0,) * len(structure.nf)
     order = structure.nf[0]

@@ -122,14 +122,14 @@ class Structure:
         return xp.concatenate([*parts, *last])
 
 
-def structure_of(method: LinearMethod, channels: Channels) -> Structure:
+def make_structure(method: LinearMethod, channels: Channels) -> Structure:
     """The layout that the settings ask for, with these channels."""
     names = channels.input_names
-    nb = by_input(method.nb, names, "nb")
+    nb = orders_by_input(method.nb, names, "nb")
     used = tuple(i for i, n in enumerate(nb) if n is not None)
 
     def orders(field: str) -> tuple[int, ...]:
-        given = by_input(getattr(method, field, 0), names, field)
+        given = orders_by_input(getattr(method, field, 0), names, field)
         missing = [names[i] for i in used if given[i] is None]
         if missing:
             raise SpecError(f"{field} says nothing of {missing[0]!r}", field=field)
@@ -147,7 +147,9 @@ def structure_of(method: LinearMethod, channels: Channels) -> Structure:
     )
 
 
-def by_input(orders: Orders, names: Sequence[str], field: str) -> list[int | None]:
+def orders_by_input(
+    orders: Orders, names: Sequence[str], field: str
+) -> list[int | None]:
     """An order for every input; None for those a mapping leaves out."""
     if isinstance(orders, Mapping):
         for name in orders:

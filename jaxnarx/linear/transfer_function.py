@@ -73,7 +73,7 @@ class TransferFunction:
     def dc_gain(self) -> float:
         """The value at which a unit step settles, G(1); infinite with a pole at one.
 
-        Of an unstable function this is G(1) too, but nothing settles there.
+        For an unstable function this is G(1) too, but nothing settles there.
         """
         top, bottom = float(self.numerator.sum()), float(self.denominator.sum())
         if abs(bottom) <= ZERO_DENOMINATOR_SHARE * float(
@@ -141,11 +141,11 @@ class TransferFunction:
         samples, and 200 of an unstable function.
         """
         if length is None:
-            length = self._settled()
+            length = self._settling_samples()
         time = np.arange(length) * self.sample_time
         return time, self._response(np.ones(length))
 
-    def _settled(self) -> int:
+    def _settling_samples(self) -> int:
         longest = float(self.time_constants.max(initial=0.0)) / self.sample_time
         if not np.isfinite(longest):
             return 200

@@ -1,5 +1,8 @@
 """Validity functions, local models and the network that blends them."""
 
+from typing import TYPE_CHECKING
+
+from jaxnarx.deprecation import find_old
 from jaxnarx.models._assemble import OUTPUT_MARGIN as OUTPUT_MARGIN
 from jaxnarx.models._assemble import assemble as assemble
 from jaxnarx.models._assemble import global_model as global_model
@@ -24,7 +27,7 @@ from jaxnarx.models.feedback import collapse as collapse
 from jaxnarx.models.feedback import collapsed_step as collapsed_step
 from jaxnarx.models.feedback import collapses as collapses
 from jaxnarx.models.feedback import depth as depth
-from jaxnarx.models.feedback import fed_back as fed_back
+from jaxnarx.models.feedback import fed_back_variables as fed_back_variables
 from jaxnarx.models.feedback import fold_slopes as fold_slopes
 from jaxnarx.models.feedback import general_step as general_step
 from jaxnarx.models.feedback import group_weights as group_weights
@@ -37,19 +40,19 @@ from jaxnarx.models.feedback import term_values as term_values
 from jaxnarx.models.feedback import widen as widen
 from jaxnarx.models.feedback import with_history as with_history
 from jaxnarx.models.feedback import with_own as with_own
-from jaxnarx.models.limits import fading as fading
 from jaxnarx.models.limits import held_inputs as held_inputs
 from jaxnarx.models.limits import hold_signals as hold_signals
 from jaxnarx.models.limits import hold_to_range as hold_to_range
 from jaxnarx.models.limits import overshoot as overshoot
+from jaxnarx.models.limits import overshoot_decay as overshoot_decay
 from jaxnarx.models.limits import overshoot_rule as overshoot_rule
 from jaxnarx.models.limits import report_outputs as report_outputs
 from jaxnarx.models.limits import reported_range as reported_range
 from jaxnarx.models.limits import within_margin as within_margin
 from jaxnarx.models.missing import Gaps as Gaps
 from jaxnarx.models.missing import hold_missing as hold_missing
+from jaxnarx.models.missing import input_memory as input_memory
 from jaxnarx.models.missing import largest_sizes as largest_sizes
-from jaxnarx.models.missing import memory_of as memory_of
 from jaxnarx.models.missing import set_nan_policy as set_nan_policy
 from jaxnarx.models.missing import trusted_samples as trusted_samples
 from jaxnarx.models.network import MISSING as MISSING
@@ -66,16 +69,16 @@ from jaxnarx.models.outside import LINEAR as LINEAR
 from jaxnarx.models.outside import NAN as NAN
 from jaxnarx.models.outside import OUTSIDE as OUTSIDE
 from jaxnarx.models.outside import OUTSIDE_WORDS as OUTSIDE_WORDS
+from jaxnarx.models.policies import describe_limits as describe_limits
 from jaxnarx.models.policies import describe_missing as describe_missing
 from jaxnarx.models.policies import describe_policies as describe_policies
-from jaxnarx.models.policies import limits_of as limits_of
 from jaxnarx.models.record_run import recursion as recursion
 from jaxnarx.models.record_run import run_record as run_record
 from jaxnarx.models.record_run import run_states as run_states
 from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
-from jaxnarx.models.state import driving as driving
+from jaxnarx.models.state import driving_signals as driving_signals
 from jaxnarx.models.state_form import StateForm as StateForm
 from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load
@@ -89,7 +92,7 @@ from jaxnarx.models.validity import Compact as Compact
 from jaxnarx.models.validity import Gaussians as Gaussians
 from jaxnarx.models.validity import LogSigmoids as LogSigmoids
 from jaxnarx.models.validity import SigmoidTree as SigmoidTree
-from jaxnarx.models.validity import models_of as models_of
+from jaxnarx.models.validity import count_models as count_models
 from jaxnarx.models.validity import register_validity as register_validity
 from jaxnarx.models.validity import weights_of as weights_of
 from jaxnarx.models.validity.gaussians import LEAST_LOG_WIDTH as LEAST_LOG_WIDTH
@@ -131,9 +134,9 @@ __all__ = [
     "depth",
     "describe_missing",
     "describe_policies",
-    "driving",
-    "fading",
-    "fed_back",
+    "driving_signals",
+    "overshoot_decay",
+    "fed_back_variables",
     "fold_slopes",
     "general_step",
     "global_model",
@@ -144,13 +147,13 @@ __all__ = [
     "hold_missing",
     "hold_to_range",
     "largest_sizes",
-    "limits_of",
+    "describe_limits",
     "load",
     "load_about",
     "local_models",
-    "memory_of",
+    "input_memory",
     "combine_outputs",
-    "models_of",
+    "count_models",
     "drop_outputs",
     "output_model",
     "overshoot",
@@ -185,3 +188,8 @@ __all__ = [
     "within_margin",
 ]
 """Names for users; other rooms may import every name above."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        return find_old(__name__, name, {"fed_back": "fed_back_variables"})

@@ -14,12 +14,12 @@ from jaxnarx.regressors import Variables
 
 
 def combine_outputs(networks: Sequence[Network]) -> Network:
-    """All outputs of several networks of the same channels, computed side by side.
+    """Combine networks of the same channels: all their outputs, computed side by side.
 
     A free run of the result is that of the parts, from the longest of their histories
-    and windows. Hidden channels are numbered through; a domain is to be learnt
-    anew, and so is a certificate.
-    `SpecError` where channels, sample times or holds differ or an output comes twice.
+    and windows. Hidden channels are numbered through; domain and certificate have to be
+    found anew. `SpecError` where channels, sample times or holds differ or an output
+    comes twice.
     """
     first = networks[0]
     modelled = tuple(o for n in networks for o in n.modelled)
@@ -51,7 +51,7 @@ def combine_outputs(networks: Sequence[Network]) -> Network:
     ]
 
     def every(name: str, at: Sequence[int]) -> list[np.ndarray]:
-        """What a field says of measured channels, or outputs, and then of hidden
+        """A field's values for measured channels, or outputs, and then for hidden
         ones."""
         values = [np.asarray(getattr(n, name)) for n in networks]
         pairs = zip(values, at, strict=True)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models._assemble import local_models, output_model
-from jaxnarx.models.feedback import fed_back
+from jaxnarx.models.feedback import fed_back_variables
 from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.validity import SigmoidTree
 from jaxnarx.regressors import Variables
@@ -52,7 +52,7 @@ def total(networks: Sequence[Network], weights: Sequence[float]) -> Network:
     edges = np.cumsum([0, *(len(part.leaves) for part in parts)]).tolist()
     own = np.zeros((0, edges[-1]), bool)
     for network, (start, end) in zip(networks, itertools.pairwise(edges), strict=True):
-        if fed_back(network.variables, network.signals):
+        if fed_back_variables(network.variables, network.signals):
             row = np.isin(np.arange(edges[-1]), np.arange(start, end))
             own = np.concatenate([own, row[None]])
     if len(own):
@@ -94,7 +94,7 @@ def _require_fit(network: Network, first: Network) -> None:
             f"{type(model.validity).__name__}",
             field="networks",
         )
-    if fed_back(model.scheduling, network.signals):
+    if fed_back_variables(model.scheduling, network.signals):
         raise SpecError(
             f"{network.output_names[0]} schedules itself; in a sum that would be the "
             "output of all parts",
@@ -133,8 +133,8 @@ def _part(
 ) -> _Part:
     """A model's tree in these scheduling variables, z' = (x - offset)/span.
 
-    Of a gate's argument s (d . z - b), with d of length one and z = (span z' + offset -
-    own offset)/own span, the direction is brought to length one again.
+    A gate's argument is s (d . z - b), with d of length one and z = (span z' + offset -
+    own offset)/own span; its direction is brought to length one again.
     """
     leaves = np.flatnonzero(np.asarray(model.active))
     if not isinstance(model.validity, SigmoidTree):

@@ -1,4 +1,4 @@
-"""Where a network was trained: an index that is one at the border of what it knows.
+"""Domain of a network: an index that is one at the border of its training data.
 
 Four layers look at the inputs, each from another side; every one is scaled so that it
 is one at a border of its own, and the index is the largest of them.
@@ -98,21 +98,21 @@ class Domain(eqx.Module):
         unit = (x - self.middle[:, None]) / self.spread[:, None]
         white = self.whiten @ unit
         joint = jnp.sqrt(jnp.sum(white**2, axis=0))
-        apart = self._apart(unit * self.weight[:, None])
+        apart = self._nearest_distance(unit * self.weight[:, None])
         near = jnp.sqrt(apart.sum(axis=0))
         values = jnp.stack([alone.max(axis=0), rate.max(axis=0), joint, near])
-        shares = self._by_input(unit * (self.whiten.T @ white))
-        blamed = [alone, rate, shares, self._by_input(apart)]
+        shares = self._sum_by_input(unit * (self.whiten.T @ white))
+        blamed = [alone, rate, shares, self._sum_by_input(apart)]
         at = jnp.stack([jnp.argmax(one, axis=0) for one in blamed])
         return jnp.minimum(values / self.border[:, None], LARGEST_INDEX).T, at.T
 
-    def _apart(self, unit: Float[Array, "features time"]) -> Array:
+    def _nearest_distance(self, unit: Float[Array, "features time"]) -> Array:
         """Squared parts of the distance to the nearest point."""
         apart = (unit[None] - self.points[:, :, None]) ** 2
         at = jnp.argmin(apart.sum(axis=1), axis=0)
         return jnp.take_along_axis(apart, at[None, None], axis=0)[0]
 
-    def _by_input(self, parts: Float[Array, "features time"]) -> Array:
+    def _sum_by_input(self, parts: Float[Array, "features time"]) -> Array:
         """The sum over all features of an input."""
         inputs = self.inputs
         place = np.array([inputs.index(s) for s, _ in self.features])

@@ -23,26 +23,27 @@ def drop_outputs(network: Network) -> Network:
     signals = [*range(inputs), *(inputs + o for o in kept), *hidden]
     place = {signal: n for n, signal in enumerate(signals)}
 
-    def moved(table: Variables) -> Variables:
+    def move_variables(table: Variables) -> Variables:
         return Variables.of([(place[s], lag, f) for s, lag, f in table.entries])
 
-    def of_signals(name: str) -> jax.Array:
+    def take_signals(name: str) -> jax.Array:
         return jax.device_put(np.asarray(getattr(network, name))[signals])
 
     models = tuple(
-        dataclasses.replace(m, scheduling=moved(m.scheduling)) for m in network.models
+        dataclasses.replace(m, scheduling=move_variables(m.scheduling))
+        for m in network.models
     )
     left, own = tuple(outputs[o] for o in kept), network.channels
     return Network(
         channels=Channels(own.inputs, left, own.hidden),
         modelled=tuple(kept.index(o) for o in network.modelled),
-        variables=moved(network.variables),
+        variables=move_variables(network.variables),
         models=models,
-        gain=of_signals("gain"),
+        gain=take_signals("gain"),
         lower=network.lower,
         upper=network.upper,
-        low=of_signals("low"),
-        high=of_signals("high"),
+        low=take_signals("low"),
+        high=take_signals("high"),
         sample_time=network.sample_time,
         hold=network.hold,
         window=network.window,

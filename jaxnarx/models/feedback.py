@@ -1,4 +1,4 @@
-"""Which variables are fed back, and the collapse of a network onto their monomials.
+"""Fed-back variables, and the collapse of a network onto their monomials.
 
 Every term splits into an input part, known before the run, and a monomial h_a of lagged
 outputs, of which there are few. Where no scheduling variable is an output, all work
@@ -34,7 +34,7 @@ MOST_COLLAPSED_MONOMIALS = 128
 evaluates the terms is no slower and needs less memory."""
 
 
-def fed_back(
+def fed_back_variables(
     variables: Variables, signals: tuple[int, ...]
 ) -> list[tuple[int, int, int]]:
     """(row, output, lag - 1) of the variables that are modelled outputs."""
@@ -54,7 +54,7 @@ def depth(network: Network) -> int:
 
 def monomials(network: Network) -> np.ndarray:
     """Table of all monomials of fed-back variables, rows into [1, x_e1 ... x_eE]."""
-    count = len(fed_back(network.variables, network.signals))
+    count = len(fed_back_variables(network.variables, network.signals))
     degree = max(m.local.factor.shape[1] for m in network.models)
     return np.array(
         list(itertools.combinations_with_replacement(range(count + 1), degree))
@@ -63,8 +63,10 @@ def monomials(network: Network) -> np.ndarray:
 
 def collapses(network: Network) -> bool:
     """True where the loop can be reduced to feedback monomials."""
-    scheduled = any(fed_back(m.scheduling, network.signals) for m in network.models)
-    count = len(fed_back(network.variables, network.signals))
+    scheduled = any(
+        fed_back_variables(m.scheduling, network.signals) for m in network.models
+    )
+    count = len(fed_back_variables(network.variables, network.signals))
     degree = max(m.local.factor.shape[1] for m in network.models)
     return (
         not scheduled and math.comb(count + degree, degree) <= MOST_COLLAPSED_MONOMIALS
@@ -76,10 +78,10 @@ def _collapse_one(
 ) -> Float[Array, "states monomials rows"]:
     factor = model.local.factor
     phi = model.validity(scheduling_values(model, x), model.active)
-    weight = jnp.einsum("smr,mk->skr", _by_state(model, phi), model.local.dense())
+    weight = jnp.einsum("smr,mk->skr", _state_weights(model, phi), model.local.dense())
     own = jnp.asarray(lookup)[factor]
     inputs_only = evaluate(jnp.where(own > 0, 0, factor), v)
-    beyond = _beyond(factor, len(lookup), v)
+    beyond = _gain_beyond(factor, len(lookup), v)
     if beyond is not None:
         inputs_only += jnp.where((own == 0).all(axis=1)[:, None], beyond, 0.0)
     own = jnp.sort(own, axis=1)
@@ -89,7 +91,7 @@ def _collapse_one(
     return jnp.einsum("ka,skr->sar", match, weight * inputs_only[None])
 
 
-def _beyond(
+def _gain_beyond(
     factor: Int[Array, "terms degree"], rows: int, v: Float[Array, "vars *rows"]
 ) -> Float[Array, "terms *rows"] | None:
     """The gain of the terms beyond the ranges of the inputs, to first order: their
@@ -113,15 +115,17 @@ def term_values(
     """
     factor = model.local.factor
     terms = jnp.asarray(evaluate(factor, v))
-    beyond = _beyond(factor, len(network.variables) + 1, v)
+    beyond = _gain_beyond(factor, len(network.variables) + 1, v)
     if beyond is None:
         return terms
-    rows = [row + 1 for row, *_ in fed_back(network.variables, network.signals)]
+    rows = [
+        row + 1 for row, *_ in fed_back_variables(network.variables, network.signals)
+    ]
     fed = jnp.isin(factor, jnp.asarray(rows, factor.dtype)).any(axis=1)
     return terms + jnp.where(fed[(...,) + (None,) * (terms.ndim - 1)], 0.0, beyond)
 
 
-def _by_state(
+def _state_weights(
     model: OutputModel, phi: Float[Array, "models rows"]
 ) -> Float[Array, "states models rows"]:
     """Weights of the local models that are fed back the output, then of each group."""
@@ -143,7 +147,9 @@ def collapse(
     variables of every output in physical units.
     """
     lookup = np.zeros(len(network.variables) + 1, dtype=np.int64)
-    for e, (row, _, _) in enumerate(fed_back(network.variables, network.signals)):
+    for e, (row, _, _) in enumerate(
+        fed_back_variables(network.variables, network.signals)
+    ):
         lookup[row + 1] = e + 1
     table = monomials(network)
     every = [
@@ -170,7 +176,7 @@ def group_weights(
 def collapsed_step(network: Network):
     """Step of the recursion on `G_t`: y = G_t . h(history); with groups, on that and
     their weights."""
-    own, of = fed_back(network.variables, network.signals), sources(network)
+    own, of = fed_back_variables(network.variables, network.signals), sources(network)
     outputs = len(network.models)
     states = np.arange(len(of))[:, None]
     output = np.array([o for _, o, _ in own], dtype=np.int64)[None]
@@ -196,11 +202,11 @@ def with_history(network: Network, v, x, history):
 
     `history` is (outputs, depth, *rows), scaled; samples are trailing axes.
     """
-    for row, o, d in fed_back(network.variables, network.signals):
+    for row, o, d in fed_back_variables(network.variables, network.signals):
         v = v.at[row + 1].set(history[o, d])
     out = []
     for model, x_o in zip(network.models, x, strict=True):
-        for row, o, d in fed_back(model.scheduling, network.signals):
+        for row, o, d in fed_back_variables(model.scheduling, network.signals):
             x_o = x_o.at[row].set(history[o, d] * network.gain[network.signals[o]])
         out.append(x_o)
     return v, tuple(out)
@@ -211,7 +217,7 @@ def respond(
     v: Float[Array, "vars *rows"],
     x: tuple[Float[Array, "_ *rows"], ...],
 ) -> Float[Array, "outputs *rows"]:
-    """Scaled outputs from lagged and scheduling variables as they are."""
+    """Compute scaled outputs from given lagged and scheduling variables."""
     return jnp.stack(
         [
             model.blend(term_values(network, model, v), scheduling_values(model, x_o))
@@ -233,7 +239,7 @@ def sources(network: Network) -> Int[np.ndarray, " states"]:
 def widen(
     network: Network, values: Float[Array, "*rows outputs"]
 ) -> Float[Array, "*rows states"]:
-    """Repeat what holds for the outputs for every entry of the loop's state."""
+    """Repeat values of the outputs for every entry of the loop's state."""
     return values[..., sources(network)] if network.parallel else values
 
 
@@ -249,7 +255,7 @@ def fold_slopes(
 
 def own_rows(network: Network, output: int) -> list[tuple[int, int]]:
     """(row, lag - 1) of the variables that are lags of one output."""
-    every = fed_back(network.variables, network.signals)
+    every = fed_back_variables(network.variables, network.signals)
     return [(row, d) for row, o, d in every if o == output]
 
 
@@ -282,8 +288,8 @@ def shares(
 ) -> Float[Array, "groups models *rows"]:
     """Weights of local models within their groups, of sum one.
 
-    Where all of a group's weights vanish, equal ones: a local model alone always has
-    weight one.
+    Equal weights where all of a group's vanish: a local model alone always has weight
+    one.
     """
     assert model.own is not None
     member = model.own.astype(phi.dtype)

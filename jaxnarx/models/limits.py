@@ -1,7 +1,7 @@
 """Limits that cost nothing: a network at the edge of the ranges it was trained on.
 
-Outside of them polynomials say anything. What inputs do there is the network's
-`outside`:
+Outside of them polynomials say anything. The network's `outside` says what inputs do
+there:
 
 - `"flag"`: nothing, they are as they are, and the samples are marked;
 - `"hold"`: they stay at the edge of their trained range;
@@ -11,24 +11,24 @@ Outside of them polynomials say anything. What inputs do there is the network's
 - `"nan"`: as `"flag"`, and nothing is reported of such samples: they are not a number.
 
 Inputs are held before anything is computed from them, in runs, training and linearised
-networks alike (`Network.within`). What is reported of an output stays within that
-output's range, widened by the margin m on either side:
+networks alike (`Network.hold_inputs`). A reported output stays within its range,
+widened by the margin m on either side:
 
     low - m (high - low)  <=  reported  <=  high + m (high - low) .
 
 Where inputs are beyond their ranges outputs may be, too: unless inputs are held, the
 overshoot of the inputs in use adds to m. It is the farthest that one of them is beyond
 its own range, as a share of its width, and fades with the network's memory of n samples
-(`memory_of`) once the input is back, as what is left of it in the outputs does:
+(`input_memory`) once the input is back, as what is left of it in the outputs does:
 
     overshoot(t) = max(beyond(t), exp(-1/n) overshoot(t-1)) .
 
-Outputs are held when all is computed. What is fed back is as it was, so that
-neither derivatives nor the judgement of divergence, which rest on the feedback bound,
-depend on the margin.
+Outputs are held when all is computed. The feedback is unchanged, so that neither
+derivatives nor the judgement of divergence, which rest on the feedback bound, depend on
+the margin.
 
-Held to their range, inputs that take two values stay what they are. An input or output
-that was constant in training is held at that constant.
+Inputs that take two values stay what they are when they are held to their range. An
+input or output that was constant in training is held at that constant.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import not_negative
 from jaxnarx.data import Batch
-from jaxnarx.models.missing import memory_of
+from jaxnarx.models.missing import input_memory
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR
 
@@ -105,7 +105,7 @@ def overshoot_rule(network: Network) -> tuple[tuple[int, ...], float]:
         return (), 0.0
     low, high = np.asarray(network.low), np.asarray(network.high)
     moved = tuple(s for s in _inputs_used(network) if high[s] > low[s])
-    return moved, fading(network)
+    return moved, overshoot_decay(network)
 
 
 def report_outputs(
@@ -117,7 +117,7 @@ def report_outputs(
 ]:
     """Report computed outputs (physical units), and where they were held.
 
-    Without `inputs` as if they were in their ranges; host only.
+    Without `inputs` they count as inside their ranges; host only.
     """
     if network.hold is None:
         return outputs, np.zeros(outputs.shape, bool)
@@ -139,7 +139,7 @@ def overshoots(
     at = np.array(_inputs_used(network), int)
     low, high = (np.asarray(a)[at] for a in (network.low, network.high))
     width = np.where(high > low, high - low, np.inf)
-    inputs, rate = inputs[..., at], fading(network)
+    inputs, rate = inputs[..., at], overshoot_decay(network)
     beyond = np.maximum(low - inputs, inputs - high) / width
     beyond = beyond.max(axis=-1, initial=0.0)
     if not beyond.any():
@@ -153,7 +153,8 @@ def overshoot(
     network: Network, inputs: Float[Array, "time inputs"], rate: Any
 ) -> Float[Array, " time"]:
     """The distance by which an input in use has been beyond its range, in widths of
-    that range, fading at the `rate` of the network's memory (`fading`). Can be traced.
+    that range, fading at the `rate` of the network's memory (`overshoot_decay`). Can be
+    traced.
     """
     beyond = beyond_range(network, inputs)
 
@@ -180,9 +181,9 @@ def beyond_range(
     return jnp.max(beyond, axis=-1, initial=0.0)
 
 
-def fading(network: Network) -> Any:
-    """The share of the overshoot that is left a sample later; can be traced."""
-    memory = memory_of(network)
+def overshoot_decay(network: Network) -> Any:
+    """Share of an overshoot that remains one sample later; can be traced."""
+    memory = input_memory(network)
     if isinstance(memory, Tracer):
         return jnp.exp(-1.0 / memory)
     return math.exp(-1.0 / memory)
@@ -211,7 +212,7 @@ def within_margin(
 
 
 def held_inputs(network: Network, batch: Batch) -> Batch:
-    """The records as the network sees them, on the host: see `Network.within`."""
+    """The records as the network sees them, on the host: see `Network.hold_inputs`."""
     if network.plain:
         return batch
     signals = hold_signals(network, np.asarray(batch.signals))
@@ -221,7 +222,7 @@ def held_inputs(network: Network, batch: Batch) -> Batch:
 def hold_signals(
     network: Network, signals: Float[np.ndarray, "*rows signals"]
 ) -> Float[np.ndarray, "*rows signals"]:
-    """Hold inputs to their trained ranges on the host, see `Network.within`."""
+    """Hold inputs to their trained ranges on the host, see `Network.hold_inputs`."""
     if network.plain:
         return signals
     signals, inputs = np.array(signals), len(network.channels.inputs)

@@ -74,7 +74,7 @@ def set_nan_policy(
     return dataclasses.replace(network, nan=nan, invalid_after=count)
 
 
-def memory_of(network: Network) -> Any:
+def input_memory(network: Network) -> Any:
     """Samples for which the network remembers its inputs: as its domain knows, else the
     slowest of its filters, or ten times its history. A number, unless its sample time
     is traced."""
@@ -102,7 +102,7 @@ def trusted_samples(network: Network) -> int:
     """Samples in a row with an input missing from which outputs are invalid."""
     if network.invalid_after is not None:
         return network.invalid_after
-    return max(LEAST_HELD_SAMPLES, math.ceil(memory_of(network)))
+    return max(LEAST_HELD_SAMPLES, math.ceil(input_memory(network)))
 
 
 def largest_sizes(network: Network) -> Float[np.ndarray, " signals"]:

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from jaxnarx.arrays import twin
 from jaxnarx.checks import whole
 from jaxnarx.data import Channel, Channels, number_channels
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import count, page
 from jaxnarx.models.domain import Domain
@@ -41,8 +42,8 @@ from jaxnarx.regressors import (
 Arrays = Array | np.ndarray
 
 MISSING = HOLD, NAN
-"""What outputs are where an input is missing: those of the last finite input, or not a
-number."""
+"""Policies for outputs where an input is missing: those of the last finite input, or
+not a number."""
 UNBOUNDED_WIDTHS = 1e4
 """Feedback bounds of more trained widths than these are none to speak of."""
 SHOWN_TERMS = 6
@@ -191,7 +192,7 @@ class Network(eqx.Module):
                 f"{'model' if len(active) == 1 else f'models by {kind}'}{bound}"
             )
             for m in active:
-                where = _where(self.regions(o)[m]) if len(active) > 1 else ""
+                where = _describe_region(self.regions(o)[m]) if len(active) > 1 else ""
                 left_out = int(np.asarray(model.local.used)[m].sum()) - SHOWN_TERMS
                 more = f" + {count(left_out, 'term')} more" if left_out > 0 else ""
                 text = self._equation(o, m, "text", SHOWN_TERMS)["text"]
@@ -323,7 +324,7 @@ class Network(eqx.Module):
         room = [(0, 0)] * (signals.ndim - 1) + [(0, self.hidden)]
         return jnp.pad(signals, room)
 
-    def within(
+    def hold_inputs(
         self,
         values: Float[Array, "*rows columns"],
         signal: Int[np.ndarray, " columns"] | None = None,
@@ -343,6 +344,8 @@ class Network(eqx.Module):
         # Not jnp.clip: its slope at the edge, where a constant input always is, is 1/2.
         return jnp.where(values < low, low, jnp.where(values > high, high, values))
 
+    within = old_method("within", "hold_inputs")
+
     def columns(
         self,
         signals: Float[Array, "time signals"],
@@ -351,13 +354,16 @@ class Network(eqx.Module):
         """Lagged variables of one record, known before the run, at every sample.
 
         The scaled ones of the terms behind a leading one, and per output those of the
-        scheduling in physical units, of inputs held `within` their ranges. A network
+        scheduling in physical units, of inputs held to their ranges. A network
         that goes on to first order (`outside`) has another row for every variable
         behind them: how far it is beyond what is held. Filters
         begin at rest at the first valid sample (without `valid`: the first); see
         `jaxnarx.regressors.record_columns`. Hidden channels are zeros.
         """
-        given, signals = self.complete(signals), self.complete(self.within(signals))
+        given, signals = (
+            self.complete(signals),
+            self.complete(self.hold_inputs(signals)),
+        )
         valid = None if valid is None else self.complete(valid)
         at = jnp.arange(signals.shape[0])
         ones = jnp.ones((1, at.shape[0]), signals.dtype)
@@ -494,7 +500,7 @@ class Network(eqx.Module):
         return model.validity.regions(names, offset, span)
 
 
-def _where(region: dict[str, dict[str, float]]) -> str:
+def _describe_region(region: dict[str, dict[str, float]]) -> str:
     """` (speed[t] near 900, load[t] above 3)`."""
     words = {"centre": "near", "above": "above", "below": "below"}
     parts = [

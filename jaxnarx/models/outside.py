@@ -1,10 +1,10 @@
-"""What inputs beyond their trained ranges do: the policies, and words for them."""
+"""Policies for inputs beyond their trained ranges, and words for them."""
 
 from typing import NamedTuple
 
 FLAG, HOLD, LINEAR, NAN = OUTSIDE = "flag", "hold", "linear", "nan"
-"""What inputs beyond their trained ranges do: go on as they are, stay at the edge, or
-go on from the edge to first order; or nothing is reported of them."""
+"""Policies for inputs beyond their trained ranges: go on as they are, stay at the edge,
+or go on from the edge to first order; or nothing is reported of them."""
 
 
 class Words(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a network does where it knows nothing, as sentences made from the network.
+"""A network's policies where it knows nothing, as sentences made from the network.
 
 Every text that states limits or policies (the report, its page, `print`, the headers of
 exported code) takes its words from here, so that none can differ from the model:
@@ -12,7 +12,7 @@ exported code) takes its words from here, so that none can differ from the model
 
 from jaxnarx.models.domain import LARGEST_INDEX
 from jaxnarx.models.limits import overshoot_rule
-from jaxnarx.models.missing import memory_of, trusted_samples
+from jaxnarx.models.missing import input_memory, trusted_samples
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD, NAN, OUTSIDE_WORDS
 
@@ -25,7 +25,7 @@ SILENT_SENTENCES = {
 def describe_policies(network: Network) -> tuple[str, ...]:
     """Every statement that holds for a network, as sentences."""
     every = (
-        *limits_of(network),
+        *describe_limits(network),
         describe_bounds(network),
         describe_missing(network),
         describe_start(network),
@@ -33,7 +33,7 @@ def describe_policies(network: Network) -> tuple[str, ...]:
     return tuple(text for text in every if text)
 
 
-def limits_of(network: Network) -> list[str]:
+def describe_limits(network: Network) -> list[str]:
     """The limits of inputs and reported outputs beyond their trained ranges, in
     words."""
     texts = describe_inputs(network), describe_outputs(network)
@@ -65,7 +65,7 @@ def describe_outputs(network: Network) -> str:
         return f"{text}."
     return (
         f"{text} and by the share by which an input is beyond its own; that fades "
-        f"with a time constant of {memory_of(network):.4g} samples once it is back."
+        f"with a time constant of {input_memory(network):.4g} samples once it is back."
     )
 
 

@@ -21,7 +21,8 @@ BLOCK_SAMPLES = 512
 
 
 def recursion(network: Network, v: Float[Array, "vars time"], x: tuple):
-    """Step, parameters and drive of `free_run` for one record."""
+    """The recursion of one record's free run: its step, parameters and drive, as
+    `free_run` takes them."""
     if collapses(network):
 
         def block(columns):

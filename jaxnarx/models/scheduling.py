@@ -26,6 +26,7 @@ def weights_at(
 def scaled_points(
     model: OutputModel, x: Float[np.ndarray, "points dims"]
 ) -> Float[np.ndarray, "points dims"]:
-    """`scheduling_values` of points, on the host; float64."""
+    """Scale points of scheduling variables on the host, in float64; see
+    `scheduling_values`."""
     offset, span = np.asarray(model.offset, float), np.asarray(model.span, float)
     return (x - offset[None]) / span[None]

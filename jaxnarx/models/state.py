@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models.feedback import advance, depth, sources, widen
-from jaxnarx.models.limits import beyond_range, fading, within_margin
+from jaxnarx.models.limits import beyond_range, overshoot_decay, within_margin
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD, LINEAR
 from jaxnarx.regressors import (
@@ -60,7 +60,7 @@ class LookedBack(NamedTuple):
         return {s: n for n, (s, _) in enumerate(self.raw)}
 
 
-def driving(network: Network) -> tuple[int, ...]:
+def driving_signals(network: Network) -> tuple[int, ...]:
     """Signals that drive a network: its inputs, then outputs it does not compute but
     looks at. The columns of `u`."""
     inputs = range(len(network.channels.inputs))
@@ -70,7 +70,7 @@ def driving(network: Network) -> tuple[int, ...]:
 def memory(network: Network) -> LookedBack:
     """The memory that a network needs of each signal, static."""
     tables = (network.variables, *(m.scheduling for m in network.models))
-    raw = dict.fromkeys(driving(network), 0)
+    raw = dict.fromkeys(driving_signals(network), 0)
     filtered: dict[tuple[int, AbstractFilter], int] = {}
     for table in tables:
         for s, lag, filter_ in table.entries:
@@ -85,7 +85,7 @@ def memory(network: Network) -> LookedBack:
     )
 
 
-def filters_of(network: Network) -> list[FilterSystem]:
+def discrete_filters(network: Network) -> list[FilterSystem]:
     """The filters that a network's inputs pass, as discrete systems."""
     every = [filter_table((f,))[0] for _, f, _ in memory(network).filtered]
     return [system_of(row, jnp.asarray(network.sample_time)) for row in every]
@@ -107,13 +107,13 @@ def loop_gain(network: Network) -> Float[Array, " states"]:
 
 
 def _hold_inputs(
-    network: Network, u: Float[Array, " driving"]
-) -> Float[Array, " driving"]:
-    return network.within(u, np.array(driving(network), int))
+    network: Network, u: Float[Array, " driving_signals"]
+) -> Float[Array, " driving_signals"]:
+    return network.hold_inputs(u, np.array(driving_signals(network), int))
 
 
-def at_rest(
-    network: Network, u: Float[Array, " driving"], loop: Float[Array, " states"]
+def rest_memory(
+    network: Network, u: Float[Array, " driving_signals"], loop: Float[Array, " states"]
 ) -> Past:
     """The memory after these values have been constant for ever."""
     found = memory(network)
@@ -122,7 +122,7 @@ def at_rest(
     def bank(values):
         rows = []
         for (s, f, lags), system in zip(
-            found.filtered, filters_of(network), strict=True
+            found.filtered, discrete_filters(network), strict=True
         ):
             state = system.rest * values[place[s]]
             rows.append(
@@ -144,7 +144,7 @@ def has_overshoot(network: Network) -> bool:
     return network.hold is not None and network.outside != HOLD
 
 
-def _overshoot_at(network: Network, u: Float[Array, " driving"]) -> Array:
+def _overshoot_at(network: Network, u: Float[Array, " driving_signals"]) -> Array:
     """The overshoot of these inputs; one entry, or none where nothing is held."""
     if not has_overshoot(network):
         return jnp.zeros((0,), u.dtype)
@@ -159,16 +159,16 @@ class Fixed(NamedTuple):
     rate: Float[Arrays, ""]
 
 
-def rate_of(network: Network) -> Float[Arrays, ""]:
+def decay_rate(network: Network) -> Float[Arrays, ""]:
     """The share of an overshoot that is left a sample later; one without any."""
-    value = fading(network) if has_overshoot(network) else 1.0
+    value = overshoot_decay(network) if has_overshoot(network) else 1.0
     return jnp.asarray(value, network.gain.dtype)
 
 
 def advance_memory(
     network: Network,
     past: Past,
-    u: Float[Array, " driving"],
+    u: Float[Array, " driving_signals"],
     fixed: Fixed,
     measured: Float[Array, " states"] | None = None,
 ) -> tuple[Past, Float[Array, " outputs"]]:
@@ -183,7 +183,7 @@ def advance_memory(
         far, beyond = _advance_filters(found, systems, past.far, u - held)
     for n, (s, _) in enumerate(found.raw):
         line = jnp.concatenate([u[n : n + 1], past.raw[n]])
-        kept = network.within(line[:, None], np.array([s]))[:, 0]
+        kept = network.hold_inputs(line[:, None], np.array([s]))[:, 0]
         for lag in range(len(line)):
             values[s, lag, None] = kept[lag]
             beyond[s, lag, None] = line[lag] - kept[lag]
@@ -289,6 +289,6 @@ def state_names(network: Network) -> list[str]:
     return names + ["overshoot"] * has_overshoot(network)
 
 
-def fixed_of(network: Network, rate: Array) -> Fixed:
+def make_fixed(network: Network, rate: Array) -> Fixed:
     """All that the samples of a run share, see `Fixed`."""
-    return Fixed(filters_of(network), rate)
+    return Fixed(discrete_filters(network), rate)

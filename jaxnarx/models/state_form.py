@@ -23,13 +23,13 @@ from jaxnarx.models.observer import with_hidden_start
 from jaxnarx.models.record_run import run_record
 from jaxnarx.models.state import (
     advance_memory,
-    at_rest,
-    driving,
-    fixed_of,
+    decay_rate,
+    driving_signals,
     has_overshoot,
     join_state,
     loop_gain,
-    rate_of,
+    make_fixed,
+    rest_memory,
     split,
     state_names,
 )
@@ -47,15 +47,15 @@ left."""
 
 
 def step(
-    network: Network, x: Float[Arrays, " states"], u: Float[Arrays, " driving"]
+    network: Network, x: Float[Arrays, " states"], u: Float[Arrays, " driving_signals"]
 ) -> tuple[Float[Array, " states"], Float[Array, " outputs"]]:
     """The next state and the outputs; see `Network.step`."""
-    return _step(network, jnp.asarray(x), _row(network, u), rate_of(network))
+    return _step(network, jnp.asarray(x), _row(network, u), decay_rate(network))
 
 
 @program
 def _step(network: Network, x: Array, u: Array, rate: Array) -> tuple[Array, Array]:
-    past, y = advance_memory(network, split(network, x), u, fixed_of(network, rate))
+    past, y = advance_memory(network, split(network, x), u, make_fixed(network, rate))
     return join_state(past), y
 
 
@@ -65,7 +65,7 @@ def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
         row = _middle(network) if u is None else jnp.atleast_2d(u)[0]
         row = _row(network, row)
         if start == ZEROS:
-            return _at_zero(network, row)
+            return _zero_memory(network, row)
         if start == STEADY:
             return equilibrium(network, row, None)[0]
         raise SpecError(
@@ -73,9 +73,11 @@ def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
             f"{start!r}",
             field="start",
         )
-    start = _measured(network, start)
+    start = _check_start(network, start)
     if u is None:
-        u = jnp.broadcast_to(_middle(network), (len(start), len(driving(network))))
+        u = jnp.broadcast_to(
+            _middle(network), (len(start), len(driving_signals(network)))
+        )
     u = _rows(network, u)
     if len(u) != len(start):
         raise SpecError(
@@ -83,13 +85,13 @@ def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
             "samples",
             field="u",
         )
-    return _behind(network, start, u, rate_of(network))
+    return _behind(network, start, u, decay_rate(network))
 
 
 @program
-def _at_zero(network: Network, row: Array) -> Array:
+def _zero_memory(network: Network, row: Array) -> Array:
     return join_state(
-        at_rest(network, row, jnp.zeros(len(sources(network)), row.dtype))
+        rest_memory(network, row, jnp.zeros(len(sources(network)), row.dtype))
     )
 
 
@@ -97,7 +99,7 @@ def _at_zero(network: Network, row: Array) -> Array:
 def _behind(network: Network, start: Array, u: Array, rate: Array) -> Array:
     """The state behind measured samples; hidden channels are those that fit the window
     behind the history best, and what follows from them through the window."""
-    fixed, at, y = fixed_of(network, rate), len(u), start
+    fixed, at, y = make_fixed(network, rate), len(u), start
     if network.hidden:
         signals, y, _, known = _record(network, u, start)
         v, x = network.columns(signals)
@@ -106,14 +108,14 @@ def _behind(network: Network, start: Array, u: Array, rate: Array) -> Array:
         y = with_hidden_start(network, v, x, *scaled) * size
     loop = y[:, sources(network)]
 
-    def measured(past, row):
+    def advance_measured(past, row):
         return advance_memory(network, past, row[0], fixed, row[1])[0], None
 
     def free(past, row):
         return advance_memory(network, past, row, fixed)[0], None
 
-    past = at_rest(network, u[0], loop[0])
-    past = jax.lax.scan(measured, past, (u[:at], loop[:at]))[0]
+    past = rest_memory(network, u[0], loop[0])
+    past = jax.lax.scan(advance_measured, past, (u[:at], loop[:at]))[0]
     return join_state(jax.lax.scan(free, past, u[at:])[0])
 
 
@@ -121,18 +123,18 @@ def run(
     network: Network, u: Float[Arrays, "time driving"], start: Any
 ) -> Float[Array, "time outputs"]:
     """The free run of one record of plain arrays; see `Network.__call__`."""
-    u, rate = _rows(network, u), rate_of(network)
+    u, rate = _rows(network, u), decay_rate(network)
     if isinstance(start, str):
         return _run_on(network, init(network, start, u), u, rate)
     start = jnp.asarray(start)
     if start.ndim == 1:
         return _run_on(network, start, u, rate)
-    return _run_behind(network, u, _measured(network, start), rate)
+    return _run_behind(network, u, _check_start(network, start), rate)
 
 
 @program
 def _run_on(network: Network, x: Array, u: Array, rate: Array) -> Array:
-    fixed = fixed_of(network, rate)
+    fixed = make_fixed(network, rate)
 
     def take(past, row):
         return advance_memory(network, past, row, fixed)
@@ -176,7 +178,7 @@ def _record(network: Network, u: Array, start: Array):
     y = jnp.pad(rows, ((0, time - len(rows)), (0, 0)), mode="edge")
     signals = jnp.zeros((time, len(network.channels.measured.all)), u.dtype)
     signals = signals.at[:, np.array(network.signals)[: len(network.modelled)]].set(y)
-    signals = signals.at[:, np.array(driving(network), int)].set(u)
+    signals = signals.at[:, np.array(driving_signals(network), int)].set(u)
     y = jnp.pad(y, ((0, 0), (0, network.hidden)))
     at = jnp.arange(time)
     known = jnp.broadcast_to((at < need)[:, None], y.shape)
@@ -184,7 +186,7 @@ def _record(network: Network, u: Array, start: Array):
 
 
 def equilibrium(
-    network: Network, u: Float[Arrays, " driving"], start: Any
+    network: Network, u: Float[Arrays, " driving_signals"], start: Any
 ) -> tuple[Float[Array, " states"], Bool[Array, ""]]:
     """The state of rest under constant inputs; see `StateForm.equilibrium`."""
     middle = 0.5 * (network.low + network.high)
@@ -192,7 +194,7 @@ def equilibrium(
         outputs = np.array(network.signals)[: len(network.modelled)]
         middle = middle.at[outputs].set(jnp.asarray(start, middle.dtype))
     begin = middle[np.array(network.signals)[sources(network)]]
-    return _rest(network, _row(network, u), begin, rate_of(network))
+    return _rest(network, _row(network, u), begin, decay_rate(network))
 
 
 @program
@@ -201,10 +203,10 @@ def _rest(
 ) -> tuple[Array, Array]:
     import optimistix  # it takes longer to load than the rest of this room
 
-    size, fixed = loop_gain(network), fixed_of(network, rate)
+    size, fixed = loop_gain(network), make_fixed(network, rate)
 
     def find_motion(z, _):
-        past = at_rest(network, row, z * size)
+        past = rest_memory(network, row, z * size)
         return advance_memory(network, past, row, fixed)[0].loop[:, 0] / size - z
 
     solver = optimistix.Newton(rtol=REST_TOLERANCE, atol=REST_TOLERANCE)
@@ -212,7 +214,7 @@ def _rest(
         find_motion, solver, begin / size, max_steps=REST_STEPS, throw=False
     )
     good = found.result == optimistix.RESULTS.successful
-    return join_state(at_rest(network, row, found.value * size)), good
+    return join_state(rest_memory(network, row, found.value * size)), good
 
 
 @program
@@ -248,7 +250,7 @@ class StateForm(eqx.Module):
     def inputs(self) -> list[str]:
         """Names of the columns of `u`."""
         names = self.network.channels.names
-        return [names[s] for s in driving(self.network)]
+        return [names[s] for s in driving_signals(self.network)]
 
     @property
     def outputs(self) -> list[str]:
@@ -272,7 +274,10 @@ class StateForm(eqx.Module):
     ) -> tuple[Array, Array, Array, Array]:
         """A = df/dx, B = df/du, C = dh/dx and D = dh/du there."""
         return _jacobians(
-            self.network, jnp.asarray(x), _row(self.network, u), rate_of(self.network)
+            self.network,
+            jnp.asarray(x),
+            _row(self.network, u),
+            decay_rate(self.network),
         )
 
     def equilibrium(
@@ -282,9 +287,9 @@ class StateForm(eqx.Module):
     ) -> tuple[Float[Array, " states"], Bool[Array, ""]]:
         """A state of rest under constant inputs, x = f(x, u), and whether it was found.
 
-        By Newton's method on the outputs from `start`, by default the middle of their
-        trained ranges; where there are several, the one that leads to. Differentiable
-        by the implicit function theorem (`optimistix.root_find`).
+        It uses Newton's method on the outputs from `start`, by default the middle of
+        their trained ranges; where there are several, the one that leads to.
+        Differentiable by the implicit function theorem (`optimistix.root_find`).
         """
         return equilibrium(self.network, u, start)
 
@@ -306,18 +311,18 @@ def state_space(network: Network) -> StateForm:
     return StateForm(network)
 
 
-def _middle(network: Network) -> Float[Array, " driving"]:
-    at = np.array(driving(network), int)
+def _middle(network: Network) -> Float[Array, " driving_signals"]:
+    at = np.array(driving_signals(network), int)
     return (0.5 * (network.low + network.high))[at]
 
 
-def _row(network: Network, u: Any) -> Float[Array, " driving"]:
+def _row(network: Network, u: Any) -> Float[Array, " driving_signals"]:
     u = jnp.asarray(u)
     return _rows(network, u[None])[0]
 
 
 def _rows(network: Network, u: Any) -> Float[Array, "time driving"]:
-    u, columns = jnp.asarray(u), driving(network)
+    u, columns = jnp.asarray(u), driving_signals(network)
     if u.ndim != 2 or u.shape[1] != len(columns):
         names = [network.channels.names[s] for s in columns]
         raise SpecError(
@@ -328,7 +333,7 @@ def _rows(network: Network, u: Any) -> Float[Array, "time driving"]:
     return u.astype(network.gain.dtype)
 
 
-def _measured(network: Network, start: Any) -> Float[Array, "time outputs"]:
+def _check_start(network: Network, start: Any) -> Float[Array, "time outputs"]:
     start = jnp.asarray(start)
     if start.ndim != 2 or start.shape[1] != len(network.modelled):
         raise SpecError(

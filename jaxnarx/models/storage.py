@@ -363,7 +363,7 @@ def _text(value: object) -> str:
     return value
 
 
-def _whole(value: object, what: str) -> int:
+def _require_count(value: object, what: str) -> int:
     if type(value) is not int:
         raise ValueError(f"{what} is {value!r}, no count of samples")
     return value
@@ -434,10 +434,10 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
             for f in ("gain", "lower", "upper", "low", "high", "sample_time")
         ),
         hold=hold,
-        window=_whole(header["window"], WINDOW_WORDS) if channels.hidden else 0,
+        window=_require_count(header["window"], WINDOW_WORDS) if channels.hidden else 0,
         outside=_text(header.get("outside", _usual(hold))),
         nan=_text(header.get("nan", HOLD)),
-        invalid_after=None if after is None else _whole(after, AFTER_WORDS),
+        invalid_after=None if after is None else _require_count(after, AFTER_WORDS),
         domain=_domain(header, get),
         certificate=get(".certificate") if ".certificate" in tensors else None,
         errors=_errors(get) if ".errors.knots" in tensors else None,

@@ -1,5 +1,8 @@
 """How the operating space is divided among local models."""
 
+from typing import TYPE_CHECKING
+
+from jaxnarx.deprecation import find_old
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
@@ -8,7 +11,7 @@ from jaxnarx.partition.closed_form.profile import profile_data as profile_data
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Sum as Sum
 from jaxnarx.partition.closed_form.sums import best_sum as best_sum
-from jaxnarx.partition.clusters import place, scattered
+from jaxnarx.partition.clusters import place, scatter_partition
 from jaxnarx.partition.local_fit import fit_models
 from jaxnarx.partition.scaffold import scheduling_table
 from jaxnarx.partition.stages import best_stage
@@ -28,7 +31,7 @@ __all__ = [
     "lolimot",
     "make_training_rows",
     "place",
-    "scattered",
+    "scatter_partition",
     "scheduling_ranges",
     "scheduling_table",
     "sigmoid_tree",
@@ -36,3 +39,8 @@ __all__ = [
     "validity_of_boxes",
     "validity_of_stage",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        return find_old(__name__, name, {"scattered": "scatter_partition"})

@@ -88,7 +88,7 @@ def grow(
         pool,
         factors,
         data,
-        _scheduling(method, pool, regions),
+        _scheduling_names(method, pool, regions),
         source.gain if isinstance(source, Selection) else None,
         None if isinstance(method, Global) else method.local,
     )
@@ -96,13 +96,13 @@ def grow(
         return _grow_global(training)
     if isinstance(method, Grid):
         made = [grid_output(training, o, method) for o in range(len(factors))]
-        return _as_told(training, made, method, validation)
+        return _fit_on_partition(training, made, method, validation)
     if isinstance(method, Placed):
         made = [(place_output(training, o, method), []) for o in range(len(factors))]
-        return _as_told(training, made, method, validation)
+        return _fit_on_partition(training, made, method, validation)
     if isinstance(method, Given):
         made = [fit_given(training, *own, method) for own in enumerate(regions)]
-        return _as_told(training, made, method, validation)
+        return _fit_on_partition(training, made, method, validation)
     if method.criterion == "validation" and validation is None:
         raise SpecError(
             'criterion="validation" needs records: grow(..., validation=...)',
@@ -165,7 +165,9 @@ def _solution(
     return Solution(network, status, stats, detail)
 
 
-def _scheduling(method: Method, pool: Pool, regions: list[Regions]) -> tuple[str, ...]:
+def _scheduling_names(
+    method: Method, pool: Pool, regions: list[Regions]
+) -> tuple[str, ...]:
     """Every scheduling variable of any output, once."""
     if isinstance(method, Global):
         return ()
@@ -190,7 +192,7 @@ def _judges(training: TrainingRows, validation: Dataset | None) -> Dataset:
     return training.data if validation is None else validation
 
 
-def _as_told(
+def _fit_on_partition(
     training: TrainingRows,
     made: list[tuple[OutputModel, list[int]]],
     method: Given | Grid | Placed,
@@ -235,10 +237,12 @@ def _grow_stages(
     stats = {k: [f[k] for f in figures] for k in figures[0]} | found
     if any(f["stopped"] == "criterion" for f in figures):
         return _solution(training, network, RESULTS.no_improvement, stats)
-    return _solution(training, network, RESULTS.ok, stats, _why_stopped(network, stats))
+    return _solution(
+        training, network, RESULTS.ok, stats, _describe_stop(network, stats)
+    )
 
 
-def _why_stopped(network: Network, stats: dict[str, Any]) -> str:
+def _describe_stop(network: Network, stats: dict[str, Any]) -> str:
     """Tell what ended a growth before its capacity."""
     for name, stopped, models, least in zip(
         network.output_names,

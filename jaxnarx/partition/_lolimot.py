@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models import AbstractValidity, Boxes, Compact, Gaussians
-from jaxnarx.partition.local_fit import at_once, effective, local_fit
+from jaxnarx.partition.local_fit import batch_size, effective, local_fit
 from jaxnarx.partition.stages import grow_stages
 
 
@@ -172,7 +172,7 @@ def lolimot(
         phi = _share(curves, total[None])
         own = s.theta[parent]
         theta = jax.lax.map(
-            lambda f: fit(f * weight, own, ridge), phi, batch_size=at_once(p, 2)
+            lambda f: fit(f * weight, own, ridge), phi, batch_size=batch_size(p, 2)
         )
         output = theta @ p
         sse = jnp.sum(squares(_share(rest[1], total) + jnp.sum(phi * output, axis=0)))
@@ -197,7 +197,7 @@ def lolimot(
         trials = jax.lax.map(
             lambda d: trial(s, parent, rest, d),
             jnp.arange(dims),
-            batch_size=at_once(p, 2 * dims) // 2 or 1,
+            batch_size=batch_size(p, 2 * dims) // 2 or 1,
         )
         best = jnp.argmin(trials[-1])
         low, high, theta, curves, output, sse = jax.tree.map(lambda a: a[best], trials)
@@ -206,15 +206,15 @@ def lolimot(
         pair = jnp.stack([parent, s.count])
         pair = jnp.where(allowed, pair, max_models)
 
-        def placed(old, new):
+        def set_pair(old, new):
             return old.at[pair].set(new, mode="drop")
 
         return Growth(
-            low=placed(s.low, low),
-            high=placed(s.high, high),
-            theta=placed(s.theta, theta),
-            curves=placed(s.curves, curves),
-            output=placed(s.output, output),
+            low=set_pair(s.low, low),
+            high=set_pair(s.high, high),
+            theta=set_pair(s.theta, theta),
+            curves=set_pair(s.curves, curves),
+            output=set_pair(s.output, output),
             locked=s.locked.at[parent].set(s.locked[parent] | ~allowed),
             count=jnp.where(allowed, s.count + 1, s.count),
             sse=jnp.where(allowed, sse, s.sse),
@@ -229,7 +229,7 @@ def lolimot(
         n = effective(p, phi, weight, used, pull)
         return LolimotStage(s.low, s.high, s.theta, s.count, s.sse, n)
 
-    def padded(first):
+    def pad(first):
         return jnp.zeros((max_models, *first.shape[1:]), p.dtype).at[:given].set(first)
 
     one = jnp.zeros((1, dims), p.dtype)
@@ -243,11 +243,11 @@ def lolimot(
         theta = jax.lax.map(lambda f: fit(f * weight, everywhere, ridge), phi)
     output = theta @ p
     begin = Growth(
-        low=padded(low),
-        high=padded(high),
-        theta=padded(theta),
-        curves=padded(curves),
-        output=padded(output),
+        low=pad(low),
+        high=pad(high),
+        theta=pad(theta),
+        curves=pad(curves),
+        output=pad(output),
         locked=jnp.zeros(max_models, bool),
         count=jnp.asarray(given),
         sse=jnp.sum(squares(jnp.sum(phi * output, axis=0))),

@@ -95,7 +95,7 @@ def clusters(
     return centre, jnp.sqrt(square)
 
 
-def scattered(
+def scatter_partition(
     layout: Layout,
     network: Network,
     rows: tuple[Array, Array, Array, Array],
@@ -135,4 +135,6 @@ def move_output(
 
 @program
 def _move(layout: Layout, network: Network, rows, scatter, ridge, seed):
-    return scattered(layout, network, rows, scatter=scatter, seed=seed, ridge=ridge)
+    return scatter_partition(
+        layout, network, rows, scatter=scatter, seed=seed, ridge=ridge
+    )

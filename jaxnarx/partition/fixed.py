@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.errors import SpecError, suggest
-from jaxnarx.models import AbstractValidity, Network, OutputModel, models_of
+from jaxnarx.models import AbstractValidity, Network, OutputModel, count_models
 from jaxnarx.partition.grid import fit_regions
 from jaxnarx.partition.training_rows import TrainingRows
 from jaxnarx.regressors import Pool, Variables, evaluate, variable_names
@@ -37,8 +37,10 @@ def regions_of_method(pool: Pool, method: Given) -> list[Regions]:
     if isinstance(partition, str):
         partition = PARTITIONS.find(partition, "partition")
     if isinstance(partition, Network):
-        _only_of_validity(method)
-        return [_of_output(partition, _source(partition, n, method)) for n in names]
+        _refuse_scheduling(method)
+        return [
+            _regions_of_output(partition, _source(partition, n, method)) for n in names
+        ]
     if not isinstance(partition, AbstractValidity | Partitioner):
         raise SpecError(
             "a partition is a Network, a validity function of jaxnarx.models, or a "
@@ -46,10 +48,10 @@ def regions_of_method(pool: Pool, method: Given) -> list[Regions]:
             f"{type(partition).__name__}",
             field="partition",
         )
-    return [_of_validity(partition, method)] * len(names)
+    return [_regions_of_validity(partition, method)] * len(names)
 
 
-def _only_of_validity(method: Given) -> None:
+def _refuse_scheduling(method: Given) -> None:
     if method.scheduling:
         raise SpecError(
             "a network has its scheduling variables; leave `scheduling` out",
@@ -58,7 +60,7 @@ def _only_of_validity(method: Given) -> None:
 
 
 def _source(network: Network, name: str, method: Given) -> int:
-    """Which output's regions an output gets."""
+    """The output whose regions an output gets."""
     names = network.output_names
     wanted = method.output or (names[0] if len(names) == 1 else name)
     if wanted not in names:
@@ -70,7 +72,7 @@ def _source(network: Network, name: str, method: Given) -> int:
     return names.index(wanted)
 
 
-def _of_output(network: Network, output: int) -> Regions:
+def _regions_of_output(network: Network, output: int) -> Regions:
     model: OutputModel = network.models[output]
     names = tuple(variable_names(network.channels, model.scheduling))
     if not names:
@@ -84,7 +86,9 @@ def _of_output(network: Network, output: int) -> Regions:
     return Regions(names, np.stack([low, low + span], axis=1), model.validity, count)
 
 
-def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Regions:
+def _regions_of_validity(
+    validity: AbstractValidity | Partitioner, method: Given
+) -> Regions:
     if not method.scheduling:
         raise SpecError(
             "a validity function, or a function that returns one, needs its "
@@ -101,7 +105,7 @@ def _of_validity(validity: AbstractValidity | Partitioner, method: Given) -> Reg
 def _count_regions(validity: AbstractValidity, dims: int) -> int:
     """The number of its regions."""
     try:
-        return models_of(validity, dims)
+        return count_models(validity, dims)
     except ValueError as error:
         raise SpecError(str(error), field="partition") from error
 

@@ -13,7 +13,7 @@ from jaxnarx.models import (
     Gaussians,
     LogSigmoids,
     OutputModel,
-    models_of,
+    count_models,
 )
 from jaxnarx.partition._lolimot import validity_of_boxes
 from jaxnarx.partition.local_fit import local_fit
@@ -34,7 +34,7 @@ def grid_output(
     """The model of one output, and which local models lack samples."""
     validity = validity_of_grid(training, method)
     return fit_regions(
-        training, output, validity, models_of(validity, len(training.z)), method
+        training, output, validity, count_models(validity, len(training.z)), method
     )
 
 
@@ -50,7 +50,7 @@ def fit_regions(
     A local model whose validity sums to less than its number of parameters keeps the
     coefficients of the global model.
     """
-    room = models_of(validity, len(training.z))
+    room = count_models(validity, len(training.z))
     phi = validity(training.z, jnp.arange(room) < count)[:count]
     weight = training.weight(output)
     mass = np.asarray(jnp.sum(jnp.where(weight[None] > 0, phi, 0.0), axis=1))

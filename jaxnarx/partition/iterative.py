@@ -71,7 +71,7 @@ def grow_output(
         [global_model(factor, training.coefficients(output, stages.theta[0, 0]))],
     )
 
-    def at(stage: int, sparse: bool = False) -> Network:
+    def stage_network(stage: int, sparse: bool = False) -> Network:
         """The network of a stage; all slots, so that one program serves all stages."""
         slots, count = method.max_models, int(stages.count[stage])
         theta = training.coefficients(output, stages.theta[stage])
@@ -81,7 +81,7 @@ def grow_output(
 
     def score(stage: int) -> float:
         assert validation is not None
-        return free_run_nrmse(at(stage), validation)
+        return free_run_nrmse(stage_network(stage), validation)
 
     best, found = choose_stage(
         stages.count,
@@ -91,13 +91,13 @@ def grow_output(
         method,
         score,
     )
-    found["stages"] = [at(n, sparse) for n in range(len(found["models"]))]
+    found["stages"] = [stage_network(n, sparse) for n in range(len(found["models"]))]
     found["least"] = float(_fit_settings(training, output, p, method)["least"])
     count = int(stages.count[best])
     if isinstance(method, SigmoidTree) and method.prune:
         tree = jax.device_put(jax.tree.map(lambda a: a[best], stages))
         tree = prune(
-            tree, _rows_of(training, output, p, y, method), oblique=method.oblique
+            tree, _split_rows(training, output, p, y, method), oblique=method.oblique
         )
         stages, best, count = jax.tree.map(lambda a: a[None], tree), 0, int(tree.count)
         validity = functools.partial(validity_of_stage, stages)
@@ -135,7 +135,7 @@ def _fit_settings(
     }
 
 
-def _rows_of(
+def _split_rows(
     training: TrainingRows, output: int, p, y, method: SigmoidTree
 ) -> SplitRows:
     smoothness = _number(method.smoothness, p.dtype)

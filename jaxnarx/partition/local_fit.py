@@ -20,7 +20,7 @@ NUMBERS_AT_ONCE = 2**16
 once: short loops cost more than their work, long columns more memory."""
 
 
-def at_once(p: Float[Array, "terms rows"], most: int) -> int:
+def batch_size(p: Float[Array, "terms rows"], most: int) -> int:
     """The number of local models, `most` of them, to treat at once."""
     return max(1, min(most, NUMBERS_AT_ONCE // p.size))
 
@@ -131,4 +131,4 @@ def effective(
         solve = jax.vmap(ridge_solve, in_axes=(None, 1, None), out_axes=1)
         return jnp.trace(solve(gram, twice, ridge))
 
-    return jnp.sum(jax.lax.map(one, (phi, used), batch_size=at_once(p, len(phi))))
+    return jnp.sum(jax.lax.map(one, (phi, used), batch_size=batch_size(p, len(phi))))

@@ -1,4 +1,4 @@
-"""Which local models are fed back their own outputs: a class of model for each region.
+"""Choice of the local models that are fed back their own outputs, region by region.
 
 Z. Li 2012, section 8.3, leaves open how to choose between an output-error model and a
 polynomial NARX model in a region. One step ahead they are the same, so the free run
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
-from jaxnarx.models import Network, fed_back
+from jaxnarx.models import Network, fed_back_variables
 from jaxnarx.partition.stages import free_run_nrmse
 
 CHOICE_PASSES = 2
@@ -39,7 +39,7 @@ def with_feedback(
     models, flags, figures = [], [], []
     for o, model in enumerate(network.models):
         own = np.asarray(model.active).copy()
-        if not _fed_back_itself(network, o):
+        if not _has_own_feedback(network, o):
             own[:] = False
         elif feedback == "choose":
             own, figure = _choose(_part(network, o), data, own)
@@ -52,19 +52,19 @@ def with_feedback(
     return dataclasses.replace(network, models=tuple(models)), found
 
 
-def _fed_back_itself(network: Network, output: int) -> bool:
+def _has_own_feedback(network: Network, output: int) -> bool:
     """Whether several local models have lags of the output to choose between."""
-    rows = fed_back(network.variables, network.signals)
+    rows = fed_back_variables(network.variables, network.signals)
     several = int(np.sum(np.asarray(network.models[output].active))) > 1
     return several and any(o == output for _, o, _ in rows)
 
 
 def _set_flags(model, own: Own):
     """The model with these flags; without any it keeps its quicker loop."""
-    return dataclasses.replace(model, own=_alone(own) if own.any() else None)
+    return dataclasses.replace(model, own=_separate_groups(own) if own.any() else None)
 
 
-def _alone(own: Own):
+def _separate_groups(own: Own):
     """Every one of these a group of its own."""
     return jnp.asarray(np.diag(own))
 
@@ -83,7 +83,7 @@ def _part(network: Network, output: int) -> Network:
 
 def _choose(network: Network, data: Dataset, every: Own) -> tuple[Own, dict]:
     def error(own: Own) -> float:
-        model = dataclasses.replace(network.models[0], own=_alone(own))
+        model = dataclasses.replace(network.models[0], own=_separate_groups(own))
         return free_run_nrmse(dataclasses.replace(network, models=(model,)), data)
 
     nobody = np.zeros_like(every)

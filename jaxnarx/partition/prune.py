@@ -141,5 +141,5 @@ def _trace(
     rows: SplitRows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]
 ) -> Float[Array, ""]:
     """Effective parameters of one leaf."""
-    used = rows.used(theta)[None]
+    used = rows.used_terms(theta)[None]
     return effective(rows.p, phi[None], rows.weight, used, rows.ridge)

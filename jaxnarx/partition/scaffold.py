@@ -15,7 +15,7 @@ def terms_to_use(source: Selection | Pool) -> tuple[Pool, list[np.ndarray]]:
 
 
 def scheduling_table(pool: Pool, names: tuple[str, ...]) -> Variables:
-    """Scheduling variables from their texts."""
+    """Read scheduling variables from their texts."""
     table = Variables.of([parse_variable(pool.channels, n) for n in names])
     modelled = [len(pool.channels.inputs) + o for o in pool.outputs]
     table.require_measured(modelled, pool.channels.names)

@@ -12,11 +12,11 @@ not matter: at these centres the gate in the middle has weight
 sigma(STEEPNESS / (2 smoothness)).
 
 Both children are estimated by least squares weighted with their own validity; the rest
-of the network stays. What remains is a small nonlinear least-squares problem in (d, b)
-for the squared error of the whole network: Levenberg-Marquardt with the exact
-derivative of the estimates. With dphi = phi sigma (1 - sigma) da, child k's regressors
-P, weights W_k, prediction f_k, ridge r towards the parent's theta_0, D_k = diag(P W_k
-P') and its derivative dD,
+of the network stays. A small nonlinear least-squares problem in (d, b) remains, for the
+squared error of the whole network: Levenberg-Marquardt with the exact derivative of the
+estimates. With dphi = phi sigma (1 - sigma) da, child k's regressors P, weights W_k,
+prediction f_k, ridge r towards the parent's theta_0, D_k = diag(P W_k P') and its
+derivative dD,
 
     dtheta_k = +-(P W_k P' + r D_k)^-1 (P W dphi (y - f_k) - r dD (theta_k - theta_0))
     de = -sum_k (+-dphi f_k + phi_k P' dtheta_k)
@@ -35,7 +35,7 @@ from jaxnarx.arrays import ridge_solve
 from jaxnarx.partition.local_fit import local_fit
 
 USUAL_STEEPNESS = 16.0
-"""Of a gate of smoothness one."""
+"""Steepness of a gate of smoothness one."""
 LEAST_CENTRE_DISTANCE = 1e-6
 """Least centre distance D, in units of the training range: data spread less along a
 direction do not tell its two sides apart."""
@@ -69,7 +69,7 @@ class SplitRows(eqx.Module):
         own = {"ridge": self.ridge, "picks": self.picks, "first": self.first}
         return local_fit(self.p, self.y, phi * self.weight, prior=prior, **own)
 
-    def used(self, theta: Float[Array, " terms"]) -> Bool[Array, " terms"]:
+    def used_terms(self, theta: Float[Array, " terms"]) -> Bool[Array, " terms"]:
         """Terms that a local model has."""
         return theta != 0 if self.picks else jnp.ones(theta.shape, bool)
 
@@ -193,7 +193,7 @@ def _sse(gate, phi, error, leaf: Leaf, rows: SplitRows) -> Float[Array, ""]:
 def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Point:
     """Loss of a gate, and its normal equations by the exact derivative.
 
-    Where local models choose their terms, of the choice made.
+    Where local models choose their terms, it is that of the choice made.
     """
     slope = jax.jacfwd(lambda g: argument(g, leaf, rows.smoothness))(gate).T
     side = jax.nn.sigmoid(argument(gate, leaf, rows.smoothness))
@@ -209,7 +209,7 @@ def linearise(gate: Float[Array, " params"], leaf: Leaf, rows: SplitRows) -> Poi
         moment = rows.p @ (weighted * miss[None]).T
         off = rows.ridge * (theta - leaf.theta)
         moment -= off[:, None] * (square @ weighted.T)
-        used = rows.used(theta)
+        used = rows.used_terms(theta)
         gram = (rows.p * (phi_k * rows.weight)[None]) @ rows.p.T
         gram = jnp.where(used[:, None] & used[None], gram, 0.0)
         moment = jnp.where(used[:, None], moment, 0.0)

@@ -1,4 +1,4 @@
-"""What every partition starts from: rows, terms, and scaled scheduling variables."""
+"""The start of every partition: rows, terms, and scaled scheduling variables."""
 
 import dataclasses
 import functools
@@ -44,7 +44,7 @@ class TrainingRows:
     @functools.cached_property
     def centre(self) -> Centring | None:
         """Offsets of what is far from zero."""
-        return self.rows.centring(self.pool.variables)
+        return self.rows.find_centring(self.pool.variables)
 
     def constant(self, output: int) -> int | None:
         """Place of the constant among an output's candidates, if it is one."""
@@ -56,7 +56,7 @@ class TrainingRows:
     ) -> tuple[Float[Array, "terms rows"], Float[Array, " rows"]]:
         """Columns to fit an output with, and what to fit.
 
-        Those of its terms, or, where channels are far from zero, columns of the same
+        Columns of its terms, or, where channels are far from zero, columns of the same
         span without their offsets; `coefficients` gives those of the terms.
         """
         factor = self.factors[output]
@@ -74,7 +74,7 @@ class TrainingRows:
         psi = np.asarray(psi)
         if self.centre is None:
             return psi
-        theta = psi @ self.centre.reduced(self.factors[output])[0].astype(psi.dtype)
+        theta = psi @ self.centre.reduce(self.factors[output])[0].astype(psi.dtype)
         if (at := self.constant(output)) is not None:
             theta[..., at] += self.centre.target[output]
         return theta

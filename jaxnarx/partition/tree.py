@@ -136,16 +136,16 @@ def _begin(
     output = jnp.sum(phi * (theta @ rows.p), axis=0)
     leaves, gates = len(path), len(border)
 
-    def padded(array, *size: int):
+    def pad(array, *size: int):
         widths = [(0, n - have) for n, have in zip(size, array.shape, strict=False)]
         return jnp.pad(array, widths + [(0, 0)] * (array.ndim - len(size)))
 
     stage = TreeStage(
-        direction=padded(direction, max_models - 1),
-        border=padded(border, max_models - 1),
-        log_steepness=padded(log_steepness, max_models - 1),
-        path=padded(path, max_models, max_models - 1),
-        theta=padded(theta, max_models),
+        direction=pad(direction, max_models - 1),
+        border=pad(border, max_models - 1),
+        log_steepness=pad(log_steepness, max_models - 1),
+        path=pad(path, max_models, max_models - 1),
+        theta=pad(theta, max_models),
         count=jnp.asarray(leaves),
         sse=_sse(rows, output),
         effective=jnp.sum(traces) + (dims * gates if oblique else 0),
@@ -153,9 +153,9 @@ def _begin(
     locked = jnp.zeros(max_models, bool)
     return _Growth(
         stage,
-        padded(phi, max_models),
+        pad(phi, max_models),
         output,
-        padded(traces, max_models),
+        pad(traces, max_models),
         locked,
         jnp.asarray(True),
     )
@@ -163,7 +163,7 @@ def _begin(
 
 def _trace(rows: SplitRows, phi: Float[Array, " rows"], theta: Float[Array, " terms"]):
     """Effective parameters of one local model."""
-    used = rows.used(theta)[None]
+    used = rows.used_terms(theta)[None]
     return effective(rows.p, phi[None], rows.weight, used, rows.ridge)
 
 

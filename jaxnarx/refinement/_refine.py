@@ -83,7 +83,8 @@ def refine(
             prior around the start for every trained parameter (as it stands in the
             network; infinite for none). The noise it is weighed against is what is left
             at the start of a stage.
-        progress: Called on the host with a dictionary after every accepted step.
+        progress: A function called on the host with a dictionary after every accepted
+            step.
         solver: In place of Levenberg-Marquardt, which never stores the Jacobian: any
             minimiser or least-squares solver of optimistix, or a transformation of
             optax, which sees batches of random windows of `method.horizons` and no
@@ -108,13 +109,15 @@ def refine(
         given = {"trainable": trainable, "weights": weights, "progress": progress}
         given["solver"] = solver
 
-        def again(start: Network, deviations: Network | None) -> Solution[Network]:
+        def continue_refinement(
+            start: Network, deviations: Network | None
+        ) -> Solution[Network]:
             given["deviations"] = deviations
             return refine(start, data, bare, validation=validation, **given)
 
         _require_free(deviations)
         judge = match_records(network, data if validation is None else validation)
-        return refine_stable(network, judge, again)
+        return refine_stable(network, judge, continue_refinement)
     # Of a network that changes they say nothing any more, and with the certificate goes
     # what allowed for bounds so wide that nothing is held.
     if network.certificate is not None:

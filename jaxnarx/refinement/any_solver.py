@@ -24,9 +24,9 @@ from jaxnarx.arrays import (
     AbstractMethod,
     AbstractState,
     LevenbergState,
-    plain,
     program,
     select_tree,
+    strip_names,
     twin,
 )
 from jaxnarx.refinement.problem import Problem
@@ -47,7 +47,7 @@ class ScaledLoss(eqx.Module):
     @property
     def nameless(self) -> "ScaledLoss":
         """The same loss without names of channels, for programs."""
-        return twin(self, problem=plain(self.problem))
+        return twin(self, problem=strip_names(self.problem))
 
     def place(self, w: Float[Array, " params"]) -> Float[Array, " params"]:
         """Solver coordinates of the layout, inside its walls."""

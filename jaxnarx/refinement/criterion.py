@@ -44,7 +44,7 @@ class Criterion(eqx.Module):
     floor: Float[Array, " outputs"]
     corner: Float[Array, " outputs"]
 
-    def transformed(
+    def transform(
         self, y: Float[Array, "*rows outputs"]
     ) -> tuple[Float[Array, "*rows outputs"], Float[Array, "*rows outputs"]]:
         """T(y) and its derivative."""
@@ -66,8 +66,8 @@ class Criterion(eqx.Module):
         measured: Float[Array, "*rows outputs"],
     ) -> tuple[Float[Array, "*rows outputs"], Float[Array, "*rows outputs"]]:
         """e, and its derivative by the run."""
-        value, slope = self.transformed(y)
-        return value - self.transformed(measured)[0], slope
+        value, slope = self.transform(y)
+        return value - self.transform(measured)[0], slope
 
     def share(self, e: Float[Array, "*rows outputs"]) -> Float[Array, "*rows outputs"]:
         """Weight of an error in Gauss-Newton: 1 where the loss is quadratic."""
@@ -163,12 +163,12 @@ def make_criterion(
             jnp.asarray(np.where(power == 1.0, 1.0, floor), measured.dtype),
             jnp.ones(len(power), measured.dtype),
         )
-    spread = spread_of(rule, measured, scored)
+    spread = output_spread(rule, measured, scored)
     bend = jax.device_put((corner * spread).astype(measured.dtype))
     return Criterion(loss, rule.power, rule.floor, bend), spread
 
 
-def spread_of(
+def output_spread(
     rule: Criterion,
     measured: Float[np.ndarray, "records time outputs"],
     scored: Bool[np.ndarray, "records time outputs"],
@@ -176,7 +176,7 @@ def spread_of(
     """Standard deviation of every transformed output; one where it rests."""
     shown = measured
     if rule.power is not None:
-        shown = np.asarray(rule.transformed(jnp.asarray(measured))[0])
+        shown = np.asarray(rule.transform(jnp.asarray(measured))[0])
     counted = [shown[..., o][scored[..., o]] for o in range(shown.shape[-1])]
     spread = np.array([v.std() if v.size else 0.0 for v in counted], measured.dtype)
     return np.where(spread > 0, spread, 1.0).astype(measured.dtype)

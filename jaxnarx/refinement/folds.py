@@ -29,8 +29,8 @@ def split_folds(
     found = []
     for g in range(len(groups)):
         own = _stack([label == g for label in groups.labels], rows)
-        out = _stack(groups.left_out(g), rows)
-        pair = task.without(out, history), (judge or task).only(own)
+        out = _stack(groups.held_out_samples(g), rows)
+        pair = task.ignore_outputs(out, history), (judge or task).score_only(own)
         if all(np.any(np.asarray(part.weight) > 0) for part in pair):
             found.append(pair)
     if len(found) < 2:

@@ -8,7 +8,8 @@ The finished network is judged and used from measured starts all the same.
 
 Hidden channels have no measurement: their values before a record's start are always
 estimated, as departures from those that fit the start's network best, with the weight
-of the prior of `jaxnarx.models.observer`. Used they start from its windows.
+of the prior of `jaxnarx.models.observer`. When they are used, they start from its
+windows.
 """
 
 import equinox as eqx
@@ -17,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.models import PRIOR_WEIGHT, Network, depth, fed_back, scales
+from jaxnarx.models import PRIOR_WEIGHT, Network, depth, fed_back_variables, scales
 from jaxnarx.refinement.training_data import TrainingData
 
 
 class Initial(eqx.Module):
-    """Which samples are estimated: `at` is every record's first simulated sample.
+    """The samples that are estimated: `at` is every record's first simulated sample.
 
     `weight` is that of an offset's square in the loss, zero where there is none to
     estimate. Offsets are vectors of (records, depth, outputs), the newest first, in
@@ -84,7 +85,7 @@ def initial_conditions(
     Without `measured` the hidden channels' values alone; None where there are none.
     """
     tables = [network.variables, *(m.scheduling for m in network.models)]
-    if not any(fed_back(t, network.signals) for t in tables):
+    if not any(fed_back_variables(t, network.signals) for t in tables):
         return None
     if not (measured or network.hidden):
         return None

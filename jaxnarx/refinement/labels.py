@@ -64,7 +64,7 @@ def _coefficients(network: Network, o: int) -> Entries:
 
 def _validity(network: Network, o: int, model: OutputModel) -> list[Entries]:
     if not isinstance(model.validity, Gaussians):
-        return _plain(network.computed_names[o], model)
+        return _validity_entries(network.computed_names[o], model)
     span, offset = np.asarray(model.span)[None], np.asarray(model.offset)[None]
     centre = np.asarray(model.validity.centre)
     width = np.exp(np.asarray(model.validity.log_width)) * span
@@ -82,7 +82,7 @@ def _validity(network: Network, o: int, model: OutputModel) -> list[Entries]:
     ]
 
 
-def _plain(output: str, model: OutputModel) -> list[Entries]:
+def _validity_entries(output: str, model: OutputModel) -> list[Entries]:
     """Parameters of other validity functions, as they are inside the network."""
     found = []
     validity = model.validity

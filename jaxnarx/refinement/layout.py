@@ -1,4 +1,4 @@
-"""Which parameters are trained, as one vector without bounds.
+"""The trained parameters as one vector without bounds.
 
 Coefficients enter as they are; a parameter with limits a < p < b as p = a + (b - a)
 sigma(u), so that every step of a solver stays inside. The derivative of that map turns
@@ -25,14 +25,15 @@ from jaxnarx.regressors import Centring
 def freeze(
     network: Network, *, coefficients: bool = True, partition: bool = True
 ) -> Network:
-    """Which parameters a refinement trains, whole kinds of them, as a tree of booleans.
+    """The parameters that a refinement trains, whole kinds of them, as a tree of
+    booleans.
 
     True leaves are the coefficients and, for outputs with several local models, the
     parameters of the validity function; either kind is switched off by its flag.
     """
     tree = jax.tree.map(lambda _: False, network)
     models = tuple(
-        _trained(
+        _trained_leaves(
             model, coefficients, partition and int(np.asarray(model.active).sum()) > 1
         )
         for model in network.models
@@ -40,7 +41,9 @@ def freeze(
     return eqx.tree_at(lambda n: n.models, tree, models)
 
 
-def _trained(model: OutputModel, coefficients: bool, partition: bool) -> OutputModel:
+def _trained_leaves(
+    model: OutputModel, coefficients: bool, partition: bool
+) -> OutputModel:
     """One output's tree of booleans."""
     off = jax.tree.map(lambda _: False, model)
     on = [coefficients, *(partition for _ in model.validity.trained)]
@@ -57,7 +60,7 @@ def _pieces(tree: Network) -> list[list]:
     return [_trainable(m) for m in tree.models]
 
 
-def _where(network: Network) -> list:
+def _trainable_leaves(network: Network) -> list:
     return [leaf for output in _pieces(network) for leaf in output]
 
 
@@ -85,7 +88,7 @@ class Layout(eqx.Module):
 
     @property
     def nameless(self) -> "Layout":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, base=self.base.nameless)
 
     @property
@@ -104,7 +107,7 @@ class Layout(eqx.Module):
     @program
     def gather(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as a vector in solver coordinates."""
-        p = self.flat(self._turned(network, jnp.linalg.inv))
+        p = self.flat(self._multiply_coefficients(network, jnp.linalg.inv))
         bounded = jnp.isfinite(self.low)
         low = jnp.where(bounded, self.low, 0.0)
         span = jnp.where(bounded, self.high - self.low, 1.0)
@@ -132,7 +135,7 @@ class Layout(eqx.Module):
 
     def place(self, u: Float[Array | np.ndarray, " params"]) -> Network:
         """The network with these parameters."""
-        return eqx.tree_at(_where, self.base, self._leaves(u))
+        return eqx.tree_at(_trainable_leaves, self.base, self._leaves(u))
 
     @program
     def _leaves(self, u: Float[Array, " params"]) -> list:
@@ -146,10 +149,12 @@ class Layout(eqx.Module):
                     start += leaf.size
                 else:
                     new.append(leaf)
-        placed = eqx.tree_at(_where, self.base, new)
-        return _where(self._turned(placed, lambda back: back))
+        placed = eqx.tree_at(_trainable_leaves, self.base, new)
+        return _trainable_leaves(self._multiply_coefficients(placed, lambda back: back))
 
-    def _turned(self, network: Network, matrix: Callable[[Array], Array]) -> Network:
+    def _multiply_coefficients(
+        self, network: Network, matrix: Callable[[Array], Array]
+    ) -> Network:
         """Multiply the outputs' trained coefficients by a matrix made of `back`."""
         if self.back is None:
             return network
@@ -239,7 +244,9 @@ def make_layout(
             field="trainable",
         )
     chosen = tuple(tuple(bool(k) for k in output) for output in _pieces(tree))
-    elsewhere = eqx.tree_at(_where, tree, [False] * len(_where(tree)))
+    elsewhere = eqx.tree_at(
+        _trainable_leaves, tree, [False] * len(_trainable_leaves(tree))
+    )
     if any(bool(k) for k in jax.tree.leaves(elsewhere)):
         raise SpecError(
             "only coefficients and validity functions can be trained",
@@ -274,7 +281,7 @@ def _bounds(
 def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] | None:
     """The maps from coefficients of columns without offsets to those of terms, by
     output."""
-    centre = Centring.of_ranges(
+    centre = Centring.from_ranges(
         np.asarray(network.low),
         np.asarray(network.high),
         np.asarray(network.gain),
@@ -292,6 +299,6 @@ def _backs(network: Network, every: bool) -> tuple[Float[Array, "_ _ _"], ...] |
             at = np.flatnonzero(slots)
             if at.size:
                 terms = np.asarray(local.factor)[index[m, at]]
-                back[m][np.ix_(at, at)] = centre.reduced(terms)[0]
+                back[m][np.ix_(at, at)] = centre.reduce(terms)[0]
         backs.append(jnp.asarray(back, local.coefficient.dtype))
     return tuple(backs)

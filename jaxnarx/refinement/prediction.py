@@ -15,7 +15,7 @@ from jaxnarx.arrays import (
     begin_levenberg,
     begin_search,
     evaluate_at,
-    plain,
+    strip_names,
 )
 from jaxnarx.models import Network
 from jaxnarx.refinement.layout import Layout
@@ -40,7 +40,7 @@ def refine_prediction(
     """
     task, guard = task.one_step(), guard.one_step()
     start = np.asarray(layout.gather(layout.base))
-    validate = plain(make_problem(layout, guard, 1)).loss
+    validate = strip_names(make_problem(layout, guard, 1)).loss
     loss = np.asarray(evaluate_at(validate, start))
     log = SearchLog(loss, progress)
     problem = make_problem(layout, task, 1, ridge=method.ridge, prior=prior)

@@ -87,7 +87,7 @@ class Problem(AbstractProblem):
 
     @property
     def nameless(self) -> "Problem":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, layout=self.layout.nameless)
 
     @property

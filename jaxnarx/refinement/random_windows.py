@@ -38,11 +38,16 @@ LARGEST_GRADIENT = 1.0
 def _cut(drive: RunInputs, weight, record, start, size: int):
     """One window of the drive and of the weights."""
 
-    def slice_of(a, axis):
+    def take_slice(a, axis):
         return jax.lax.dynamic_slice_in_dim(a[record], start, size, axis)
 
-    x = tuple(slice_of(x_o, 1) for x_o in drive.x)
-    return slice_of(drive.v, 1), x, slice_of(drive.measured, 0), slice_of(weight, 0)
+    x = tuple(take_slice(x_o, 1) for x_o in drive.x)
+    return (
+        take_slice(drive.v, 1),
+        x,
+        take_slice(drive.measured, 0),
+        take_slice(weight, 0),
+    )
 
 
 def batch_loss(
@@ -73,7 +78,7 @@ def batch_loss(
 def clip_gradients(
     optimiser: optax.GradientTransformation,
 ) -> optax.GradientTransformation:
-    """Bound the size of gradients. Made where it is used: two are never equal."""
+    """Bound the size of gradients. Make it where it is used: two are never equal."""
     return optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optimiser)
 
 

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import (
-    history_of,
     linear_recurrence,
     own_history,
+    past_outputs,
     run_history,
     sensitivities,
 )
@@ -55,7 +55,8 @@ def output_gradient(
     """Derivative of an output by coefficients and by every trained field of validity.
 
     At fixed lagged variables, all local models' or each one's own; samples are the
-    trailing axis. Beside it those of the outputs of groups with feedback of their own.
+    trailing axis. The second result holds those of the outputs of groups with feedback
+    of their own.
     """
     model = network.models[output]
     z, values = scheduling_values(model, x), partial(term_values, network, model)
@@ -72,7 +73,7 @@ def output_gradient(
     coefficient = phi[:, None] * alone
 
     def blend(parameters, z, local):
-        phi = model.validity.replaced(parameters)(z, model.active)
+        phi = model.validity.replace_parameters(parameters)(z, model.active)
         return jnp.sum(phi * local)
 
     by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
@@ -83,7 +84,7 @@ def output_gradient(
     weight = shares(model, phi)
 
     def group(parameters, z, local):
-        phi = model.validity.replaced(parameters)(z, model.active)
+        phi = model.validity.replace_parameters(parameters)(z, model.active)
         return jnp.sum(shares(model, phi) * local[None], axis=1)
 
     groups, models = model.own.shape
@@ -171,7 +172,7 @@ def seen_history(
     lags, measured = depth(network), widen(network, measured)
 
     def one(y, measured, anchor):
-        past = run_history(y, history_of(measured, lags), anchor)
+        past = run_history(y, past_outputs(measured, lags), anchor)
         return past, own_history(anchor, lags)
 
     return jax.vmap(one)(y, measured, anchor)
@@ -195,8 +196,8 @@ def stream(
     `columns` of them, and `direct(tangents, (a, own), time, record)` gives D_t from the
     direct tangents by the parameters and the derivative by the whole history, of one
     record. Blocks follow one another in time. `extra` is a tree of arrays (records,
-    time, ...) that are cut alike; padding of the last block is zero there. What
-    `consume` returns beside the carry is stacked along a leading axis of blocks.
+    time, ...) that are cut alike; padding of the last block is zero there. Results of
+    `consume` other than the carry are stacked along a leading axis of blocks.
     """
     records, time, states = y.shape
     outputs, lags = len(network.models), depth(network)
@@ -204,19 +205,19 @@ def stream(
     size = -(-time // blocks)
     past, own = seen_history(network, y, drive.measured, anchor)
 
-    def padded(a, axis):
+    def pad(a, axis):
         room = [(0, 0)] * a.ndim
         room[axis] = (0, blocks * size - time)
         return jnp.pad(a, room)
 
     # Once and outside the loop.
     whole = (
-        padded(drive.v, 2),
-        tuple(padded(x, 2) for x in drive.x),
-        padded(past, 1),
-        padded(own, 1),
+        pad(drive.v, 2),
+        tuple(pad(x, 2) for x in drive.x),
+        pad(past, 1),
+        pad(own, 1),
     )
-    extra = jax.tree.map(lambda a: padded(a, 1), extra)
+    extra = jax.tree.map(lambda a: pad(a, 1), extra)
 
     def one(block, at, record, past):
         """One record over one block; the end and all."""

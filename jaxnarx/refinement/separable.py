@@ -49,23 +49,23 @@ class Separable(AbstractProblem):
 
     @property
     def nameless(self) -> "Separable":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, problem=self.problem.nameless)
 
     @property
     def wall(self) -> Float[Array, " params"]:
-        """That of the whole problem."""
+        """Bounds of the whole problem."""
         return self.problem.wall
 
-    def solved(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
+    def solve(self, u: Float[Array, " params"]) -> Float[Array, " params"]:
         """The parameters with the best coefficients for the partition, as linearised at
         `u`."""
-        return solve_coefficients(self._penalised(u), self.inner)
+        return solve_coefficients(self._penalise(u), self.inner)
 
     def _penalty(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         return jnp.dot(self.inner_pull, (u - self.origin) ** 2)
 
-    def _penalised(self, u: Float[Array, " params"]) -> Linear:
+    def _penalise(self, u: Float[Array, " params"]) -> Linear:
         """The whole problem's equations with the penalty of the coefficients."""
         whole = self.problem.linear(u)
         return Linear(
@@ -77,12 +77,12 @@ class Separable(AbstractProblem):
 
     def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
         """The loss at the partition of `u`, coefficients solved for."""
-        u = self.solved(u)
+        u = self.solve(u)
         return self.problem.loss(u) + self._penalty(u)
 
     def linear(self, u: Float[Array, " params"]) -> Linear:
         """Normal equations at the partition of `u`, coefficients solved for."""
-        whole = self._penalised(self.solved(u))
+        whole = self._penalise(self.solve(u))
         inner, outer = self.inner, self.outer
         a = whole.gram[inner[:, None], inner[None]]
         b = whole.gram[inner[:, None], outer[None]]
@@ -103,7 +103,7 @@ class Separable(AbstractProblem):
         )
 
     def pull(self, start: Linear) -> Float[Array, " params"]:
-        """That of the partition."""
+        """Regularisation of the parameters of the partition."""
         del start
         return jnp.asarray(self.outer_pull)
 

@@ -3,7 +3,7 @@
 All is refined freely. Where that loses the certificate, the coefficients of past
 outputs go back towards those of the start, as far as they must: with the norm of the
 start as constraint the set of them that is certified is convex, so that there is a way.
-What is left is then refined once more around them.
+The remaining parameters are then refined once more around them.
 """
 
 import dataclasses
@@ -17,18 +17,19 @@ from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, OutputModel, fed_back
+from jaxnarx.models import Network, OutputModel, fed_back_variables
 from jaxnarx.refinement._stability import attach_certificate, certificate
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import RESULTS, Solution
 
 MOST_HALVINGS = 10
-"""Of the way back to the start."""
+"""Halvings of the way back to the start."""
 STILL_DEVIATION_SHARE = 1e-6
 """Standard deviation of a coefficient that stays, in shares of its size."""
 
 Refine = Callable[[Network, Network | None], Solution[Network]]
-"""From a start, with standard deviations of a prior around it."""
+"""A function that refines from a start, with standard deviations of a prior around
+it."""
 
 
 def refine_stable(
@@ -51,7 +52,7 @@ def refine_stable(
         value = dataclasses.replace(attach_certificate(found.value), **bounds)
         return dataclasses.replace(found, value=value)
     back = _pull_towards(network, found.value)
-    again = refine(back, _only_feedback_still(back))
+    again = refine(back, _fix_feedback(back))
     every = [network, back, _pull_towards(back, again.value)]
     errors = [_error(one, judge) for one in every]
     best = int(np.argmin(errors))
@@ -67,13 +68,13 @@ def refine_stable(
 def _pull_towards(start: Network, end: Network) -> Network:
     """The end, with past outputs' coefficients as near to it as has a certificate."""
 
-    def between(share: float) -> Network:
+    def interpolate(share: float) -> Network:
         models = [
             eqx.tree_at(
                 lambda model: model.local.coefficient,
                 new,
                 jnp.where(
-                    _of_past(end, new),
+                    _feedback_terms(end, new),
                     old.local.coefficient
                     + share * (new.local.coefficient - old.local.coefficient),
                     new.local.coefficient,
@@ -83,34 +84,38 @@ def _pull_towards(start: Network, end: Network) -> Network:
         ]
         return dataclasses.replace(end, models=tuple(models))
 
-    if certificate(between(1.0)) is not None:
-        return between(1.0)
+    if certificate(interpolate(1.0)) is not None:
+        return interpolate(1.0)
     low, high = 0.0, 1.0
     for _ in range(MOST_HALVINGS):
         middle = 0.5 * (low + high)
-        if certificate(between(middle)) is None:
+        if certificate(interpolate(middle)) is None:
             high = middle
         else:
             low = middle
-    return between(low)
+    return interpolate(low)
 
 
-def _of_past(network: Network, model: OutputModel) -> Bool[np.ndarray, "models slots"]:
+def _feedback_terms(
+    network: Network, model: OutputModel
+) -> Bool[np.ndarray, "models slots"]:
     """Coefficients of terms that hold a past output."""
-    fed = {row + 1 for row, *_ in fed_back(network.variables, network.signals)}
+    fed = {
+        row + 1 for row, *_ in fed_back_variables(network.variables, network.signals)
+    }
     terms = np.any(np.isin(np.asarray(model.local.factor), list(fed)), axis=1)
     terms = np.atleast_1d(terms)
     return terms[np.asarray(model.local.index)]
 
 
-def _only_feedback_still(network: Network) -> Network:
+def _fix_feedback(network: Network) -> Network:
     """A prior that holds the coefficients of past outputs, and nothing else."""
     free = jax.tree.map(lambda leaf: jnp.full(jnp.shape(leaf), jnp.inf), network)
     models = []
     for own, model in zip(network.models, free.models, strict=True):
         value = jnp.abs(own.local.coefficient)
         size = STILL_DEVIATION_SHARE * jnp.maximum(value, STILL_DEVIATION_SHARE)
-        still = jnp.where(_of_past(network, own), size, jnp.inf)
+        still = jnp.where(_feedback_terms(network, own), size, jnp.inf)
         models.append(eqx.tree_at(lambda m: m.local.coefficient, model, still))
     return dataclasses.replace(free, models=tuple(models))
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays import evaluate_at, program
-from jaxnarx.models import Network, fed_back
+from jaxnarx.models import Network, fed_back_variables
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem
 from jaxnarx.refinement.search import Search
@@ -84,7 +84,9 @@ def shrunk(
 
 def shrink_feedback(network: Network, factor: float | Float[Array, ""]) -> Network:
     """Every term with a modelled output in it, at `factor` times its coefficient."""
-    rows = [row + 1 for row, _, _ in fed_back(network.variables, network.signals)]
+    rows = [
+        row + 1 for row, _, _ in fed_back_variables(network.variables, network.signals)
+    ]
 
     def one(model):
         local = model.local

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import Network
-from jaxnarx.refinement.criterion import Criterion, make_criterion, spread_of
+from jaxnarx.refinement.criterion import Criterion, make_criterion, output_spread
 from jaxnarx.simulation import (
     Masks,
     Prepared,
@@ -43,11 +43,11 @@ class TrainingData:
             return jax.device_put(first_anchor(self.masks))
         return jax.device_put(window_anchors(self.masks, horizon))
 
-    def only(self, rows: Bool[np.ndarray, "records time"]) -> "TrainingData":
+    def score_only(self, rows: Bool[np.ndarray, "records time"]) -> "TrainingData":
         """The same task with weight on these samples alone; shapes stay."""
-        return self._scoring(self.masks.scored & rows[:, :, None])
+        return self._score(self.masks.scored & rows[:, :, None])
 
-    def without(
+    def ignore_outputs(
         self, rows: Bool[np.ndarray, "records time"], history: int
     ) -> "TrainingData":
         """The same task as if the outputs had not been measured at `rows`.
@@ -70,9 +70,9 @@ class TrainingData:
             start=start,
             first=start,
         )
-        return dataclasses.replace(self, masks=masks)._scoring(scored)
+        return dataclasses.replace(self, masks=masks)._score(scored)
 
-    def _scoring(
+    def _score(
         self, scored: Bool[np.ndarray, "records time outputs"]
     ) -> "TrainingData":
         """Weight where samples are `scored`, as much in all for every output."""
@@ -142,7 +142,7 @@ def make_task(
             box_cox=box_cox,
         )
     else:
-        spread = spread_of(criterion, measured, masks.scored)
+        spread = output_spread(criterion, measured, masks.scored)
     share = masks.scored * record_weights(weights, len(data))[:, None, None]
     total = share.sum(axis=(0, 1))
     total = np.where(total > 0, total, 1.0)

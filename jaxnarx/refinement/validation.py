@@ -9,7 +9,13 @@ from jaxnarx.arrays import ValidationScore, twin
 from jaxnarx.refinement.criterion import Criterion
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.training_data import TrainingData
-from jaxnarx.simulation import RunInputs, begin_hidden, has_diverged, run, where_limited
+from jaxnarx.simulation import (
+    RunInputs,
+    begin_hidden,
+    has_diverged,
+    limited_samples,
+    run,
+)
 
 
 class Validator(eqx.Module):
@@ -34,7 +40,7 @@ class Validator(eqx.Module):
 
     @property
     def nameless(self) -> "Validator":
-        """That of the network without names, for programs."""
+        """Copy with a network without names, so that names are no part of a program."""
         return twin(self, layout=self.layout.nameless)
 
     def __call__(self, u: Float[Array, " params"]) -> ValidationScore:
@@ -47,7 +53,7 @@ class Validator(eqx.Module):
             drive = begin_hidden(network, drive, jnp.asarray(self.start))
         y = run(network, drive, self.anchor)
         value = self.criterion(y, drive.measured, self.weight)
-        held = jnp.moveaxis(where_limited(network, y), 2, 0)
+        held = jnp.moveaxis(limited_samples(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
         lost = jnp.any(has_diverged(held, counted))
         lost &= not self.trained

@@ -24,7 +24,7 @@ WRITTEN_FORMS = (
     "'lp(name, 4 s)', 'laguerre(name, 4 s, 2)', 'kautz(name, 2 rad/s, 0.5, 1)' or "
     "'basis(name, -0.25 -1+2j 1/s, 3)'"
 )
-"""What can be written, for messages."""
+"""Filters that can be written, for messages."""
 
 
 def _number(value: float | complex) -> str:

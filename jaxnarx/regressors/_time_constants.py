@@ -53,15 +53,15 @@ def time_constants(
         raise SpecError(f"count must be 1 to {most}, got {count}", field="count")
     if not data.channels.inputs:
         raise DataError("there are no inputs to filter")
-    found = _by_search if method == "search" else _by_step
-    return tuple(sorted({_rounded(t) for t in found(data, output, count)}))
+    found = _estimate_by_search if method == "search" else _estimate_by_step
+    return tuple(sorted({_round(t) for t in found(data, output, count)}))
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def _by_step(data: Dataset, output: str, count: int) -> list[float]:
+def _estimate_by_step(data: Dataset, output: str, count: int) -> list[float]:
     times = step_times(data, output).values()
     if not times:
         raise DataError(
@@ -72,7 +72,7 @@ def _by_step(data: Dataset, output: str, count: int) -> list[float]:
     return bank_times(times, count, sample_time=data.sample_time)
 
 
-def _by_search(data: Dataset, output: str, count: int) -> list[float]:
+def _estimate_by_search(data: Dataset, output: str, count: int) -> list[float]:
     longest = max(len(r) for r in data) * data.sample_time
     top = max(longest / 4, 4 * data.sample_time)
     grid = np.geomspace(data.sample_time, top, GRID_SIZE)

@@ -1,9 +1,10 @@
 """Centred coordinates for channels far from zero; the terms keep their meaning.
 
-Of a variable x = c + s z whose offset c is many times its spread s, a product is nearly
-a multiple of its own parts: x_1 x_2 = c_1 c_2 + c_1 s_2 z_2 + c_2 s_1 z_1 + s_1 s_2 z_1
-z_2, of which float64 soon keeps the constant alone. In a set of terms P that holds such
-a product together with its parts, the parts can be taken off: with monomials m of z,
+If the offset c of a variable x = c + s z is many times its spread s, a product is
+nearly a multiple of its own parts: x_1 x_2 = c_1 c_2 + c_1 s_2 z_2 + c_2 s_1 z_1 + s_1
+s_2 z_1 z_2, of which float64 soon keeps the constant alone. In a set of terms P that
+holds such a product together with its parts, the parts can be taken off: with monomials
+m of z,
 
     P = T_in m_in + T_out m_out ,    r = T_in^-1 P = m_in + T_in^-1 T_out m_out ,
 
@@ -52,7 +53,7 @@ class Centring:
     target: Float[np.ndarray, " outputs"]
 
     @staticmethod
-    def of_ranges(
+    def from_ranges(
         low: Float[np.ndarray, " signals"],
         high: Float[np.ndarray, " signals"],
         gain: Float[np.ndarray, " signals"],
@@ -77,7 +78,7 @@ class Centring:
             np.zeros(0),
         )
 
-    def centred(self, v: Float[Array, "vars *rows"]) -> Float[Array, "vars *rows"]:
+    def centre(self, v: Float[Array, "vars *rows"]) -> Float[Array, "vars *rows"]:
         """z of v."""
         tail = (-1,) + (1,) * (v.ndim - 1)
         shift, spread = (
@@ -97,7 +98,7 @@ class Centring:
                 float(np.prod([w for _, w in parts])),
             )
 
-    def reduced(
+    def reduce(
         self, factor: Int[np.ndarray, "terms degree"]
     ) -> tuple[
         Float[np.ndarray, "terms terms"],
@@ -139,8 +140,8 @@ class Centring:
         self, factor: Int[np.ndarray, "terms degree"], v: Float[Array, "vars rows"]
     ) -> tuple[Float[Array, "terms rows"], Float[np.ndarray, "terms terms"]]:
         """Columns r of the terms at rows `v`, and T_in^-1."""
-        back, table, weight = self.reduced(factor)
-        z = self.centred(v)
+        back, table, weight = self.reduce(factor)
+        z = self.centre(v)
         r = jnp.asarray(evaluate(factor, z))
         if len(table):
             r = r + jnp.asarray(weight, z.dtype) @ evaluate(table, z)
@@ -229,7 +230,7 @@ def _moments(x: np.ndarray, counted: np.ndarray):
     return mean, np.sqrt(np.sum(away**2, axis=1, where=counted) / count)
 
 
-def centring(
+def find_centring(
     batch: Batch,
     variables: Variables,
     v: Float[Array, "vars rows"],

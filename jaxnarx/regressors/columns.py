@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import lagged, usable
+from jaxnarx.arrays import lag_signals, usable
 from jaxnarx.data import Batch
 from jaxnarx.errors import DataError
 from jaxnarx.regressors.filtering import FilterTable, filter_input, filter_table
@@ -32,7 +32,7 @@ def record_columns(
     """
     pairs = variables.filtered
     if not pairs:
-        return lagged(signals, at, variables.rows)
+        return lag_signals(signals, at, variables.rows)
     source = np.array([s for s, _ in pairs])
     table = filter_table([f for _, f in pairs])
 
@@ -43,7 +43,9 @@ def record_columns(
 
     bank = jax.lax.map(one, (jnp.asarray(source), table))
     signals = jnp.concatenate([signals, bank.T], axis=1)
-    return lagged(signals, at, _extend_rows(variables, signals.shape[1] - len(pairs)))
+    return lag_signals(
+        signals, at, _extend_rows(variables, signals.shape[1] - len(pairs))
+    )
 
 
 def _extend_rows(variables: Variables, signals: int) -> tuple[tuple[int, int], ...]:
@@ -72,7 +74,7 @@ def even_places(
 ) -> Int[np.ndarray, " places"]:
     """Up to `points` places of `batch.flat` to linearise at, evenly spread.
 
-    Those with full history and valid lags `rows`, (signal, lag); without any,
+    Samples with full history and valid lags `rows`, (signal, lag); without any,
     `DataError` says that `what` needs them.
     """
     good = np.flatnonzero(usable(batch.valid, rows, history))
@@ -95,15 +97,15 @@ def row_columns(
 ) -> Float[np.ndarray, "vars rows"]:
     """Lagged variables at places `at` of `batch.flat`, below `ones` rows of ones.
 
-    Divided by the `gain` of their signals where one is given, else in physical units.
-    Every column is written into its place of one array: memory beside the result is
-    that of a few columns.
+    They are divided by the `gain` of their signals where one is given, else in physical
+    units. Every column is written into its place of one array: memory beside the result
+    is that of a few columns.
     """
     signals = np.asarray(batch.signals)
     flat = signals.reshape(-1, signals.shape[-1])
     out = _aligned_empty((ones + len(variables), len(at)), flat.dtype)
     out[:ones] = 1
-    for (signal, filter_), users in _by_source(variables).items():
+    for (signal, filter_), users in _group_by_source(variables).items():
         given = signals[..., signal], batch.valid[..., signal], filter_
         column = np.array(_source(*given, sample_time), order="C")
         if gain is not None:
@@ -128,7 +130,7 @@ def batch_columns(
     records, time, _ = signals.shape
     out = _aligned_empty((records, ones + len(variables), time), signals.dtype)
     out[:, :ones] = 1
-    for (signal, filter_), users in _by_source(variables).items():
+    for (signal, filter_), users in _group_by_source(variables).items():
         given = signals[..., signal], valid[..., signal], filter_
         column = np.ascontiguousarray(_source(*given, sample_time))
         for row, lag in users:
@@ -153,7 +155,7 @@ def _source(
     return np.asarray(_filtered_records(table, *jax.device_put(given)))
 
 
-def _by_source(variables: Variables) -> dict:
+def _group_by_source(variables: Variables) -> dict:
     """(row, lag) of the variables by signal and filter."""
     out: dict = {}
     for row, (signal, lag, filter_) in enumerate(variables.entries):

@@ -35,7 +35,7 @@ class FilterTable(eqx.Module):
 
 
 def filter_table(filters: Sequence[AbstractFilter]) -> FilterTable:
-    """The filters as a table."""
+    """Convert filters to a table of their kinds and coefficients."""
     longest = max((len(f.sections) for f in filters), default=1)
     pole = np.tile(np.array([-1.0, 0.0]), (len(filters), longest, 1))
     for n, f in enumerate(filters):

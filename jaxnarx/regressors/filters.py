@@ -48,7 +48,7 @@ class AbstractFilter(abc.ABC):
     @property
     @abc.abstractmethod
     def function(self) -> int:
-        """Which function of the cascade it is, from 1."""
+        """Number of the function in the cascade, from 1."""
 
     @property
     def state(self) -> tuple[int, int]:
@@ -330,10 +330,10 @@ def filter_from_dict(values: dict[str, Any]) -> AbstractFilter:
             field="filters",
         )
     if "poles" in settings:
-        settings["poles"] = tuple(map(_from_pair, settings["poles"]))
+        settings["poles"] = tuple(map(_pole_from_pair, settings["poles"]))
     return kind(**settings)
 
 
-def _from_pair(pair: Any) -> complex:
+def _pole_from_pair(pair: Any) -> complex:
     real, imaginary = pair
     return complex(_pole(real).real, imaginary)

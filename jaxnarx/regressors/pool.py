@@ -122,7 +122,7 @@ def _lags(
     return [[int(lag) for lag in row] for row in chosen]
 
 
-def _filtered(
+def _filtered_inputs(
     channels: Channels, filters: Filters | None, lags: Sequence[int]
 ) -> list[Entry]:
     """Filtered inputs, each at all lags."""
@@ -210,7 +210,7 @@ def polynomial_pool(
         inputs, _lags(input_lags, inputs, lowest=0, kind="input"), strict=True
     ):
         rows += [(channels.signal(name), lag, None) for lag in lags]
-    rows += _filtered(channels, filters, filter_lags)
+    rows += _filtered_inputs(channels, filters, filter_lags)
     for name, lags in zip(
         chosen, _lags(output_lags, chosen, lowest=1, kind="output"), strict=True
     ):

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.arrays import bucket, usable
 from jaxnarx.data import Batch, Dataset, gains, stack_records
 from jaxnarx.errors import DataError
-from jaxnarx.regressors.centring import Centring, centring
+from jaxnarx.regressors.centring import Centring, find_centring
 from jaxnarx.regressors.columns import row_columns
 from jaxnarx.regressors.variables import Variables
 
@@ -39,13 +39,13 @@ class Rows(eqx.Module):
         """Rows that are not padding; host only."""
         return int(np.count_nonzero(np.any(np.asarray(self.weight) > 0, axis=0)))
 
-    def of_lanes(self, lanes: slice) -> "Rows":
+    def select_lanes(self, lanes: slice) -> "Rows":
         """The same rows for some of the outputs."""
         return dataclasses.replace(self, y=self.y[lanes], weight=self.weight[lanes])
 
-    def centring(self, variables: Variables) -> Centring | None:
+    def find_centring(self, variables: Variables) -> Centring | None:
         """Offsets of what is far from zero, None where nothing is; host only."""
-        return centring(self.batch, variables, self.v, self.y, self.weight)
+        return find_centring(self.batch, variables, self.v, self.y, self.weight)
 
 
 def regression_rows(

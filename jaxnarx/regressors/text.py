@@ -24,7 +24,8 @@ _LAG_PATTERN = re.compile(
 def variable_name(
     channels: Channels, signal: int, lag: int, filter_: AbstractFilter | None = None
 ) -> str:
-    """`speed[t-3]`, or `speed[t]` at lag 0; `lp(speed, 4 s)[t]` of a filtered one."""
+    """Text of a variable: `speed[t-3]`, or `speed[t]` at lag 0; `lp(speed, 4 s)[t]` of
+    a filtered one."""
     name = channels.names[signal]
     if filter_ is not None:
         name = filter_text(filter_, name)
@@ -72,7 +73,8 @@ def _powers(factors: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def term_name(variables: Sequence[str], factors: Sequence[int]) -> str:
-    """`"1"` for the constant, else `u1[t-2]*NOx[t-1]`, repeated factors as powers."""
+    """Text of a term: `"1"` for the constant, else `u1[t-2]*NOx[t-1]`, repeated factors
+    as powers."""
     parts = [
         variables[v - 1] + (f"^{power}" if power > 1 else "")
         for v, power in _powers(factors)

@@ -32,14 +32,14 @@ from jaxnarx.regressors import evaluate
 from jaxnarx.selection.basis import (
     Basis,
     Lane,
+    chosen_mask,
     empty,
     enter,
-    inside,
     leave,
     partial_f,
     project,
     record_direction,
-    remaining,
+    remaining_moments,
     squared_error,
     swaps,
 )
@@ -174,13 +174,13 @@ def search(
 
 def _collinear(program: Program, lane: Lane, s: LaneState) -> Bool[Array, " terms"]:
     """Candidates of which too little is left beside the chosen terms."""
-    _, d = remaining(s.basis, lane)
+    _, d = remaining_moments(s.basis, lane)
     candidates = jnp.any(program.stages, axis=0) & (lane.norm > 0)
-    candidates &= ~inside(s.basis, lane.norm.shape[0])
-    return candidates & ~_enough_left(program, lane, d)
+    candidates &= ~chosen_mask(s.basis, lane.norm.shape[0])
+    return candidates & ~_has_enough_norm(program, lane, d)
 
 
-def _enough_left(program: Program, lane: Lane, d: Float[Array, " terms"]):
+def _has_enough_norm(program: Program, lane: Lane, d: Float[Array, " terms"]):
     return (d > program.tau * lane.norm) & (d > program.tau_absolute)
 
 
@@ -190,7 +190,7 @@ def _admissible(
     """Terms of which every part is in the model, or may join it before them."""
     if program.parents is None:
         return True
-    there = inside(s.basis, s.alive.shape[0])
+    there = chosen_mask(s.basis, s.alive.shape[0])
     there = there | s.alive if joining else there
     return jnp.all(jnp.append(there, True)[program.parents], axis=1)
 
@@ -200,7 +200,7 @@ def _first_part(program: Program, s: LaneState, term: Int[Array, ""]):
     if program.parents is None:
         return term
     parts = jnp.append(program.parents[term][::-1], term).astype(term.dtype)
-    there = jnp.append(inside(s.basis, s.alive.shape[0]), True)
+    there = jnp.append(chosen_mask(s.basis, s.alive.shape[0]), True)
     return parts[jnp.argmax(~there[parts] | (parts == term))]
 
 
@@ -244,10 +244,10 @@ def _candidate(program: Program, lane: Lane, s: LaneState):
 
     Also the term for which it makes way, itself if none, and what that one would save.
     """
-    b, d = remaining(s.basis, lane)
+    b, d = remaining_moments(s.basis, lane)
     usable = s.alive & program.stages[s.stage]
     usable &= _admissible(program, s, joining=True)
-    usable &= _enough_left(program, lane, d)
+    usable &= _has_enough_norm(program, lane, d)
     score = jnp.where(usable, b**2 / jnp.where(usable, d, 1.0), -jnp.inf)
     # Of copies the first, whatever rounding says; in a pool that is the simplest one.
     best = jnp.argmax(score >= (1.0 - TIE_SHARE) * jnp.max(score))
@@ -367,7 +367,7 @@ def _exchange(program: Program, lanes: Lane, s: LaneState, exchanges: bool):
 def _best_exchange(program: Program, lane: Lane, s: LaneState, active):
     basis = s.basis
     usable = jnp.any(program.stages, axis=0) & (lane.norm > 0) & _admissible(program, s)
-    usable &= ~inside(basis, lane.norm.shape[0])
+    usable &= ~chosen_mask(basis, lane.norm.shape[0])
     saved, term = swaps(basis, lane, usable, program.tau, program.parents)
     saved = jnp.where(_terms_that_stay(program, s), -jnp.inf, saved)
     slot = jnp.argmax(saved)
@@ -408,8 +408,6 @@ def _tidy(
 
     carry = (s, *weakest(s), jnp.zeros_like(entered))
     s, f, _, _, removed = jax.lax.while_loop(lambda c: jnp.any(c[3]), remove, carry)
-    history = jax.vmap(PartialFHistory.written)(
-        s.history, s.basis, f, entered | removed
-    )
+    history = jax.vmap(PartialFHistory.append)(s.history, s.basis, f, entered | removed)
     phase = jnp.where(history.rounds >= rounds, DONE, s.phase)
     return dataclasses.replace(s, history=history, phase=phase)

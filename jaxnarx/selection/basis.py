@@ -73,7 +73,7 @@ def empty(slots: int, lane: Lane) -> Basis:
     )
 
 
-def remaining(
+def remaining_moments(
     basis: Basis, lane: Lane
 ) -> tuple[Float[Array, " terms"], Float[Array, " terms"]]:
     """b and d of every candidate."""
@@ -81,7 +81,7 @@ def remaining(
     return b, lane.norm - jnp.sum(basis.coordinate**2, axis=0)
 
 
-def inside(basis: Basis, terms: int) -> Bool[Array, " terms"]:
+def chosen_mask(basis: Basis, terms: int) -> Bool[Array, " terms"]:
     """True for the terms of the pool that are chosen."""
     return jnp.zeros(terms, bool).at[basis.index].max(basis.used)
 
@@ -97,7 +97,7 @@ def project(
 ) -> tuple[Float[Array, " rows"], Float[Array, " slots"]]:
     """The part of a column off the chosen ones, and its coordinates in them.
 
-    Orthogonalised twice: once leaves cancellation of order eps * cond.
+    It is orthogonalised twice: once leaves cancellation of order eps * cond.
     """
     coordinate = jnp.zeros_like(basis.gain)
     for _ in range(2):
@@ -159,22 +159,22 @@ def leave(basis: Basis, slot: Int[Array, ""], wanted: Bool[Array, ""]) -> Basis:
     u = jnp.where(wanted, u, 0.0).astype(h.dtype)
     keeps = slots != jnp.where(wanted, last, slots.size)
 
-    def turned(a):
+    def reflect(a):
         a = a - 2.0 * jnp.tensordot(u, u @ a, axes=0)
         return jnp.where(keeps.reshape(-1, *(1,) * (a.ndim - 1)), a, 0.0)
 
     later = jnp.where(wanted & (slots >= slot), slots + 1, slots)
     count = basis.count - wanted.astype(basis.count.dtype)
     inside = slots < count
-    matrix = turned(basis.matrix)[:, jnp.minimum(later, slots.size - 1)]
+    matrix = reflect(basis.matrix)[:, jnp.minimum(later, slots.size - 1)]
     unit = jnp.eye(slots.size, dtype=matrix.dtype)
     return Basis(
         basis.index[jnp.minimum(later, slots.size - 1)],
         count,
-        turned(basis.direction),
+        reflect(basis.direction),
         jnp.where(inside[:, None] & inside[None], matrix, unit),
-        turned(basis.coordinate),
-        turned(basis.gain),
+        reflect(basis.coordinate),
+        reflect(basis.gain),
     )
 
 
@@ -219,9 +219,9 @@ def swaps(
     """
     inverse = duals(basis)
     h = inverse / jnp.linalg.norm(inverse, axis=1)[:, None]
-    b, d = remaining(basis, lane)
+    b, d = remaining_moments(basis, lane)
 
-    def of_slot(slot):
+    def swap_gain(slot):
         h, index = slot
         along, cost = h @ basis.coordinate, h @ basis.gain
         free = d + along**2
@@ -232,5 +232,5 @@ def swaps(
         best = jnp.argmax(jnp.where(fine, brings, -jnp.inf))
         return jnp.where(fine[best], brings[best], -jnp.inf) - cost**2, best
 
-    decrease, term = jax.lax.map(of_slot, (h, basis.index))
+    decrease, term = jax.lax.map(swap_gain, (h, basis.index))
     return jnp.where(basis.used, decrease, -jnp.inf), term

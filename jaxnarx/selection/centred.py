@@ -26,7 +26,7 @@ def centred_search(pool: Pool, v, centre: Centring, method: Method, usable):
     constant = constant_term(pool) if adds_constant(method) else None
     parents, complete = centre.parents(pool.factor, allowed, constant)
     if complete:
-        return centre.centred(v), pool.factor, parents
+        return centre.centre(v), pool.factor, parents
     there = allowed.copy()
     there[[] if constant is None else [constant]] = True
     own = np.flatnonzero(there)
@@ -36,7 +36,7 @@ def centred_search(pool: Pool, v, centre: Centring, method: Method, usable):
     return every, np.arange(1, len(pool) + 1, dtype=np.int32)[:, None], parents
 
 
-def target_of(
+def target_offset(
     pool: Pool, centre: Centring, there: Bool[np.ndarray, " terms"]
 ) -> Float[Array, "lanes 1"]:
     """The offset that is taken off every lane; nothing without a constant to give it
@@ -51,7 +51,7 @@ def backs(pool: Pool, centre: Centring, basis: Basis):
     index, count = np.asarray(basis.index), np.asarray(basis.count)
     out = np.tile(np.eye(index.shape[1]), (len(index), 1, 1))
     for back, terms, n in zip(out, index, count.tolist(), strict=True):
-        back[:n, :n] = centre.reduced(pool.factor[terms[:n]])[0]
+        back[:n, :n] = centre.reduce(pool.factor[terms[:n]])[0]
     return jnp.asarray(out, basis.gain.dtype)
 
 

@@ -35,12 +35,12 @@ def own_choice(
     y, weight = (np.asarray(a)[:, : rows.count] for a in (rows.y, rows.weight))
     lanes = zip(names, y, weight, strict=True)
     return [
-        places[_checked(method(columns, y, w), len(places), n)].tolist()
+        places[_check_choice(method(columns, y, w), len(places), n)].tolist()
         for n, y, w in lanes
     ]
 
 
-def _checked(found, terms: int, name: str) -> np.ndarray:
+def _check_choice(found, terms: int, name: str) -> np.ndarray:
     index = np.asarray(found)
     if not index.size:
         raise DataError(f"the selector chose no term of {name}", channel=name)

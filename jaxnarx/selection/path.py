@@ -1,4 +1,5 @@
-"""What a search returns: the chosen terms in order, figures of every nested size."""
+"""The result of a search: the chosen terms in order, statistics of every nested
+size."""
 
 import dataclasses
 from typing import Literal
@@ -35,7 +36,7 @@ class PartialFHistory(eqx.Module):
             jnp.asarray(0),
         )
 
-    def written(
+    def append(
         self, basis: Basis, f: Float[Array, " slots"], wanted: Bool[Array, ""]
     ) -> "PartialFHistory":
         """The history with one more row where `wanted`."""
@@ -77,7 +78,8 @@ def path_of(
     history: PartialFHistory,
     back: Float[Array, "slots slots"] | None = None,
 ) -> Path:
-    """Orthogonalise the chosen columns in order of entry, and take what follows.
+    """Compute coefficients, standard errors and criteria of all nested models of a
+    search.
 
     `back` makes the chosen columns of others, P; coefficients and their standard errors
     are then those of P. Row n may hold the columns up to the n-th.

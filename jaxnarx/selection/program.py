@@ -1,4 +1,4 @@
-"""From settings to what the search runs: masks, levels and first terms."""
+"""The search's masks, levels and first terms from its settings."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -210,7 +210,7 @@ def _forced_terms(
 
 
 def _stages(pool: Pool, method: Method, allowed, begun: bool):
-    """Which terms may enter in each stage, and how many."""
+    """Terms that may enter in each stage, and how many."""
     if isinstance(method, StepwiseF) and method.stages is not None:
         degrees = (pool.factor > 0).sum(axis=1)
         if len(method.stages) > pool.degree:

@@ -21,7 +21,7 @@ from jaxnarx.selection.centred import (
     backs,
     centred_search,
     give_back_offsets,
-    target_of,
+    target_offset,
 )
 from jaxnarx.selection.custom_selector import own_choice
 from jaxnarx.selection.path import PartialFHistory, Path, path_of, resize
@@ -35,7 +35,7 @@ from jaxnarx.selection.program import (
 )
 from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.simulation_ols import Progress, simulation_ols
-from jaxnarx.selection.statistics import figures_of, histories_of
+from jaxnarx.selection.statistics import compute_statistics, partial_f_histories
 from jaxnarx.selection.unusable import unusable_signals, usable_terms
 from jaxnarx.settings import (
     SELECTORS,
@@ -87,8 +87,8 @@ def select(
     those about its mean.
 
     `Anova` keeps all terms whose variables lie in a significant effect. It narrows a
-    pool: choose further from `value.narrowed()`. `SimulationOLS` takes one output and
-    no weights; its selection holds the one-step coefficients.
+    pool: choose further from `value.narrow_pool()`. `SimulationOLS` takes one output
+    and no weights; its selection holds the one-step coefficients.
 
     Status `pool_exhausted` when a search by ERR ran out of candidates, `unidentifiable`
     when the chosen columns' scaled condition exceeds 1/sqrt(eps). Too few rows,
@@ -103,7 +103,7 @@ def select(
             name of a registered one.
         weights: For every record one non-negative weight per sample; a validity
             function is one.
-        progress: Called on the host with a dictionary after every round of
+        progress: A function called on the host with a dictionary after every round of
             `SimulationOLS`.
 
     Returns:
@@ -143,7 +143,7 @@ def select(
     )
     usable = usable_terms(pool, passed_over)
     if isinstance(method, Anova):
-        solution = _by_variance(pool, rows, method, usable)
+        solution = _select_by_variance(pool, rows, method, usable)
     elif isinstance(method, Selector):
         if any(chosen):
             raise SpecError(
@@ -151,12 +151,14 @@ def select(
                 field="source",
             )
         kept = own_choice(pool, rows, method, usable)
-        solution = _as_chosen(pool, rows, kept, method)
+        solution = _fit_chosen(pool, rows, kept, method)
     elif isinstance(method, SimulationOLS):
-        solution = _on_free_run(pool, data, rows, method, usable, chosen, progress)
+        solution = _select_on_free_run(
+            pool, data, rows, method, usable, chosen, progress
+        )
     else:
         choice = choose_terms(pool, rows, method, usable, chosen)
-        return solution_of(pool, rows, choice, passed_over, method)
+        return make_solution(pool, rows, choice, passed_over, method)
     stats = solution.stats | {"passed_over": passed_over}
     return Solution(solution.value, solution.status, stats, solution.detail)
 
@@ -166,7 +168,9 @@ def _terms_asked(pool: Pool, method: Any) -> int:
     return 1 if open_end else min(method.max_terms, len(pool))
 
 
-def _by_variance(pool: Pool, rows: Rows, method: Anova, usable) -> Solution[Selection]:
+def _select_by_variance(
+    pool: Pool, rows: Rows, method: Anova, usable
+) -> Solution[Selection]:
     tables = [anova(pool, rows, o, method) for o in range(len(pool.outputs))]
     kept = [[t for t in significant_terms(pool, a) if usable[t]] for a in tables]
     names = [pool.channels.output_names[o] for o in pool.outputs]
@@ -177,20 +181,20 @@ def _by_variance(pool: Pool, rows: Rows, method: Anova, usable) -> Solution[Sele
                 "other lags or a larger `significance`",
                 channel=name,
             )
-    found = _as_chosen(pool, rows, kept, method)
+    found = _fit_chosen(pool, rows, kept, method)
     return dataclasses.replace(found, stats=found.stats | {"anova": tables})
 
 
-def _as_chosen(pool: Pool, rows: Rows, kept: list[list[int]], method):
+def _fit_chosen(pool: Pool, rows: Rows, kept: list[list[int]], method):
     """The solution of terms that are chosen, in their order."""
     path = refit(pool, rows, kept)
-    value = selection_of(pool, rows, path)
-    stats = figures_of(value, path) | {"candidates": len(pool)}
+    value = make_selection(pool, rows, path)
+    stats = compute_statistics(value, path) | {"candidates": len(pool)}
     status, detail = _status(value, np.asarray(path.cond), method)
     return Solution(value, status, stats, detail)
 
 
-def _on_free_run(
+def _select_on_free_run(
     pool: Pool, data: Dataset, rows: Rows, method: SimulationOLS, usable, chosen, tell
 ) -> Solution[Selection]:
     if len(pool.outputs) > 1:
@@ -207,13 +211,13 @@ def _on_free_run(
         )
     if not start:
         few = ForwardOLS(max_terms=min(method.first_terms, len(pool)))
-        start = chosen_of(choose_terms(pool, rows, few, usable, [[]]).path)[0]
+        start = chosen_terms(choose_terms(pool, rows, few, usable, [[]]).path)[0]
     path = refit(pool, rows, [start])
     theta = np.asarray(path.nested)[0, -1]
     found = simulation_ols(pool, data, rows.gain, start, theta, method, usable, tell)
     path = refit(pool, rows, [found.terms])
-    value = selection_of(pool, rows, path)
-    stats = figures_of(value, path) | {
+    value = make_selection(pool, rows, path)
+    stats = compute_statistics(value, path) | {
         "candidates": len(pool),
         "network": found.network,
         "loss": found.loss,
@@ -242,10 +246,10 @@ def choose_terms(
     """
     samples = int((np.asarray(rows.weight) > 0).sum(axis=1).min())
     v, y, factor, parents, target = rows.v, rows.y, pool.factor, None, None
-    centre = rows.centring(pool.variables)
+    centre = rows.find_centring(pool.variables)
     if centre is not None:
         v, factor, parents = centred_search(pool, v, centre, method, usable)
-        target = target_of(pool, centre, allowed_terms(pool, method, usable))
+        target = target_offset(pool, centre, allowed_terms(pool, method, usable))
         y = y - target
     made = plan(pool, method, usable, chosen, samples, v.dtype, parents)
     basis, lanes, history, collinear = _run(v, y, rows.weight, factor, made)
@@ -286,10 +290,10 @@ def _with_constant(pool: Pool, rows: Rows, path: Path) -> Path:
     constant = constant_term(pool)
     if constant is None:
         raise SpecError("the pool has no constant term to add", field="constant")
-    return refit(pool, rows, [[*terms, constant] for terms in chosen_of(path)])
+    return refit(pool, rows, [[*terms, constant] for terms in chosen_terms(path)])
 
 
-def chosen_of(path: Path) -> list[list[int]]:
+def chosen_terms(path: Path) -> list[list[int]]:
     """Terms of every lane, in order."""
     index, count = np.asarray(path.index), np.asarray(path.count)
     return [index[lane, :n].tolist() for lane, n in enumerate(count)]
@@ -309,19 +313,19 @@ def refit(pool: Pool, rows: Rows, chosen: Sequence[Sequence[int]]) -> Path:
 
 
 def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
-    own, back, target = rows.of_lanes(slice(lane, lane + 1)), None, None
+    own, back, target = rows.select_lanes(slice(lane, lane + 1)), None, None
     index, y = np.asarray(terms), own.y
     size = len(index)
     room = -(-size // ROOM_MULTIPLE) * ROOM_MULTIPLE
     # What fills the room is not asked for and may not enter.
     filled = np.resize(np.arange(size), room)
-    centre = own.centring(pool.variables)
+    centre = own.find_centring(pool.variables)
     if centre is None:
         columns = evaluate(pool.factor[index[filled]], rows.v)
     else:
         columns, back = centre.columns(pool.factor[index], rows.v)
         columns = columns[filled]
-        target = target_of(pool, centre, np.isin(np.arange(len(pool)), index))
+        target = target_offset(pool, centre, np.isin(np.arange(len(pool)), index))
         y = y - target
         wide = np.pad(back, (0, room - size)).astype(columns.dtype)
         back = jax.device_put(wide[None])
@@ -366,7 +370,7 @@ def _refit_one(pool: Pool, rows: Rows, lane: int, terms: Sequence[int]) -> Path:
     return path
 
 
-def selection_of(pool: Pool, rows: Rows, path: Path) -> Selection:
+def make_selection(pool: Pool, rows: Rows, path: Path) -> Selection:
     """The value from the arrays."""
     count = np.asarray(path.count)
     last = np.maximum(count - 1, 0)
@@ -397,18 +401,18 @@ def _total(rows: Rows) -> Float[np.ndarray, " lanes"]:
     return (w * (y - mean[:, None]) ** 2).sum(axis=1)
 
 
-def solution_of(
+def make_solution(
     pool: Pool, rows: Rows, choice: Choice, passed_over, method: Method
 ) -> Solution[Selection]:
     """Value, figures and status from what the search returned."""
     path, made = choice.path, choice.made
-    value = selection_of(pool, rows, path)
-    stats = figures_of(value, path)
+    value = make_selection(pool, rows, path)
+    stats = compute_statistics(value, path)
     terms = np.flatnonzero(choice.collinear.any(axis=0)).tolist()
     dropped = {pool.name(term): COLLINEAR_WORDS for term in terms}
     stats |= {"passed_over": passed_over | dropped, "candidates": len(pool)}
     if made.removes:
-        stats |= {"f_level": made.f_level, "history": histories_of(pool, path)}
+        stats |= {"f_level": made.f_level, "history": partial_f_histories(pool, path)}
     status, detail = _status(value, np.asarray(path.cond), method, choice.centre)
     return Solution(value, status, stats, detail)
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 from jaxnarx.regressors import Pool
@@ -106,8 +107,10 @@ class Selection(eqx.Module):
             self.gain,
         )
 
-    def narrowed(self) -> Pool:
+    def narrow_pool(self) -> Pool:
         """A pool of the chosen terms of all outputs, in the order of the old one."""
         chosen = sorted({t for o in range(len(self.index)) for t in self.terms(o)})
         pool = self.pool
         return Pool(pool.variables, pool.factor[chosen], pool.channels, pool.outputs)
+
+    narrowed = old_method("narrowed", "narrow_pool")

@@ -7,12 +7,11 @@ new coefficient is <e, s_j>. With the adjoint of the filter it needs no filterin
 candidates: lambda = F' e is one filtered residual, and <e, s_j> = <lambda, p_j> is one
 contraction of the whole pool.
 
-The derivative alone favours large columns, so the best candidates by
-<lambda, p_j>^2 / |p_j|^2 are filtered in earnest: a network with them at coefficient
-zero gives the Gram matrix of all their filtered columns beside those of the chosen
-terms in one pass of the refinement's normal equations. What candidate j promises is
-then b_j^2 / d_j, after both are freed of the chosen columns, as in the search on
-one-step errors.
+The derivative alone favours large columns, so the best candidates by <lambda, p_j>^2 /
+|p_j|^2 are filtered in earnest: a network with them at coefficient zero gives the Gram
+matrix of all their filtered columns beside those of the chosen terms in one pass of the
+refinement's normal equations. Candidate j promises b_j^2 / d_j, after both are freed of
+the chosen columns, as in the search on one-step errors.
 
 The thesis's first item of future work; the criterion is that of simulation-based
 selection, Piroddi and Spinelli, "An identification algorithm for polynomial NARX
@@ -112,7 +111,7 @@ class _Rounds:
         self.base = assemble(pool, data, gain, [first])
         self.task, _ = make_task(self.base, data)
         low, high = np.asarray(self.base.low), np.asarray(self.base.high)
-        self.centre = Centring.of_ranges(low, high, gain, pool.variables)
+        self.centre = Centring.from_ranges(low, high, gain, pool.variables)
         self.offset, self.parents = None, None
         if self.centre is not None:
             pair = self.centre.shift, self.centre.spread
@@ -131,7 +130,7 @@ class _Rounds:
         model = eqx.tree_at(lambda m: m.local.used, model, used)
         return eqx.tree_at(lambda n: n.models, self.base, (model,))
 
-    def refined(self, terms, theta, *, first: bool = False):
+    def refine(self, terms, theta, *, first: bool = False):
         """Coefficients after refinement on the free run, and how it ended."""
         network = self.network(terms, theta, self.slots)
         steps = SimulationError(
@@ -148,7 +147,7 @@ class _Rounds:
         """All coefficients, those of columns without offsets."""
         return make_layout(network, None, (0.5, 2.0), centred=True)
 
-    def admitted(self, terms: list[int]) -> Bool[np.ndarray, " terms"]:
+    def admissible_terms(self, terms: list[int]) -> Bool[np.ndarray, " terms"]:
         """Terms whose parts are in the model, see `Centring.parents`."""
         there = np.zeros(len(self.pool) + 1, bool)
         there[[*terms, -1]] = True
@@ -156,11 +155,11 @@ class _Rounds:
             return np.ones(len(self.pool), bool)
         return np.all(there[self.parents], axis=1)
 
-    def without(self, terms: list[int], theta, place: int):
+    def remove_term(self, terms: list[int], theta, place: int):
         """Terms and coefficients without one of them, its column's share taken off."""
         fewer = [t for n, t in enumerate(terms) if n != place]
         if self.centre is not None:
-            back = self.centre.reduced(self.pool.factor[terms])[0]
+            back = self.centre.reduce(self.pool.factor[terms])[0]
             psi = np.linalg.solve(back.T, theta)
             theta = theta - psi[place] * back[place]
         return fewer, np.delete(theta, place)
@@ -180,7 +179,7 @@ class _Rounds:
         )
         g, norm = np.asarray(g), np.asarray(norm)
         open_ = self.usable & (norm > 0)
-        open_ &= self.admitted(terms)
+        open_ &= self.admissible_terms(terms)
         open_[terms] = False
         score = np.where(open_, g**2 / np.where(open_, norm, 1.0), -np.inf)
         count = min(self.method.shortlist, int(open_.sum()))
@@ -195,7 +194,7 @@ class _Rounds:
         size = len(both)
         return short, np.asarray(slope)[:size], np.asarray(gram)[:size, :size], loss
 
-    def changed(self, terms, theta, solution, term: int):
+    def try_term(self, terms, theta, solution, term: int):
         """After one more term, or with it in the place of another; or as it was.
 
         The loss falls, by `least_gain` where the model gets larger, or everything
@@ -203,8 +202,8 @@ class _Rounds:
         """
         before = float(solution.stats["loss"])
         more = [*terms, term]
-        after, tried = self.refined(more, np.r_[theta, 0.0])
-        fewer, less, thinner = self.thinned(more, after, tried, before)
+        after, tried = self.refine(more, np.r_[theta, 0.0])
+        fewer, less, thinner = self.thin(more, after, tried, before)
         if fewer is not None and thinner.stats["loss"] < before:
             dropped = next(t for t in more if t not in fewer)
             self.tell(fewer, term, thinner, f"taken in for {self.pool.name(dropped)}")
@@ -216,7 +215,7 @@ class _Rounds:
         self.tell(terms, term, solution, "refused")
         return terms, theta, solution
 
-    def thinned(self, terms, theta, solution, before: float):
+    def thin(self, terms, theta, solution, before: float):
         """The terms without the one that costs least, the newest excepted; or None for
         terms.
 
@@ -242,8 +241,8 @@ class _Rounds:
         full = size > self.method.max_terms
         if not full and loss + cost[weakest] >= before:
             return None, theta, solution
-        fewer, rest = self.without(terms, theta, weakest)
-        after, tried = self.refined(fewer, rest)
+        fewer, rest = self.remove_term(terms, theta, weakest)
+        after, tried = self.refine(fewer, rest)
         return fewer, after, tried
 
     def tell(self, terms: list[int], term: int, solution, what: str) -> None:
@@ -303,7 +302,7 @@ def simulation_ols(
     """Grow `start` to `method.max_terms` terms on the free-run error of `data`."""
     r = _Rounds(pool, data, gain, method, usable, progress)
     terms = list(start)
-    theta, solution = r.refined(terms, theta, first=True)
+    theta, solution = r.refine(terms, theta, first=True)
     if solution.stats["start_diverged"] and solution.status == RESULTS.start_diverged:
         return Found(
             solution.value,
@@ -334,7 +333,7 @@ def simulation_ols(
             break
         term = short[best]
         r.usable[term] = False
-        terms, theta, solution = r.changed(terms, theta, solution, term)
+        terms, theta, solution = r.try_term(terms, theta, solution, term)
         idle += 1
         if float(solution.stats["loss"]) < (1.0 - method.least_gain) * mark:
             mark, idle = float(solution.stats["loss"]), 0

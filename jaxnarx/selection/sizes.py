@@ -86,9 +86,8 @@ def choose(
     (5.34), estimated on `train`, which must have more rows than the pool has terms.
     "one_step" and "free_run" are the normalised errors on the records of `validation`,
     with bounds and ranges from `train`. A size whose free run diverges counts as
-    infinitely bad. Of several outputs `output` names one; among equals the smallest
-    size wins.
-    `selection.head(size)` is the selection of that size.
+    infinitely bad. `output` names one of several outputs; among equals the smallest
+    size wins. `selection.head(size)` is the selection of that size.
     """
     place = _place(selection, output)
     name = CRITERION_ALIASES.get(criterion, criterion)

@@ -12,7 +12,7 @@ from jaxnarx.selection.selection import Selection
 from jaxnarx.selection.sizes import criteria_of
 
 
-def figures_of(value: Selection, path: Path) -> dict[str, Any]:
+def compute_statistics(value: Selection, path: Path) -> dict[str, Any]:
     """Criteria of all sizes, t values and what else `stats` holds of every search."""
     t, p_value = _t_values(value)
     return _tables(value) | {
@@ -48,7 +48,7 @@ def _t_values(value: Selection):
     return t, np.where(value.used, p_value, 1.0)
 
 
-def histories_of(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
+def partial_f_histories(pool: Pool, path: Path) -> list[list[dict[str, float]]]:
     """Partial F of the terms in the model after every round, by output."""
     h = jax.tree.map(np.asarray, path.history)
     return [

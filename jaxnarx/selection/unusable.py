@@ -16,9 +16,9 @@ def _stack(data: Dataset) -> tuple[np.ndarray, np.ndarray]:
 def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
     """Signals of the pool whose terms are passed over, with the reason.
 
-    Constant inputs, and channels equal to or a multiple of an earlier one. A modelled
-    output that is constant raises `DataError`, and so does a pool without any excited
-    input.
+    They are constant inputs, and channels equal to or a multiple of an earlier one. A
+    modelled output that is constant raises `DataError`, and so does a pool without any
+    excited input.
     """
     columns, valid = _stack(data)
     names = data.channels.names
@@ -58,7 +58,8 @@ def unusable_signals(data: Dataset, pool: Pool) -> dict[str, str]:
 def _proportional(a: np.ndarray, b: np.ndarray) -> bool:
     """True where a = c b but for rounding, that of a text file included.
 
-    Judged by how far a moves: far from zero every channel is a multiple of any other.
+    The measure is how far a moves: far from zero every channel is a multiple of any
+    other.
     """
     if not a.size:
         return False

@@ -3,8 +3,8 @@
 from jaxnarx.settings.anova import Anova
 from jaxnarx.settings.description import DESCRIPTION as DESCRIPTION
 from jaxnarx.settings.design import OptimalDesign
-from jaxnarx.settings.fields import fields_of as fields_of
-from jaxnarx.settings.fields import kinds_of as kinds_of
+from jaxnarx.settings.fields import field_hints as field_hints
+from jaxnarx.settings.fields import union_members as union_members
 from jaxnarx.settings.identification import Identification
 from jaxnarx.settings.inverse import ActuatorLimits, TrackingError
 from jaxnarx.settings.least_squares import LeastSquares, Recursive
@@ -36,10 +36,10 @@ from jaxnarx.settings.simulation_ols import SimulationOLS
 from jaxnarx.settings.states import HiddenStates
 from jaxnarx.settings.tree import KIND_KEY as KIND_KEY
 from jaxnarx.settings.tree import METHOD_KINDS as METHOD_KINDS
-from jaxnarx.settings.tree import by_path as by_path
+from jaxnarx.settings.tree import flatten_table as flatten_table
 from jaxnarx.settings.tree import from_dict as from_dict
 from jaxnarx.settings.tree import hint_at as hint_at
-from jaxnarx.settings.tree import names_of as names_of
+from jaxnarx.settings.tree import kind_names as kind_names
 from jaxnarx.settings.tree import plain_value as plain_value
 from jaxnarx.settings.tree import replace_at as replace_at
 from jaxnarx.settings.tree import to_dict as to_dict

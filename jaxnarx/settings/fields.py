@@ -1,8 +1,8 @@
 """Classes of settings: frozen, their fields held to what they are annotated with.
 
 A field that takes a list may be given any sequence, and is kept as a tuple; one text,
-or one whole number, counts as a list of one. What concerns several fields at once is
-said in a class's own `__post_init__`, which finds each of them right by itself.
+or one whole number, counts as a list of one. Rules for several fields at once stand in
+a class's own `__post_init__`, which finds each of them right by itself.
 """
 
 import dataclasses
@@ -71,31 +71,31 @@ def _settings(kind: Any, *, eq: bool) -> Any:
     after: Any = getattr(kind, "__post_init__", None)
 
     def __post_init__(self: Any) -> None:
-        for name, hint in fields_of(type(self)).items():
-            value = _as_tuples(hint, getattr(self, name))
+        for name, hint in field_hints(type(self)).items():
+            value = _lists_to_tuples(hint, getattr(self, name))
             object.__setattr__(self, name, value)
             hold(hint, value, name)
         if after is not None:
             after(self)
 
     kind.__post_init__ = __post_init__
-    return _plainly_annotated(dataclasses.dataclass(frozen=True, eq=eq)(kind))
+    return _annotate_plainly(dataclasses.dataclass(frozen=True, eq=eq)(kind))
 
 
 _HELD_ANNOTATIONS: dict[type, dict[str, Any]] = {}
 """Annotations of classes of settings, with the rules that `help` does not show."""
 
 
-def _plainly_annotated(kind: Any) -> Any:
+def _annotate_plainly(kind: Any) -> Any:
     """A class whose annotations are plain types, as people read them."""
     _HELD_ANNOTATIONS[kind] = dict(vars(kind).get("__annotations__", {}))
     parts: tuple[Any, ...] = (kind, kind.__init__)
     for one in parts:
-        one.__annotations__ = _hints_of(kind.__module__, one.__annotations__)
+        one.__annotations__ = _resolve_hints(kind.__module__, one.__annotations__)
     return kind
 
 
-def _hints_of(
+def _resolve_hints(
     module: str, annotations: Mapping[str, Any], *, rules: bool = False
 ) -> dict[str, Any]:
     """Annotations with names resolved, by default without the rules of numbers."""
@@ -105,21 +105,21 @@ def _hints_of(
 
 
 @functools.cache
-def fields_of(kind: type) -> dict[str, Any]:
+def field_hints(kind: type) -> dict[str, Any]:
     """The fields of a class of settings and what they may hold."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         own = _HELD_ANNOTATIONS.get(base) or vars(base).get("__annotations__") or {}
-        hints |= _hints_of(base.__module__, own, rules=True)
+        hints |= _resolve_hints(base.__module__, own, rules=True)
     return {f.name: hints[f.name] for f in dataclasses.fields(kind) if f.name != "_"}
 
 
-def kinds_of(hint: Any) -> tuple[Any, ...]:
+def union_members(hint: Any) -> tuple[Any, ...]:
     """The members of a union, or the one type there is, without bounds."""
     origin, inside = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        return tuple(kind for part in inside for kind in kinds_of(part))
-    return kinds_of(inside[0]) if origin is Annotated else (hint,)
+        return tuple(kind for part in inside for kind in union_members(part))
+    return union_members(inside[0]) if origin is Annotated else (hint,)
 
 
 def hold(hint: Any, value: Any, name: str) -> None:
@@ -128,7 +128,7 @@ def hold(hint: Any, value: Any, name: str) -> None:
         choice(value, get_args(hint), name)
     if not fits(hint, value):
         raise SpecError(f"{name} must be {words(hint)}, got {value!r}", field=name)
-    parts = get_args(hint) if len(kinds_of(hint)) > 1 else (hint,)
+    parts = get_args(hint) if len(union_members(hint)) > 1 else (hint,)
     for part in (hint, *parts):
         if get_origin(part) is Annotated and fits(part, value):
             for bound in part.__metadata__:
@@ -180,7 +180,7 @@ _TYPE_WORDS = {
 
 def words(hint: Any) -> str:
     """The values that a field may hold, for messages."""
-    kinds = kinds_of(hint)
+    kinds = union_members(hint)
     if len(kinds) > 1:
         parts = [p for p in kinds if p is not int or float not in kinds]
         return " or ".join(dict.fromkeys(map(words, parts)))
@@ -198,9 +198,9 @@ def words(hint: Any) -> str:
     return _TYPE_WORDS.get(kind, none)
 
 
-def _as_tuples(hint: Any, value: Any) -> Any:
+def _lists_to_tuples(hint: Any, value: Any) -> Any:
     """A value as its field keeps it: lists as tuples, one alone as a list of one."""
-    kinds = kinds_of(hint)
+    kinds = union_members(hint)
     lists = [k for k in kinds if get_origin(k) in (Sequence, tuple)]
     if not lists or value is None or isinstance(value, Mapping):
         return value
@@ -211,4 +211,4 @@ def _as_tuples(hint: Any, value: Any) -> Any:
         return (value,) if single else value
     if not isinstance(value, Iterable) or getattr(value, "shape", None) == ():
         return value
-    return tuple(_as_tuples(of, item) for item in value)
+    return tuple(_lists_to_tuples(of, item) for item in value)

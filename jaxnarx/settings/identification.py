@@ -49,5 +49,5 @@ class Identification:
     (axis-tree); as it is told; or at samples or clusters. In Python also a partition
     from elsewhere."""
     refine: SimulationError | PredictionError | None = SimulationError()
-    """What the refinement lowers: the error of the free run or that of one step; or no
-    refinement."""
+    """Method of refinement: it lowers the error of the free run or that of one step; or
+    no refinement."""

@@ -67,7 +67,7 @@ class TrackingError:
     """Stop after this many accepted steps on full records without a better
     validation."""
     ridge: NotNegative = 1e-5
-    """Pull of every parameter towards its start, as a share of the data's own
+    """Regularisation of every parameter towards its start, as a share of the data's own
     information about it."""
     width_band: tuple[Number, Number] = (0.5, 2.0)
     """Limits of a validity's width as multiples of its start."""

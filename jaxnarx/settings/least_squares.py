@@ -28,7 +28,7 @@ class LeastSquares:
     algorithm: Literal["qr", "svd", "normal", "recursive"] = "qr"
     """"qr", "svd", "normal" or "recursive"."""
     scaling: Literal["norm", "mean", "none"] = "norm"
-    """What columns are divided by beforehand: "norm", "mean" or "none"."""
+    """Divisor of the columns beforehand: "norm", "mean" or "none"."""
     ridge: NotNegative = 0.0
     """Pull towards zero, as a share of each column's own sum of squares."""
     cutoff: Share | None = None

@@ -154,4 +154,4 @@ class GeneralLinear:
 
 
 LinearMethod = FIR | ARX | ARMAX | OutputError | BoxJenkins | GeneralLinear
-"""What `fit_linear` takes."""
+"""Methods that `fit_linear` takes."""

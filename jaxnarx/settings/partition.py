@@ -30,16 +30,16 @@ class _Local:
     """How every local model chooses terms of its own, weighted with its validity;
     default: all have the terms that they are given."""
     ridge: NotNegative = dataclasses.field(default=0.0, kw_only=True)
-    """Pull of a local model's coefficients towards the model it was split from (of a
-    partition that is given: towards the global model), as a share of the data's own
-    information about each. Not for local models with terms of their own."""
+    """Regularisation of a local model's coefficients towards the model it was split
+    from (of a partition that is given: towards the global model), as a share of the
+    data's own information about each. Not for local models with terms of their own."""
     feedback: Literal["network", "own", "choose"] = dataclasses.field(
         default="network", kw_only=True
     )
-    """What a local model is fed back in a free run: the network's output, its own (an
+    """Feedback of a local model in a free run: the network's output, its own (an
     output-error model of its region; thesis chapter 8, the fourth item), or, region by
-    region, what gives the smaller free-run error on the validation records, without
-    any on the training records. It makes no difference one step ahead."""
+    region, what gives the smaller free-run error on the validation records, without any
+    on the training records. It makes no difference one step ahead."""
 
     def __post_init__(self):
         require(
@@ -87,7 +87,7 @@ class _Grown(_Scheduled):
     criterion: Literal["aicc", "bic", "validation", "none"] = dataclasses.field(
         default="aicc", kw_only=True
     )
-    """What decides on the number of models: the corrected Akaike or the Bayesian
+    """Criterion for the number of models: the corrected Akaike or the Bayesian
     criterion with the effective number of parameters; the free run on the records that
     `grow` is given as `validation`; or nothing but `max_models`."""
     least: Positive | None = dataclasses.field(default=None, kw_only=True)
@@ -98,7 +98,7 @@ class _Grown(_Scheduled):
     the refinement (0.7 is that of `SimulationError.starts`); the local models are then
     fitted anew."""
     seed: Seed = dataclasses.field(default=0, kw_only=True)
-    """Of that move."""
+    """Seed of that move."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -121,8 +121,9 @@ class Lolimot(_Grown):
     half the width of the zone of transition."""
     _: dataclasses.KW_ONLY
     worst: Literal["squares", "nmse"] = "squares"
-    """Which model is split: the one with the largest sum of weighted squared errors
-    (Nelles), or with the largest local NMSE (6.8) (thesis), blind to its size."""
+    """Criterion for the model that is split: the one with the largest sum of weighted
+    squared errors (Nelles), or with the largest local NMSE (6.8) (thesis), blind to its
+    size."""
     validity: Literal["gaussians", "compact", "boxes"] = "gaussians"
     """Form of the validity functions: normalised Gaussians, smooth curves of bounded
     support, or piecewise constant."""
@@ -162,9 +163,9 @@ class Placed(_Scheduled):
     a cluster, of its own."""
     _: dataclasses.KW_ONLY
     at: Literal["samples", "clusters"] = "clusters"
-    """Where the centres lie."""
+    """Places of the centres."""
     seed: Seed = 0
-    """Of the samples that are drawn."""
+    """Seed of the samples that are drawn."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -280,8 +281,8 @@ class Given(_Local):
     a `Partitioner`, which is a function of the data that returns one, or the name of a
     registered one."""
     output: str | None = None
-    """Of a network: the output whose regions serve all; default: each output has those
-    of the output of its name, or those of the network's only output."""
+    """Output of a network whose regions serve all; default: each output has those of
+    the output of its name, or those of the network's only output."""
     scheduling: Sequence[str] = ()
     """Its scheduling variables, but for a network, which has them."""
     ranges: Sequence[Numbers] = ()

@@ -8,11 +8,11 @@ class Preset:
     """Limits of a search."""
 
     text: str
-    """What is special about it."""
+    """Description in a few words."""
     max_models: int = 14
     """Most regions in closed form."""
     degree: int = 2
-    """Of products of inputs there."""
+    """Degree of products of inputs there."""
     grown: int = 4
     """How many of the polynomials are grown."""
     fed_back: int = 6
@@ -79,4 +79,4 @@ PRESETS = {
     ),
     "linear": Preset("linear models only", linear=True, fed_back=0, states=0),
 }
-"""By name."""
+"""Presets by name."""

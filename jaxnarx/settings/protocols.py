@@ -42,8 +42,9 @@ class Partitioner(Protocol):
 
 
 SELECTORS: Registry[Selector] = Registry("selector", {})
-"""Of other packages: `select(pool, data, "name")`, and `select = "name"` in files."""
+"""Selectors of other packages: `select(pool, data, "name")`, and `select = "name"` in
+files."""
 
 PARTITIONS: Registry[Partitioner] = Registry("partition", {})
-"""Of other packages, for `Given("name", scheduling=[...])`; `identify` divides the best
-polynomials of closed form by each of them."""
+"""Partitions of other packages, for `Given("name", scheduling=[...])`; `identify`
+divides the best polynomials of closed form by each of them."""

@@ -52,8 +52,8 @@ class SimulationError:
     patience: Count = 15
     """Stop after this many accepted full-record steps without a better validation."""
     ridge: NotNegative = 1e-5
-    """Pull of every parameter towards its start, as a share of the data's own
-    information about it."""
+    """Regularisation of every parameter towards its start, as a share of the data's
+    own information about it."""
     shrink: NotNegative = 0.0
     """Penalty of a coefficient's squared distance from its start, of columns made of
     variables with mean zero and spread one, in units of the output's spread: a model
@@ -62,7 +62,7 @@ class SimulationError:
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     loss: Literal["squares", "huber", "log-cosh"] = "squares"
-    """What errors cost. The robust ones grow linearly beyond `corner`."""
+    """Loss of an error. The robust ones grow linearly beyond `corner`."""
     corner: Positive = 0.2
     """Error at which a robust loss turns linear, in standard deviations of the output
     (after its transform)."""
@@ -90,7 +90,7 @@ class SimulationError:
     batch: Count = 32
     """Windows in one update, where `refine` is given a transformation of optax."""
     seed: int = 0
-    """Of random starts and windows."""
+    """Seed of random starts and windows."""
 
     def __post_init__(self):
         horizons = () if self.horizons == "auto" else self.horizons
@@ -131,9 +131,9 @@ class PredictionError:
     patience: Count = 15
     """Stop after this many accepted steps without a better validation."""
     ridge: NotNegative = 1e-9
-    """Pull of every parameter towards its start, as a share of the data's own
-    information about it."""
+    """Regularisation of every parameter towards its start, as a share of the data's
+    own information about it."""
     width_band: Band = (0.5, 2.0)
     """Limits of a Gaussian's width as multiples of its start."""
     train: Literal["joint", "coefficients", "partition"] = "joint"
-    """What is trained: everything, or one kind alone."""
+    """Parameters that are trained: everything, or one kind alone."""

@@ -25,9 +25,9 @@ class HiddenStates:
     """Most regions, in each of which everything has local models; with degree one they
     are linear. Every number from two on is trained."""
     shrink: Sequence[float] = (0.1, 0.01, 0.001)
-    """Pull of the coefficients, see `SimulationError`: at first towards the linear
-    model, then towards where the last value has led. The training goes through these
-    values one after another."""
+    """Regularisation of the coefficients, see `SimulationError`: at first towards the
+    linear model, then towards where the last value has led. The training goes through
+    these values one after another."""
     window: Count = 50
     """Measured samples that a run's first states are estimated from."""
     start: str = ""
@@ -36,7 +36,7 @@ class HiddenStates:
     max_steps: Steps = 40
     """Accepted steps at each value of `shrink`, on all samples."""
     first_steps: Steps = 12
-    """Those that every start is given first, at each degree."""
+    """Steps that every start is given first, at each degree."""
     first_rows: Count = 3000
     """Samples, in stretches of all records, that these are taken on. Where there are
     more the best start goes on alone."""

@@ -1,6 +1,6 @@
 """Settings as trees: from the tables of files, by the paths of flags and cases.
 
-A tree is a dataclass whose fields are plain values or trees again. As a table it is a
+A tree is a dataclass whose fields are plain values or trees again. A tree's table is a
 dictionary, with the name of the kind under `"method"` where there is a choice of kinds:
 `{"grow": {"method": "tree", "max_models": 4}}`, or `{"grow": "tree"}` for its defaults.
 A path names one setting, `"grow.max_models"`.
@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.settings.anova import Anova
-from jaxnarx.settings.fields import fields_of, fits, kinds_of, words
+from jaxnarx.settings.fields import field_hints, fits, union_members, words
 from jaxnarx.settings.partition import Global, Grid, Lolimot, Placed, SigmoidTree
 from jaxnarx.settings.pool import Polynomial
 from jaxnarx.settings.protocols import SELECTORS, Selector
@@ -49,7 +49,7 @@ def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
     Where it names no kind, settings that it leaves out are the usual ones of the place.
     `where` is the path of the tree itself, for messages.
     """
-    hints = fields_of(kind)
+    hints = field_hints(kind)
     usual = {f.name: f.default for f in dataclasses.fields(kind)}
     values = {}
     for name, value in table.items():
@@ -61,7 +61,7 @@ def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
             )
         value = _complete(value, usual[name])
         values[name] = _value(hints[name], value, _join(where, name))
-    missing = [f.name for f in dataclasses.fields(kind) if _needed(f, values)]
+    missing = [f.name for f in dataclasses.fields(kind) if _is_required(f, values)]
     if missing:
         path = _join(where, missing[0])
         raise SpecError(f"{path} is missing", field=path)
@@ -75,7 +75,7 @@ def to_dict(tree: Any) -> dict[str, Any]:
     """The table of a tree, all of it; values that are no settings stay as they are."""
     known = [n for n, k, told in METHOD_KINDS if k is type(tree) and _says(tree, told)]
     table: dict[str, Any] = {KIND_KEY: known[-1]} if known else {}
-    for field in fields_of(type(tree)):
+    for field in field_hints(type(tree)):
         value = getattr(tree, field)
         table[field] = to_dict(value) if _is_tree(value) else value
     return table
@@ -94,13 +94,13 @@ def replace_at(tree: Any, changes: Mapping[str, Any]) -> Any:
     return from_dict(type(tree), table)
 
 
-def by_path(table: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+def flatten_table(table: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     """A table of tables as paths and values."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         path = _join(where, name)
         inside = isinstance(value, Mapping) and len(value) > 0
-        found |= by_path(value, path) if inside else {path: value}
+        found |= flatten_table(value, path) if inside else {path: value}
     return found
 
 
@@ -121,20 +121,20 @@ def hint_at(kind: type, path: str) -> tuple[type, Any]:
         inner = [
             k
             for owner in owners
-            if name in fields_of(owner)
-            for k in kinds_of(fields_of(owner)[name])
+            if name in field_hints(owner)
+            for k in union_members(field_hints(owner)[name])
         ]
         owners = list(dict.fromkeys(k for k in inner if dataclasses.is_dataclass(k)))
     for owner in owners:
-        if last in fields_of(owner):
-            return owner, fields_of(owner)[last]
-    known = dict.fromkeys(name for owner in owners for name in fields_of(owner))
+        if last in field_hints(owner):
+            return owner, field_hints(owner)[last]
+    known = dict.fromkeys(name for owner in owners for name in field_hints(owner))
     raise SpecError(f"there is no setting {path!r}. {suggest(last, known)}", field=last)
 
 
-def names_of(hint: Any) -> list[str]:
+def kind_names(hint: Any) -> list[str]:
     """Names of the kinds that a field may hold."""
-    kinds = kinds_of(hint)
+    kinds = union_members(hint)
     names = [name for name, kind, _ in METHOD_KINDS if kind in kinds]
     return names + ["none"] * (bool(names) and type(None) in kinds)
 
@@ -156,7 +156,7 @@ def _complete(value: Any, usual: Any) -> Any:
     """A table that names no kind is of the usual one, if that has all its settings."""
     if not isinstance(value, Mapping) or KIND_KEY in value or not _is_tree(usual):
         return value
-    known = fields_of(type(usual))
+    known = field_hints(type(usual))
     return to_dict(usual) | dict(value) if all(k in known for k in value) else value
 
 
@@ -181,7 +181,7 @@ def _says(tree: Any, told: Mapping[str, Any]) -> bool:
     return all(getattr(tree, name) == value for name, value in told.items())
 
 
-def _needed(field: dataclasses.Field, values: Mapping[str, Any]) -> bool:
+def _is_required(field: dataclasses.Field, values: Mapping[str, Any]) -> bool:
     none = field.default is field.default_factory is dataclasses.MISSING
     return none and field.init and field.name not in values
 
@@ -189,18 +189,18 @@ def _needed(field: dataclasses.Field, values: Mapping[str, Any]) -> bool:
 def _put(kind: type, table: dict[str, Any], way: list[str], value: Any, path: str):
     """Set one path in a table."""
     name, rest = way[0], way[1:]
-    if name not in fields_of(kind):
+    if name not in field_hints(kind):
         raise SpecError(
-            f"there is no setting {path!r}. {suggest(name, fields_of(kind))}",
+            f"there is no setting {path!r}. {suggest(name, field_hints(kind))}",
             field=path,
         )
-    hint, old = fields_of(kind)[name], table.get(name)
+    hint, old = field_hints(kind)[name], table.get(name)
     if not rest:
-        choice = isinstance(value, str) and value in names_of(hint)
+        choice = isinstance(value, str) and value in kind_names(hint)
         table[name] = _rename_kind(hint, old, value) if choice else value
         return
     if isinstance(old, str) or old is None:
-        first = names_of(hint)[:1]
+        first = kind_names(hint)[:1]
         if not first:
             raise SpecError(f"{name} holds no settings: {path!r}", field=path)
         old = {KIND_KEY: old or first[0]}
@@ -223,7 +223,7 @@ def _rename_kind(hint: Any, old: Any, name: str) -> Any:
     kept = {
         field: value
         for field, value in old.items()
-        if field in fields_of(kind) and field not in told and value != usual[field]
+        if field in field_hints(kind) and field not in told and value != usual[field]
     }
     return {KIND_KEY: name} | kept
 
@@ -235,7 +235,7 @@ def _kind(
 
     `keys` are the settings that it must have, for the message.
     """
-    kinds = kinds_of(hint)
+    kinds = union_members(hint)
     known = [(n, k, told) for n, k, told in METHOD_KINDS if k in kinds]
     if name is None and len({k for _, k, _ in known}) == 1:
         return known[0][1:]
@@ -244,7 +244,7 @@ def _kind(
             return kind, told
     if name is None:
         every = dict.fromkeys(
-            field for _, kind, _ in known for field in fields_of(kind)
+            field for _, kind, _ in known for field in field_hints(kind)
         )
         for key in keys:
             if key not in every:
@@ -252,28 +252,28 @@ def _kind(
                     f"{where} has the unknown key {key!r}. {suggest(key, every)}",
                     field=_join(where, key),
                 )
-        able = [n for n, k, _ in known if set(keys) <= set(fields_of(k))]
+        able = [n for n, k, _ in known if set(keys) <= set(field_hints(k))]
         raise SpecError(
-            f"{where} needs a method: one of {', '.join(able or names_of(hint))}",
+            f"{where} needs a method: one of {', '.join(able or kind_names(hint))}",
             field=where,
         )
     raise SpecError(
-        f"{where} must be one of {', '.join(names_of(hint))}, got {name!r}. "
-        f"{suggest(name, names_of(hint))}",
+        f"{where} must be one of {', '.join(kind_names(hint))}, got {name!r}. "
+        f"{suggest(name, kind_names(hint))}",
         field=where,
     )
 
 
 def _is_added(hint: Any, name: str) -> bool:
     """Whether it is a selector that another package has registered."""
-    known = name in names_of(hint) or Selector not in kinds_of(hint)
+    known = name in kind_names(hint) or Selector not in union_members(hint)
     return not known and name in SELECTORS
 
 
 def _value(hint: Any, value: Any, path: str) -> Any:
     """A value that a field may hold, trees made from their tables."""
-    if names_of(hint):
-        if isinstance(value, str) and value == "none" and "none" in names_of(hint):
+    if kind_names(hint):
+        if isinstance(value, str) and value == "none" and "none" in kind_names(hint):
             return None
         if isinstance(value, str) and _is_added(hint, value):
             return SELECTORS[value]
@@ -283,10 +283,12 @@ def _value(hint: Any, value: Any, path: str) -> Any:
             own = dict(value)
             kind, told = _kind(hint, own.pop(KIND_KEY, None), path, tuple(own))
             return from_dict(kind, told | own, path)
-    elif isinstance(value, str) and value == "none" and type(None) in kinds_of(hint):
+    elif (
+        isinstance(value, str) and value == "none" and type(None) in union_members(hint)
+    ):
         return None
     if not fits(hint, value):
-        told = ", ".join(names_of(hint))
+        told = ", ".join(kind_names(hint))
         wanted = f"one of {told}" if told else words(hint)
         raise SpecError(f"{path} must be {wanted}, got {value!r}", field=path)
     return tuple(value) if isinstance(value, list) else value

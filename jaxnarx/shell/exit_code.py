@@ -24,7 +24,9 @@ def required_rules(
 
     if required is None:
         return ()
-    fits = {channel.name: report.pooled(channel.name).fit for channel in report.outputs}
+    fits = {
+        channel.name: report.pooled_row(channel.name).fit for channel in report.outputs
+    }
     return tuple(
         VerdictRule("required fit %", output, report.main, fit, AT_LEAST, required)
         for output, fit in fits.items()

@@ -275,8 +275,8 @@ def _summary(result: Report, start: Network, parts: dict[str, Dataset]) -> str:
     lines.append(f"{'':{wide}s} {'':14s} {head}")
     for channel in result.outputs:
         for label, source in (("one-step model", before), ("refined", result)):
-            one = source.pooled(channel.name, part=result.main, mode="one step")
-            free = source.pooled(channel.name, part=result.main)
+            one = source.pooled_row(channel.name, part=result.main, mode="one step")
+            free = source.pooled_row(channel.name, part=result.main)
             fit = "-" if free.fit is None else f"{free.fit:.1f}"
             lines.append(
                 f"{channel.name:{wide}s} {label:14s} {_number(one):>12s} "

@@ -107,7 +107,7 @@ def write_prepared(
         raise _as_flag(error) from error
     say(str(report))
     if split.preparation is not None:
-        preparation = preparation.after(split.preparation)
+        preparation = preparation.prepend(split.preparation)
     names = file_names(done.names)
     texts = {name: record_csv(done, n) for n, name in enumerate(names)}
     lengths = [len(data) for data in parts.values()]

@@ -19,7 +19,7 @@ PAUSE = 0.5
 def tell_reading() -> Iterator[None]:
     """Tell, beside the output, the file that is being read, from two seconds on, and
     the seconds that reading has taken once it is over."""
-    from jaxnarx.data import WATCHER
+    from jaxnarx.data import FILE_WATCHER
 
     log = _ReadingLog()
     ended = threading.Event()
@@ -29,7 +29,7 @@ def tell_reading() -> Iterator[None]:
             log.tell(time.monotonic())
         log.tell(math.inf)
 
-    token = WATCHER.set(log.watch)
+    token = FILE_WATCHER.set(log.watch)
     teller = threading.Thread(target=watch_and_tell, daemon=True)
     teller.start()
     try:
@@ -37,7 +37,7 @@ def tell_reading() -> Iterator[None]:
     finally:
         ended.set()
         teller.join()
-        WATCHER.reset(token)
+        FILE_WATCHER.reset(token)
 
 
 class _ReadingLog:

@@ -67,7 +67,7 @@ def _simulate(
     """The records, and which samples of each break a limit."""
     keys = jax.random.split(jax.random.key(command.seed), 3)
     if command.spread:
-        engine = engine.perturbed(keys[0], command.spread)
+        engine = engine.perturb(keys[0], command.spread)
     length = round(command.duration / engine.sample_time)
     if length < SHORTEST:
         raise SpecError(

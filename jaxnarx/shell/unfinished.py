@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from jaxnarx.errors import SpecError
-from jaxnarx.files import alone, lock_folder
+from jaxnarx.files import hold_lock, lock_folder
 
 PREFIX = ".unfinished-"
 
@@ -29,7 +29,7 @@ def new_folder(
     # Named before it is made: an interrupt in between leaves nothing either.
     place, handle = folder / f"{PREFIX}{secrets.token_hex(8)}", None
     try:
-        with alone(folder):
+        with hold_lock(folder):
             for other in folders_in_use(folder):
                 if both := sorted(set(names) & {path.name for path in other.glob("*")}):
                     raise SpecError(

@@ -2,8 +2,8 @@
 
 from jaxnarx.simulation._prepared import Prepared as Prepared
 from jaxnarx.simulation._prepared import check_records as check_records
-from jaxnarx.simulation._prepared import dataset_of as dataset_of
 from jaxnarx.simulation._prepared import ensure_prepared as ensure_prepared
+from jaxnarx.simulation._prepared import get_dataset as get_dataset
 from jaxnarx.simulation._prepared import match_records as match_records
 from jaxnarx.simulation._prepared import prepare as prepare
 from jaxnarx.simulation._prepared import stack_batch as stack_batch
@@ -25,7 +25,7 @@ from jaxnarx.simulation.outputs import stack as stack
 from jaxnarx.simulation.outputs import start_hidden as start_hidden
 from jaxnarx.simulation.outputs import unstack as unstack
 from jaxnarx.simulation.runs import RunInputs as RunInputs
-from jaxnarx.simulation.runs import drive_of as drive_of
+from jaxnarx.simulation.runs import drive_from_signals as drive_from_signals
 from jaxnarx.simulation.runs import make_drive as make_drive
 from jaxnarx.simulation.runs import run as run
 from jaxnarx.simulation.runs import run_steps as run_steps
@@ -33,7 +33,7 @@ from jaxnarx.simulation.runs import states as states
 from jaxnarx.simulation.trajectories import IN_A_ROW as IN_A_ROW
 from jaxnarx.simulation.trajectories import Trajectories as Trajectories
 from jaxnarx.simulation.trajectories import has_diverged as has_diverged
-from jaxnarx.simulation.trajectories import where_limited as where_limited
+from jaxnarx.simulation.trajectories import limited_samples as limited_samples
 from jaxnarx.simulation.verbs import predict as predict
 from jaxnarx.simulation.verbs import simulate as simulate
 

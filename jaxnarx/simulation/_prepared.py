@@ -21,9 +21,9 @@ from jaxnarx.data import (
 )
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.formatting import page
-from jaxnarx.models import HOLD, Gaps, Network, driving, hold_missing
+from jaxnarx.models import HOLD, Gaps, Network, driving_signals, hold_missing
 from jaxnarx.simulation.masks import Masks, make_masks
-from jaxnarx.simulation.runs import RunInputs, drive_of, make_drive
+from jaxnarx.simulation.runs import RunInputs, drive_from_signals, make_drive
 
 SAMPLE_TIME_TOLERANCE = 1e-6
 """Share by which the sample time of data may differ from the network's."""
@@ -47,7 +47,7 @@ class Prepared:
         first: (records,), the first sample that is predicted.
         end: (records,), one behind the last sample with a valid signal.
         anchors: (records, time), where a run could begin: with a whole valid history.
-        drive: What is computed of the signals before any run, scaled.
+        drive: Values computed from the signals before any run, scaled.
     """
 
     signals: Float[Array, "*members records time signals"]
@@ -61,18 +61,18 @@ class Prepared:
     columns: tuple[tuple[int, ...], tuple[int, ...]]
     """Signals that drive the network, and those of the outputs it models."""
     origin: "PreparedFrom | None" = None
-    """What it was made of, on the host."""
+    """Records and network that it was made of, on the host."""
 
     def tree_flatten(self) -> tuple[tuple, tuple]:
         """Arrays, and which columns are which; without the origin."""
-        arrays = (getattr(self, name) for name in _ARRAYS)
+        arrays = (getattr(self, name) for name in _ARRAY_FIELDS)
         return tuple(arrays), self.columns
 
     @classmethod
     def tree_unflatten(cls, columns: tuple, arrays: tuple) -> "Prepared":
         """Rebuild from what `tree_flatten` gave."""
         made = object.__new__(cls)  # unchecked: what stands in place of arrays varies
-        given = dict(zip(_ARRAYS, arrays, strict=True))
+        given = dict(zip(_ARRAY_FIELDS, arrays, strict=True))
         for name, value in (given | {"columns": columns, "origin": None}).items():
             object.__setattr__(made, name, value)
         return made
@@ -121,11 +121,11 @@ class Prepared:
 def _driven(network: Network, signals: Array, valid: Array, inputs: Array, *, at):
     """The signals with other inputs, and what is computed of them."""
     signals = signals.at[..., np.array(at, int)].set(inputs)
-    return signals, drive_of(network, signals, valid)
+    return signals, drive_from_signals(network, signals, valid)
 
 
-_MASKS = ("start", "first", "end", "anchors")
-_ARRAYS = ("signals", "valid", "scored", *_MASKS, "drive")
+_MASK_FIELDS = ("start", "first", "end", "anchors")
+_ARRAY_FIELDS = ("signals", "valid", "scored", *_MASK_FIELDS, "drive")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def prepare(
     Args:
         network: The model, or of a fleet one for every member, stacked.
         data: Records with its channels, at its sample time; or a fleet of such.
-        part: Which records of a fleet, "train", "validation" or "test".
+        part: Part of a fleet, "train", "validation" or "test".
 
     Returns:
         The `Prepared` records; of a fleet with the members as a leading axis.
@@ -178,12 +178,12 @@ def prepare(
         y = eqx.filter_vmap(jnx.free_run, in_axes=(None, 0))(network, every)
     """
     if isinstance(data, Fleet):
-        return _of_fleet(network, data, part)
+        return _prepare_fleet(network, data, part)
     matched = match_records(network, data)
     return prepare_stacked(network, data, matched, stack_records(matched))
 
 
-def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
+def _prepare_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
     """All members side by side."""
     choice(part, tuple(fleet.parts), "part")
     if network.channels.measured != fleet.channels:
@@ -204,7 +204,7 @@ def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
     require_finite(network)
     padded = fleet.parts[part]
     _, records, time, _ = padded.signals.shape
-    padded = padded.widened(records, bucket(time))
+    padded = padded.widen(records, bucket(time))
     check_precision(padded.signals.dtype)
     flat = (-1, *padded.signals.shape[2:])
     signals = jax.device_put(padded.signals.reshape(flat))
@@ -224,19 +224,21 @@ def _of_fleet(network: Network, fleet: Fleet, part: str) -> Prepared:
 
 @program
 def _drive_each(network: Network, signals: Array, valid: Array) -> RunInputs:
-    """`drive_of` every member, by its own network where these are stacked."""
+    """`drive_from_signals` every member, by its own network where these are stacked."""
     own = 0 if jnp.ndim(network.sample_time) else None
-    return eqx.filter_vmap(drive_of, in_axes=(own, 0, 0))(network, signals, valid)
+    return eqx.filter_vmap(drive_from_signals, in_axes=(own, 0, 0))(
+        network, signals, valid
+    )
 
 
 def _columns(network: Network) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    return driving(network), tuple(network.signals[: len(network.modelled)])
+    return driving_signals(network), tuple(network.signals[: len(network.modelled)])
 
 
 def _host_arrays(network: Network, batch: Batch, masks: Masks) -> dict[str, np.ndarray]:
     """Arrays of prepared records that need no program."""
     scored = np.ascontiguousarray(masks.scored[..., : len(network.modelled)])
-    own = {name: getattr(masks, name) for name in _MASKS}
+    own = {name: getattr(masks, name) for name in _MASK_FIELDS}
     return {"valid": batch.valid, "scored": scored, **own}
 
 
@@ -285,7 +287,7 @@ def ensure_prepared(
     """
     if not isinstance(data, Prepared):
         data = prepare(network, data)
-    origin = _origin_of(data)
+    origin = _require_origin(data)
     require_finite(network)
     same = origin.structure == _structure(network) and all(
         map(np.array_equal, origin.scales, _scales(network))
@@ -299,12 +301,12 @@ def ensure_prepared(
     return data, origin
 
 
-def dataset_of(data: Dataset | Prepared) -> Dataset:
+def get_dataset(data: Dataset | Prepared) -> Dataset:
     """The records of what is either."""
-    return _origin_of(data).data if isinstance(data, Prepared) else data
+    return _require_origin(data).data if isinstance(data, Prepared) else data
 
 
-def _origin_of(data: Prepared) -> PreparedFrom:
+def _require_origin(data: Prepared) -> PreparedFrom:
     if data.origin is None:
         raise SpecError(
             "these prepared records have been through a transformation and know no "

@@ -1,4 +1,4 @@
-"""Where runs may begin, and which samples count."""
+"""Masks of a run: where it may begin, and which samples count."""
 
 import dataclasses
 from typing import Any

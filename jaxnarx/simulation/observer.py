@@ -55,11 +55,11 @@ def _observe(
     def one(record):
         v, x, measured, known = record
 
-        def at(end):
+        def start_at(end):
             return hidden_start(network, v, x, measured, known, end - network.window)[1]
 
         ends = 1 + jnp.arange(time)
-        hidden = jax.lax.map(at, ends, batch_size=min(WINDOWS_AT_ONCE, time))
+        hidden = jax.lax.map(start_at, ends, batch_size=min(WINDOWS_AT_ONCE, time))
         early = ends - network.window < depth(network)
         return measured.at[:, count:].set(jnp.where(early[:, None], 0.0, hidden))
 

@@ -18,25 +18,27 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
-from jaxnarx.models import HOLD, Network, fading, overshoot, within_margin
+from jaxnarx.models import HOLD, Network, overshoot, overshoot_decay, within_margin
 from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begin_hidden, observe_hidden
 from jaxnarx.simulation.runs import run, run_steps
-from jaxnarx.simulation.trajectories import has_diverged, where_limited
-from jaxnarx.solution import NAMES
+from jaxnarx.simulation.trajectories import has_diverged, limited_samples
+from jaxnarx.solution import STATUS_NAMES
 
-OK, DIVERGED, TOO_SHORT = (NAMES.index(n) for n in ("ok", "diverged", "too_short"))
+OK, DIVERGED, TOO_SHORT = (
+    STATUS_NAMES.index(n) for n in ("ok", "diverged", "too_short")
+)
 
 
 @guard_arguments
 def free_run(network: Network, runs: Prepared) -> Float[Array, "records time outputs"]:
     """The free run of every record on the network's own outputs, physical units.
 
-    What `simulate` reports: outputs fed back are limited by the feedback bound, those
-    of a network with limits are held to their range, samples before the first
-    predicted one repeat the measurement. Padding goes on unscored. The derivative is
-    exact: by the linear recursion of the run's sensitivities, not through its loop
+    The outputs that `simulate` reports: outputs fed back are limited by the feedback
+    bound, those of a network with limits are held to their range, samples before the
+    first predicted one repeat the measurement. Padding goes on unscored. The derivative
+    is exact: by the linear recursion of the run's sensitivities, not through its loop
     (`jaxnarx.arrays.recurrence`); where a value is held it is zero. `run_status` says
     which records have diverged.
 
@@ -81,9 +83,9 @@ def predict_ahead(
 ) -> Float[Array, "records time outputs"]:
     """Prediction of every sample from measured history k samples before, physical.
 
-    As `predict` reports; `k` may be traced, one program serves all. Samples without a
-    complete history k samples before have a value all the same: count those where
-    `ready(runs, k)` holds.
+    The outputs that `predict` reports; `k` may be traced, one program serves all.
+    Samples without a complete history k samples before have a value all the same: count
+    those where `ready(runs, k)` holds.
 
     Args:
         network: The model.
@@ -150,7 +152,7 @@ def run_status(network: Network, runs: Prepared) -> Int[Array, " records"]:
         fine = jnx.simulation.run_status(network, runs) == 0
     """
     scaled = scaled_run(network, runs)
-    held = where_limited(network, scaled)
+    held = limited_samples(network, scaled)
     held |= ~jnp.isfinite(scaled)
     at = jnp.arange(scaled.shape[1])[None]
     counted = (at >= runs.first[:, None]) & (at < runs.end[:, None])
@@ -219,7 +221,7 @@ def _physical(
     outputs."""
     rate = jnp.zeros(())
     if network.hold is not None and network.outside != HOLD:
-        rate = jnp.asarray(fading(network))
+        rate = jnp.asarray(overshoot_decay(network))
     return _report(network, runs, scaled, first, rate)
 
 

@@ -1,4 +1,4 @@
-"""What a network computes of records, k steps ahead or freely: pure array functions."""
+"""Runs of a network over records, k steps ahead or free: pure array functions."""
 
 from functools import partial
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxnarx.arrays import history_of, program
+from jaxnarx.arrays import past_outputs, program
 from jaxnarx.data import Batch
 from jaxnarx.models import (
     LINEAR,
@@ -41,8 +41,8 @@ class RunInputs(eqx.Module):
 def make_drive(network: Network, batch: Batch) -> RunInputs:
     """Lagged and scheduling variables of every record, computed on the host.
 
-    `drive_of` is the same inside of a program; here other lags, terms or regions
-    compile nothing.
+    `drive_from_signals` is the same inside of a program; here other lags, terms or
+    regions compile nothing.
     """
     given, valid = np.asarray(batch.signals), np.asarray(batch.valid)
     if network.hidden:
@@ -64,7 +64,7 @@ def make_drive(network: Network, batch: Batch) -> RunInputs:
     return RunInputs(*jax.device_put(drive))
 
 
-def drive_of(
+def drive_from_signals(
     network: Network,
     signals: Float[Array, "records time signals"],
     valid: Bool[Array, "records time signals"],
@@ -114,7 +114,7 @@ def run_steps(
 
     def one(v, x, measured):
         measured = widen(network, measured)
-        past = jnp.moveaxis(history_of(measured, depth(network)), 0, -1)
+        past = jnp.moveaxis(past_outputs(measured, depth(network)), 0, -1)
         past = jnp.roll(past, k - 1, axis=-1)
 
         def one_on(j, carry):

@@ -1,4 +1,4 @@
-"""What a run makes of records, in physical units, and when it counts as diverged."""
+"""Trajectories of a run in physical units, and when it counts as diverged."""
 
 import dataclasses
 from typing import Any
@@ -28,15 +28,14 @@ class Trajectories:
     says nothing (`outside="nan"`) are NaN, and not scored. `scored` marks predicted
     samples whose measurement is valid, `limited` those held by the feedback bound (of a
     k-step prediction: those that the bound held on the way, for k = 1 none; or that
-    overflow), `held` those of a network with limits whose output is at the
-    edge of its trained range in place of what was `computed`, `extrapolated` those with
-    an input outside its training range, or in a prediction a measured or computed
-    output; `diverged` tells per output whether the record counts as diverged. `hidden`
-    are the hidden channels in their own unit; a sample of which one is held by its
-    bound is `limited` for all outputs, as in exported code. Of a run with
-    `missing="hold"`, `missing` marks samples at which an input is missing, which are
-    `extrapolated` too, and `invalid` those at which it has been for too long; empty
-    otherwise.
+    overflow), `held` those of a network with limits whose output is at the edge of its
+    trained range in place of what was `computed`, `extrapolated` those with an input
+    outside its training range, or in a prediction a measured or computed output;
+    `diverged` tells per output whether the record counts as diverged. `hidden` are the
+    hidden channels in their own unit; a sample of which one is held by its bound is
+    `limited` for all outputs, as in exported code. For a run with `missing="hold"`,
+    `missing` marks samples at which an input is missing, which are `extrapolated` too,
+    and `invalid` those at which it has been for too long; empty otherwise.
     """
 
     outputs: tuple[Float[np.ndarray, "_ outputs"], ...]
@@ -79,7 +78,7 @@ class Trajectories:
         return self.outputs[record]
 
 
-def where_limited(
+def limited_samples(
     network: Network, y: Float[Array, "records time outputs"]
 ) -> Bool[Array, "records time outputs"]:
     """The samples at which the feedback bound holds the scaled outputs of a run."""
@@ -92,8 +91,8 @@ def has_diverged(
 ) -> Any:
     """More than 5 % of the samples, or 50 in a row, held by the feedback bound.
 
-    Of the samples that are `counted`, by default all; a flag for every row. NumPy in,
-    NumPy out; inside programs too.
+    The shares are of the samples that are `counted`, by default all; a flag for every
+    row. NumPy in, NumPy out; inside programs too.
     """
     xp = np if isinstance(held, np.ndarray) else jnp
     counted = xp.ones_like(held) if counted is None else counted
@@ -108,7 +107,7 @@ def has_diverged(
     return bad | (in_a_row == IN_A_ROW).any(axis=-1)
 
 
-def _extrapolated(
+def _extrapolated_samples(
     network: Network, batch: Batch, k: int | None
 ) -> Bool[np.ndarray, "records time"]:
     """The samples at which an input leaves its range; with `k` a measured output too,
@@ -142,10 +141,10 @@ def make_trajectories(
         computed = np.asarray(scaled) * gain
     lost = ~np.isfinite(computed)
     computed = np.where(lost, lower * gain, computed)
-    extrapolated = _extrapolated(network, batch, ahead and ahead[0])
+    extrapolated = _extrapolated_samples(network, batch, ahead and ahead[0])
     silent = np.zeros_like(extrapolated)
     if network.outside == NAN:
-        silent = _extrapolated(network, batch, None)
+        silent = _extrapolated_samples(network, batch, None)
     if gaps is not None:
         extrapolated |= gaps.missing
         if NAN in (network.nan, network.outside):

@@ -9,8 +9,8 @@ from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 from jaxnarx.simulation._prepared import (
     Prepared,
-    dataset_of,
     ensure_prepared,
+    get_dataset,
     match_records,
     prepare_stacked,
     stack_fitting,
@@ -19,7 +19,7 @@ from jaxnarx.simulation.observer import observe_hidden
 from jaxnarx.simulation.outputs import scaled_run
 from jaxnarx.simulation.runs import run_steps
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
-from jaxnarx.solution import NAMES, RESULTS, Solution
+from jaxnarx.solution import RESULTS, STATUS_NAMES, Solution
 
 
 def _ignored_channels(network: Network, data: Dataset) -> list[str]:
@@ -37,8 +37,8 @@ def _solution(
 ) -> Solution:
     too_short = np.array([s >= len(r) for s, r in zip(start, data, strict=True)])
     bad = np.array([d.any() for d in value.diverged])
-    codes = np.where(too_short, NAMES.index("too_short"), 0)
-    codes = np.where(bad, NAMES.index("diverged"), codes)
+    codes = np.where(too_short, STATUS_NAMES.index("too_short"), 0)
+    codes = np.where(bad, STATUS_NAMES.index("diverged"), codes)
     stats: dict = {
         "record_status": codes,
         "limited": np.array([h.sum(axis=0) for h in value.limited]),
@@ -129,7 +129,7 @@ def simulate(
     if missing is None:
         (runs, origin), gaps = ensure_prepared(network, data), None
     else:
-        records = dataset_of(data)
+        records = get_dataset(data)
         matched = match_records(network, records)
         batch, gaps = stack_fitting(network, matched, missing)
         runs, origin = ensure_prepared(

@@ -15,7 +15,7 @@ from jaxnarx.checks import whole
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import Identification, hint_at, plain_value, value_at
 
-SCALES = ("log", "uniform", "integer")
+RANGE_SCALES = ("log", "uniform", "integer")
 Case = Mapping[str, Any]
 
 
@@ -46,7 +46,7 @@ def random_cases(seed: int, count: int, ranges: Mapping[str, Any]) -> list[Case]
     return [{path: column[n] for path, column in columns.items()} for n in range(count)]
 
 
-def label_of(method: Identification, path: str) -> str | int | float | bool | None:
+def setting_label(method: Identification, path: str) -> str | int | float | bool | None:
     """A setting as a plain scalar, for a table."""
     value = plain_value(value_at(method, path))
     if value is None and path in ("select", "grow", "refine"):
@@ -64,7 +64,7 @@ def _draw(path: str, values: Any, count: int, rng: np.random.Generator) -> list:
     hint_at(Identification, path)
     if isinstance(values, str) or not len(values):
         raise SpecError(f"{path} has no range: {values!r}", field=path)
-    if not isinstance(values[0], str) or values[0] not in SCALES:
+    if not isinstance(values[0], str) or values[0] not in RANGE_SCALES:
         return [plain_value(values[n]) for n in rng.integers(len(values), size=count)]
     scale, *ends = values
     if len(ends) != 2 or not ends[0] <= ends[1] or (scale == "log" and ends[0] <= 0):

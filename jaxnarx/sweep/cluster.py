@@ -42,7 +42,7 @@ def compute_on_cluster(
     with _explain_silence(run, client), Claims(run.claims) as claims:
         crew = _Crew(run, work, client)
         try:
-            while run.unfinished():
+            while run.unfinished_chunks():
                 _send(run, crew, claims)
                 finished = crew.collect()
                 for number, rows in finished:
@@ -67,14 +67,14 @@ def _explain_silence(run: RunFolder, client: Client) -> Iterator[None]:
             raise
         raise JaxnarxError(
             f"{run.path}: the dask scheduler does not answer any more, with "
-            f"{len(run.unfinished())} of {run.chunks} chunks open. Start another and "
-            "make a client of it: the same call goes on where it stopped."
+            f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. Start "
+            "another and make a client of it: the same call goes on where it stopped."
         ) from error
 
 
 def _send(run: RunFolder, crew: "_Crew", claims: Claims) -> None:
     """Fill the cluster with chunks that nobody has."""
-    for number in run.unfinished():
+    for number in run.unfinished_chunks():
         if crew.is_full():
             return
         if number in crew.awaited or not claims.take(number):
@@ -105,7 +105,7 @@ class _Crew:
 
     def is_full(self) -> bool:
         """Whether every thread of the cluster has enough to do, or a trial is on."""
-        threads = sum(threads_of(self.client).values())
+        threads = sum(worker_threads(self.client).values())
         busy = len(self.tasks) >= CHUNKS_PER_THREAD * max(threads, 1)
         return busy or self.on_trial or bool(self.suspects)
 
@@ -157,7 +157,7 @@ class _Crew:
             self.awaited[number] += len(parts)
 
 
-def threads_of(client: Client) -> dict[str, int]:
+def worker_threads(client: Client) -> dict[str, int]:
     """Number of threads of every worker that is there, by its address."""
     return cast(dict[str, int], client.nthreads())
 

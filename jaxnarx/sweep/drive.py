@@ -46,15 +46,15 @@ def run_sweep(
 
     Args:
         work: The members and how to compute them, `IdentificationWork` say.
-        folder: Where the sweep is kept.
+        folder: Folder of the sweep.
         chunk: Members computed together.
-        workers: Where more than 1, so many processes, each with a core of its own,
-            compute instead of this one; a script that asks for them needs the guard
-            `if __name__ == "__main__"`. They are a dask cluster whose ports other
-            accounts of this machine can reach: use it where those are trusted.
+        workers: If more than 1, so many processes, each with a core of its own, compute
+            instead of this one; a script that asks for them needs the guard `if
+            __name__ == "__main__"`. They are a dask cluster whose ports other accounts
+            of this machine can reach: use it where those are trusted.
         client: A dask.distributed `Client`, on whose workers chunks are computed.
         new: Set an earlier sweep in the folder aside.
-        progress: Called with a dictionary whenever chunks were added, see
+        progress: A function called with a dictionary whenever chunks were added, see
             `jaxnarx.sweep.Progress`.
 
     Returns:
@@ -76,14 +76,14 @@ def run_sweep(
             from jaxnarx.sweep.cluster import compute_on_cluster
 
             notes += compute_on_cluster(run, work, client, pace)
-        elif workers > 1 and (left := len(run.unfinished())):
+        elif workers > 1 and (left := len(run.unfinished_chunks())):
             from jaxnarx.sweep.processes import compute_in_processes
 
             notes += compute_in_processes(run, work, min(workers, left), pace)
         else:
             work_through(run, work, pace)
     except KeyboardInterrupt as stop:
-        stop.add_note(so_far(run))
+        stop.add_note(describe_progress(run))
         raise
     clear_dead(run.claims)
     return _solution(run, redone, notes)
@@ -96,15 +96,15 @@ def read_sweep(folder: str | Path) -> SweepTable:
     DataFileError where the folder holds no sweep, or not one finished chunk.
     """
     run = find_run(Path(folder))
-    if not run.finished():
+    if not run.finished_chunks():
         raise SpecError(f"{run.path}: no chunk is finished yet", field="folder")
     return SweepTable(run.table(), run.path)
 
 
 @guard_arguments
-def so_far(run: RunFolder) -> str:
+def describe_progress(run: RunFolder) -> str:
     """A sentence on how much of a sweep is finished, and how to go on."""
-    done = run.finished()
+    done = run.finished_chunks()
     members = sum(len(run.members(n)) for n in done)
     return (
         f"{len(done)} of {run.chunks} chunks ({members} of {run.manifest.members} "
@@ -131,7 +131,7 @@ def _solution(
 ) -> Solution[SweepTable]:
     table = SweepTable(run.table(keep=True), run.path)
     statuses = dict(Counter(table.column("status").tolist()).most_common())
-    said = [f"{len(table)} members: " + _listed(statuses)]
+    said = [f"{len(table)} members: " + _list_statuses(statuses)]
     if redone:
         were = "chunk was" if len(redone) == 1 else "chunks were"
         said.append(f"{len(redone)} damaged {were} computed again")
@@ -145,5 +145,5 @@ def _solution(
     return Solution(table, RESULTS.ok, stats, ". ".join([*said, *notes]) + ".")
 
 
-def _listed(statuses: dict[str, int]) -> str:
+def _list_statuses(statuses: dict[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in statuses.items())

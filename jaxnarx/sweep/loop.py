@@ -22,7 +22,7 @@ def work_through(run: RunFolder, work: Work, tell: Callable[[], None]) -> None:
     labels, whole = work.members, run.manifest.chunk
     piece = whole
     with Claims(run.claims) as claims:
-        while open_chunks := run.unfinished():
+        while open_chunks := run.unfinished_chunks():
             took = False
             for number in open_chunks:
                 if not claims.take(number):

@@ -15,15 +15,15 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.scheduler import NoWorkerError
 from distributed.utils import silence_logging_cmgr
 
-from jaxnarx.child_process import SAFE, one_thread
+from jaxnarx.child_process import SAFE_ENVIRONMENT, one_thread
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.sweep.cluster import compute_on_cluster, threads_of
+from jaxnarx.sweep.cluster import compute_on_cluster, worker_threads
 from jaxnarx.sweep.folder.run_folder import RunFolder
 from jaxnarx.sweep.precision import is_float64
 from jaxnarx.sweep.work import Work
 
 SILENT_LEVEL = logging.CRITICAL + 1
-"""What dask would log is told by this package, or does not matter."""
+"""Level at which dask logs nothing: this package reports what matters."""
 
 _WAIT_SETTINGS = {"distributed.deploy.lost-worker-timeout": "1 day"}
 _SCHEDULER_SETTINGS = {
@@ -51,17 +51,17 @@ def compute_in_processes(
         silence_logging_cmgr(SILENT_LEVEL),
         _cluster(workers) as client,
     ):
-        crew = set(threads_of(client))
+        crew = set(worker_threads(client))
         try:
             notes = compute_on_cluster(run, work, client, tell)
         except NoWorkerError as error:
             raise JaxnarxError(
                 f"{run.path}: the processes ended and no others could be started, with "
-                f"{len(run.unfinished())} of {run.chunks} chunks open. That is often "
-                "the system's answer to too little memory: use fewer workers. The same "
-                "command continues."
+                f"{len(run.unfinished_chunks())} of {run.chunks} chunks open. That is "
+                "often the system's answer to too little memory: use fewer workers. "
+                "The same command continues."
             ) from error
-        lost = len(crew - set(threads_of(client)))
+        lost = len(crew - set(worker_threads(client)))
     return [f"{lost} of {len(crew)} processes were lost", *notes] if lost else notes
 
 
@@ -160,7 +160,9 @@ def _cores() -> list[int]:
 
 def _child_environment() -> dict[str, str]:
     """One thread for everything, and jax configured as it is here."""
-    settings = SAFE | one_thread() | {"JAX_ENABLE_X64": str(int(is_float64()))}
+    settings = (
+        SAFE_ENVIRONMENT | one_thread() | {"JAX_ENABLE_X64": str(int(is_float64()))}
+    )
     for name in ("jax_compilation_cache_dir", "jax_platforms"):
         if value := getattr(jax.config, name):
             settings[name.upper()] = str(value)

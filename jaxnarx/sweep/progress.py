@@ -7,11 +7,11 @@ from typing import Any
 from jaxnarx.sweep.folder.run_folder import RunFolder
 
 Progress = Callable[[dict[str, Any]], object]
-"""Called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in members per
-second and seconds `left`; these two are None until a chunk has come. The rate counts
-from the first chunk on, which came with the compilation, as soon as that is longer than
-what went before; until then from the call on, so that more time is rather left than
-less."""
+"""A function called with `done` and `of` members, `chunks` and `of_chunks`, `rate` in
+members per second and seconds `left`; these two are None until a chunk has come. The
+rate counts from the first chunk on, which came with the compilation, as soon as that is
+longer than what went before; until then from the call on, so that more time is rather
+left than less."""
 
 
 class Throughput:
@@ -19,13 +19,13 @@ class Throughput:
 
     def __init__(self, run: RunFolder, progress: Progress | None):
         self.run, self.progress = run, progress
-        self.begin = (time.perf_counter(), self._done())
+        self.begin = (time.perf_counter(), self._members_done())
         self.first: tuple[float, int] | None = None
         self.told: int | None = None
 
     def __call__(self) -> None:
         """Count, and tell if there is news."""
-        done = self._done()
+        done = self._members_done()
         if self.progress is None or done == self.told:
             return
         self.told, of = done, self.run.manifest.members
@@ -34,7 +34,7 @@ class Throughput:
             {
                 "done": done,
                 "of": of,
-                "chunks": len(self.run.finished()),
+                "chunks": len(self.run.finished_chunks()),
                 "of_chunks": self.run.chunks,
                 "rate": rate,
                 "left": (of - done) / rate if rate else None,
@@ -50,5 +50,5 @@ class Throughput:
         since, before = first if settled else self.begin
         return (done - before) / (now - since)
 
-    def _done(self) -> int:
-        return sum(len(self.run.members(n)) for n in self.run.finished())
+    def _members_done(self) -> int:
+        return sum(len(self.run.members(n)) for n in self.run.finished_chunks())

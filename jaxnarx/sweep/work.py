@@ -1,4 +1,4 @@
-"""What a sweep computes, seen from its folder: members by number, rows out."""
+"""The work of a sweep, seen from its folder: members by number, rows out."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
@@ -8,7 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 class Work(Protocol):
     """A list of members and how to compute them; it must survive pickling.
 
-    The folder, the processes and the cluster know no more of a sweep than this.
+    The run folder, the processes and the cluster use a sweep only through these
+    methods.
     """
 
     @property

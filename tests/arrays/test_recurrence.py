@@ -11,9 +11,9 @@ from oracles import central_difference
 
 from jaxnarx.arrays.recurrence import (
     free_run,
-    history_of,
     linear_recurrence,
     own_history,
+    past_outputs,
     polynomial_step,
     run_history,
 )
@@ -290,7 +290,7 @@ def test_a_limited_sample_has_no_derivative():
 # its parts ------------------------------------------------------------------------
 
 
-history = jax.jit(partial(history_of, depth=DEPTH))
+history = jax.jit(partial(past_outputs, depth=DEPTH))
 
 
 def test_history_is_newest_first():

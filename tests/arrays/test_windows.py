@@ -5,7 +5,7 @@ import numpy as np
 import oracles
 import pytest
 
-from jaxnarx.arrays.windows import lagged, usable
+from jaxnarx.arrays.windows import lag_signals, usable
 
 ROWS = ((0, 0), (2, 3), (1, 1), (2, 1), (0, 3))
 
@@ -16,7 +16,7 @@ def records(time: int = 12, count: int = 3) -> np.ndarray:
 
 def test_lagged_variables_equal_the_loop():
     signals = records(count=1)[0]
-    found = lagged(jnp.asarray(signals), jnp.arange(12), ROWS)
+    found = lag_signals(jnp.asarray(signals), jnp.arange(12), ROWS)
     expected, good = oracles.lagged(signals, ROWS)
     assert found.shape == (len(ROWS), 12)
     np.testing.assert_array_equal(np.asarray(found)[:, good], expected[good].T)
@@ -25,7 +25,7 @@ def test_lagged_variables_equal_the_loop():
 def test_several_records_behind_one_another():
     signals = records()
     at = np.array([3, 11, 15, 23, 30])
-    found = lagged(jnp.asarray(signals.reshape(-1, 3)), jnp.asarray(at), ROWS)
+    found = lag_signals(jnp.asarray(signals.reshape(-1, 3)), jnp.asarray(at), ROWS)
     for column, n in enumerate(at):
         record, t = divmod(int(n), 12)
         expected = [signals[record, t - lag, signal] for signal, lag in ROWS]
@@ -33,14 +33,14 @@ def test_several_records_behind_one_another():
 
 
 def test_no_variables_give_no_rows():
-    found = lagged(jnp.asarray(records(count=1)[0]), jnp.arange(12), ())
+    found = lag_signals(jnp.asarray(records(count=1)[0]), jnp.arange(12), ())
     assert found.shape == (0, 12)
     assert found.dtype == jnp.float64
 
 
 def test_float32_stays_float32():
     signals = jnp.asarray(records(count=1)[0], jnp.float32)
-    assert lagged(signals, jnp.arange(12), ROWS).dtype == jnp.float32
+    assert lag_signals(signals, jnp.arange(12), ROWS).dtype == jnp.float32
 
 
 @pytest.mark.parametrize("history", [3, 5])

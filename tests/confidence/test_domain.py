@@ -10,8 +10,8 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.confidence.domain_fit import (
+    compute_layers,
     feature_rows,
-    layers_of,
     measure_influence,
     used_inputs,
 )
@@ -102,10 +102,10 @@ def test_one_program_serves_other_memories_and_lengths(known, data):
     ]
     other = dataclasses.replace(domain, features=Variables.of(slower))
     rows = feature_rows(domain.features, data, None)
-    shorter = rows.at(np.arange(rows.x.shape[1]) < rows.x.shape[1] - 9)
-    values, blamed = layers_of(domain, rows)
-    assert common.compilations(lambda: layers_of(other, shorter)) == 0
-    again = layers_of(other, shorter)
+    shorter = rows.select(np.arange(rows.x.shape[1]) < rows.x.shape[1] - 9)
+    values, blamed = compute_layers(domain, rows)
+    assert common.compilations(lambda: compute_layers(other, shorter)) == 0
+    again = compute_layers(other, shorter)
     np.testing.assert_array_equal(again[0], values[:-9])
     np.testing.assert_array_equal(again[1], blamed[:-9])
 
@@ -159,7 +159,7 @@ def test_whitened_features_of_the_training_have_a_covariance_of_one(known, data)
 def test_layers_are_left_by_what_they_are_made_for(known, left, inside, change):
     data = plant([change(u) for u in drawn(5)])
     rows = feature_rows(known.domain.features, data, None)
-    layers = layers_of(known.domain, rows)[0]
+    layers = compute_layers(known.domain, rows)[0]
     beyond = dict(zip(LAYERS, np.mean(layers > 1, axis=0), strict=True))
     assert beyond[left] > 0.2
     assert all(beyond[name] < 0.05 for name in inside)

@@ -157,7 +157,7 @@ def test_a_report_measures_what_they_hold_and_draws_them(known, tmp_path):
     assert (train.part, test.part, test.level) == ("train", "test", 0.9)
     assert test.samples == len(inside) and test.held == pytest.approx(inside.mean())
     assert test.half == pytest.approx(half.mean())
-    row = found.pooled(test.output)
+    row = found.pooled_row(test.output)
     assert test.rmse == pytest.approx(row.rmse) and not test.is_narrow
     shares = [one.mean() for one in np.split(inside, len(data))]
     error = np.std(shares, ddof=1) / np.sqrt(len(data))

@@ -223,7 +223,7 @@ def test_a_fold_marks_block_and_gaps_as_missing_in_training():
         assert fold.train.names == fold.left.names == data.names
         for n, record in enumerate(data):
             out = left_out(found.labels[n], g)
-            np.testing.assert_array_equal(found.left_out(g)[n], out)
+            np.testing.assert_array_equal(found.held_out_samples(g)[n], out)
             assert out.sum() == (found.labels[n] == g).sum() + 7 * (1 + (0 < g < 3))
             train, left = fold.train.records[n], fold.left.records[n]
             np.testing.assert_array_equal(train.u, record.u)
@@ -245,7 +245,7 @@ def test_parts_are_groups_and_gaps_by_what_they_are_left_out_with(gap):
     found = groups(data, folds=3, gap=gap)
     labels, apart = found.parts()
     for g in range(len(found)):
-        expected = found.left_out(g)
+        expected = found.held_out_samples(g)
         for own, out, judged in zip(labels, expected, found.labels, strict=True):
             np.testing.assert_array_equal(apart[g][own], out)
             np.testing.assert_array_equal(own == g, judged == g)

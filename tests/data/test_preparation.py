@@ -272,7 +272,7 @@ def test_spikes_are_masked_and_counted(data):
         masked = np.flatnonzero(~record.valid[:, 1])
         np.testing.assert_array_equal(masked, [17, 31, 50, 51, 52, 53])
         assert record.y[17, 0] == record.y[16, 0]
-    assert preparation.report.masked(0) == {"NOx": 6}
+    assert preparation.report.count_masked(0) == {"NOx": 6}
     assert preparation.report.items[0].rows == {"NOx": ((17, 17), (31, 31))}
     assert "NOx: 6 masked" in str(preparation.report)
 

@@ -17,7 +17,7 @@ from jaxnarx.data import (
     prepare,
 )
 from jaxnarx.data.preparation.crank_angle import crank_angles, event_times
-from jaxnarx.data.preparation.resample import LEAST_SAMPLES, on_grid, sinc
+from jaxnarx.data.preparation.resample import LEAST_SAMPLES, interpolate_on_grid, sinc
 from jaxnarx.data.preparation.step import bridge_gaps
 from jaxnarx.errors import DataError, SpecError
 
@@ -333,7 +333,7 @@ def test_the_grid_begins_at_the_first_sample_and_ends_before_the_last():
     rng = np.random.default_rng(2)
     at = np.cumsum(rng.uniform(0.5, 1.5, 200))
     for step in (0.3, 1.0, 4.0):
-        x, valid = on_grid(
+        x, valid = interpolate_on_grid(
             at, at[:, None], np.ones((200, 1), bool), step=step, name="r"
         )
         assert len(x) == int((at[-1] - at[0]) / step) + 1 and valid.all()

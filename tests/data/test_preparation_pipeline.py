@@ -60,7 +60,7 @@ def test_new_data_have_no_say(data):
 def test_two_preparations_are_one(data):
     first, early = prepare(data, [Hampel(), Decimate(factor=2)])
     done, late = prepare(first, [Scale()])
-    same(late.after(early).apply(data), done)
+    same(late.prepend(early).apply(data), done)
 
 
 def test_other_data_than_it_was_made_for_are_refused(data):

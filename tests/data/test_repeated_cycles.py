@@ -53,7 +53,7 @@ def likeness(a: np.ndarray, b: np.ndarray, lag: int) -> float:
 
 
 def test_likeness_is_the_formula_at_every_shift():
-    from jaxnarx.data.repeated_cycles import _courses, likeness_of
+    from jaxnarx.data.repeated_cycles import _courses, compare_courses
 
     rng = np.random.default_rng(0)
     us = [staircase(rng, n) + 0.3 * k for k, n in enumerate((90, 70))]
@@ -67,15 +67,15 @@ def test_likeness_is_the_formula_at_every_shift():
         lags = range(-reach, reach + 1)
         plain = {lag: likeness(scaled[i], scaled[j], lag) for lag in lags}
         best = max(plain, key=lambda lag: plain[lag])
-        value, _, lag = likeness_of(courses[i], courses[j])
+        value, _, lag = compare_courses(courses[i], courses[j])
         np.testing.assert_allclose(value, plain[best], rtol=1e-10)
         assert lag == best
-    assert likeness_of(courses[0], courses[2])[2] == 6
+    assert compare_courses(courses[0], courses[2])[2] == 6
 
 
 def test_the_chance_is_the_scatter_of_independent_records():
     """Two hundred pairs of random steps: mean square likeness without a shift."""
-    from jaxnarx.data.repeated_cycles import _courses, likeness_of
+    from jaxnarx.data.repeated_cycles import _courses, compare_courses
 
     rng = np.random.default_rng(1)
     values, told = [], []
@@ -84,7 +84,7 @@ def test_the_chance_is_the_scatter_of_independent_records():
         pooled = np.concatenate(us)
         a, b = ((u - pooled.mean(axis=0)) / pooled.std(axis=0) for u in us)
         values.append(likeness(a, b, 0))
-        told.append(likeness_of(*_courses(dataset(*us))[0])[1])
+        told.append(compare_courses(*_courses(dataset(*us))[0])[1])
     # 200 draws tell a root mean square to some 5 %.
     np.testing.assert_allclose(np.mean(told), np.sqrt(np.mean(np.square(values))), 0.2)
 

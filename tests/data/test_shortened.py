@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnarx import Dataset
-from jaxnarx.data import shortened
+from jaxnarx.data import thin_records
 
 
 def records(*rows: int) -> Dataset:
@@ -19,16 +19,16 @@ def records(*rows: int) -> Dataset:
 
 def test_short_data_stay_as_they_are():
     data = records(30, 20)
-    assert shortened(data, 50) is data
+    assert thin_records(data, 50) is data
 
 
 def test_short_records_keep_one_stretch_each_at_another_place():
     data = records(300, 200)
-    found = shortened(data, 100)
+    found = thin_records(data, 100)
     assert [len(r) for r in found] == [60, 40]
     starts = [int(r.u[0, 0]) for r in found]
     assert [r.start_row for r in found] == starts and starts[0] == 0
-    many = shortened(records(*[100] * 50), 500)
+    many = thin_records(records(*[100] * 50), 500)
     places = np.sort([r.u[0, 0] for r in many])
     assert places[0] < 5 and places[-1] > 85 and np.diff(places).max() < 5
     assert found.names == data.names and found.records[0].group == "g"
@@ -37,7 +37,7 @@ def test_short_records_keep_one_stretch_each_at_another_place():
 @pytest.mark.parametrize(("rows", "count"), [(1500, 3), (3999, 7), (60_000, 8)])
 def test_long_records_are_seen_from_begin_to_end(rows, count):
     length = 100_000
-    found = shortened(records(length), rows)
+    found = thin_records(records(length), rows)
     assert len(found) == count
     starts = [int(r.u[0, 0]) for r in found]
     assert starts[0] == 0 and found.records[-1].u[-1, 0] == length - 1

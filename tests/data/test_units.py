@@ -114,5 +114,5 @@ def test_a_report_scores_in_the_units_of_the_model():
     other = made(u / 100, y + 273.15, "bar", "K")
     found = jnx.report(net, other, **plain)
     # in degC, as the model; in K the offset would be all of the error
-    assert found.pooled("T").rmse == pytest.approx(0.0, abs=1e-9)
+    assert found.pooled_row("T").rmse == pytest.approx(0.0, abs=1e-9)
     assert any("p converted from bar to kPa" in note for note in found.notes)

@@ -11,7 +11,7 @@ from jaxnarx.design.limits import limits_for
 from jaxnarx.design.stretches import Space, stretches
 from jaxnarx.design.views import information_gain
 from jaxnarx.errors import SpecError
-from jaxnarx.models import memory_of
+from jaxnarx.models import input_memory
 from jaxnarx.shell.cli import run
 
 DURATION, TIME = 60.0, 0.5
@@ -122,7 +122,7 @@ def test_it_tells_more_than_random_stretches(known, found):
     )
     length = round(DURATION / TIME)
     rng = np.random.default_rng(2)
-    shortest, longest = (max(1, round(h * memory_of(known))) for h in HOLD_MEMORIES)
+    shortest, longest = (max(1, round(h * input_memory(known))) for h in HOLD_MEMORIES)
     hold = shortest, longest
     drawn = stretches(rng, space, free.value.inputs[0], 41, length, hold)
     worth = np.array([log_det(u) for u in drawn[1:]])

@@ -327,7 +327,7 @@ def test_corners_have_steady_states(engine):
 
 def test_a_family_is_a_stacked_tree(engine, key):
     keys = jax.random.split(key, 3)
-    family = jax.vmap(lambda k: engine.perturbed(k, 0.05))(keys)
+    family = jax.vmap(lambda k: engine.perturb(k, 0.05))(keys)
     rows = jnp.concatenate([OPERATING, BEFORE, AFTER])
     pressures = []
     for i in range(3):  # one by one, with the program compiled for the tables
@@ -336,7 +336,7 @@ def test_a_family_is_a_stacked_tree(engine, key):
         assert bool(jnp.isfinite(state).all())
         pressures.append(float(state[1, 0]))
     assert 1e3 < np.ptp(pressures) < 1e5
-    assert eqx.tree_equal(engine.perturbed(key, 0.0), engine)
+    assert eqx.tree_equal(engine.perturb(key, 0.0), engine)
 
 
 def test_arithmetic_follows_the_dtype():

@@ -22,7 +22,7 @@ from jaxnarx.excitation import aprbs
 # A program for every bed.
 pytestmark = pytest.mark.slow
 
-LENGTH = engine.LENGTH
+LENGTH = engine.RUN_SAMPLES
 
 
 @pytest.fixture(scope="module", params=list(BEDS))
@@ -46,7 +46,7 @@ def test_a_bed_holds_to_its_contract(bed, excited, check):
 
 def test_dotted_names_reach_the_parts():
     bed = PfiDyno()
-    moved = bed.perturbed(jax.random.key(3), 0.1)
+    moved = bed.perturb(jax.random.key(3), 0.1)
     assert moved.engine.displacement != bed.engine.displacement
     assert moved.engine.inertia == bed.engine.inertia
 

@@ -402,7 +402,7 @@ def test_a_family_rests(engine, key, settle, steady):
     drive = jax.tree.map(lambda v: v[3], steady[1])
     many = jax.tree.map(lambda v: jnp.broadcast_to(v, (9,)), drive)
     for i in range(3):
-        other = engine.perturbed(jax.random.fold_in(key, i), 0.05)
+        other = engine.perturb(jax.random.fold_in(key, i), 0.05)
         torque = np.asarray(settle(other, many)[1].torque)
         assert np.isfinite(torque).all() and 0.01 < abs(torque[0] / 223.1 - 1) < 0.3
 

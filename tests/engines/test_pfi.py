@@ -334,12 +334,12 @@ def test_unknown_output_is_refused(engine, key):
 
 @pytest.mark.slow
 def test_a_family_is_a_stacked_tree(engine, key):
-    family = jax.vmap(lambda k: engine.perturbed(k, 0.05))(jax.random.split(key, 6))
+    family = jax.vmap(lambda k: engine.perturb(k, 0.05))(jax.random.split(key, 6))
     state = jax.jit(jax.vmap(lambda e: e.balance(Drive(0.395))))(family)
     speed = np.asarray(state[:, 3]) * 30 / np.pi
     assert np.isfinite(speed).all() and np.ptp(speed) > 50
     assert np.all((speed > 700) & (speed < 1700))
-    same = engine.perturbed(key, 0.0)
+    same = engine.perturb(key, 0.0)
     assert eqx.tree_equal(same, engine)
 
 

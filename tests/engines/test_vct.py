@@ -226,7 +226,7 @@ def test_limits_have_the_specified_thresholds():
 
 
 def test_a_family_settles(engine, key):
-    family = jax.vmap(lambda k: engine.perturbed(k, 0.05))(jax.random.split(key, 3))
+    family = jax.vmap(lambda k: engine.perturb(k, 0.05))(jax.random.split(key, 3))
     torques = []
     for i in range(3):  # one by one, with the program compiled for the tables
         member = jax.tree.map(lambda leaf, i=i: leaf[i], family)
@@ -234,7 +234,7 @@ def test_a_family_settles(engine, key):
         assert bool(jnp.isfinite(state).all())
         torques.append(float(q.torque[6]))
     assert 1 < np.ptp(torques) < 60
-    assert eqx.tree_equal(engine.perturbed(key, 0.0), engine)
+    assert eqx.tree_equal(engine.perturb(key, 0.0), engine)
 
 
 def test_arithmetic_follows_the_dtype():

@@ -9,8 +9,8 @@ from common import BRIEF, Part, from_rows, network
 
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import report
-from jaxnarx.evaluation.baseline import NAME
-from jaxnarx.evaluation.extrapolation import held_notes, outside, range_notes
+from jaxnarx.evaluation.baseline import BASELINE_NAME
+from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_notes
 from jaxnarx.evaluation.rows import Row
 from jaxnarx.models import hold_to_range
 from jaxnarx.simulation import simulate
@@ -37,7 +37,7 @@ POOR = network([Part([[((0, 1), 0.5), ((0, 3), 0.1)]])])
 def beside(train, test, net=POOR):
     parts = {"train": train, "test": test}
     found = report(net, parts, **BRIEF)
-    (row,) = found.beside[NAME]
+    (row,) = found.beside[BASELINE_NAME]
     return found, row
 
 
@@ -49,9 +49,9 @@ def test_it_is_exact_on_a_linear_system_and_only_scores_what_the_network_does():
     found, row = beside(train, dataclasses.replace(test, records=(masked,)))
     # Rounding of least squares and of a stable recursion.
     assert row.nrmse == pytest.approx(0, abs=1e-9)
-    assert row.samples == found.pooled("y").samples
+    assert row.samples == found.pooled_row("y").samples
     assert found.verdict.findings and "linear model" in str(found.verdict.findings)
-    assert NAME in found.table
+    assert BASELINE_NAME in found.table
 
 
 def test_one_that_runs_away_is_diverged():
@@ -67,8 +67,8 @@ def test_other_networks_may_stand_beside_it():
         POOR, data, stability=False, diagnostics=False, beside={"other": other}
     )
     own = report(other, data, stability=False, diagnostics=False)
-    assert found.beside["other"] == (own.pooled("y"),)
-    assert NAME not in found.beside  # nothing to fit it to
+    assert found.beside["other"] == (own.pooled_row("y"),)
+    assert BASELINE_NAME not in found.beside  # nothing to fit it to
 
 
 def row(part, extrapolated, **more) -> Row:
@@ -81,7 +81,7 @@ def row(part, extrapolated, **more) -> Row:
 def test_data_outside_the_trained_range_are_told_once_a_part_and_how_far():
     rows = [row("train", 0), row("test", 30), row("test", 40, output="w")]
     rows += [row("test", 200, record="r1"), row("train", 99, mode="one step")]
-    found = outside(
+    found = find_outside(
         POOR, {"train": dataset(record(1)), "test": dataset(record(2, extent=1.5))}
     )
     assert [o.part for o in found] == ["test", "test"]
@@ -121,8 +121,8 @@ def test_a_report_tells_what_the_limits_of_a_model_hold():
         for net, margin in ((narrow, 0.1), (narrow, None))
     )
     run = simulate(hold_to_range(narrow, 0.1, outside="hold"), data)
-    own = found.pooled("y")
-    assert own.held == run.stats["held"].sum() > 0 == free.pooled("y").held
+    own = found.pooled_row("y")
+    assert own.held == run.stats["held"].sum() > 0 == free.pooled_row("y").held
     assert found.limits == pytest.approx(0.1) and free.limits is None
     share = f"{100 * own.held / own.samples:.3g} %"
     notes = [n for n in found.notes if "held at the edge" in n]

@@ -31,7 +31,7 @@ def test_models_and_parts_have_the_figures_of_their_reports():
     for name, network in models.items():
         told = jnx.report(network, parts, **common.BRIEF)
         for part in parts:
-            row = told.pooled("w", part=part)
+            row = told.pooled_row("w", part=part)
             assert found.pooled[name][part].nrmse == row.nrmse
     assert found.parts == ["train", "test"] and len(found.records) == 2
     worst = found.worst("test")
@@ -69,7 +69,7 @@ def test_errors_by_size_are_those_of_smaller_selections():
         told = jnx.report(alone, parts, **common.BRIEF)
         for one in found:
             for part in parts:
-                row = told.pooled(one.output.name, part=part)
+                row = told.pooled_row(one.output.name, part=part)
                 # One least-squares problem, solved in two ways.
                 assert one.free_run[part][size - 1] == pytest.approx(
                     row.nrmse, rel=1e-6

@@ -9,7 +9,7 @@ import pytest
 from verdict_problems import made, row
 
 from jaxnarx.data import Channel
-from jaxnarx.evaluation.rows import CANCELLED, FREE_RUN, ScoredSamples, score
+from jaxnarx.evaluation.rows import CANCELLED_SUM_SHARE, FREE_RUN, ScoredSamples, score
 
 NOX = Channel("NOx", "g/s")
 
@@ -72,9 +72,16 @@ def test_sums_that_cancel_have_no_relative_error():
         (pooled, single) = score("test", FREE_RUN, NOX, [one])
         assert pooled.total_error is None and single.total_error is None
         assert single.offset is not None
-    edge = 1 + CANCELLED  # over 1 - CANCELLED, the sum is that share of magnitudes
-    assert totals(record("a", [edge * 1.01, CANCELLED - 1], [1, 1]))[0] is not None
-    assert totals(record("a", [edge * 0.99, CANCELLED - 1], [1, 1]))[0] is None
+    edge = (
+        1 + CANCELLED_SUM_SHARE
+    )  # over 1 - CANCELLED, the sum is that share of magnitudes
+    assert (
+        totals(record("a", [edge * 1.01, CANCELLED_SUM_SHARE - 1], [1, 1]))[0]
+        is not None
+    )
+    assert (
+        totals(record("a", [edge * 0.99, CANCELLED_SUM_SHARE - 1], [1, 1]))[0] is None
+    )
 
 
 def test_a_record_without_samples_or_that_diverged_has_none():

@@ -8,7 +8,12 @@ import pytest
 
 import jaxnarx as jnx
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.evaluation.domain_errors import BORDER, INDEX_EDGES, ErrorByIndex, _binned
+from jaxnarx.evaluation.domain_errors import (
+    BORDER_EDGE,
+    INDEX_EDGES,
+    ErrorByIndex,
+    _bin_errors,
+)
 
 NOX = Channel("NOx", "ppm")
 
@@ -17,7 +22,7 @@ def test_errors_are_told_by_the_index_of_their_sample():
     rng = np.random.default_rng(0)
     index = rng.uniform(0, 4, 5000)
     error = np.where(index > 1, 3.0, 0.5) * rng.choice([-1.0, 1.0], 5000)
-    found = _binned(NOX, error, index)
+    found = _bin_errors(NOX, error, index)
     assert found.samples.sum() == 5000
     assert found.inside == pytest.approx(0.5) and found.outside == pytest.approx(3.0)
     for k, (low, high) in enumerate(
@@ -26,11 +31,11 @@ def test_errors_are_told_by_the_index_of_their_sample():
         own = (index > low) & (index <= high)
         assert found.samples[k] == own.sum()
         if own.any():
-            assert found.rms[k] == pytest.approx(0.5 if k < BORDER else 3.0)
+            assert found.rms[k] == pytest.approx(0.5 if k < BORDER_EDGE else 3.0)
 
 
 def test_of_few_samples_nothing_is_told():
-    found = _binned(NOX, np.ones(30), np.r_[np.full(25, 0.4), np.full(5, 2.5)])
+    found = _bin_errors(NOX, np.ones(30), np.r_[np.full(25, 0.4), np.full(5, 2.5)])
     assert found.inside == pytest.approx(1.0) and found.outside is None
     assert np.isnan(found.rms[INDEX_EDGES.index(2.0)])
     nothing = ErrorByIndex("y", "", np.zeros(3), np.zeros(3, int))

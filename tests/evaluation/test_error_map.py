@@ -26,7 +26,7 @@ def test_the_error_lies_where_it_was_made():
     (one,) = found.maps
     # b tells most about y, then a: the shift by 2 against a spread of 0.6.
     assert one.variables == ("b[t]", "a[t]") and one.output == "y"
-    row = found.pooled("y")
+    row = found.pooled_row("y")
     assert one.samples.sum() == row.samples
     assert row.rmse is not None
     square = np.nansum(one.samples * one.rms**2) / row.samples

@@ -70,14 +70,14 @@ def noisy(missing: float) -> jnx.Dataset:
 
 def test_a_right_model_in_coloured_noise_has_no_findings():
     (found,) = diagnose_free_run(common.named("one model"), noisy(0.0)).value
-    assert found.found() == [] and found.samples > 590
+    assert found.significant_inputs() == [] and found.samples > 590
     assert found.autocorrelation.value[0] == pytest.approx(0.9, abs=0.06)
     assert not found.autocorrelation.tested.any()
 
 
 def test_an_input_that_is_missed_is_found_at_its_lag():
     (found,) = diagnose_free_run(common.named("one model"), noisy(6.0)).value
-    assert found.found() == ["b"]
+    assert found.significant_inputs() == ["b"]
     (test,) = [t for t in found.inputs if t.signal == "b"]
     assert test.worst == 3 and test.effect > 0.2
     assert "b" in str(found)

@@ -7,7 +7,7 @@ import pytest
 
 from jaxnarx import metrics
 
-NAMES = list(metrics.PERFECT)
+NAMES = list(metrics.PERFECT_VALUES)
 WORST = {"rmse": np.inf, "nrmse": np.inf, "r2": -np.inf, "fit": -np.inf, "nmse": np.inf}
 
 
@@ -72,7 +72,7 @@ def test_masked_samples_have_no_influence(case):
 def test_limits_are_perfect_and_the_mean(case):
     y, _, _ = case
     every = np.ones(y.shape, bool)
-    for name, value in metrics.PERFECT.items():
+    for name, value in metrics.PERFECT_VALUES.items():
         np.testing.assert_array_equal(metrics.scores(y, y, every)[name], value)
     mean = metrics.scores(y, np.broadcast_to(y.mean(0), y.shape), every)
     np.testing.assert_allclose(mean["nrmse"], 1, rtol=1e-12)
@@ -105,7 +105,7 @@ def test_constant_output_is_worst_unless_the_error_is_zero():
     assert metrics.is_constant(y, mask)[0]
     wavy = y + column(np.arange(7))
     for name in NAMES:
-        assert metrics.scores(y, y, mask)[name][0] == metrics.PERFECT[name]
+        assert metrics.scores(y, y, mask)[name][0] == metrics.PERFECT_VALUES[name]
         if name != "rmse":
             assert metrics.scores(y, wavy, mask)[name][0] == WORST[name]
 

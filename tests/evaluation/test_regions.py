@@ -205,9 +205,11 @@ def test_a_true_model_scores_perfectly_in_every_mode(network, tmp_path):
     data = Dataset((record(1, "a"), record(2, "b")), CHANNELS, 0.1)
     got = report(network, data)
     for mode in got.modes:
-        row = got.pooled("NOx", mode=mode)
+        row = got.pooled_row("NOx", mode=mode)
         assert row.nrmse == pytest.approx(0, abs=1e-12) and row.status == "ok"
-    assert got.pooled("NOx", mode="10 steps").samples < got.pooled("NOx").samples
+    assert (
+        got.pooled_row("NOx", mode="10 steps").samples < got.pooled_row("NOx").samples
+    )
     values = json.loads(json.dumps(got.to_dict(), allow_nan=False))
     # Two models of two linear terms: 4 multiplications; the scheduling is scaled, then
     # a scale, a square and its half for each weight; 2 to blend.

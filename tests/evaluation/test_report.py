@@ -107,8 +107,8 @@ def test_pooled_rows_are_the_metrics_of_the_concatenation():
     joined = (np.concatenate(x) for x in ([r.y for r in data], run.outputs, run.scored))
     want = metrics.scores(*joined)
     for o, name in enumerate(("NOx", "torque")):
-        row = got.pooled(name)
-        for metric in metrics.PERFECT:
+        row = got.pooled_row(name)
+        for metric in metrics.PERFECT_VALUES:
             assert getattr(row, metric) == pytest.approx(want[metric][o], rel=1e-12)
         assert row.samples == want["samples"][o] and row.status == "ok"
     assert got.modes == ("one step", "10 steps", "free run") and got.main == "data"
@@ -116,11 +116,11 @@ def test_pooled_rows_are_the_metrics_of_the_concatenation():
 
 
 def test_divergence_is_a_status_never_a_number(full):
-    row = full.pooled("NOx")
+    row = full.pooled_row("NOx")
     assert row.status == "diverged (1 of 3)" and row.nrmse is None
     assert row.others is not None and row.others["nrmse"] > 0
     assert row.limited == 77
-    assert full.pooled("NOx", mode="one step").status == "ok"
+    assert full.pooled_row("NOx", mode="one step").status == "ok"
     assert "diverged (1 of 3)" in full.table and "nan" not in full.table.lower()
     note = next(n for n in full.notes if "diverged" in n)
     assert "r31" in note and "The others alone: RMSE" in note
@@ -130,14 +130,14 @@ def test_divergence_is_a_status_never_a_number(full):
 
 def test_all_records_diverged_leaves_no_figure():
     got = report(Network(lost=("r40", "r41", "r42")), make(4))
-    assert got.pooled("NOx").others is None
+    assert got.pooled_row("NOx").others is None
     assert got.residuals[0].counts.size == 0
     json.dumps(got.to_dict(), allow_nan=False)
 
 
 def test_nonfinite_predictions_count_as_diverged():
     got = report(Network(error=np.inf), make(4))
-    assert got.pooled("NOx").status == "diverged (3 of 3)"
+    assert got.pooled_row("NOx").status == "diverged (3 of 3)"
 
 
 def test_dict_is_strict_json(full):
@@ -257,7 +257,7 @@ def test_masked_samples_are_counted():
 
 def test_constant_output_is_infinite_and_noted():
     got = report(Network(), make(5, constant=True))
-    row = got.pooled("torque")
+    row = got.pooled_row("torque")
     assert row.nrmse == np.inf and row.fit == -np.inf
     assert row.status == "constant output"
     assert any("torque is constant" in n for n in got.notes)
@@ -276,7 +276,7 @@ def test_a_record_too_short_to_predict_is_said_in_every_mode():
     assert {r.status for r in row} == {"too short"} and all(r.samples == 0 for r in row)
     told = [n for n in found.notes if "record r20 is too short" in n]
     assert len(told) == len(row)
-    assert found.pooled("NOx").status == "ok"
+    assert found.pooled_row("NOx").status == "ok"
 
 
 def test_other_units_and_extra_channels_are_noted():
@@ -300,7 +300,7 @@ def test_ranks_and_residuals_describe_the_free_run():
     rmses = [t.rmse for t in got.traces[:3] if t.rmse is not None]
     assert rmses == sorted(rmses, reverse=True)
     first = got.residuals[0]
-    assert first.counts.sum() == got.pooled("NOx").samples
+    assert first.counts.sum() == got.pooled_row("NOx").samples
     assert [t.rank for t in report(Network(), make(6, records=1)).traces] == [
         "only",
         "only",
@@ -313,7 +313,7 @@ def test_a_known_free_run_is_not_simulated_again(monkeypatch):
     monkeypatch.setattr(reporting, "simulate", None)
     got = report(Network(), data, simulated=run)
     again = report(Network(), {"test": data}, simulated={"test": run.value})
-    assert got.pooled("NOx").rmse == again.pooled("NOx").rmse
+    assert got.pooled_row("NOx").rmse == again.pooled_row("NOx").rmse
     with pytest.raises(SpecError, match="this very data"):
         report(Network(), data[:1], simulated=run)
 

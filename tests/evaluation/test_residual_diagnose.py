@@ -142,7 +142,7 @@ def test_leverage_is_the_diagonal_of_the_hat_matrix(found, dense, data):
 
 
 def test_a_missing_square_is_found(found):
-    assert "squared input, b" in found.found(0.05)
+    assert "squared input, b" in found.failed_tests(0.05)
     # 0.3 b^2 has variance 2 * 0.09, the noise 0.04: the square explains most.
     assert found.strong(0.05)[0] in ("squared input, b", "means over b[t-1]")
     assert found.effects["squared input, b"] > 0.5
@@ -170,7 +170,7 @@ def test_what_many_samples_find_is_weighed_by_its_extent(data):
     many = dataclasses.replace(data, records=(many,))
     value = diagnose(grown(many, 1), many).value
     (sentence,), one = value.summary, value["y"]
-    assert "squared input, b" in one.found(0.05) and one.strong(0.05) == []
+    assert "squared input, b" in one.failed_tests(0.05) and one.strong(0.05) == []
     assert one.effects["squared input, b"] == pytest.approx(0.005, abs=0.003)
     assert "no test speaks against the model to an extent that matters" in sentence
     assert "15000 samples" in sentence or "14999 samples" in sentence
@@ -199,7 +199,7 @@ def test_units_beyond_all_reason_do_not_matter(data, found, rows, inputs, output
 @pytest.mark.slow
 def test_a_whole_model_passes(data):
     whole = diagnose(grown(data, 2), data).value
-    assert whole["y"].found(0.05) == []
+    assert whole["y"].failed_tests(0.05) == []
     assert "no test speaks against" in whole.summary[0]
 
 

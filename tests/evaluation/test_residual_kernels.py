@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from jaxnarx.evaluation.residual_tests.bounds import (
-    GRID,
+    NORMAL_SCORE_GRID,
     bent_quantile,
     correlation_quantile,
     correlation_score,
@@ -60,7 +60,7 @@ def test_a_fit_leaves_what_least_squares_leave_also_of_dependent_columns():
     fit = global_fit(x)
     solved = np.linalg.lstsq(x[:, :3] / [1.0, 1e6, 1e-6], z)[0]
     left = z - x[:, :3] / [1.0, 1e6, 1e-6] @ solved
-    np.testing.assert_allclose(fit.without(z), left, atol=1e-9)
+    np.testing.assert_allclose(fit.remove_fit(z), left, atol=1e-9)
     assert fit.parameters == pytest.approx(3) and fit.condition == (np.inf,)
     assert fit.leverage.sum() == pytest.approx(3)
 
@@ -85,7 +85,7 @@ def test_a_local_fit_smooths_like_its_local_models():
         smooth += w @ p @ solve
         thetas.append(solve @ z[:, 0])
     fit = local_fit([p, p], phi)
-    np.testing.assert_allclose(fit.without(z), z - smooth.T @ z, atol=1e-12)
+    np.testing.assert_allclose(fit.remove_fit(z), z - smooth.T @ z, atol=1e-12)
     assert fit.parameters == pytest.approx(np.trace(smooth))
     np.testing.assert_allclose(fit.answer.T @ z[:, 0], np.concatenate(thetas))
 
@@ -104,12 +104,12 @@ def test_a_squared_correlation_is_beta_distributed(freedom):
 
 def test_bent_quantiles_rise_keep_moments_and_mirror():
     g, h = np.array([0.0, 0.3, 1.5, 4.0]), np.array([0.0, 0.2, 6.0, 30.0])
-    bent = bent_quantile(GRID, g, h)
+    bent = bent_quantile(NORMAL_SCORE_GRID, g, h)
     assert np.all(np.diff(bent, axis=1) >= 0)
-    np.testing.assert_allclose(bent[0], GRID, atol=1e-12)
-    mirrored = bent_quantile(GRID, -g, h)
+    np.testing.assert_allclose(bent[0], NORMAL_SCORE_GRID, atol=1e-12)
+    mirrored = bent_quantile(NORMAL_SCORE_GRID, -g, h)
     np.testing.assert_allclose(mirrored[1:], -bent[1:, ::-1])
-    weight = scipy.stats.norm.pdf(GRID)
+    weight = scipy.stats.norm.pdf(NORMAL_SCORE_GRID)
     weight /= weight.sum()
     # The cubic term is exact to first order only: second-order terms of 0.2/24.
     for power, want in ((1, 0.0), (2, 1.0), (3, 0.3)):
@@ -170,7 +170,7 @@ def test_residuals_of_a_fitted_autoregression_vary_as_box_and_pierce_say():
     y = autoregression(np.random.default_rng(6), n, pole)
     fit = global_fit(y[:-1, None])
     known = np.ones((1, n - 1), bool)
-    residual = make_residual(fit.without(y[1:, None]).T, known, fit=fit)
+    residual = make_residual(fit.remove_fit(y[1:, None]).T, known, fit=fit)
     test = autocorrelation(residual, lags=6)
     k = test.lags
     want = 1 - (1 - pole**2) * pole ** (2 * k - 2)
@@ -184,7 +184,7 @@ def test_lags_inside_the_model_have_nothing_to_test():
     u = rng.normal(size=401)
     y = u[:-1] + 0.1 * rng.normal(size=400)
     fit = global_fit(np.stack([u[:-1], np.ones(400)], axis=1))
-    value = np.r_[0.0, fit.without(y[:, None])[:, 0]][None]
+    value = np.r_[0.0, fit.remove_fit(y[:, None])[:, 0]][None]
     residual = make_residual(value, np.arange(401)[None] > 0, fit=fit)
     known = np.ones((1, 401), bool)
     test = input_correlation(residual, u[None], known, signal="u", lags=3)

@@ -9,7 +9,7 @@ import scipy.stats
 
 from jaxnarx.evaluation.residual_tests.correlations import autocorrelation
 from jaxnarx.evaluation.residual_tests.fits import global_fit
-from jaxnarx.evaluation.residual_tests.operating_point import by_operating_point
+from jaxnarx.evaluation.residual_tests.operating_point import bin_by_operating_point
 from jaxnarx.evaluation.residual_tests.residual import make_residual
 from jaxnarx.evaluation.residual_tests.scalar_tests import (
     ljung_box,
@@ -58,7 +58,7 @@ def test_runs_of_a_fitted_autoregression_vary_less():
     for _ in range(300):
         e = rng.normal(size=301)
         fit = global_fit(e[:-1, None])
-        scores.append(runs_test(plain(fit.without(e[1:, None])[:, 0], fit=fit)))
+        scores.append(runs_test(plain(fit.remove_fit(e[1:, None])[:, 0], fit=fit)))
     spread = np.std([s.statistic for s in scores])
     # 300 draws: 1/sqrt(600) = 4 %. Uncorrected it would be sqrt(1 - 4/pi^2) = 0.77.
     assert spread == pytest.approx(1.0, abs=0.13)
@@ -80,7 +80,7 @@ def test_ljung_box_loses_a_degree_for_every_fitted_lag():
     rng = np.random.default_rng(3)
     e = rng.normal(size=4001)
     fit = global_fit(e[:-1, None])
-    residual = plain(fit.without(e[1:, None])[:, 0], fit=fit)
+    residual = plain(fit.remove_fit(e[1:, None])[:, 0], fit=fit)
     got = ljung_box(residual, autocorrelation(residual, lags=12))
     assert got.freedom == pytest.approx(11, abs=0.2)
 
@@ -104,7 +104,7 @@ def test_two_bins_without_a_fit_are_welchs_test():
     rng = np.random.default_rng(6)
     e = np.r_[rng.normal(size=300), 3 * rng.normal(size=300) + 0.4]
     side = np.repeat([0.0, 1.0], 300)
-    got = by_operating_point(plain(e), side, variable="x", bins=2)
+    got = bin_by_operating_point(plain(e), side, variable="x", bins=2)
     assert got is not None and got.samples.tolist() == [300, 300]
     t: Any = scipy.stats.ttest_ind(e[:300], e[300:], equal_var=False)
     # Equal but for 1/N in the variances.
@@ -122,13 +122,13 @@ def test_bins_after_a_fit_are_the_f_test_of_adding_them():
     y = 0.3 * x**2 + 0.2 * rng.normal(size=400)
     base = np.stack([np.ones(400), x], axis=1)
     fit = global_fit(base)
-    residual = plain(fit.without(y[:, None])[:, 0], fit=fit)
-    got = by_operating_point(residual, x, variable="x", bins=8)
+    residual = plain(fit.remove_fit(y[:, None])[:, 0], fit=fit)
+    got = bin_by_operating_point(residual, x, variable="x", bins=8)
     assert got is not None
     bins = np.searchsorted(got.edges[1:-1], x, side="right")
     more = np.concatenate([base, np.eye(8)[bins]], axis=1)
     left = global_fit(more)
-    sse = [np.sum(f.without(y[:, None]) ** 2) for f in (fit, left)]
+    sse = [np.sum(f.remove_fit(y[:, None]) ** 2) for f in (fit, left)]
     spare = 400 - left.parameters
     f = (sse[0] - sse[1]) / (left.parameters - 2) / (sse[1] / spare)
     assert got.freedom == pytest.approx((left.parameters - 2, spare), abs=1e-6)
@@ -139,4 +139,4 @@ def test_bins_after_a_fit_are_the_f_test_of_adding_them():
 
 def test_a_variable_with_one_value_has_no_bins():
     e = np.random.default_rng(8).normal(size=50)
-    assert by_operating_point(plain(e), np.full(50, 2.0), variable="x") is None
+    assert bin_by_operating_point(plain(e), np.full(50, 2.0), variable="x") is None

@@ -58,7 +58,7 @@ def test_it_is_in_text_json_and_page(register, tmp_path):
     found = jnx.report(network, records, stability=False, diagnostics=False)
     assert list(found.sections) == ["largest", "broken"]
     (channel,) = network.output_channels
-    row = found.pooled(channel.name)
+    row = found.pooled_row(channel.name)
     run = jnx.simulate(network, records).value
     error = [
         np.abs(r.y[:, 0] - y[:, 0])[s[:, 0]]

@@ -8,7 +8,7 @@ import pytest
 from verdict_problems import made, row
 
 from jaxnarx.evaluation._region_errors import RegionError
-from jaxnarx.evaluation.baseline import NAME
+from jaxnarx.evaluation.baseline import BASELINE_NAME
 from jaxnarx.evaluation.coverage import IntervalCoverage
 from jaxnarx.evaluation.extrapolation import Outside
 from jaxnarx.evaluation.verdict import REMEDIES
@@ -81,7 +81,10 @@ LIMITS = {
     "learned": (made(*FINE, notes=("X DATA EQUALS ESTIMATION DATA",)), "trained on"),
     "no test": (made(row("train"), row("validate"), main="validate"), "no test data"),
     "constant": (made(row("train"), row("test", status="constant output")), "constant"),
-    "linear": (made(*FINE, beside={NAME: (row("test", nrmse=0.05),)}), "linear model"),
+    "linear": (
+        made(*FINE, beside={BASELINE_NAME: (row("test", nrmse=0.05),)}),
+        "linear model",
+    ),
     "strayed": (
         made(
             row("train"),
@@ -215,7 +218,9 @@ def test_without_test_data_the_records_left_out_judge():
 
 def test_a_linear_model_must_be_clearly_better():
     def beside(nrmse):
-        return made(*FINE, beside={NAME: (row("test", nrmse=nrmse),)}).verdict.level
+        return made(
+            *FINE, beside={BASELINE_NAME: (row("test", nrmse=nrmse),)}
+        ).verdict.level
 
     assert beside(0.099) == "good" and beside(0.097) == "usable with limits"
 

@@ -42,7 +42,7 @@ def test_the_largest_comes_first_with_its_time_bias_and_region(found):
         assert stretch.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
         assert np.sign(stretch.bias) == np.sign(size)
         assert stretch.region.startswith("a[t] near 0.5")
-    row = told.pooled("y")
+    row = told.pooled_row("y")
     assert told.worst[0].times == pytest.approx(told.worst[0].rmse / row.rmse)
 
 

@@ -16,7 +16,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.exporters import Instance, export, lower, maps, read_parameters
 from jaxnarx.exporters.dcm import dcm_files
-from jaxnarx.exporters.parameters import tables_of
+from jaxnarx.exporters.parameters import network_tables
 from jaxnarx.exporters.target import Files
 from jaxnarx.models import Network
 from jaxnarx.refinement import attach_certificate
@@ -128,7 +128,7 @@ def test_every_number_comes_back_and_no_other_moves(name):
     text = text_of(net)
     assert read_parameters(net, text) is net
     tables = {t.name: t.values for t in lower(net).tables}
-    assert tables.keys() == tables_of(net).keys()
+    assert tables.keys() == network_tables(net).keys()
     for kind, before in tables.items():
         assert before.size
         at = tuple(np.argwhere(before)[-1])
@@ -276,17 +276,17 @@ def test_what_is_known_of_the_training_is_no_parameter():
 def test_maps_go_over_inputs_that_are_named_or_matter():
     net = rising()
     program = lower(net)
-    assert maps.axes_of(net, program).tolist() == [[0, 1], [-1, -1]]
-    over = maps.axes_of(net, program, ("b", "a"))
+    assert maps.choose_axes(net, program).tolist() == [[0, 1], [-1, -1]]
+    over = maps.choose_axes(net, program, ("b", "a"))
     assert over.tolist() == [[1, 0], [1, 0]]
     turned, _ = maps.rest_maps(program, over)
-    right, other = maps.rest_maps(program, maps.axes_of(net, program))
+    right, other = maps.rest_maps(program, maps.choose_axes(net, program))
     np.testing.assert_allclose(turned.values.T, right.values, rtol=1e-12)
     assert [port.name for port in other.axes] == ["a", "b"]
     with pytest.raises(SpecError, match="over must name two inputs, got a"):
-        maps.axes_of(net, program, ("a",))
+        maps.choose_axes(net, program, ("a",))
     with pytest.raises(SpecError, match="unknown over 'c'"):
-        maps.axes_of(net, program, ("a", "c"))
+        maps.choose_axes(net, program, ("a", "c"))
 
 
 def test_an_input_that_was_never_moved_is_no_axis():
@@ -294,14 +294,14 @@ def test_an_input_that_was_never_moved_is_no_axis():
     low = np.asarray(net.low).copy()
     low[B] = net.high[B]
     program = lower(dataclasses.replace(net, low=jax.device_put(low)), "m")
-    found = maps.rest_maps(program, maps.axes_of(net, program))
+    found = maps.rest_maps(program, maps.choose_axes(net, program))
     assert [[p.name for p in one.axes] for one in found] == [["a"], ["a"]]
     assert found[0].values.shape == (maps.AXIS_POINTS,)
     instance = Instance(program)
     instance.settle(np.array([found[0].points[0][3], 5.0]))
     rest = instance.step(np.array([found[0].points[0][3], 5.0]))["outputs"]
     np.testing.assert_allclose([one.values[3] for one in found], rest, rtol=1e-8)
-    text = bytes_of(dcm_files(program, {"axes": maps.axes_of(net, program)}))
+    text = bytes_of(dcm_files(program, {"axes": maps.choose_axes(net, program)}))
     assert b"KENNLINIE m_rest_y 11\n" in text
 
 

@@ -21,7 +21,7 @@ from jaxnarx.exporters import ExportError, Instance, export, lower
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import pack
 from jaxnarx.exporters.interpret import STARTS
-from jaxnarx.exporters.proof import cases_of
+from jaxnarx.exporters.proof import make_cases
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import simulate
@@ -168,7 +168,7 @@ def test_the_same_model_makes_the_same_archive_and_another_one_another(tmp_path)
 
 def test_steps_are_the_free_run_from_measured_history(place, tmp_path):
     data, program = records(), lower(network())
-    case = cases_of(network(), program, data)[0]
+    case = make_cases(network(), program, data)[0]
     history = program.history
     unit = Importer(place)
     unit.enter()

@@ -21,13 +21,13 @@ from jaxnarx.exporters._export import write_files
 from jaxnarx.exporters.fmu import documentation
 from jaxnarx.exporters.fmu.prove import fmu_runner
 from jaxnarx.exporters.fmu.variables import quantities
-from jaxnarx.exporters.proof import cases_of
+from jaxnarx.exporters.proof import make_cases
 from jaxnarx.models import (
     LARGEST_INDEX,
     LINEAR,
     NAN,
+    input_memory,
     largest_sizes,
-    memory_of,
     set_nan_policy,
 )
 from jaxnarx.models.limits import overshoots
@@ -100,7 +100,7 @@ def test_a_spike_is_forgotten_within_the_memory():
         instance.start("mean", inputs[0])
         runs.append([instance.step(now)["outputs"][0] for now in inputs])
     clean, *others = np.array(runs)
-    behind = 20 + math.ceil(15 * memory_of(net))
+    behind = 20 + math.ceil(15 * input_memory(net))
     assert behind < 340
     for other in others:
         assert np.isfinite(other).all()
@@ -278,7 +278,7 @@ def test_the_limit_of_an_export_forgets_a_spike():
         instance.step(row)
         limits.append(float(instance.states["overshoot"]))
     np.testing.assert_allclose(limits, overshoots(net, u), rtol=1e-12)
-    assert limits[100] > 1e4 and limits[100 + 25 * math.ceil(memory_of(net))] < 1e-5
+    assert limits[100] > 1e4 and limits[100 + 25 * math.ceil(input_memory(net))] < 1e-5
 
 
 def test_limited_means_the_same_in_simulate_and_exports():
@@ -290,7 +290,7 @@ def test_limited_means_the_same_in_simulate_and_exports():
     data, program = hidden_problems.truth().data, lower(net)
     run = simulate(net, data).value
     seen = 0
-    for n, case in enumerate(cases_of(net, program, data)):
+    for n, case in enumerate(make_cases(net, program, data)):
         rows = told(program, case)
         first = program.history + net.window
         found = np.array([row["limited"] for row in rows])[net.window :]

@@ -17,7 +17,7 @@ from jaxnarx.exporters import Instance, export, lower, octave, runners
 from jaxnarx.exporters._export import write_files
 from jaxnarx.exporters.interpret import STARTS
 from jaxnarx.exporters.matlab import TAKEN_WORDS
-from jaxnarx.exporters.proof import cases_of
+from jaxnarx.exporters.proof import make_cases
 
 FIRST = np.array([0.7, 0.2])
 MEASURED = np.array([4.0])
@@ -153,7 +153,7 @@ def test_the_test_of_matlab_leaves_out_a_steady_state_that_is_far(monkeypatch):
     monkeypatch.setattr(octave, "octave", lambda: "octave")
     monkeypatch.setattr(octave, "run_octave", lambda *words: ran.append(words) or "")
     monkeypatch.setattr(octave, "worst", lambda *words: 0.0)
-    cases = cases_of(net, program, common.dataset((60,), seed=3))
+    cases = make_cases(net, program, common.dataset((60,), seed=3))
     _, left_out = octave.prove_matlab(program, Path("."), cases)
     assert len(ran) == 1 and "the start 'steady', which takes more than" in left_out[0]
     settled = written(common.named("one model"), "matlab")

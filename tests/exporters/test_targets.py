@@ -21,9 +21,9 @@ import jaxnarx as jnx
 from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import ExportError, Instance, export, lower, proof, runners
-from jaxnarx.exporters._export import TARGETS, golden_of
-from jaxnarx.exporters.maps import axes_of
-from jaxnarx.exporters.proof import Case, cases_of
+from jaxnarx.exporters._export import TARGETS, make_golden
+from jaxnarx.exporters.maps import choose_axes
+from jaxnarx.exporters.proof import Case, make_cases
 from jaxnarx.exporters.runners import c_runner
 from jaxnarx.models import (
     NAN,
@@ -145,7 +145,9 @@ def written(net, to: str = "c") -> dict[str, str | bytes]:
     network: a number type of C is not left out."""
     program, u = lower(net, "m"), common.signals(40)[:, :2]
     y = np.zeros((program.history + 1, len(program.computed)))
-    golden = golden_of(program, Case(u, y, u, 0)) | {"axes": axes_of(net, program)}
+    golden = make_golden(program, Case(u, y, u, 0)) | {
+        "axes": choose_axes(net, program)
+    }
     return TARGETS[to].write(program, golden)
 
 
@@ -161,7 +163,7 @@ def beside(net, data) -> float:
         rows = [instance.step(u)["outputs"] for u in inputs[program.history :]]
         return np.array(rows)
 
-    cases = cases_of(net, program, data)
+    cases = make_cases(net, program, data)
     assert len(cases) == len(data)
     return max(case.difference(run) for case in cases)
 
@@ -191,7 +193,7 @@ def told(program, case):
 def compare(net, data):
     """Outputs and flags of the form beside those of `simulate`."""
     data, program = gapped(net, data), lower(net)
-    cases = cases_of(net, program, data, missing="hold")
+    cases = make_cases(net, program, data, missing="hold")
     run = simulate(net, data, missing="hold").value
     assert len(cases) == len(data)
     for n, case in enumerate(cases):
@@ -255,12 +257,12 @@ def test_slopes_are_those_of_the_network():
     net = common.named("coupled, by own output")
     program = lower(net)
     data = common.dataset((30,), seed=4)
-    (case,) = cases_of(net, program, data)
+    (case,) = make_cases(net, program, data)
     instance = Instance(program)
     instance.begin(case.inputs[0], case.measured[0])
     for u, y in zip(case.inputs[: program.history], case.measured, strict=False):
         instance.observe(u, y)
-    needed = program.needed([n for row in program.jacobian for n in row])
+    needed = program.needed_operations([n for row in program.jacobian for n in row])
     values = instance._values(needed, case.inputs[program.history], np.zeros(0))
     found = np.array([[values[n] for n in row] for row in program.jacobian])
     drive = jax.tree.map(np.asarray, make_drive(net, stack_records(data)))
@@ -299,11 +301,11 @@ def test_every_target_is_the_network(name):
 def test_slopes_by_inputs_are_central_differences():
     net = narrowed(common.named("by inputs"), "linear")
     program = lower(net)
-    (case,) = cases_of(net, program, common.dataset((30,), seed=4))
+    (case,) = make_cases(net, program, common.dataset((30,), seed=4))
     instance = Instance(program)
     instance.begin(case.inputs[0], case.measured[0])
     u = np.array([0.3, 0.1])
-    needed = program.needed([*program.fed, *program.jacobian[0]])
+    needed = program.needed_operations([*program.fed, *program.jacobian[0]])
 
     def at(x):
         return instance._values(needed, x, np.zeros(0))
@@ -352,7 +354,7 @@ def test_a_file_that_does_something_else_is_found_out(tmp_path):
     for name, text in export(net, data, name="m").texts.items():
         (tmp_path / name).write_text(text.replace("exp(x)", "(1.0 + (x))"))
     run = c_runner(tmp_path, program, tmp_path, single=False)
-    (case,) = cases_of(net, program, data)
+    (case,) = make_cases(net, program, data)
     assert case.difference(run) > 1e-3
     compiler, program_file = runners.compiler(), tmp_path / "selftest"
     both = [tmp_path / "m.c", tmp_path / "m_selftest.c"]
@@ -418,7 +420,7 @@ def trusted():
 def test_index_and_intervals_are_those_of_the_network(trusted):
     net, data = trusted
     program = lower(net, level=0.9)
-    (case,) = cases_of(net, program, data)
+    (case,) = make_cases(net, program, data)
     instance = Instance(program)
     instance.begin(case.inputs[0], case.measured[0])
     for u, y in zip(case.inputs[: program.history], case.measured, strict=False):
@@ -460,7 +462,7 @@ def test_c_and_python_tell_index_and_intervals_as_the_form_does(trusted, tmp_pat
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     model, instance = module.Model(), Instance(program)
-    (case,) = cases_of(net, program, data)
+    (case,) = make_cases(net, program, data)
 
     def numbers(x):
         return (ctypes.c_double * len(x))(*x)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from search_problems import LENGTHS, explosive, plant
 
-from jaxnarx.data import groups, shortened
+from jaxnarx.data import groups, thin_records
 from jaxnarx.identification import cross_validate as module
 from jaxnarx.identification.cross_validate import HOPELESS_FACTORS, CrossValidation
 from jaxnarx.models._assemble import OUTPUT_MARGIN
@@ -116,7 +116,7 @@ def test_the_model_is_that_of_all_records_and_held(data, found):
 
 
 def test_long_records_train_by_stretches_and_are_held_to_all_that_is_known(data):
-    some = shortened(data, data.samples // 2)
+    some = thin_records(data, data.samples // 2)
     network = trained(METHOD, data, data.samples // 2)
     expected = trained(METHOD, some)
     (own,), (same,) = network.equations(), expected.equations()

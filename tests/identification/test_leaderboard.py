@@ -41,22 +41,22 @@ def test_worse_by_chance_is_near():
     assert other.free_run is not None and BEST.free_run is not None
     assert other.free_run > BEST.free_run
     assert board(BEST, other).best("y") == BEST
-    assert board(BEST, other).chosen("y") == other
+    assert board(BEST, other).choose("y") == other
 
 
 def test_of_equals_one_that_forgets_its_past_is_chosen():
     slow = row(2, (0.12, 0.38, 0.25, 0.91), 10, pole=1.019)
-    assert board(BEST, slow).chosen("y") == BEST
+    assert board(BEST, slow).choose("y") == BEST
     faster = dataclasses.replace(slow, pole=0.98)
-    assert board(BEST, faster).chosen("y") == faster
+    assert board(BEST, faster).choose("y") == faster
     alone = dataclasses.replace(BEST, pole=1.2)
-    assert board(alone, slow).chosen("y") == slow
+    assert board(alone, slow).choose("y") == slow
 
 
 def test_worse_everywhere_is_not_near_though_groups_differ_more():
     """By a little in every group: less than groups differ, but it is no chance."""
     other = row(2, (0.12, 0.41, 0.22, 0.91), 10, standard_error=0.5)
-    assert board(BEST, other).chosen("y") == BEST
+    assert board(BEST, other).choose("y") == BEST
 
 
 def paired(mine: Candidate, best: Candidate) -> bool:
@@ -77,7 +77,7 @@ def test_near_is_a_paired_difference_within_its_standard_error():
             continue
         told.append(paired(other, BEST))
         expected = other if told[-1] else BEST
-        assert board(BEST, other).chosen("y") == expected, n
+        assert board(BEST, other).choose("y") == expected, n
     assert 5 < sum(told) < len(told) - 5
 
 
@@ -86,42 +86,42 @@ def test_more_than_five_per_cent_are_no_chance():
     best = row(1, (0.1, 0.4), 100)
     other = row(2, (0.05, 0.44), 10)
     assert other.free_run and best.free_run and other.free_run > 1.05 * best.free_run
-    assert board(best, other).chosen("y") == best
+    assert board(best, other).choose("y") == best
 
 
 def test_of_those_near_the_cheapest_and_of_equal_ones_the_better():
     near = [row(n, (0.12, 0.38, 0.25, 0.905), cost) for n, cost in ((2, 50), (3, 20))]
     worse = row(4, (0.12, 0.38, 0.251, 0.905), 20)
-    assert board(BEST, *near, worse).chosen("y") == near[1]
+    assert board(BEST, *near, worse).choose("y") == near[1]
     # What has no number of operations is no bargain.
     unknown = dataclasses.replace(near[1], operations=None)
-    assert board(BEST, unknown).chosen("y") == BEST
+    assert board(BEST, unknown).choose("y") == BEST
 
 
 def test_groups_that_one_of_them_lacks_are_left_out():
     short = row(1, (0.10, 0.40), 100, groups=(0.10, None, 0.40, None))
     other = row(2, (0.11, 0.41), 10, groups=(0.11, 0.0, 0.41, 0.0))
-    assert board(short, other).chosen("y") == short
+    assert board(short, other).choose("y") == short
     # One pair has no spread: the standard error that the best tells of itself counts.
     alone = row(1, (0.4,), 100, groups=(0.4, None), standard_error=0.01)
     far = row(2, (0.411,), groups=(None, 0.1))
     close = row(2, (0.409,), groups=(None, 0.1))
-    assert board(alone, far).chosen("y") == alone
-    assert board(alone, close).chosen("y") == close
+    assert board(alone, far).choose("y") == alone
+    assert board(alone, close).choose("y") == close
 
 
 def test_share_is_within_five_per_cent():
     exact = row(1, (0.2,) * 4, 100)
     within, beyond = row(2, (0.2099,) * 4, 20), row(3, (0.2101,) * 4, 5)
-    assert board(exact, within, beyond, rule="share").chosen("y") == within
-    assert board(exact, beyond, rule="share").chosen("y") == exact
+    assert board(exact, within, beyond, rule="share").choose("y") == within
+    assert board(exact, beyond, rule="share").choose("y") == exact
     # By pairs neither would be near.
-    assert board(exact, within, beyond).chosen("y") == exact
+    assert board(exact, within, beyond).choose("y") == exact
 
 
 def test_best_is_the_smallest_error_whatever_it_costs():
     other = row(2, (0.12, 0.38, 0.25, 0.91), 1)
-    assert board(other, BEST, rule="best").chosen("y") == BEST
+    assert board(other, BEST, rule="best").choose("y") == BEST
 
 
 @pytest.mark.parametrize("rule", ["near", "share", "best"])
@@ -130,11 +130,11 @@ def test_vetoed_ones_are_never_chosen_and_come_last(rule):
     failed = row(3, (), 1, free_run=None, status="failed")
     skipped = row(4, (0.01,) * 4, 1, status="skipped")
     found = board(wild, failed, skipped, BEST, rule=rule)
-    assert found.chosen("y") == found.best("y") == BEST
+    assert found.choose("y") == found.best("y") == BEST
     assert found.of("y")[0] == BEST and len(found.of("y")) == 4
     nothing = board(wild, failed, skipped, rule=rule)
-    assert nothing.chosen("y") is None and nothing.best("y") is None
-    assert board(rule=rule).chosen("y") is None
+    assert nothing.choose("y") is None and nothing.best("y") is None
+    assert board(rule=rule).choose("y") is None
 
 
 def test_order_of_rows_does_not_matter():
@@ -146,7 +146,7 @@ def test_order_of_rows_does_not_matter():
     for turn in range(1, 5):
         turned = board(*rows[turn:], *rows[:turn])
         assert turned.of("y") == expected
-        assert turned.chosen("y") == board(*rows).chosen("y")
+        assert turned.choose("y") == board(*rows).choose("y")
 
 
 def test_outputs_are_ranked_apart():
@@ -155,8 +155,8 @@ def test_outputs_are_ranked_apart():
     assert (
         found.outputs == ["y", "w"] and len(found) == 2 and list(found) == [BEST, other]
     )
-    assert found.chosen("y") == BEST and found.chosen("w") == other
-    assert found.chosen("z") is None and found.of("z") == []
+    assert found.choose("y") == BEST and found.choose("w") == other
+    assert found.choose("z") is None and found.of("z") == []
 
 
 def test_worst_group():

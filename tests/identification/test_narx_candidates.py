@@ -7,7 +7,11 @@ import pytest
 from search_problems import plant
 
 from jaxnarx.data import Dataset
-from jaxnarx.identification.narx_candidates import LARGEST_POOL, pool_of, propose_narx
+from jaxnarx.identification.narx_candidates import (
+    LARGEST_POOL,
+    make_narx_pool,
+    propose_narx,
+)
 from jaxnarx.identification.pools import make_pool
 from jaxnarx.partition import DataProfile
 from jaxnarx.regressors import Pool, parse_variable
@@ -44,7 +48,7 @@ def test_every_candidate_has_a_name_and_more_terms_to_choose_from_than_it_takes(
 
 
 def test_lags_begin_at_the_dead_time_beside_a_recent_one():
-    pool = pool_of(plant(2), LOOK, 2, 2)
+    pool = make_narx_pool(plant(2), LOOK, 2, 2)
     assert pool is not None
     assert pool.variable_names == ["u[t-1]", "u[t-3]", "u[t-4]", "w[t-1]", "w[t-2]"]
     assert pool.outputs == (1,) and pool.degree == 2

@@ -26,7 +26,7 @@ def network():
 
 def test_a_candidate_comes_back_as_it_was(tmp_path, network):
     folder = open_search(tmp_path / "run", KEY, EMPTY)
-    folder = folder.added(row(2), network).added(row(4), None)
+    folder = folder.add(row(2), network).add(row(4), None)
     for found in (read_search(tmp_path / "run"), open_search(folder.path, KEY, EMPTY)):
         assert found.leaderboard == Leaderboard(
             (row(2), row(4)), EMPTY.group_names, "best"
@@ -42,9 +42,9 @@ def test_a_candidate_comes_back_as_it_was(tmp_path, network):
 
 
 def test_a_number_tried_again_takes_the_place_of_the_first(tmp_path):
-    folder = open_search(tmp_path, KEY, EMPTY).added(row(4), None)
+    folder = open_search(tmp_path, KEY, EMPTY).add(row(4), None)
     other = dataclasses.replace(row(4), name="other")
-    assert folder.added(other, None).leaderboard.rows == (other,)
+    assert folder.add(other, None).leaderboard.rows == (other,)
 
 
 def test_another_key_is_refused_by_name(tmp_path):
@@ -55,13 +55,13 @@ def test_another_key_is_refused_by_name(tmp_path):
 
 def test_figures_beyond_all_numbers_are_none_in_the_file(tmp_path):
     wild = dataclasses.replace(row(1), groups=(math.inf, 0.1), one_step=math.nan)
-    found = open_search(tmp_path, KEY, EMPTY).added(wild, None).leaderboard.rows[0]
+    found = open_search(tmp_path, KEY, EMPTY).add(wild, None).leaderboard.rows[0]
     assert found.groups == (None, 0.1) and found.one_step is None
     assert read_search(tmp_path).leaderboard.rows == (found,)
 
 
 def test_a_candidate_whose_model_is_gone_is_tried_again(tmp_path, network):
-    folder = open_search(tmp_path, KEY, EMPTY).added(row(1), network)
+    folder = open_search(tmp_path, KEY, EMPTY).add(row(1), network)
     folder.model_path(2).unlink()
     assert not len(open_search(tmp_path, KEY, EMPTY).leaderboard)
     assert len(read_search(tmp_path).leaderboard) == 1
@@ -70,7 +70,7 @@ def test_a_candidate_whose_model_is_gone_is_tried_again(tmp_path, network):
 @pytest.mark.parametrize("damage", ["cut", "empty", "list", "key", "newer"])
 def test_a_damaged_record_is_one_sentence(tmp_path, damage):
     for one in board("y"):
-        open_search(tmp_path, KEY, EMPTY).added(one, None)
+        open_search(tmp_path, KEY, EMPTY).add(one, None)
     path = tmp_path / "search.json"
     text = path.read_text()
     told = json.loads(text) | {"format": 99}
@@ -99,7 +99,7 @@ def test_a_damaged_record_is_one_sentence(tmp_path, damage):
     ],
 )
 def test_a_row_that_cannot_be_is_named_with_its_field(tmp_path, spoilt, said):
-    open_search(tmp_path, KEY, EMPTY).added(row(0), None).added(row(1), None)
+    open_search(tmp_path, KEY, EMPTY).add(row(0), None).add(row(1), None)
     path = tmp_path / "search.json"
     told = json.loads(path.read_text())
     told["rows"][1] |= spoilt
@@ -109,7 +109,7 @@ def test_a_row_that_cannot_be_is_named_with_its_field(tmp_path, spoilt, said):
 
 
 def test_a_model_of_another_output_is_refused(tmp_path, network):
-    folder = open_search(tmp_path, KEY, EMPTY).added(row(1, output="w"), network)
+    folder = open_search(tmp_path, KEY, EMPTY).add(row(1, output="w"), network)
     with pytest.raises(DataFileError, match="candidate 2 is of w, but its model .* y"):
         folder.network(2)
 

@@ -85,7 +85,7 @@ def test_the_choice_is_the_best_by_the_rule(whole):
     folder, found = whole
     board = board_of(found)
     assert found.is_okay and board.rule == "near" and len(board) >= 13
-    chosen = board.chosen("y")
+    chosen = board.choose("y")
     assert chosen is not None and chosen.family == "shared feedback"
     assert found.value.hold is not None and found.value.output_names == ["y"]
     kept = read_search(folder)
@@ -113,7 +113,7 @@ def test_the_model_knows_where_it_has_been_and_that_it_is_stable(whole):
 
 def test_what_it_tells_of_records_left_out_is_about_so_on_new_ones(whole):
     _, found = whole
-    chosen = board_of(found).chosen("y")
+    chosen = board_of(found).choose("y")
     (fresh,) = plant(1, (*LENGTHS, 400)).records[4:]
     data = dataclasses.replace(plant(), records=(fresh,))
     run = jnx.simulate(found.value, data).value
@@ -204,7 +204,7 @@ def test_events_tell_how_far_it_is(tiny):
     assert all(event["verb"] == "search" for event in told)
     for event in after:
         sofar = Leaderboard(tuple(rows[: event["done"]]), board_of(found).group_names)
-        assert event["chosen"] == sofar.chosen("y")
+        assert event["chosen"] == sofar.choose("y")
     before = [event for event in told if "trying" in event]
     assert before[0]["trying"].name == ""
     assert before[1]["trying"].name == "the next behind constant"
@@ -246,7 +246,7 @@ def test_where_all_are_vetoed_the_mean_is_given_with_its_reason(monkeypatch):
     monkeypatch.setattr(ClosedForm, "diverged", lambda one: 2)
     found = jnx.identify(plant(), preset="linear")
     assert found.status_name == "diverged" and "y diverges" in found.detail
-    assert board_of(found).chosen("y") is None and len(board_of(found)) == LINEAR
+    assert board_of(found).choose("y") is None and len(board_of(found)) == LINEAR
     assert found.value.history == 0, "the mean"
     run = jnx.simulate(found.value, plant())
     assert run.is_okay and np.ptp(run.value.outputs[0]) < 1e-9
@@ -335,7 +335,7 @@ def test_side_by_side_is_one_by_one(alone, monkeypatch):
         assert a.free_run == pytest.approx(b.free_run, rel=1e-6)
         assert a.operations == b.operations
     for output in ("y", "w"):
-        one, two = (board_of(f).chosen(output) for f in (found, alone))
+        one, two = (board_of(f).choose(output) for f in (found, alone))
         assert one is not None and two is not None and one.name == two.name
     for a, b in zip(
         jnx.simulate(found.value, plant(2)).value.outputs,

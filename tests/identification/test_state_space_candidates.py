@@ -19,7 +19,7 @@ from jaxnarx.identification.candidates import CandidateSearch
 from jaxnarx.identification.cross_validate import CrossValidation
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.state_space_candidates import (
-    FAMILY,
+    FAMILY_NAME,
     FEW_INPUTS,
     IN_REGIONS,
     MANY_INPUTS,
@@ -60,7 +60,7 @@ def sizes(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
 def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
     data, seen = plant(2), []
     for family, names, method in propose_state_space(data, "y", TINY):
-        assert family == FAMILY and method.outputs == ("y",)
+        assert family == FAMILY_NAME and method.outputs == ("y",)
         assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS_TRIED)
         for name, (regions, pull) in zip(names, method.stages, strict=True):
             kind = f"degree {method.degree}" if regions == 1 else f"{regions} regions"
@@ -230,7 +230,7 @@ def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
     assert [row.status for row in rows] == [
         "skipped" if error is None else "ok" for error in (*first, *second)
     ]
-    assert {row.family for row in rows} == {FAMILY}
+    assert {row.family for row in rows} == {FAMILY_NAME}
     assert [row.name for row in rows] == sum(expected, [])
     assert [m.regions for m in asked["asked"]] == [1, 3]
     assert all(row.seconds is not None for row in rows)
@@ -405,7 +405,7 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
 
     def stop(event):
         row = event.get("row")
-        if row is not None and row.family == FAMILY and row.name.endswith("0.001"):
+        if row is not None and row.family == FAMILY_NAME and row.name.endswith("0.001"):
             raise KeyboardInterrupt
 
     folder = tmp_path / "run"
@@ -413,7 +413,7 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
     assert cut.status_name == "budget_spent" and asked == [(1, 2, 1)]
     done = jnx.identify(plant(), preset="tiny", folder=folder)
     assert done.is_okay and asked == [(1, 2, 1), (1, 1, 3)]
-    rows = [row for row in done.stats["leaderboard"] if row.family == FAMILY]
+    rows = [row for row in done.stats["leaderboard"] if row.family == FAMILY_NAME]
     names = [names for _, names, _ in propose_state_space(plant(), "y", few)][:2]
     assert [row.name for row in rows] == sum(names, [])
     assert len({row.number for row in rows}) == len(rows)

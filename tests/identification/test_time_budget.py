@@ -31,10 +31,10 @@ def test_time_left_is_told_by_what_outputs_took():
     shares = TimeBudget(1000.0, 4, 2)
     shares.begin("a", 0.0)
     shares.begin("b", 0.0)
-    assert shares.left(5.0) is None
+    assert shares.seconds_left(5.0) is None
     shares.finish("a", 10.0)
     shares.begin("c", 10.0)
     # b is over its time, c needs all of it, and one waits: 20 s of work for two.
-    assert shares.left(10.0) == pytest.approx(10.0)
+    assert shares.seconds_left(10.0) == pytest.approx(10.0)
     shares.finish("b", 30.0)
-    assert shares.left(30.0) == pytest.approx((0.0 + 20.0) / 2)
+    assert shares.seconds_left(30.0) == pytest.approx((0.0 + 20.0) / 2)

@@ -11,7 +11,7 @@ import pytest
 from inverse_problems import plant, recorded
 
 from jaxnarx.arrays import evaluate_at
-from jaxnarx.arrays.programs import plain
+from jaxnarx.arrays.programs import strip_names
 from jaxnarx.errors import SpecError
 from jaxnarx.inverse import cascade, compensate
 from jaxnarx.inverse.loop import connect
@@ -36,7 +36,7 @@ def problem(case):
     layout = make_layout(inverse, None, (0.5, 2.0))
     task = make_task(loop, clean)
     spread = spreads(loop, task)
-    return plain(tracking_problem(loop, layout, task, spread, 0.01)), layout
+    return strip_names(tracking_problem(loop, layout, task, spread, 0.01)), layout
 
 
 def test_the_gradient_equals_central_differences(problem):

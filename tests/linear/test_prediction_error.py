@@ -26,7 +26,7 @@ from jaxnarx.linear import fit_linear, innovations
 from jaxnarx.linear.prediction_error import PredictionErrorProblem
 from jaxnarx.linear.recursion import Signals, residuals, states
 from jaxnarx.linear.stability import radius, reflect_roots
-from jaxnarx.linear.structure import structure_of
+from jaxnarx.linear.structure import make_structure
 from jaxnarx.settings.linear import ARMAX, ARX, FIR, BoxJenkins, OutputError
 from jaxnarx.solution import RESULTS
 
@@ -107,7 +107,7 @@ def test_standard_errors_of_searches_are_those_of_repetition(kind):
 def scaled_problem(kind: str, seed: int = 1):
     """A problem of unit size with some samples unknown, and a vector to stand at."""
     data = records(kind, (seed, seed + 1), SAMPLES)
-    structure = structure_of(SETTINGS[kind], data.channels)
+    structure = make_structure(SETTINGS[kind], data.channels)
     u = np.stack([r.u for r in data])
     y = np.stack([r.y[:, 0] for r in data])
     known = np.ones(y.shape, bool)

@@ -20,13 +20,13 @@ from jaxnarx.models import (
     LINEAR,
     NAN,
     advance,
-    fed_back,
+    fed_back_variables,
     hold_to_range,
     report_outputs,
     run_record,
 )
 from jaxnarx.models.limits import overshoots
-from jaxnarx.models.missing import memory_of
+from jaxnarx.models.missing import input_memory
 from jaxnarx.simulation import make_drive, run
 from jaxnarx.simulation.masks import first_anchor, make_masks
 
@@ -48,7 +48,7 @@ def by_hand(net, rows, outside):
         seen[:, [A, B]] = np.clip(rows[:, [A, B]], LOW[:2], HIGH[:2])
     lower, upper = np.asarray(net.lower), np.asarray(net.upper)
     dense = [np.asarray(model.local.dense()) for model in net.models]
-    fed = {row for row, *_ in fed_back(net.variables, net.signals)}
+    fed = {row for row, *_ in fed_back_variables(net.variables, net.signals)}
     y = np.array(rows[:, own] / gain[own])
     for t in range(net.history, len(rows)):
         now = []
@@ -127,7 +127,7 @@ def test_one_step_is_a_step_of_the_run():
     masks = make_masks(net, batch, net.window)
     y = np.asarray(run(net, drive, jax.device_put(first_anchor(masks))))[0]
     v, x = jax.tree.map(lambda a: np.asarray(a)[0], (drive.v, drive.x))
-    lags = max(d for _, _, d in fed_back(net.variables, net.signals)) + 1
+    lags = max(d for _, _, d in fed_back_variables(net.variables, net.signals)) + 1
     step = jax.jit(partial(advance, net))
     for t in (20, 40):
         history = np.stack([y[t - 1 - d] for d in range(lags)], axis=1)
@@ -162,7 +162,7 @@ def test_outputs_may_leave_their_range_as_far_as_inputs_have_left_theirs():
     inputs = np.array([[0.0, 0.0], [1.25, 0.0], [0.0, 0.0], [0.0, -1.7], [2.0, 0.0]])
     net = ranged("coupled", FLAG)
     # widths are 2.5 and 0.7: beyond by 0.1, then 2.0, then 0.4 of them
-    fade = np.exp(-1 / memory_of(net))
+    fade = np.exp(-1 / input_memory(net))
     farthest = np.array([0.0, 0.1, 0.1 * fade, 2.0, 2.0 * fade])
     np.testing.assert_allclose(overshoots(net, inputs), farthest, atol=1e-12)
     assert np.all(overshoots(ranged("coupled", HOLD), inputs) == 0)
@@ -181,7 +181,7 @@ def test_a_spike_of_an_input_widens_the_limit_for_the_memory_only():
     inputs = np.zeros((1000, 2))
     inputs[100] = 1e5
     far = overshoots(net, inputs)
-    memory = memory_of(net)
+    memory = input_memory(net)
     assert memory == 10 * net.history and np.all(far[:100] == 0) and far[100] > 1e4
     assert np.all(far[100 + int(25 * memory) :] < 1e-5)
     y = np.full((1000, 2), 50.0)

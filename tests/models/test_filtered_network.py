@@ -138,7 +138,7 @@ def test_refinement_brings_disturbed_coefficients_back(network, train, new):
 
 def test_a_report_can_be_made(network, train, new):
     found = report(network, {"train": train, "test": new})
-    assert found.pooled("y", part="test").fit == pytest.approx(100, abs=1e-4)
+    assert found.pooled_row("y", part="test").fit == pytest.approx(100, abs=1e-4)
 
 
 # with feedback, local models and scheduling ---------------------------------------

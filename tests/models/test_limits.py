@@ -53,12 +53,12 @@ def test_a_margin_is_finite_and_not_negative(margin):
 def test_inputs_are_held_and_outputs_seen_as_they_are():
     rows = common.signals(60)
     given = jax.device_put(rows)
-    np.testing.assert_array_equal(ranged().within(given), clipped(rows))
+    np.testing.assert_array_equal(ranged().hold_inputs(given), clipped(rows))
     assert np.any(clipped(rows) != rows)
-    assert ranged(margin=None).within(given) is given
+    assert ranged(margin=None).hold_inputs(given) is given
     # Some signals alone, in another order.
     some = np.array([Y, B, B])
-    seen = ranged().within(given[:, some], some)
+    seen = ranged().hold_inputs(given[:, some], some)
     np.testing.assert_array_equal(seen, clipped(rows)[:, some])
 
 
@@ -66,7 +66,7 @@ def test_the_slope_by_an_input_is_one_up_to_the_edge_and_zero_beyond():
     at = [LOW[A] - 1e-3, LOW[A], 0.0, HIGH[A], HIGH[A] + 1e-3]
     rows = jnp.asarray([[a, 0.0, 0.0, 0.0] for a in at])
     held = ranged()
-    slope = jax.grad(lambda rows: held.within(rows)[:, A].sum())(rows)[:, A]
+    slope = jax.grad(lambda rows: held.hold_inputs(rows)[:, A].sum())(rows)[:, A]
     np.testing.assert_array_equal(slope, [0, 1, 1, 1, 0])
 
 
@@ -111,7 +111,7 @@ def test_two_values_stay_and_a_constant_is_held_at_its_value():
     low, high = jax.device_put((np.array([0.0, 3.0, 7, 0]), np.array([1.0, 3.0, 7, 9])))
     network = dataclasses.replace(ranged(), low=low, high=high)
     rows = jnp.asarray([[0.0, 2.0, 6.0, 0.0], [1.0, 5.0, 8.0, 0.0]])
-    seen = network.within(rows)
+    seen = network.hold_inputs(rows)
     np.testing.assert_array_equal(seen[:, :2], [[0.0, 3.0], [1.0, 3.0]])
     value, mask = report_outputs(
         network, np.array([[6.0, 0.0], [7.0, 0.0], [8.0, 0.0]])

@@ -20,7 +20,7 @@ from jaxnarx.models import (
     collapse,
     collapses,
     depth,
-    fed_back,
+    fed_back_variables,
     general_step,
     respond,
     run_record,
@@ -310,7 +310,11 @@ def test_many_feedback_monomials_do_not_collapse():
 
 def test_what_is_fed_back():
     net = common.named("coupled")
-    assert fed_back(net.variables, net.signals) == [(2, 0, 0), (3, 0, 1), (4, 1, 0)]
+    assert fed_back_variables(net.variables, net.signals) == [
+        (2, 0, 0),
+        (3, 0, 1),
+        (4, 1, 0),
+    ]
     assert depth(net) == 2
     assert (
         depth(common.network([common.Part([[((1,), 1.0)]])], variables=((0, 3),))) == 1
@@ -370,7 +374,7 @@ def test_every_path_is_the_plain_free_run(kind, bound):
 def test_the_collapsed_drive_holds_no_measured_output():
     net = common.named("coupled")
     v, x, _ = record_args("coupled")
-    rows = [row + 1 for row, _, _ in fed_back(net.variables, net.signals)]
+    rows = [row + 1 for row, _, _ in fed_back_variables(net.variables, net.signals)]
     spoilt = v.at[np.array(rows)].set(1e6)
     compiled = eqx.filter_jit(collapse)
     np.testing.assert_array_equal(compiled(net, v, x), compiled(net, spoilt, x))

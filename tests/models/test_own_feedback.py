@@ -21,7 +21,7 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import ModelFileError
 from jaxnarx.models import Network, advance, load, save
 from jaxnarx.refinement import refine, stability
-from jaxnarx.refinement._stability.points import jacobians, points_of
+from jaxnarx.refinement._stability.points import choose_points, jacobians
 from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.refinement.training_data import make_task
@@ -223,7 +223,7 @@ def test_poles_and_contraction_are_those_of_the_whole_state():
     masks, drive = make_masks(net, batch), make_drive(net, batch)
     every = np.asarray(states(net, drive, jnp.asarray(first_anchor(masks))))
     assert every.shape[2] == 1 + 3
-    points = points_of(net, drive, masks, count=6, outputs=every)
+    points = choose_points(net, drive, masks, count=6, outputs=every)
     slopes, h = jacobians(net, points), 1e-6
     step, history = jax.jit(partial(advance, net)), np.asarray(points.history)
     for i, d in np.ndindex(4, 2):

@@ -21,10 +21,10 @@ from jaxnarx.models import (
     NAN,
     OUTSIDE,
     OUTSIDE_WORDS,
+    describe_limits,
     describe_missing,
     describe_policies,
     hold_to_range,
-    limits_of,
     set_bounds,
     set_nan_policy,
 )
@@ -119,7 +119,7 @@ def test_inputs_do_what_the_sentence_says(kind, outside):
     if outside == LINEAR and found == FLAG:
         # What is of first order everywhere goes on as it is.
         found = LINEAR
-    assert limits_of(net)[0].startswith(OUTSIDE_WORDS[found].sentence)
+    assert describe_limits(net)[0].startswith(OUTSIDE_WORDS[found].sentence)
     others = [w.sentence for name, w in OUTSIDE_WORDS.items() if name != found]
     text = " ".join(describe_policies(net))
     assert not any(sentence in text for sentence in others)
@@ -238,7 +238,7 @@ def test_measured_outputs_that_it_looks_at_are_never_held():
         runs = [simulate(held, common.from_rows([r])).value for r in (rows, beyond)]
         one, two = (r.computed[0] for r in runs)
         taken = not np.allclose(one, two)
-        said = "Measured w is taken as measured" in limits_of(held)[0]
+        said = "Measured w is taken as measured" in describe_limits(held)[0]
         assert taken and said == (outside in (HOLD, LINEAR))
 
 
@@ -254,7 +254,7 @@ def test_a_report_and_its_page_say_the_same(outside):
     assert found.summary.where[0].endswith(f"{words.behind_ranges}.")
     (note,) = [n for n in found.notes if "lie outside the range" in n]
     assert words.behind_share in note
-    row = found.pooled("y")
+    row = found.pooled_row("y")
     share = simulate(net, records(INPUTS)).value.extrapolated[0][net.before :].mean()
     assert row.share_outside == pytest.approx(share) and share > 0.2
     inside = f"{100 * (1 - share):.3g} % of the data samples lie within"

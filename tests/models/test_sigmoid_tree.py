@@ -140,7 +140,7 @@ def test_slopes(spare):
     z = device(points()[:, :20])
 
     def at(values):
-        return score(shape.replaced(values), z, on)
+        return score(shape.replace_parameters(values), z, on)
 
     found, slow = jax.jit(jax.grad(at))(shape.parameters), jax.jit(at)
     values = [np.asarray(v) for v in shape.parameters]
@@ -167,7 +167,9 @@ def test_slopes_are_finite_far_away_and_for_stiff_gates():
     shape, on = tree(spare=SPARE), active(SPARE)
     stiffness = np.asarray(shape.log_steepness) + 40
     stiff = of(shape.direction, shape.border, stiffness, shape.path)
-    slope = jax.jit(lambda v, z: jax.grad(lambda v: score(shape.replaced(v), z, on))(v))
+    slope = jax.jit(
+        lambda v, z: jax.grad(lambda v: score(shape.replace_parameters(v), z, on))(v)
+    )
     for one in (shape, stiff):
         for leaf in slope(one.parameters, 1e3 * points()):
             assert np.all(np.isfinite(leaf))

@@ -413,7 +413,7 @@ def test_a_task_without_a_group_neither_starts_from_it_nor_scores_it(lengths):
         return np.stack([np.pad(m, (0, time - len(m))) for m in masks])
 
     for g, (rest, own) in enumerate(split_folds(task, found, net.history)):
-        out = stacked(found.left_out(g))
+        out = stacked(found.held_out_samples(g))
         label = stacked([label == g for label in found.labels])
         for part in (rest, own):
             weight = np.asarray(part.weight)
@@ -442,7 +442,7 @@ def test_a_loss_without_a_group_knows_nothing_of_it():
     u = jnp.asarray(layout.gather(net))
     rows = [common.rows_of(data, n) for n in range(2)]
     for n, r in enumerate(rows):
-        r[found.left_out(1)[n], Y:] += 7.0
+        r[found.held_out_samples(1)[n], Y:] += 7.0
     losses = []
     for one in (data, common.from_rows(rows)):
         task, _ = make_task(net, one)

@@ -41,7 +41,7 @@ from jaxnarx.models import Network
 from jaxnarx.refinement import refine
 from jaxnarx.settings import PredictionError, SimulationError
 from jaxnarx.simulation import simulate
-from jaxnarx.solution import NAMES, Solution
+from jaxnarx.solution import STATUS_NAMES, Solution
 
 QUICK = {"horizons": (6,), "max_steps": 2, "window_steps": 2}
 
@@ -87,14 +87,14 @@ class Cliff(AbstractProblem):
 def first_step(problem: Cliff) -> LevenbergState:
     one = eqx.filter_jit(Levenberg(problem).step)
     start = one(begin_levenberg(np.zeros(1)))
-    assert start.status == NAMES.index("ok") and start.linear.loss == 9.0
+    assert start.status == STATUS_NAMES.index("ok") and start.linear.loss == 9.0
     return one(start)
 
 
 @pytest.mark.parametrize("beyond", [np.inf, np.nan, 1e6])
 def test_a_step_that_diverges_is_rejected_and_damped(beyond):
     state = first_step(Cliff(1.0, beyond))
-    assert state.status == NAMES.index("ok")
+    assert state.status == STATUS_NAMES.index("ok")
     # The undamped step leads to 3, over the cliff; a shorter one was accepted.
     assert state.tried > 1
     assert 0.0 < state.u[0] <= 1.0
@@ -104,7 +104,7 @@ def test_a_step_that_diverges_is_rejected_and_damped(beyond):
 
 def test_damping_at_its_limit_stalls_where_the_search_stood():
     state = first_step(Cliff(0.0, np.nan))
-    assert state.status == NAMES.index("stalled")
+    assert state.status == STATUS_NAMES.index("stalled")
     assert state.damping > DAMPING_LIMIT
     np.testing.assert_array_equal(state.u, np.zeros(1))
 

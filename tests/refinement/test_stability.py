@@ -27,7 +27,7 @@ from jaxnarx.refinement._stability import (
 from jaxnarx.refinement._stability.bound import ALL_WORDS, RUN_WORDS
 from jaxnarx.refinement._stability.hull import hull, power, product
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
-from jaxnarx.refinement._stability.points import companion, jacobians, points_of
+from jaxnarx.refinement._stability.points import choose_points, companion, jacobians
 from jaxnarx.refinement.layout import make_layout
 from jaxnarx.simulation import first_anchor, make_drive, make_masks, run
 
@@ -265,7 +265,7 @@ def test_a_model_without_feedback_forgets_at_once():
 @pytest.mark.parametrize("kind", ["coupled", "by own output"])
 def test_jacobians_are_those_of_the_general_step(kind):
     net = common.named(kind)
-    points = points_of(net, *prepared(net), count=60)
+    points = choose_points(net, *prepared(net), count=60)
     step, params = general_step(net), eqx.filter(net, eqx.is_array)
     drive = (points.v.T, tuple(x.T for x in points.x))
     slope = jax.jit(jax.vmap(jax.jacfwd(lambda h, d: step(params, d, h))))
@@ -276,7 +276,7 @@ def test_jacobians_are_those_of_the_general_step(kind):
 @pytest.mark.parametrize("kind", ["coupled", "by inputs"])
 def test_the_interval_of_a_holds_every_history_of_the_box(kind):
     net = common.named(kind, bound=1.5)
-    points = points_of(net, *prepared(net), count=60)
+    points = choose_points(net, *prepared(net), count=60)
     centre, radius = hull(net, points)  # pyright: ignore[reportGeneralTypeIssues]
     corners = itertools.product((-1.5, 1.5), repeat=points.history[0].size)
     boxes = [np.reshape(c, points.history.shape[1:]) for c in corners]

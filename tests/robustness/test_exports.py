@@ -26,7 +26,7 @@ from jaxnarx.data import Channel, Channels
 from jaxnarx.exporters import export, lower, octave, runners
 from jaxnarx.exporters.fmu.prove import fmu_runner
 from jaxnarx.exporters.target import as_bytes
-from jaxnarx.models import NAN, OUTSIDE, memory_of, set_nan_policy
+from jaxnarx.models import NAN, OUTSIDE, input_memory, set_nan_policy
 
 pytestmark = [
     pytest.mark.slow,
@@ -136,7 +136,7 @@ def test_c_flags_what_is_missing_and_recovers(battery, tmp_path):
             began = gone[: t + 1].all()
             assert told["missing"][t] == count or began
             assert told["invalid"][t] == (count >= 4 or began), t
-        behind = 300 + math.ceil(15 * memory_of(net))
+        behind = 300 + math.ceil(15 * input_memory(net))
         np.testing.assert_allclose(y[behind:], other[behind:], atol=1e-3)
 
     fewer(battery, 6).run(attempt, seconds=120, megabytes=800)

@@ -131,7 +131,7 @@ def test_a_search_goes_on_where_the_damage_allows(damage, battery, tmp_path):
     sound = tmp_path / "sound"
     store = open_search(sound, key, Leaderboard((), NAMES))
     for row in board("y"):
-        store = store.added(row, network if row.eligible else None)
+        store = store.add(row, network if row.eligible else None)
 
     def attempt(rng):
         place = tmp_path / "x"
@@ -140,11 +140,11 @@ def test_a_search_goes_on_where_the_damage_allows(damage, battery, tmp_path):
         damage(place / "search.json", rng)
         found = open_search(place, key, Leaderboard((), NAMES))
         numbers = [row.number for row in found.leaderboard]
-        after = found.added(board("y").rows[0], None)
+        after = found.add(board("y").rows[0], None)
         assert len(set(numbers)) == len(numbers)
         for output in after.leaderboard.outputs:
             str(after.leaderboard)
-            if (chosen := after.leaderboard.chosen(output)) is not None:
+            if (chosen := after.leaderboard.choose(output)) is not None:
                 with_model = after.model_path(chosen.number).is_file()
                 assert (
                     not with_model

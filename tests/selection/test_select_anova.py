@@ -37,7 +37,7 @@ def test_the_pool_shrinks_to_what_acts_and_the_terms_are_found_in_it():
     assert len(names) < len(pool_of(data)) / 2
     (table,) = solution.stats["anova"]
     assert table.of("a[t-1]", "b[t]").significant
-    chosen = select(solution.value.narrowed(), data, StepwiseF()).value
+    chosen = select(solution.value.narrow_pool(), data, StepwiseF()).value
     assert set(chosen.names) == {"1", "c[t]", "a[t-1]*b[t]"}
 
 

@@ -143,7 +143,7 @@ def test_what_cannot_be_chosen_by_is_refused(solution, data):
 
 
 def test_a_narrowed_pool_holds_the_chosen_terms(solution, data):
-    narrow = solution.value.narrowed()
+    narrow = solution.value.narrow_pool()
     assert set(narrow.names) == set(solution.value.names)
     again = select(narrow, data, METHOD).value
     assert again.names == solution.value.names

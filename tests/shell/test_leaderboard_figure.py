@@ -71,7 +71,7 @@ def test_errors_stand_over_parameters_too():
     (axes,) = jnx.plot.leaderboard(found, by="parameters").axes
     assert axes.get_xlabel().startswith("parameters")
     by_label = {line.get_label(): line for line in axes.lines}
-    chosen = found.chosen("y")
+    chosen = found.choose("y")
     assert chosen is not None
     at = by_label[f"in use: {chosen.number}"].get_xdata()
     assert list(np.asarray(at)) == [chosen.parameters]

@@ -21,7 +21,7 @@ from jaxnarx.evaluation.residual_tests.diagnostics import (
     Diagnostics,
     OutputDiagnostics,
 )
-from jaxnarx.evaluation.residual_tests.operating_point import by_operating_point
+from jaxnarx.evaluation.residual_tests.operating_point import bin_by_operating_point
 from jaxnarx.evaluation.residual_tests.residual import make_residual
 from jaxnarx.evaluation.residual_tests.scalar_tests import ljung_box
 from jaxnarx.shell.figures import residuals
@@ -43,7 +43,7 @@ def one() -> OutputDiagnostics:
         input_correlation(residual, u, known, signal=EVIL),
         *higher_order(residual, u, known, e, signal=EVIL),
     )
-    point = by_operating_point(residual, np.roll(u[0], 1), variable=EVIL, unit="V")
+    point = bin_by_operating_point(residual, np.roll(u[0], 1), variable=EVIL, unit="V")
     assert point is not None
     return OutputDiagnostics(
         output=Channel("NOx", "ppm"),

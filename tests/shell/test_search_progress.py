@@ -29,7 +29,7 @@ def test_where_no_line_is_written_one_says_what_is_tried():
     with _CandidateLines(said.append).beating(0.02) as lines:
         lines(event | {"trying": Trying("LOLIMOT", "3 models", 2, 4)})
         end = time.monotonic() + 5
-        while not said and time.monotonic() < end:
+        while not any("torque" in line for line in said) and time.monotonic() < end:
             time.sleep(0.01)
     told = "torque, candidate 12: LOLIMOT, 3 models (group 2 of 4 left out), so far"
     assert told in said[-1]

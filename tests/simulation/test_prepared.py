@@ -259,7 +259,7 @@ def test_a_fleet_is_a_loop_over_its_members(name):
             np.testing.assert_array_equal(
                 every.scored[n, r, same], alone.scored[r, same]
             )
-    too_short = solution.NAMES.index("too_short")
+    too_short = solution.STATUS_NAMES.index("too_short")
     np.testing.assert_array_equal(np.asarray(status)[2], [too_short] * len(ours))
     assert np.asarray(status)[0, 0] == 0 and np.asarray(status)[1, 1] == too_short
     assert np.all(np.isfinite(free)) and not every.scored[2].any()

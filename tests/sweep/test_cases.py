@@ -8,7 +8,7 @@ import pytest
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import Identification
 from jaxnarx.settings.tree import replace_at
-from jaxnarx.sweep.cases import grid_cases, label_of, random_cases
+from jaxnarx.sweep.cases import grid_cases, random_cases, setting_label
 
 
 def test_a_grid_is_the_product_with_the_last_path_fastest():
@@ -47,7 +47,7 @@ def test_labels_are_plain_scalars():
         Identification(), {"pool.input_lags": {"a": (1, 2)}, "refine": "none"}
     )
     paths = ("pool.input_lags", "pool.output_lags", "select", "refine", "grow.k_sigma")
-    labels = {path: label_of(method, path) for path in paths}
+    labels = {path: setting_label(method, path) for path in paths}
     assert labels == {
         "pool.input_lags": "a [1, 2]",
         "pool.output_lags": "1 2",

@@ -87,7 +87,7 @@ def test_the_digest_sees_content_and_not_padding():
     fleet = fleet_of(data)
     digest = fleet.digest()
     assert pickle.loads(pickle.dumps(fleet)).digest() == digest
-    wider = dataclasses.replace(fleet, train=fleet.train.widened(3, 120))
+    wider = dataclasses.replace(fleet, train=fleet.train.widen(3, 120))
     assert wider.train.signals.shape == (2, 3, 120, 3)
     assert wider.digest() == digest
     y = data["b"].records[0].y.copy()

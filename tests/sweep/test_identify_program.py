@@ -72,7 +72,7 @@ def test_a_row_is_what_the_verbs_find_one_by_one(engines, rows, name, case):
     for told, when in ((before, "_start"), (after, "")):
         for part, ours in NAMES.items():
             for mode in ("one step", "free run"):
-                nrmse = told.pooled("y", part=part, mode=mode).nrmse
+                nrmse = told.pooled_row("y", part=part, mode=mode).nrmse
                 key = f"{ours}_{mode.replace(' ', '_')}{when}"
                 assert row[key] == pytest.approx(nrmse, rel=1e-7), key
     losses = [h["loss"] for h in refined.stats["history"]]
@@ -122,8 +122,8 @@ def padded(fleet: Fleet) -> Fleet:
     _, records, time, _ = fleet.train.signals.shape
     return dataclasses.replace(
         fleet,
-        train=fleet.train.widened(records + 1, time + 7),
-        validation=fleet.validation.widened(records + 2, 77),
+        train=fleet.train.widen(records + 1, time + 7),
+        validation=fleet.validation.widen(records + 2, 77),
     )
 
 
@@ -253,7 +253,7 @@ def test_work_for_the_run_folder(engines, rows):
 def test_the_program_is_lowered_for_devices_that_are_not_here(engines, platform):
     work = IdentificationWork(fleet_of(engines), METHOD, CASES, lanes=LANES)
     shape = next(iter(work.frames))
-    members = stack_lanes([work.prepared_for(n, 0).member for n in range(LANES)])
+    members = stack_lanes([work.prepare_case(n, 0).member for n in range(LANES)])
     settings = stack_lanes([work.settings[0]] * LANES)
     given = work.frames[shape], members, settings
     arrays, fixed = eqx.partition(given, eqx.is_array)

@@ -15,11 +15,11 @@ from jaxnarx.data.preparation.step import (
     bridge_gaps,
     choose_channels,
     list_channels,
+    map_same_rows,
     number,
-    on_same_rows,
     present,
     require_valid,
-    units_of,
+    units_by_name,
     valid_samples,
 )
 from jaxnarx.data.record import Record
@@ -28,7 +28,7 @@ from jaxnarx.errors import DataError, SpecError
 MAX_MASKED_WEIGHT = 0.1
 """Largest share of a filter's absolute weight that may fall on masked samples."""
 
-_DECAYED = 1e-8
+_DECAYED_SHARE = 1e-8
 """The impulse response is followed until it has decayed to this."""
 
 
@@ -82,9 +82,9 @@ class LowPass(AbstractStep, AbstractLossy):
         rate = 1 / data.sample_time
         sos = np.asarray(butter(self.order, self.cutoff, fs=rate, output="sos"))
         weights = _weights(sos)
-        return on_same_rows(data, lambda r: self._filtered(r, data, sos, weights))
+        return map_same_rows(data, lambda r: self._filter(r, data, sos, weights))
 
-    def _filtered(self, record: Record, data: Dataset, sos, weights):
+    def _filter(self, record: Record, data: Dataset, sos, weights):
         from scipy.signal import sosfiltfilt
 
         length, period = len(record) * data.sample_time, 1 / self.cutoff
@@ -118,7 +118,7 @@ def _weights(sos: np.ndarray) -> Float[np.ndarray, " taps"]:
 
     poles = np.asarray(sos2zpk(sos)[1])
     slowest = float(np.max(np.abs(poles), initial=0.0))
-    length = 2 + int(np.ceil(np.log(_DECAYED) / np.log(max(slowest, 1e-2))))
+    length = 2 + int(np.ceil(np.log(_DECAYED_SHARE) / np.log(max(slowest, 1e-2))))
     response = sosfilt(sos, np.arange(length) == 0)
     return correlate(response, response)
 
@@ -200,7 +200,7 @@ class Hampel(AbstractStep):
             half_width=self.half_width,
             sigmas=float(self.sigmas),
             least=least,
-            units=units_of(data.channels, indices),
+            units=units_by_name(data.channels, indices),
         )
 
 
@@ -221,9 +221,9 @@ class OutliersMasked(AbstractLossy):
 
     def apply(self, data: Dataset) -> Dataset:
         """Mask the outliers; the last valid sample is held in their place."""
-        return on_same_rows(data, lambda r: self._masked(r, data))
+        return map_same_rows(data, lambda r: self._mask(r, data))
 
-    def _masked(self, record: Record, data: Dataset):
+    def _mask(self, record: Record, data: Dataset):
         width = 2 * self.half_width + 1
         if width > len(record):
             raise DataError(

@@ -64,7 +64,7 @@ def decode(value: Any, hint: Any, field: str) -> Any:
     if hint is Any:
         return value
     if origin in (types.UnionType, typing.Union):
-        return _first(value, inner, field)
+        return _decode_first(value, inner, field)
     if origin is tuple and isinstance(value, list | tuple):
         return _sequence(value, inner, field)
     if origin in (dict, Mapping) and isinstance(value, Mapping):
@@ -96,7 +96,7 @@ def _sequence(value: Sequence[Any], inner: tuple[Any, ...], field: str) -> tuple
     return tuple(decode(v, h, field) for v, h in zip(value, inner, strict=True))
 
 
-def _first(value: Any, hints: tuple[Any, ...], field: str) -> Any:
+def _decode_first(value: Any, hints: tuple[Any, ...], field: str) -> Any:
     """The first of several types that fits; float last, so that integers stay."""
     *others, last = sorted(hints, key=lambda h: h is float)
     for hint in others:

@@ -1,4 +1,4 @@
-"""From samples at crank angles to samples in time, and back."""
+"""Samples in time from samples at crank angles, and back."""
 
 import dataclasses
 from typing import ClassVar
@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxnarx.checks import positive
 from jaxnarx.data.dataset import Dataset
-from jaxnarx.data.preparation.resample import on_grid
+from jaxnarx.data.preparation.resample import interpolate_on_grid
 from jaxnarx.data.preparation.step import (
     AbstractLossy,
     AbstractStep,
@@ -31,8 +31,9 @@ class ToTime(AbstractStep, AbstractLossy):
 
     At the speed N [rpm] of the channel `speed` an event of D degrees lasts D / (6 N)
     seconds; from one sample to the next the mean of both durations passes. Records that
-    ran faster become shorter. Filter, interpolation and masks as in `resample.on_grid`.
-    Speed must be positive: put this step before offset removal and scaling.
+    ran faster become shorter. Filter, interpolation and masks as in
+    `resample.interpolate_on_grid`. Speed must be positive: put this step before offset
+    removal and scaling.
     """
 
     irreversible: ClassVar[str] = (
@@ -57,7 +58,7 @@ class ToTime(AbstractStep, AbstractLossy):
 
         def one(record: Record) -> Record:
             t = event_times(_speed(record, data, j), float(self.degrees))
-            return _on(record, data, t, step)
+            return _resample_record(record, data, t, step)
 
         return map_records(data, one, sample_time=step)
 
@@ -118,7 +119,7 @@ class AtCrankAngle(AbstractLossy):
 
         def one(record: Record) -> Record:
             angle = crank_angles(_speed(record, data, j), data.sample_time)
-            return _on(record, data, angle, step)
+            return _resample_record(record, data, angle, step)
 
         return map_records(data, one, sample_time=float(self.sample_time))
 
@@ -146,8 +147,10 @@ def crank_angles(
     return np.concatenate([[0.0], np.cumsum(0.5 * (turned[:-1] + turned[1:]))])
 
 
-def _on(record: Record, data: Dataset, at, step: float) -> Record:
-    x, valid = on_grid(at, record.signals, record.valid, step=step, name=record.name)
+def _resample_record(record: Record, data: Dataset, at, step: float) -> Record:
+    x, valid = interpolate_on_grid(
+        at, record.signals, record.valid, step=step, name=record.name
+    )
     return rebuilt(record, x, valid, data.channels)
 
 

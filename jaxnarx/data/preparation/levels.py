@@ -15,15 +15,15 @@ from jaxnarx.data.preparation.step import (
     AbstractStep,
     choose_channels,
     list_channels,
+    map_same_rows,
     number,
-    on_same_rows,
     present,
-    units_of,
+    units_by_name,
     valid_samples,
     with_units,
 )
 from jaxnarx.data.record import Record
-from jaxnarx.data.scaling import unit_of
+from jaxnarx.data.scaling import scaling_unit
 from jaxnarx.errors import DataError, SpecError
 
 
@@ -59,7 +59,7 @@ class RemoveOffset(AbstractStep):
         names = tuple(self.values) if self.kind == "given" else self.channels
         indices = choose_channels(data.channels, names)
         offset = {data.channels.names[j]: self._level(data, j) for j in indices}
-        return OffsetRemoved(offset=offset, units=units_of(data.channels, indices))
+        return OffsetRemoved(offset=offset, units=units_by_name(data.channels, indices))
 
     def _level(self, data: Dataset, j: int) -> float:
         if self.kind == "given":
@@ -77,16 +77,16 @@ class OffsetRemoved(AbstractFitted):
 
     def apply(self, data: Dataset) -> Dataset:
         """Subtract the offsets."""
-        return self._moved(data, -1.0)
+        return self._shift(data, -1.0)
 
     def undo(self, data: Dataset) -> Dataset:
         """Add the offsets."""
-        return self._moved(data, 1.0)
+        return self._shift(data, 1.0)
 
-    def _moved(self, data: Dataset, sign: float) -> Dataset:
+    def _shift(self, data: Dataset, sign: float) -> Dataset:
         names = data.channels.names
         shift = sign * np.array([self.offset.get(n, 0.0) for n in names])
-        return on_same_rows(data, lambda r: (r.signals + shift[None], r.valid))
+        return map_same_rows(data, lambda r: (r.signals + shift[None], r.valid))
 
     def describe(self) -> str:
         """The offsets with units."""
@@ -95,7 +95,7 @@ class OffsetRemoved(AbstractFitted):
 
 
 Kind = Literal["min-max", "mean", "standard"]
-_SCALINGS = ("min-max", "mean", "standard")
+_SCALING_KINDS = ("min-max", "mean", "standard")
 _NEAR_ZERO = 0.01
 """A mean below this share of the root mean square is no measure of size."""
 
@@ -121,23 +121,24 @@ class Scale(AbstractStep):
     channels: tuple[str, ...] | None = None
 
     def __post_init__(self):
-        choice(self.kind, _SCALINGS, "kind")
+        choice(self.kind, _SCALING_KINDS, "kind")
 
     def fit(self, data: Dataset) -> "Scaled":
         """Offsets and gains, from valid samples only."""
         indices = choose_channels(data.channels, self.channels)
         found = {
-            data.channels.names[j]: self._of(valid_samples(data, j)) for j in indices
+            data.channels.names[j]: self._offset_and_gain(valid_samples(data, j))
+            for j in indices
         }
         return Scaled(
             scaling=self.kind,
             offset={name: offset for name, (offset, _) in found.items()},
             gain={name: gain for name, (_, gain) in found.items()},
-            units=units_of(data.channels, indices),
+            units=units_by_name(data.channels, indices),
         )
 
-    def _of(self, x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
-        low, high, unit = float(x.min()), float(x.max()), unit_of(x)
+    def _offset_and_gain(self, x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
+        low, high, unit = float(x.min()), float(x.max()), scaling_unit(x)
         mean = float((x / unit).mean() * unit)
         if self.kind == "mean":
             size = float(unit * np.sqrt(np.mean((x / unit) ** 2)))
@@ -163,7 +164,7 @@ class Scaled(AbstractFitted):
     units: Mapping[str, str]
 
     def __post_init__(self):
-        choice(self.scaling, _SCALINGS, "kind")
+        choice(self.scaling, _SCALING_KINDS, "kind")
         for gain in self.gain.values():
             positive(gain, "gain")
 
@@ -171,20 +172,20 @@ class Scaled(AbstractFitted):
         """Scale; a scaled channel's unit is "-"."""
         offset, gain = self._numbers(data)
         units = dict.fromkeys(self.gain, "-")
-        return self._changed(data, units, lambda x: (x - offset) / gain)
+        return self._rescale(data, units, lambda x: (x - offset) / gain)
 
     def undo(self, data: Dataset) -> Dataset:
         """Back to physical units."""
         offset, gain = self._numbers(data)
-        return self._changed(data, self.units, lambda z: z * gain + offset)
+        return self._rescale(data, self.units, lambda z: z * gain + offset)
 
     def _numbers(self, data: Dataset):
         names = data.channels.names
         offset = np.array([self.offset.get(n, 0.0) for n in names])
         return offset[None], np.array([self.gain.get(n, 1.0) for n in names])[None]
 
-    def _changed(self, data: Dataset, units: Mapping[str, str], change) -> Dataset:
-        return on_same_rows(
+    def _rescale(self, data: Dataset, units: Mapping[str, str], change) -> Dataset:
+        return map_same_rows(
             data,
             lambda r: (change(r.signals.astype(np.float64)), r.valid),
             channels=with_units(data.channels, units),
@@ -278,7 +279,7 @@ class Detrend(AbstractStep, AbstractLossy):
         return _add(data, lines, 1.0)
 
     def describe(self) -> str:
-        """Which channels, and what is subtracted."""
+        """Offsets that are subtracted, by channel."""
         what = "drift (level kept)" if self.keep_level else "line"
         return f"linear {what} of each record removed: {list_channels(self.channels)}"
 
@@ -294,4 +295,4 @@ def _add(data: Dataset, lines: Lines, sign: float) -> Dataset:
         x = record.signals + sign * (line[None, :, 0] + t[:, None] * line[None, :, 1])
         return x, record.valid
 
-    return on_same_rows(data, one)
+    return map_same_rows(data, one)

@@ -17,6 +17,7 @@ from jaxnarx.data.preparation.step import AbstractFitted, AbstractStep
 from jaxnarx.data.record import Record
 from jaxnarx.data.sampling import positive_sample_time
 from jaxnarx.data.units import same_unit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.formatting import page
 
@@ -57,13 +58,15 @@ class Changes:
         """The changes of one step."""
         return tuple(c for c in self.items if c.step == step)
 
-    def masked(self, step: int) -> dict[str, int]:
+    def count_masked(self, step: int) -> dict[str, int]:
         """Samples that a step masked, by channel, over all records."""
         out: dict[str, int] = {}
         for change in self.of(step):
             for name, n in change.masked.items():
                 out[name] = out.get(name, 0) + n
         return out
+
+    masked = old_method("masked", "count_masked")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types for JSON."""
@@ -96,7 +99,7 @@ class Changes:
                 "record(s). Those between are interpolated and tell nothing new: "
                 "errors one step ahead look smaller than they are"
             )
-        for name, n in self.masked(step).items():
+        for name, n in self.count_masked(step).items():
             share = 100 * n / max(after, 1)
             records = sum(name in c.masked for c in own)
             yield f"{name}: {n} masked ({share:.2g} %) in {records} record(s)"
@@ -176,11 +179,13 @@ class Preparation:
             data = step.undo(data) if isinstance(step, Scaled | OffsetRemoved) else data
         return data
 
-    def after(self, first: "Preparation") -> "Preparation":
+    def prepend(self, first: "Preparation") -> "Preparation":
         """One preparation for raw data: `first`, then this one."""
         return Preparation(
             (*first.steps, *self.steps), first.channels, first.sample_time, self.report
         )
+
+    after = old_method("after", "prepend")
 
     @property
     def needs(self) -> tuple[str, ...]:

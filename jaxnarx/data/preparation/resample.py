@@ -49,7 +49,7 @@ class Samples(NamedTuple):
     valid: Bool[np.ndarray, "time signals"]
 
 
-def on_grid(
+def interpolate_on_grid(
     at: Float[np.ndarray, " time"],
     x: Float[np.ndarray, "time signals"],
     valid: Bool[np.ndarray, "time signals"],
@@ -92,7 +92,7 @@ def on_grid(
             field="sample_time",
         )
     fine = first + np.arange(count) * (step / m)
-    values, known = _between(at, bridge_gaps(x, valid), valid, fine)
+    values, known = _interpolate(at, bridge_gaps(x, valid), valid, fine)
     if m == 1:
         return Samples(values, known)
     weights = sinc(_HALF_AMPLITUDE / m, HALF_FILTER_LENGTH * m)
@@ -102,7 +102,7 @@ def on_grid(
     return Samples(smooth[::m], masked_share(known, weights)[::m] <= MAX_MASKED_WEIGHT)
 
 
-def _between(at, x, valid, grid):
+def _interpolate(at, x, valid, grid):
     """Values on the grid; the samples themselves where the grid is `at`."""
     close = 1e-6 * (grid[1] - grid[0])
     if len(grid) == len(at) and np.allclose(grid, at, rtol=0, atol=close):
@@ -135,8 +135,8 @@ def sinc(edge: float, half: int) -> Float[np.ndarray, " taps"]:
 class Resample(AbstractStep, AbstractLossy):
     """All channels at another `sample_time` [s], from each record's first sample on.
 
-    Longer steps come with an anti-aliasing filter, shorter ones with interpolation;
-    see `on_grid` for both and for what becomes of masked samples. Inputs that
+    Longer steps come with an anti-aliasing filter, shorter ones with interpolation; see
+    `interpolate_on_grid` for both and for what becomes of masked samples. Inputs that
     move in steps ring where they are filtered, by a tenth of the step at most.
     """
 
@@ -155,7 +155,7 @@ class Resample(AbstractStep, AbstractLossy):
 
     def apply(self, data: Dataset) -> Dataset:
         """Every record at the new sample time; its rows are no rows of its source."""
-        return at_sample_time(data, float(self.sample_time))
+        return resample_records(data, float(self.sample_time))
 
     def describe(self) -> str:
         """The new sample time [s]."""
@@ -166,8 +166,8 @@ class Resample(AbstractStep, AbstractLossy):
 class Decimate(AbstractStep, AbstractLossy):
     """Every `factor`-th sample after an anti-aliasing filter without phase.
 
-    The filter and the rule for masked samples are those of `on_grid`. A record
-    with fewer than 10 samples left is a DataError.
+    The filter and the rule for masked samples are those of `interpolate_on_grid`. A
+    record with fewer than 10 samples left is a DataError.
     """
 
     irreversible: ClassVar[str] = (
@@ -188,20 +188,20 @@ class Decimate(AbstractStep, AbstractLossy):
 
     def apply(self, data: Dataset) -> Dataset:
         """Every record at `factor` times the sample time."""
-        return at_sample_time(data, self.factor * data.sample_time)
+        return resample_records(data, self.factor * data.sample_time)
 
     def describe(self) -> str:
         """The factor."""
         return f"one of {self.factor} samples kept, after an anti-aliasing filter"
 
 
-def at_sample_time(data: Dataset, sample_time: float) -> Dataset:
+def resample_records(data: Dataset, sample_time: float) -> Dataset:
     """Every record on a grid of `sample_time` [s]."""
 
     def one(record: Record) -> Record:
         require_valid(record, data.channels)
         t = np.arange(len(record)) * data.sample_time
-        x, valid = on_grid(
+        x, valid = interpolate_on_grid(
             t, record.signals, record.valid, step=sample_time, name=record.name
         )
         return rebuilt(record, x, valid, data.channels)
@@ -226,13 +226,13 @@ class Shift(AbstractStep, AbstractFitted):
 
     def apply(self, data: Dataset) -> Dataset:
         """Shift and cut."""
-        return self._moved(data, 1)
+        return self._shift(data, 1)
 
     def undo(self, data: Dataset) -> Dataset:
         """Shift back; what was cut off does not return, and as much is cut again."""
-        return self._moved(data, -1)
+        return self._shift(data, -1)
 
-    def _moved(self, data: Dataset, sign: int) -> Dataset:
+    def _shift(self, data: Dataset, sign: int) -> Dataset:
         ahead = [sign * self.samples.get(n, 0) for n in data.channels.names]
         first, last = max(0, -min(ahead)), max(0, max(ahead))
 

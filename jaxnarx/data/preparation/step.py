@@ -1,4 +1,4 @@
-"""What every step of preparation is, and how it reaches the samples of its records.
+"""The form of every step of preparation, and how it reaches the samples of its records.
 
 Settings (`Scale(kind="min-max")`) hold wishes; `fit` looks at the training data and
 returns a fitted step (`Scaled`) that holds every number it needs. Where there is
@@ -45,7 +45,7 @@ class AbstractFitted(abc.ABC):
         """Plain types for JSON; `kind` is the name of the class."""
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
         return {"kind": type(self).__name__} | {
-            f.name: _plain(getattr(self, f.name)) for f in fields
+            f.name: _to_json(getattr(self, f.name)) for f in fields
         }
 
 
@@ -53,10 +53,10 @@ class AbstractLossy(AbstractFitted):
     """A step that loses something, so that it cannot be undone."""
 
     irreversible: ClassVar[str]
-    """That it cannot be undone, and why, or what comes near to it."""
+    """Reason why it cannot be undone, or what comes near to it."""
 
     def undo(self, data: Dataset) -> Dataset:
-        """Refused, with the reason."""
+        """Raise `SpecError` with the reason."""
         raise SpecError(self.irreversible, field="undo")
 
 
@@ -68,7 +68,7 @@ class AbstractStep(abc.ABC):
         """The step with its numbers, from the valid samples of training data."""
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     if isinstance(value, tuple):
         return list(value)
     return dict(value) if hasattr(value, "items") else value
@@ -175,7 +175,7 @@ def map_records(
     )
 
 
-def on_same_rows(
+def map_same_rows(
     data: Dataset,
     change: Callable[[Record], tuple[np.ndarray, np.ndarray]],
     *,
@@ -200,7 +200,7 @@ def with_units(channels: Channels, units: Mapping[str, str]) -> Channels:
     return Channels(tuple(map(one, channels.inputs)), tuple(map(one, channels.outputs)))
 
 
-def units_of(channels: Channels, indices: Iterable[int]) -> dict[str, str]:
+def units_by_name(channels: Channels, indices: Iterable[int]) -> dict[str, str]:
     """Units by name."""
     return {channels.all[j].name: channels.all[j].unit for j in indices}
 

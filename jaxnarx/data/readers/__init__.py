@@ -2,7 +2,7 @@
 
 A kind of file is a module with two functions, `contents(path, asked)` and `read(path,
 wanted, asked)`; both may raise whatever comes, which is told as a DataFileError here.
-What they return is in `jaxnarx.data.readers.columns`.
+The types they return are in `jaxnarx.data.readers.columns`.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ _SHEET = Kind("spreadsheet", "spreadsheet", "python_calamine", "excel", packed=T
 _MDF = Kind("MDF", "mdf", "asammdf", "mdf", marks=(b"MDF", b"UnFinMF"))
 _MAT = Kind("MATLAB", "variables", "matio", "matlab")
 _HDF5 = Kind("HDF5", "variables", "h5py", "hdf5", marks=(b"\x89HDF\r\n\x1a\n",))
-_OWN: dict[str, Kind] = {
+_OWN_KINDS: dict[str, Kind] = {
     ".csv": _CSV,
     ".txt": _CSV,
     ".parquet": _PARQUET,
@@ -71,10 +71,10 @@ def _require_suffix(name: str, kind: Kind) -> None:
         )
 
 
-KINDS = Registry("kind of file", _OWN, check=_require_suffix)
-"""By suffix, lower case."""
+KINDS = Registry("kind of file", _OWN_KINDS, check=_require_suffix)
+"""Kinds of files by suffix, lower case."""
 
-_ARCHIVES = {
+_ARCHIVE_MARKS = {
     b"PK\x03\x04": "zip",
     b"\x1f\x8b": "gzip",
     b"BZh": "bzip2",
@@ -86,8 +86,8 @@ _ARCHIVES = {
 }
 
 
-WATCHER: ContextVar[Callable[[Path | None], None] | None] = ContextVar(
-    "WATCHER", default=None
+FILE_WATCHER: ContextVar[Callable[[Path | None], None] | None] = ContextVar(
+    "FILE_WATCHER", default=None
 )
 """Is told every file when its reading begins, and None when it has ended."""
 
@@ -99,26 +99,26 @@ def read_table(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     what cannot be read is a DataFileError.
     """
     wanted = list(dict.fromkeys(wanted))
-    return _guarded(path, lambda module: module.read(path, wanted, asked))
+    return _use_watched(path, lambda module: module.read(path, wanted, asked))
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
     """All columns of a file that could be channels."""
-    return _guarded(path, lambda module: module.contents(path, asked))
+    return _use_watched(path, lambda module: module.contents(path, asked))
 
 
-def _guarded(path: Path, use: Any) -> Any:
-    watcher = WATCHER.get()
+def _use_watched(path: Path, use: Any) -> Any:
+    watcher = FILE_WATCHER.get()
     if watcher is None:
-        return _used(path, use)
+        return _use_reader(path, use)
     watcher(path)
     try:
-        return _used(path, use)
+        return _use_reader(path, use)
     finally:
         watcher(None)
 
 
-def _used(path: Path, use: Any) -> Any:
+def _use_reader(path: Path, use: Any) -> Any:
     kind = KINDS.get(path.suffix.lower())
     with guard_reading(path, "CSV" if kind is None else kind.name):
         _require_plain(path, kind)
@@ -167,7 +167,7 @@ def _require_plain(path: Path, kind: Kind | None):
             f"{path}: this is a spreadsheet. Call it .xlsx, and it is read as one.",
             path=path,
         )
-    for mark, name in _ARCHIVES.items():
+    for mark, name in _ARCHIVE_MARKS.items():
         if begin.startswith(mark):
             raise DataFileError(
                 f"{path}: this is a {name} archive, which is not opened because its "

@@ -162,7 +162,7 @@ def numbers(
     import pyarrow as pa
     import pyarrow.types as kinds
 
-    column = _plain(column)
+    column = _flatten_column(column)
     kind = column.type
     if kinds.is_null(kind):
         return np.full(len(column), np.nan)
@@ -193,7 +193,7 @@ def seconds(
     import pyarrow as pa
     import pyarrow.types as kinds
 
-    column = _plain(column)
+    column = _flatten_column(column)
     kind = column.type
     if kinds.is_date(kind):
         column = column.cast(pa.timestamp("ms"))
@@ -259,7 +259,7 @@ def _moments(column) -> Float[np.ndarray, " time"] | None:
     return None
 
 
-def _plain(column):
+def _flatten_column(column):
     """One undivided array, without dictionary coding."""
     import pyarrow as pa
     import pyarrow.types as kinds

@@ -26,7 +26,8 @@ _HEAD_BYTES = 1 << 17  # fields of more characters are beyond what the csv modul
 _BLOCK_BYTES = 1 << 20
 _CHUNK_BYTES = 1 << 24
 _LINE_END = re.compile(r"\r*\n|\r")
-"""Of any system, mixed ones too; \\r\\r\\n is one line end that was converted twice."""
+"""Line ends of any system, mixed ones too; \\r\\r\\n is one line end that was converted
+twice."""
 _LINE_ENDS = re.compile(rb"\r*\n|\r")
 _EMPTY_LINE = re.compile(rb"\n[\r\n]|\r\r+(?!\r*\n)")
 _NULL_WORDS = [
@@ -88,7 +89,7 @@ def contents(path: Path, asked: Asked) -> list[Column]:
     """Every column of the header, with the unit of a line of units."""
     head = _inspect(path, [], asked.layout)
     units = _units(head, asked.layout)
-    with path.open("rb") as file, _mapped(file) as m:
+    with path.open("rb") as file, _map_file(file) as m:
         rows = sum(
             _line_ends(m[at : at + _CHUNK_BYTES])
             for at in range(0, len(m), _CHUNK_BYTES)
@@ -287,7 +288,7 @@ def _require_size(head: _Head, columns: int, max_bytes: float):
     """Count lines, and refuse the file before it is read if it would not fit."""
     path = head.path
     size = path.stat().st_size
-    with path.open("rb") as file, _mapped(file) as m:
+    with path.open("rb") as file, _map_file(file) as m:
         chunks = range(0, size if size <= max_bytes else 0, _CHUNK_BYTES)
         rows = sum(_line_ends(m[at : at + _CHUNK_BYTES]) for at in chunks)
         require_limit(path, max(size, 8 * columns * rows), max_bytes)
@@ -315,7 +316,7 @@ def _require_no_blank(head: _Head, m: mmap.mmap):
         )
 
 
-def _mapped(file: BinaryIO) -> mmap.mmap:
+def _map_file(file: BinaryIO) -> mmap.mmap:
     return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 

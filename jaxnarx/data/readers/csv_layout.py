@@ -17,7 +17,14 @@ from jaxnarx.data.readers.columns import CsvLayout, is_number
 _HEAD_BYTES = 1 << 18
 _ANALYSED_LINES = 400
 """Lines that are looked at."""
-_DELIMITERS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."))
+_DELIMITER_PAIRS = (
+    (";", ","),
+    ("\t", ","),
+    (";", "."),
+    ("\t", "."),
+    (",", "."),
+    ("|", "."),
+)
 """Delimiters and decimal marks; of those that serve as well the first is taken."""
 _LEAST_BODY_ROWS = 3
 """Rows of numbers that are needed."""
@@ -36,7 +43,7 @@ def find_layout(path: Path) -> CsvLayout | None:
         lines = lines[:-1]
     lines = lines[:_ANALYSED_LINES]
     best: tuple[int, CsvLayout] | None = None
-    for delimiter, decimal in _DELIMITERS:
+    for delimiter, decimal in _DELIMITER_PAIRS:
         rows = [_fields(line, delimiter) for line in lines]
         found = _body(rows, decimal)
         if found is None:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxnarx.data.readers.columns import Asked, Column, Table
-from jaxnarx.data.readers.sandbox import ask, table_of
+from jaxnarx.data.readers.sandbox import ask, read_isolated_table
 
 
 def contents(path: Path, asked: Asked) -> list[Column]:
@@ -19,4 +19,4 @@ def contents(path: Path, asked: Asked) -> list[Column]:
 
 def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` channels on one raster."""
-    return table_of("mdf_groups", path, wanted, asked)
+    return read_isolated_table("mdf_groups", path, wanted, asked)

@@ -1,4 +1,4 @@
-"""What asammdf finds in a file; runs in a process of its own, see `mdf`."""
+"""The contents of a file by asammdf; runs in a process of its own, see `mdf`."""
 
 import re
 from collections.abc import Iterator

@@ -6,7 +6,7 @@ ends where the first one ends. Onto it come
 - labels, whole numbers of few levels and flags (`Signal.steps`): held, never between
   two of their values;
 - channels that are sampled more often: through the anti-aliasing filter of
-  `preparation.resample.on_grid`;
+  `preparation.resample.interpolate_on_grid`;
 - channels that are sampled less often: by the monotone interpolation of the same.
 
 Samples that the file calls invalid stay invalid, and so is what lies in a gap of a
@@ -21,7 +21,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from jaxnarx.data.preparation.resample import on_grid
+from jaxnarx.data.preparation.resample import interpolate_on_grid
 from jaxnarx.data.readers.columns import Table
 from jaxnarx.data.record import RowSource
 from jaxnarx.data.sampling import GAP_FACTOR
@@ -103,7 +103,10 @@ def one_raster(
             channel=early.name,
         )
     grid = start + sample_time * np.arange(count)
-    parts = [(s.name, s.unit, *_at(s, grid, sample_time, place)) for s in signals]
+    parts = [
+        (s.name, s.unit, *_resample_signal(s, grid, sample_time, place))
+        for s in signals
+    ]
     return as_table(parts, grid, place, _notes(signals, start, sample_time, place))
 
 
@@ -148,7 +151,7 @@ def _lies_on(time: np.ndarray, start: float, step: float) -> bool:
     )
 
 
-def _at(
+def _resample_signal(
     signal: Signal, grid: np.ndarray, step: float, place: RowSource
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and validity on the grid."""
@@ -159,7 +162,7 @@ def _at(
     valid = np.ones(len(t), bool) if signal.valid is None else signal.valid
     if signal.steps or not valid.any() or len(t) < 2:
         return np.asarray(signal.values, float)[left], valid[left] & ~gap
-    found = on_grid(
+    found = interpolate_on_grid(
         *(t, np.asarray(signal.values, float)[:, None], valid[:, None]),
         **{"step": step, "start": float(grid[0]), "name": place.lead + signal.name},
     )

@@ -5,8 +5,8 @@ process is started with the first file and serves those that follow; after a fau
 ended, and the next file gets a new one. Requests and answers are lines of JSON, arrays
 are files in a folder that both know.
 
-What runs there is a module with two functions: `contents(path, folder, **given)`
-answers with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
+The module that runs there has two functions: `contents(path, folder, **given)` answers
+with the keyword arguments of every `Column`, `signals(path, folder, *, wanted,
 **given)` with `{"signals": [...], "notes": [...]}`; a signal tells its name, unit and
 labels, which file holds its time, if it has any, and whether all of it is valid.
 """
@@ -47,7 +47,7 @@ def ask(module: str, function: str, path: Path, **given: Any) -> Any:
     return _READING_PROCESS[0].ask(module, function, path, **given)
 
 
-def table_of(
+def read_isolated_table(
     module: str, path: Path, wanted: Sequence[str], asked: Asked, **given: Any
 ) -> Table:
     """The signals that a module finds: on one raster where they have a time."""
@@ -108,7 +108,7 @@ class SandboxedReader:
         request |= {"given": given, "folder": str(self.folder)}
         if not path.is_absolute():  # the process began where we may be no longer
             request["working_folder"] = os.getcwd()
-        process = self._running()
+        process = self._ensure_process()
         self._clear()
         assert process.stdin is not None and process.stdout is not None
         try:
@@ -166,7 +166,7 @@ class SandboxedReader:
         if folder is not None:
             folder.cleanup()
 
-    def _running(self) -> subprocess.Popen:
+    def _ensure_process(self) -> subprocess.Popen:
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(
                 python_command(START_CODE),

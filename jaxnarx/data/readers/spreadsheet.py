@@ -17,13 +17,13 @@ from jaxnarx.data.record import RowSource
 
 def contents(path: Path, asked: Asked) -> list[Column]:
     """Every named column of every sheet that has any."""
-    found = ask("spreadsheet_cells", "contents", path, **_settings_of(asked))
+    found = ask("spreadsheet_cells", "contents", path, **_settings_table(asked))
     return [Column(**one) for one in found]
 
 
 def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     """The `wanted` columns of one sheet; empty cells and errors are missing samples."""
-    words = {"wanted": list(wanted), **_settings_of(asked)}
+    words = {"wanted": list(wanted), **_settings_table(asked)}
     answer = ask("spreadsheet_cells", "columns", path, **words)
     columns = table_file("cells.arrow", path, asked.max_bytes)
     place = RowSource(
@@ -34,5 +34,5 @@ def read(path: Path, wanted: Sequence[str], asked: Asked) -> Table:
     return Table(columns, place, answer["units"])
 
 
-def _settings_of(asked: Asked) -> dict[str, Any]:
+def _settings_table(asked: Asked) -> dict[str, Any]:
     return dataclasses.asdict(asked)

@@ -149,7 +149,7 @@ def _parts(
     """Names, units by name, and the rows below; trailing empty rows are left out."""
     layout = asked.layout
     rows = rows[layout.skip_rows :]
-    while rows and not any(_filled(x) for x in rows[-1]):
+    while rows and not any(_is_filled(x) for x in rows[-1]):
         rows.pop()
     if not rows:
         return [], {}, []
@@ -170,7 +170,7 @@ def _parts(
     return names, units, rows
 
 
-def _filled(cell: Any) -> bool:
+def _is_filled(cell: Any) -> bool:
     return cell is not None and cell != ""
 
 
@@ -178,7 +178,7 @@ def _is_unit_row(rows: list[list[Any]]) -> bool:
     """Whether all that fills the first row is text, and numbers are below it."""
     if len(rows) < 2:
         return False
-    top = [(k, x) for k, x in enumerate(rows[0]) if _filled(x)]
+    top = [(k, x) for k, x in enumerate(rows[0]) if _is_filled(x)]
     texts = [(k, x) for k, x in top if isinstance(x, str) and not is_number(x)]
     numeric = [k for k, _ in texts if isinstance(rows[1][k], int | float)]
     return bool(texts) and len(texts) == len(top) and len(numeric) >= len(texts) / 2
@@ -186,7 +186,7 @@ def _is_unit_row(rows: list[list[Any]]) -> bool:
 
 def _column(cells: list[Any]) -> list[Any]:
     """Numbers, or where a cell is something else, what the cells say as one kind."""
-    cells = [x if _filled(x) and not _is_error(x) else None for x in cells]
+    cells = [x if _is_filled(x) and not _is_error(x) else None for x in cells]
     known = [x for x in cells if x is not None]
     if all(isinstance(x, int | float) for x in known):
         return [None if x is None else float(x) for x in cells]

@@ -20,8 +20,8 @@ from jaxnarx.data.readers.variable_logs import read_branch
 from jaxnarx.data.readers.variable_trees import (
     TimedColumns,
     WithUnit,
+    count_from_first,
     open_tree,
-    since_first,
     unfolded_size,
 )
 from jaxnarx.data.sampling import TIME_UNITS, time_unit_in
@@ -130,7 +130,7 @@ def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]
     step = _own_step(branch) or step
     special = read_branch(branch)
     if special is not None:
-        yield from _of_frame(special, table, "", step)
+        yield from _frame_variables(special, table, "", step)
         return
     names, units = _texts(branch)
     unit_of = dict(zip(names, units, strict=False)) if names and units else {}
@@ -145,12 +145,12 @@ def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]
         ):
             yield from _channels(value, inside, step)
         elif isinstance(value, TimedColumns):
-            yield from _of_frame(value, inside, name, step)
+            yield from _frame_variables(value, inside, name, step)
         elif isinstance(value, list) and len(value) > 1:
             if value is not names and value is not units:
                 own.append(Variable(table, name, value, unit=unit, step=step))
         elif _kind(value) in "biufmM":
-            own += _of_array(value, table, name, names, units, unit, step)
+            own += _array_variables(value, table, name, names, units, unit, step)
     yield from (
         _with_time(_rename_vectors(own, names, units))
         if table
@@ -158,7 +158,7 @@ def _channels(branch: Any, table: str, step: float | None) -> Iterator[Variable]
     )
 
 
-def _of_array(
+def _array_variables(
     value: Any,
     table: str,
     name: str,
@@ -237,11 +237,11 @@ def _is_known_time(one: Variable) -> bool:
 
 def _stamps(t: np.ndarray, unit: str | None) -> np.ndarray:
     if t.dtype.kind in "mM":
-        return since_first(t)
+        return count_from_first(t)
     return np.asarray(t, float) * TIME_UNITS[unit or "s"]
 
 
-def _of_frame(
+def _frame_variables(
     frame: TimedColumns, table: str, name: str, step: float | None
 ) -> Iterator[Variable]:
     own = [

@@ -53,7 +53,7 @@ def open_tree(
         yield _mat(path, wanted)
     elif suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
-            yield {name: plain(file[name]) for name in file.files}
+            yield {name: simplify(file[name]) for name in file.files}
     else:
         import h5py
 
@@ -131,18 +131,18 @@ def _own_items(path: Path, group: Any, place: str) -> Iterator[tuple[str, Any]]:
     for name in group:
         link = group.get(name, getlink=True)
         if isinstance(link, h5py.ExternalLink):
-            raise _outside(path, place + name, f"a link to {link.filename!r}")
+            raise _link_error(path, place + name, f"a link to {link.filename!r}")
         if not isinstance(link, h5py.HardLink):
             continue
         item = group[name]
         if isinstance(item, h5py.Dataset) and item.external:
-            raise _outside(path, place + name, f"stored in {item.external[0][0]!r}")
+            raise _link_error(path, place + name, f"stored in {item.external[0][0]!r}")
         if isinstance(item, h5py.Dataset) and item.is_virtual:
-            raise _outside(path, place + name, "put together from other datasets")
+            raise _link_error(path, place + name, "put together from other datasets")
         yield name, item
 
 
-def _outside(path: Path, name: str, what: str) -> DataFileError:
+def _link_error(path: Path, name: str, what: str) -> DataFileError:
     return DataFileError(
         f"{path}: {name} is {what}, which is not followed. Copy its samples into this "
         "file.",
@@ -185,9 +185,9 @@ def _add_dataset(branch: dict[str, Any], name: str, item: Any) -> None:
     if item.shape is None:
         return
     if h5py.check_string_dtype(item.dtype):
-        branch[name] = plain(np.asarray(item.asstr()[()], object))
+        branch[name] = simplify(np.asarray(item.asstr()[()], object))
     elif item.dtype.names:
-        branch[name] = plain(item[()])
+        branch[name] = simplify(item[()])
     elif item.dtype.kind != "O":
         unit = next((item.attrs[n] for n in _UNIT_NAMES if n in item.attrs), "")
         branch[name] = WithUnit(item, _text(unit))
@@ -215,29 +215,29 @@ def _mat(path: Path, wanted: Sequence[str] | None) -> dict[str, Any]:
             if name in asked or min(shape) > 1 or np.prod(shape) == 1
         ]
     found = matio.load_from_mat(path, variable_names=names, add_table_attrs=True)
-    return {k: plain(v) for k, v in found.items() if not k.startswith("__")}
+    return {k: simplify(v) for k, v in found.items() if not k.startswith("__")}
 
 
 def _is_number(kind: str) -> bool:
     return kind.startswith(("double", "single", "logical", "int", "uint"))
 
 
-def plain(value: Any, depth: int = 0) -> Any:
+def simplify(value: Any, depth: int = 0) -> Any:
     """A variable as one of the forms of this module; `None` for what has none."""
     properties = getattr(value, "properties", None)
     if depth > MAX_DEPTH:
         return None
     if isinstance(properties, Mapping):
-        branch = {str(k): plain(v, depth + 1) for k, v in properties.items()}
+        branch = {str(k): simplify(v, depth + 1) for k, v in properties.items()}
         return _series(branch) if "Data_" in branch else branch
     if isinstance(value, Mapping):
-        return {str(k): plain(v, depth + 1) for k, v in value.items()}
+        return {str(k): simplify(v, depth + 1) for k, v in value.items()}
     if hasattr(value, "iloc") and hasattr(value, "columns"):
         return _frame(value)
     if isinstance(value, np.ndarray) and value.dtype.names:
         return _structs(value, depth)
     if isinstance(value, np.ndarray) and value.dtype.kind == "O":
-        parts = [plain(v, depth + 1) for v in value.ravel()]
+        parts = [simplify(v, depth + 1) for v in value.ravel()]
         if parts and all(isinstance(p, list) and len(p) == 1 for p in parts):
             return [p[0] for p in parts]
         return parts[0] if len(parts) == 1 else parts
@@ -256,9 +256,10 @@ def _structs(value: np.ndarray, depth: int) -> Any:
     names = value.dtype.names
     assert names is not None
     if not any(value.dtype[name].kind == "O" for name in names):
-        return TimedColumns({name: plain(value[name]) for name in names})
+        return TimedColumns({name: simplify(value[name]) for name in names})
     every = [
-        {name: plain(one[name], depth + 1) for name in names} for one in value.ravel()
+        {name: simplify(one[name], depth + 1) for name in names}
+        for one in value.ravel()
     ]
     return every[0] if len(every) == 1 else every
 
@@ -276,14 +277,14 @@ def _frame(value: Any) -> TimedColumns:
             codes = np.asarray(column.cat.codes, float)
             columns[name] = np.where(codes < 0, np.nan, codes)
         else:
-            columns[name] = plain(column.to_numpy())
+            columns[name] = simplify(column.to_numpy())
     index, time = value.index.to_numpy(), None
     if index.dtype.kind in "mM":
-        time = since_first(index)
+        time = count_from_first(index)
     return TimedColumns(columns, time, dict(zip(names, units, strict=False)), labels)
 
 
-def since_first(moments: np.ndarray) -> np.ndarray:
+def count_from_first(moments: np.ndarray) -> np.ndarray:
     """Dates count from their first, durations from zero [s]."""
     if moments.dtype.kind == "M":
         moments = moments - moments[:1]

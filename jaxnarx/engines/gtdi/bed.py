@@ -20,9 +20,9 @@ from jaxnarx.engines.gtdi.state import (
     SLOWEST,
     GtdiDrive,
     GtdiQuantities,
-    given_or,
     gtdi_margins,
     impose_columns,
+    value_or_default,
 )
 from jaxnarx.engines.gtdi.turbo import Compressor, Turbine
 from jaxnarx.engines.integration import find_rest, rk4
@@ -191,10 +191,10 @@ class Gtdi(AbstractEngine):
         cylinders = self.cylinders
         w_ac = cylinders.air(p_im, speed, p_im / (self.fresh.constant * t_im))
         needed = cylinders.stoichiometric_fuel(w_ac, speed)
-        fuel = given_or(drive.fuel, needed * drive.richness)
+        fuel = value_or_default(drive.fuel, needed * drive.richness)
         best = cylinders.best_spark(p_im, speed)
         schedule = cylinders.knock_limited_spark(p_im, speed)
-        spark = given_or(drive.spark, schedule + drive.offset)
+        spark = value_or_default(drive.spark, schedule + drive.offset)
         burn = cylinders.burn(w_ac, fuel, spark - best, speed, t_amb, self.burnt.heat)
         drag = cylinders.drag(p_em - p_im, speed)
 
@@ -295,9 +295,9 @@ class Gtdi(AbstractEngine):
 
         Runge-Kutta steps of fourth order, as many as keep them at 1 ms or below, but at
         least ten. The throttle command arrives 15 ms late [D], inside an event if need
-        be; torque one event and mixture three events [O]. What the sensors see is
-        sampled at the start of the event and held; torque lags it by 0.02 s [O], the
-        lambda sensor by 0.20 s [D].
+        be; torque one event and mixture three events [O]. The sensors sample at the
+        start of the event and hold; torque lags it by 0.02 s [O], the lambda sensor by
+        0.20 s [D].
         """
         state, readings, commands, durations, torques, ratios = carry
         now = self.quantities(state, impose_columns(inputs))

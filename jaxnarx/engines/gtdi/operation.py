@@ -45,16 +45,16 @@ def schedule_inputs(
     inputs give the same run in `simulate`.
     """
 
-    def demanded(row: Float[Array, " inputs"]) -> GtdiDrive:
+    def to_drive(row: Float[Array, " inputs"]) -> GtdiDrive:
         richness, offset, throttle, speed = row
         return GtdiDrive(throttle, speed, richness=richness, offset=offset)
 
     def event(carry, row):
-        now = engine.quantities(carry[0], demanded(row))
+        now = engine.quantities(carry[0], to_drive(row))
         inputs = jnp.concatenate([jnp.stack([now.fuel, now.spark]), row[2:]])
         return engine.advance(carry, inputs)[0], (inputs, now)
 
-    first = demanded(demands[0])
+    first = to_drive(demands[0])
     state = engine.balance(first)
     now = engine.quantities(state, first)
     inputs = jnp.concatenate([jnp.stack([now.fuel, now.spark]), demands[0, 2:]])

@@ -1,4 +1,4 @@
-"""What is imposed on the turbocharged engine, and all that is known of it."""
+"""The quantities imposed on the turbocharged engine, and all that is known of it."""
 
 from typing import NamedTuple
 
@@ -65,7 +65,9 @@ def impose_columns(
     return GtdiDrive(throttle, speed, fuel=fuel, spark=spark)
 
 
-def given_or(value: ScalarLike | None, otherwise: Float[Array, ""]) -> Float[Array, ""]:
+def value_or_default(
+    value: ScalarLike | None, otherwise: Float[Array, ""]
+) -> Float[Array, ""]:
     """`value` as an array of the dtype of `otherwise`, which it replaces if given."""
     if value is None:
         return otherwise

@@ -11,7 +11,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation.gain_signs import check_gains
 from jaxnarx.evaluation.residual_tests.coefficients import (
     coefficients,
-    err_of,
+    error_reduction,
     influences,
 )
 from jaxnarx.evaluation.residual_tests.correlations import (
@@ -30,7 +30,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.one_step import OneStep, one_step, usable_inputs
 from jaxnarx.evaluation.residual_tests.operating_point import (
     OperatingPoint,
-    by_operating_point,
+    bin_by_operating_point,
 )
 from jaxnarx.evaluation.residual_tests.scalar_tests import (
     ljung_box,
@@ -43,7 +43,7 @@ from jaxnarx.regressors import Variables, parse_variable, row_columns, variable_
 from jaxnarx.simulation import Prepared, Trajectories, predict, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
-SPARE = 10
+SPARE_SAMPLES = 10
 """Samples needed beside those for lags and parameters."""
 
 
@@ -92,14 +92,14 @@ def diagnose(
     found, left_out = [], []
     for place, name in enumerate(network.output_names):
         samples = sum(int(np.sum(scored[:, place])) for scored in run.scored)
-        if samples < lags + SPARE:
+        if samples < lags + SPARE_SAMPLES:
             left_out.append(name)
             continue
         one = one_step(network, batch, run, place, estimated=estimated)
-        if one.residual.squares <= 0 or one.residual.freedom < lags + SPARE:
+        if one.residual.squares <= 0 or one.residual.freedom < lags + SPARE_SAMPLES:
             left_out.append(name)
             continue
-        err = err_of(selection, name)
+        err = error_reduction(selection, name)
         found.append(_output(network, matched, batch, one, lags, level, over, err))
     value = Diagnostics(tuple(found), lags, level, check_gains(network, matched))
     stats = {"samples": np.array([one.samples for one in found])}
@@ -107,8 +107,8 @@ def diagnose(
         return Solution(value, RESULTS.ok, stats)
     detail = (
         f"residuals of {', '.join(left_out)} were not tested: a test of {lags} lags "
-        f"needs {lags + SPARE} samples beside those for the parameters, and residuals "
-        "that are not zero"
+        f"needs {lags + SPARE_SAMPLES} samples beside those for the parameters, and "
+        "residuals that are not zero"
     )
     return Solution(value, RESULTS.too_short, stats, detail)
 
@@ -199,7 +199,7 @@ def _operating_points(
     units = [network.channels.all[s].unit for s, _ in variables]
     names = variable_names(network.channels, variables)
     found = [
-        by_operating_point(one.residual, x.astype(float), variable=name, unit=unit)
+        bin_by_operating_point(one.residual, x.astype(float), variable=name, unit=unit)
         for x, name, unit in zip(table, names, units, strict=True)
     ]
     return tuple(p.times(one.unit) for p in found if p is not None)

@@ -7,15 +7,15 @@ import scipy.special
 import scipy.stats.qmc
 from jaxtyping import Float
 
-POINTS = 2**12
+QUANTILE_POINTS = 2**12
 """Points of the normal distribution at which the largest of several is looked up: the
 joint level is met to about 0.002."""
-TAME = 0.5
+TAME_SKEWNESS = 0.5
 """Skewness at which the short tail of a distribution is no longer shortened."""
-FAINTEST = 1e-150
+SMALLEST_PROBABILITY = 1e-150
 """Probabilities below are taken for this one: near 1e-290 scipy's quantile of Student's
 distribution has the wrong sign (1.17), and squares overflow."""
-GRID = np.linspace(-12.0, 12.0, 241)
+NORMAL_SCORE_GRID = np.linspace(-12.0, 12.0, 241)
 """Normal scores between which others are interpolated; the last stands for the rest."""
 
 
@@ -28,7 +28,7 @@ def correlation_quantile(
     is t/sqrt(freedom + t^2) with t of Student's distribution. Its variance is
     1/(freedom + 1), that of raw white noise at lag k thus (N - k)/(N (N + 2)).
     """
-    tail = np.maximum(scipy.special.ndtr(-np.abs(z)), FAINTEST)
+    tail = np.maximum(scipy.special.ndtr(-np.abs(z)), SMALLEST_PROBABILITY)
     t = -scipy.special.stdtrit(freedom, tail)
     return np.sign(z) * t / np.sqrt(freedom + t**2)
 
@@ -39,7 +39,7 @@ def correlation_score(
     """The normal score of a partial correlation: inverse of `correlation_quantile`."""
     r = np.clip(np.abs(correlation), 0.0, 1 - 1e-15)
     t = r * np.sqrt(freedom / (1 - r**2))
-    tail = np.maximum(scipy.special.stdtr(freedom, -t), FAINTEST)
+    tail = np.maximum(scipy.special.stdtr(freedom, -t), SMALLEST_PROBABILITY)
     return -np.sign(correlation) * scipy.special.ndtri(tail)
 
 
@@ -54,15 +54,15 @@ def bent_quantile(
 
         x = (exp(s z' - s^2/2) - 1)/sqrt(w - 1),  w = exp(s^2),  (w - 1)(w + 2)^2 = g^2
 
-    What excess kurtosis it lacks, h, goes into z' = z + h (z^3 - 3 z)/24 by Cornish and
-    Fisher 1937. To first order in g and h both give the same; the g^2 of their
+    The excess kurtosis that it lacks, h, goes into z' = z + h (z^3 - 3 z)/24 by Cornish
+    and Fisher 1937. To first order in g and h both give the same; the g^2 of their
     expansion makes it fall where the skewness is above about 0.7. The short tail is
     never shorter than at a skewness of 0.5: it has an end there, and moments of wild
     noise do not tell where. `z` rises and is symmetric about zero.
     """
     g = np.abs(skewness)[:, None]
     bent = _lognormal(z, g, excess[:, None])
-    tame = _lognormal(z, np.minimum(g, TAME), excess[:, None])
+    tame = _lognormal(z, np.minimum(g, TAME_SKEWNESS), excess[:, None])
     bent = np.where(z[None] < 0, np.minimum(bent, tame), bent)
     return np.where(skewness[:, None] < 0, -bent[:, ::-1], bent)
 
@@ -92,7 +92,9 @@ def _lognormal(
 def _normal_points(dims: int) -> Float[np.ndarray, "dims points"]:
     """Evenly spread points of the standard normal distribution, always the same."""
     sobol = scipy.stats.qmc.Sobol(dims, scramble=True, rng=np.random.default_rng(1))
-    return scipy.special.ndtri(np.clip(sobol.random(POINTS), 1e-12, 1 - 1e-12)).T.copy()
+    return scipy.special.ndtri(
+        np.clip(sobol.random(QUANTILE_POINTS), 1e-12, 1 - 1e-12)
+    ).T.copy()
 
 
 def joint_score(correlation: Float[np.ndarray, "lags lags"], level: float) -> float:
@@ -114,8 +116,8 @@ def joint_score(correlation: Float[np.ndarray, "lags lags"], level: float) -> fl
 def joint_p(score: float, critical: float, level: float) -> float:
     """P(max |Z_k| > score), from the one point where it is known.
 
-    As if of m independent lags, 1 - (1 - 2 Phi(-c))^m, with m such that the critical
-    score has its level. Exact there and for independent lags (Sidak 1967).
+    It is that of m independent lags, 1 - (1 - 2 Phi(-c))^m, with m such that the
+    critical score has its level. Exact there and for independent lags (Sidak 1967).
     """
     one = 2 * scipy.special.ndtr(-critical)
     tail = 2 * scipy.special.ndtr(-score)

@@ -13,7 +13,7 @@ from jaxnarx.evaluation.residual_tests.one_step import OneStep, slots
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection
 
-MOST = 10
+LISTED_LEVERAGE_SAMPLES = 10
 """Samples of high leverage that are listed."""
 
 
@@ -116,7 +116,7 @@ def influences(one: OneStep, data: Dataset) -> tuple[Influence, ...]:
     """The samples of highest leverage, of those at which the fit is known."""
     residual = one.residual
     h = np.minimum(one.design.leverage * residual.share, 1 - 1e-9)
-    top = np.argsort(-h, kind="stable")[:MOST]
+    top = np.argsort(-h, kind="stable")[:LISTED_LEVERAGE_SAMPLES]
     record, row = np.divmod(residual.at[top], residual.value.shape[1])
     e = residual.value.reshape(-1)[residual.at[top]]
     count = max(one.design.parameters, 1.0)
@@ -134,7 +134,7 @@ def influences(one: OneStep, data: Dataset) -> tuple[Influence, ...]:
     )
 
 
-def err_of(selection: Any, output: str) -> dict[str, float]:
+def error_reduction(selection: Any, output: str) -> dict[str, float]:
     """Error reduction ratio by term: of a `Selection`, or of what a report stores."""
     if selection is None:
         return {}

@@ -74,7 +74,7 @@ def input_correlation(
     at = np.arange(-lags, lags + 1)
     return linear_test(
         residual,
-        without_mean(values, known),
+        remove_mean(values, known),
         at,
         name="input",
         signal=signal,
@@ -101,9 +101,9 @@ def higher_order(
     """
     scores = normal_scores_of_squares(residual) if scores is None else scores
     at = np.arange(lags + 1)
-    u = without_mean(values, known)
-    square = without_mean(u**2, known)
-    product = without_mean(u * residual.value, known & residual.known)
+    u = remove_mean(values, known)
+    square = remove_mean(u**2, known)
+    product = remove_mean(u * residual.value, known & residual.known)
     common = {"signal": signal, "level": level}
     return (
         linear_test(residual, square, at, name="squared input", **common),
@@ -113,7 +113,7 @@ def higher_order(
         ),
         product_test(
             residual,
-            without_mean(output, residual.known),
+            remove_mean(output, residual.known),
             square,
             at,
             name="product, input",
@@ -132,7 +132,7 @@ def output_product(
     """(y e) against the square of the residual k = 1 to `lags` samples before."""
     return product_test(
         residual,
-        without_mean(output, residual.known),
+        remove_mean(output, residual.known),
         normal_scores_of_squares(residual).value,
         np.arange(1, lags + 1),
         name="product, residual",
@@ -159,7 +159,7 @@ def changing_variance(
     )
 
 
-def without_mean(
+def remove_mean(
     values: Float[np.ndarray, "records time"], known: Bool[np.ndarray, "records time"]
 ) -> Float[np.ndarray, "records time"]:
     """`values` less their mean where `known`, zero elsewhere."""
@@ -183,7 +183,7 @@ def normal_scores_of_squares(residual: Residual) -> Residual:
     value[residual.known] = scipy.special.ndtri(rank / (len(square) + 1))
     return dataclasses.replace(
         residual,
-        value=without_mean(value, residual.known),
+        value=remove_mean(value, residual.known),
         fit=no_fit(len(residual.at)),
         centred=True,
     )

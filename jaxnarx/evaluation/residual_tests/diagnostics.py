@@ -1,4 +1,4 @@
-"""What the verb `diagnose` returns, and its text."""
+"""The result of the verb `diagnose`, and its text."""
 
 import dataclasses
 import textwrap
@@ -26,7 +26,7 @@ HOW_ESTIMATED = {
 }
 
 
-MATTERS = 0.01
+NOTICEABLE_VARIANCE_SHARE = 0.01
 """Share of the residual's variance from which a finding speaks against the model: with
 tens of thousands of samples every test finds something."""
 
@@ -81,9 +81,9 @@ class OutputDiagnostics:
     def effects(self) -> dict[str, float]:
         """The share of the residual's variance that each test of `rows` is about.
 
-        Of a correlation test the squared correlation of its strongest lag, of Ljung and
-        Box's what the residual's past foretells of it, of a mean its square. Runs and
-        normality have none.
+        For a correlation test it is the squared correlation of its strongest lag, for
+        that of Ljung and Box the share that the residual's past predicts, for a mean
+        its square. Runs and normality have none.
         """
         lags = {
             (f"{t.name}, {t.signal}" if t.signal else t.name): t.effect
@@ -102,12 +102,17 @@ class OutputDiagnostics:
         )
 
     def strong(self, level: float) -> list[str]:
-        """The tests `found` with an effect of at least `MATTERS`, largest first."""
+        """The tests `found` with an effect of at least `NOTICEABLE_VARIANCE_SHARE`,
+        largest first."""
         effect = self.effects
-        kept = [n for n in self.found(level) if effect.get(n, 0.0) >= MATTERS]
+        kept = [
+            n
+            for n in self.failed_tests(level)
+            if effect.get(n, 0.0) >= NOTICEABLE_VARIANCE_SHARE
+        ]
         return sorted(kept, key=lambda n: -effect[n])
 
-    def found(self, level: float) -> list[str]:
+    def failed_tests(self, level: float) -> list[str]:
         """Tests that speak against the model, at a joint `level` for all of them.
 
         Holm 1979: the n-th smallest p is compared with level/(tests + 1 - n). Normality
@@ -168,7 +173,7 @@ class Diagnostics:
                 {k: v for k, v in strict(t).items() if k != "covariance"}
                 for t in one.lag_tests
             ]
-            values["found"] = one.found(self.level)
+            values["found"] = one.failed_tests(self.level)
             values["effects"], values["strong"] = one.effects, one.strong(self.level)
             outputs[one.output.name] = values
         found = {"lags": self.lags, "level": self.level, "outputs": outputs}
@@ -184,12 +189,13 @@ def _remark(test: LagTest) -> str:
 
 
 def _sentence(one: OutputDiagnostics, level: float) -> str:
-    found, strong = one.found(level), one.strong(level)
+    found, strong = one.failed_tests(level), one.strong(level)
     sure = f"{100 * (1 - level):g} %"
     if not found:
         return f"{one.output.name}: no test speaks against the model ({sure})."
     faint = len(found) - len(strong)
-    rest = f"{faint} of {len(one.rows)} tests find less than {100 * MATTERS:g} %"
+    least = f"{100 * NOTICEABLE_VARIANCE_SHARE:g} %"
+    rest = f"{faint} of {len(one.rows)} tests find less than {least}"
     rest += f" of the residual's variance, with {one.samples} samples"
     if not strong:
         return (
@@ -215,22 +221,22 @@ def _block(one: OutputDiagnostics, level: float) -> str:
     ]
     width = max(len(row[0]) for row in one.rows)
     tests = [f"{'test':{width}s} {'p':>10s} {'effect':>8s}"]
-    found, strong, effects = one.found(level), one.strong(level), one.effects
+    found, strong, effects = one.failed_tests(level), one.strong(level), one.effects
     for name, p, remark in one.rows:
         mark = "*" if name in strong else "." if name in found else " "
         effect = f"{100 * effects[name]:.2g} %" if name in effects else ""
         tests.append(f"{name:{width}s} {p:10.3g} {effect:>8s} {mark} {remark}".rstrip())
     note = [
         f"* speaks against the model, all tests together held to {100 * level:g} %; .",
-        f"does, but is about less than {100 * MATTERS:g} % (effect) of the residual's",
-        "variance",
+        f"does, but is about less than {100 * NOTICEABLE_VARIANCE_SHARE:g} % (effect)",
+        "of the residual's variance",
     ]
     note = textwrap.fill(" ".join(note), 88)
     return "\n".join([*head, "", *tests, note, "", *_coefficients(one), *_top(one)])
 
 
 def _coefficients(one: OutputDiagnostics) -> list[str]:
-    # Inside the function: see `err_of`.
+    # Inside the function: see `error_reduction`.
     from jaxnarx.selection import coefficient_lines
 
     lines = []

@@ -1,4 +1,4 @@
-"""What estimating the coefficients has done to the residuals.
+"""The effect of estimated coefficients on the residuals.
 
 Least squares leave the residual e - B B'e of the noise e. A statistic z'(residual) is
 therefore w'e with w = z - B B'z: it varies less the more of z the regressors explain.
@@ -20,9 +20,9 @@ from jaxnarx.arrays import directions
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ResidualBasis:
-    """B of the residual e - B B'e. Of a global fit B is an orthonormal basis.
+    """B of the residual e - B B'e. For a global fit B is an orthonormal basis.
 
-    Of local models estimated each by itself, with its validity phi as weight, it stacks
+    For local models estimated each by itself, with its validity phi as weight, B stacks
     sqrt(phi_m) Q_m, where Q_m is a basis of the columns sqrt(phi_m) P. The coefficients
     are off by `answer`'e. `condition` is that of each least squares problem.
     """
@@ -50,7 +50,7 @@ class ResidualBasis:
         """
         return np.einsum("np,np->n", self.basis, self.basis)
 
-    def without(
+    def remove_fit(
         self, z: Float[np.ndarray, "rows columns"]
     ) -> Float[np.ndarray, "rows columns"]:
         """z - B B'z: what the fit leaves of instruments."""

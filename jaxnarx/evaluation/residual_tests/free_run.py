@@ -9,10 +9,11 @@ import scipy.special
 from jaxtyping import Float, Int
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.data import Channel, Dataset, unit_of
+from jaxnarx.data import Channel, Dataset, scaling_unit
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation.residual_tests.bounds import joint_p, joint_score
-from jaxnarx.evaluation.residual_tests.correlations import without_mean
+from jaxnarx.evaluation.residual_tests.correlations import remove_mean
 from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products
 from jaxnarx.evaluation.residual_tests.one_step import usable_inputs
@@ -21,7 +22,7 @@ from jaxnarx.models import Network
 from jaxnarx.simulation import Prepared, simulate, stack_batch
 from jaxnarx.solution import RESULTS, Solution
 
-SPARE = 10
+SPARE_SAMPLES = 10
 """Samples needed beside those for the lags."""
 
 
@@ -29,10 +30,10 @@ SPARE = 10
 class FreeRunResiduals:
     """Correlations of one output's free-run residual, measured minus simulated.
 
-    `autocorrelation` tells the colour of what is missing and tests nothing: a free run
+    `autocorrelation` shows the colour of the residual and tests nothing: a free run
     leaves coloured residuals, its noise among them. `inputs` test whether an input
-    tells of the residual at any lag from 0 on. Mean and deviation are in the unit of
-    the output.
+    correlates with the residual at any lag from 0 on. Mean and deviation are in the
+    unit of the output.
     """
 
     output: Channel
@@ -42,7 +43,7 @@ class FreeRunResiduals:
     autocorrelation: LagTest
     inputs: tuple[LagTest, ...]
 
-    def found(self, level: float = 0.05) -> list[str]:
+    def significant_inputs(self, level: float = 0.05) -> list[str]:
         """Inputs that tell of the residual, at a joint `level` for all (Holm 1979)."""
         names = []
         for n, test in enumerate(sorted(self.inputs, key=lambda t: t.p)):
@@ -50,6 +51,8 @@ class FreeRunResiduals:
                 break
             names.append(test.signal)
         return names
+
+    found = old_method("found", "significant_inputs")
 
     def __str__(self) -> str:
         rows = [("input", "p", "largest share", "at lag")]
@@ -114,7 +117,7 @@ def diagnose_free_run(
             rows = slice(0, len(record))
             error[n, rows] = record.y[:, network.modelled[o]] - run.outputs[n][:, o]
             known[n, rows] = run.scored[n][:, o]
-        if lost or known.sum() < lags + SPARE:
+        if lost or known.sum() < lags + SPARE_SAMPLES:
             status = RESULTS.diverged if lost else RESULTS.too_short
             continue
         found.append(_test_inputs(network, batch, channel, error, known, lags, level))
@@ -125,7 +128,9 @@ def _test_inputs(
     network, batch, channel, error, known, lags, level
 ) -> FreeRunResiduals:
     mean, deviation = float(error[known].mean()), float(error[known].std())
-    value = without_mean(np.where(known, error / unit_of(error.ravel()), 0.0), known)
+    value = remove_mean(
+        np.where(known, error / scaling_unit(error.ravel()), 0.0), known
+    )
     at = np.arange(1, lags + 1)
     norm = float(np.sum(value**2)) or 1.0
     own = lagged_products(value, value, at) / norm
@@ -135,7 +140,7 @@ def _test_inputs(
     for signal, one in enumerate(network.channels.inputs):
         u, there = usable_inputs(batch, signal)
         if there.any() and np.ptp(u[there]) > 0:
-            centred = without_mean(u, there)
+            centred = remove_mean(u, there)
             tests.append(_correlation(centred, value, count, one.name, lags, level))
     return FreeRunResiduals(channel, count, mean, deviation, colour, tuple(tests))
 

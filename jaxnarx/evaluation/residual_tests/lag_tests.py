@@ -14,7 +14,7 @@ import scipy.special
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.evaluation.residual_tests.bounds import (
-    GRID,
+    NORMAL_SCORE_GRID,
     bent_quantile,
     correlation_quantile,
     correlation_score,
@@ -24,7 +24,7 @@ from jaxnarx.evaluation.residual_tests.bounds import (
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products, lagged_rows
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-FIXED = 1e-6
+FIXED_SQUARE_SHARE = 1e-6
 """Instruments of which the fit leaves less than this share of their square have a
 correlation of zero by construction, and nothing to test."""
 
@@ -109,7 +109,7 @@ def linear_test(
     total = lagged_products(earlier, residual.value, lags)
     norm = np.sqrt(np.sum(earlier[residual.known] ** 2) * residual.squares)
     z = lagged_rows(earlier * 1.0, residual.at, lags)
-    w = residual.left(z)
+    w = residual.remove_fit_and_mean(z)
     gram = w.T @ w * residual.share
     skewness, excess = moments(w)
     g, h = moments(residual.value[residual.known][:, None])
@@ -121,7 +121,7 @@ def linear_test(
         skewness=skewness * g / np.sqrt(samples),
         excess=excess * h / samples,
         freedom=max(residual.freedom + (1 if itself else -1), 1.0),
-        fixed=np.sum(w**2, axis=0) <= FIXED * np.sum(z**2, axis=0),
+        fixed=np.sum(w**2, axis=0) <= FIXED_SQUARE_SHARE * np.sum(z**2, axis=0),
         shown_only=shown_only,
         lags=lags,
         name=name,
@@ -161,7 +161,7 @@ def product_test(
     z = lagged_rows(earlier, residual.at, lags)
     z = z - z.mean(axis=0)[None]
     f = (output - residual.value).reshape(-1)[residual.at]
-    q = residual.left(z * f[:, None])
+    q = residual.remove_fit_and_mean(z * f[:, None])
     e = residual.value.reshape(-1)[residual.at]
     m = _noise_moments(e * np.sqrt(residual.samples / residual.freedom))
     share = residual.samples / len(residual.at)
@@ -255,13 +255,15 @@ def _lag_test(
     critical = joint_score(correlation[np.ix_(tested, tested)], level)
     one = float(scipy.special.ndtri(1 - level / 2))
     ends = np.array([-one, one, -critical, critical])
-    bent = bent_quantile(GRID, skewness, excess)
-    edges = np.array([np.interp(ends, GRID, row) for row in bent])
+    bent = bent_quantile(NORMAL_SCORE_GRID, skewness, excess)
+    edges = np.array([np.interp(ends, NORMAL_SCORE_GRID, row) for row in bent])
     edges = correlation_quantile(edges, freedom) * deviation[:, None]
     plain = correlation_score(
         value / np.where(deviation > 0, deviation, np.inf), freedom
     )
-    scores = [np.interp(x, row, GRID) for x, row in zip(plain, bent, strict=True)]
+    scores = [
+        np.interp(x, row, NORMAL_SCORE_GRID) for x, row in zip(plain, bent, strict=True)
+    ]
     largest = float(np.max(np.abs(np.array(scores)[tested]), initial=0.0))
     return LagTest(
         name=name,

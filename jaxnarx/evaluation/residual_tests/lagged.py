@@ -16,8 +16,8 @@ def lagged_products(
 ) -> Float[np.ndarray, " lags"]:
     """sum over records and t of `earlier[t - k] later[t]` for every lag k.
 
-    Negative lags look ahead. By the fast Fourier transform, with zeros behind every
-    record so that nothing wraps round: O(n log n) whatever the number of lags.
+    Negative lags look ahead. It uses the fast Fourier transform, with zeros behind
+    every record so that nothing wraps round: O(n log n) whatever the number of lags.
     """
     records, time = later.shape
     reach = int(np.abs(lags).max(initial=0))

@@ -9,7 +9,7 @@ import scipy.stats
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays import quadratic
-from jaxnarx.data import Batch, Channel, unit_of
+from jaxnarx.data import Batch, Channel, scaling_unit
 from jaxnarx.evaluation.residual_tests.fits import (
     ResidualBasis,
     global_fit,
@@ -20,15 +20,15 @@ from jaxnarx.evaluation.residual_tests.residual import Residual, make_residual
 from jaxnarx.models import Network, OutputModel, held_inputs, weights_at
 from jaxnarx.regressors import evaluate, row_columns
 
-ROWS, FEWEST = 20_000, 4_000
+FIT_EFFECT_ROWS, FEWEST_FIT_EFFECT_ROWS = 20_000, 4_000
 """Samples at which the effect of the fit is found, for few and for many parameters; of
 more samples, so many evenly spaced ones. The variances then are good to 1 or 2 %."""
-WORK = 2_000_000
+MAX_REGRESSOR_NUMBERS = 2_000_000
 """Numbers the regressors at these samples may have, unless that makes the rows fewer
 than 20 times their parameters."""
-BLOCK = 2**22
+BLOCK_NUMBERS = 2**22
 """Numbers of a table of terms that are held at a time."""
-CHANCE = 1e-3
+FOREIGN_FIT_PROBABILITY = 1e-3
 """How rarely coefficients from other data pass for those fitted to these. Growth that
 estimates only new local models leaves the others nearly but not wholly fitted."""
 
@@ -73,7 +73,7 @@ def one_step(
         known[n, :length] = scored[:, place]
         value[n, :length] = signals[n, :length, signal] - predicted[:, place]
     measured = np.where(known, signals[..., signal], 0.0)
-    unit = float(unit_of(measured.ravel()))
+    unit = float(scaling_unit(measured.ravel()))
     value = value / unit
     every = np.flatnonzero(known)
     rows = _rows(sum(map(len, slots(model))))
@@ -102,8 +102,10 @@ def one_step(
 
 def _rows(parameters: int) -> int:
     """At how many samples the fit is looked at."""
-    few = max(FEWEST, 20 * parameters)
-    return min(max(few, WORK // max(parameters, 1)), max(ROWS, few))
+    few = max(FEWEST_FIT_EFFECT_ROWS, 20 * parameters)
+    return min(
+        max(few, MAX_REGRESSOR_NUMBERS // max(parameters, 1)), max(FIT_EFFECT_ROWS, few)
+    )
 
 
 def columns(
@@ -132,7 +134,7 @@ def _blocks(
     network: Network, model: OutputModel, batch: Batch, every: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     terms = model.local.factor.shape[0] + len(model.active) + len(network.variables)
-    size = max(BLOCK // max(terms, 1), 1)
+    size = max(BLOCK_NUMBERS // max(terms, 1), 1)
     for start in range(0, len(every), size):
         at = every[start : start + size]
         yield at, *columns(network, model, batch, at)
@@ -165,7 +167,7 @@ def _find_noise_kind(
     count = len(every)
     scale = count / max(len(design.basis), 1)
     moments = [joint[chosen, m] for m, chosen in enumerate(own)]
-    most = scipy.stats.chi2.ppf(CHANCE, max(sum(map(len, own)), 1))
+    most = scipy.stats.chi2.ppf(FOREIGN_FIT_PROBABILITY, max(sum(map(len, own)), 1))
     blended = [w[:, None] * c for c, w in zip(*parts, strict=True)]
     together = (np.concatenate(blended, axis=1), np.concatenate(moments))
     if _explained_share(*together, squares[0, 0], scale) * count < most:
@@ -205,4 +207,4 @@ def usable_inputs(
     known = np.asarray(batch.valid[..., signal])
     values = np.asarray(np.asarray(batch.signals)[..., signal], float)
     values = np.where(known, values, 0.0)
-    return values / unit_of(values.ravel()), known
+    return values / scaling_unit(values.ravel()), known

@@ -7,10 +7,10 @@ import scipy.stats
 from jaxtyping import Float, Int
 
 from jaxnarx.arrays import quadratic
-from jaxnarx.data import unit_of
+from jaxnarx.data import scaling_unit
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-BINS = 10
+DEFAULT_BINS = 10
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class OperatingPoint:
     @property
     def effect(self) -> float:
         """Share of the residual's mean square that the means of the bins explain."""
-        unit = unit_of(self.mean, self.deviation)
+        unit = scaling_unit(self.mean, self.deviation)
         between = float(np.sum(self.samples * (self.mean / unit) ** 2))
         spare = (self.samples - 1).clip(0)
         within = float(np.sum(spare * (self.deviation / unit) ** 2))
@@ -52,13 +52,13 @@ class OperatingPoint:
         return dataclasses.replace(self, **larger)
 
 
-def by_operating_point(
+def bin_by_operating_point(
     residual: Residual,
     values: Float[np.ndarray, " samples"],
     *,
     variable: str,
     unit: str = "",
-    bins: int = BINS,
+    bins: int = DEFAULT_BINS,
 ) -> OperatingPoint | None:
     """Bins of `values`, one for each known residual in flat order, and their test.
 
@@ -84,7 +84,7 @@ def by_operating_point(
     place = np.searchsorted(np.flatnonzero(residual.known), residual.at)
     own = bin_of[place]
     indicator = (own[:, None] == np.arange(len(count))[None]).astype(float)
-    w = residual.left(indicator) * spread[own][:, None]
+    w = residual.remove_fit_and_mean(indicator) * spread[own][:, None]
     v = w.T @ w * residual.share
     whole, rank = quadratic(v, total, least=1e-6)
     statistic = whole / max(rank, 1)

@@ -50,11 +50,11 @@ class Residual:
         """Standard deviation of the noise, sqrt(squares/freedom)."""
         return float(np.sqrt(self.squares / self.freedom))
 
-    def left(
+    def remove_fit_and_mean(
         self, z: Float[np.ndarray, "rows columns"]
     ) -> Float[np.ndarray, "rows columns"]:
         """The rest of instruments at the places `at` after fit and mean."""
-        return self.fit.without(z - z.mean(axis=0)[None] if self.centred else z)
+        return self.fit.remove_fit(z - z.mean(axis=0)[None] if self.centred else z)
 
     @property
     def share(self) -> float:

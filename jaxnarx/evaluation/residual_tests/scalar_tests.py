@@ -10,7 +10,7 @@ from jaxnarx.evaluation.residual_tests.lag_tests import LagTest
 from jaxnarx.evaluation.residual_tests.lagged import lagged_products, lagged_rows
 from jaxnarx.evaluation.residual_tests.residual import Residual
 
-FEWEST = 20
+FEWEST_MOMENT_SAMPLES = 20
 """Samples below which the moments of the normality test are not to be trusted."""
 
 
@@ -72,7 +72,10 @@ def runs_test(residual: Residual) -> ScalarTest:
             variance += 2 * a * b * (2 * a * b - n) / (n**2 * (n - 1))
     before = lagged_rows(sign, residual.at, np.array([1]))
     whole = before - before.mean(axis=0)[None] if residual.centred else before
-    left = float(np.sum(residual.left(before) ** 2) / max(np.sum(whole**2), 1e-300))
+    left = float(
+        np.sum(residual.remove_fit_and_mean(before) ** 2)
+        / max(np.sum(whole**2), 1e-300)
+    )
     variance *= max(1 - 2 / np.pi * (1 - min(left, 1.0)), 0.0)
     score = (runs - expected) / np.sqrt(variance) if variance > 0 else 0.0
     remark = "too few" if score < 0 else "too many"
@@ -102,7 +105,7 @@ def normality(residual: Residual) -> ScalarTest | None:
     not need normal noise, see `linear_test`.
     """
     values = residual.value[residual.known]
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_MOMENT_SAMPLES:
         return None
     found = scipy.stats.normaltest(values)
     g, k = scipy.stats.skew(values), scipy.stats.kurtosis(values)
@@ -114,7 +117,7 @@ def normality(residual: Residual) -> ScalarTest | None:
 def mean_test(residual: Residual) -> ScalarTest | None:
     """Whether the mean is zero: t of Student; None where the fit has made it so."""
     raw = np.ones((len(residual.at), 1))
-    left = float(np.sum(residual.fit.without(raw) ** 2)) / len(raw)
+    left = float(np.sum(residual.fit.remove_fit(raw) ** 2)) / len(raw)
     if left < 1e-6:
         return None
     error = residual.deviation * np.sqrt(left / residual.samples)

@@ -1,4 +1,4 @@
-"""What an FMU says about itself: modelDescription.xml and buildDescription.xml."""
+"""Descriptions of an FMU: modelDescription.xml and buildDescription.xml."""
 
 import importlib.metadata
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def fmi2(
             listed, "ScalarVariable", name=v.name, valueReference=str(n)
         )
         _common(scalar, v)
-        _typed(ET.SubElement(scalar, types[v.kind]), v)
+        _set_type(ET.SubElement(scalar, types[v.kind]), v)
     structure = ET.SubElement(root, "ModelStructure")
     outputs = ET.SubElement(structure, "Outputs")
     first = ET.SubElement(structure, "InitialUnknowns")
@@ -83,7 +83,7 @@ def fmi3(program: SampleProgram, variables: Sequence[Quantity], token: str) -> s
         kind = NUMBER_TYPES.get(v.kind, "Float64")
         one = ET.SubElement(listed, kind, name=v.name, valueReference=str(n))
         _common(one, v)
-        _typed(one, v)
+        _set_type(one, v)
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [(n, v) for n, v in enumerate(variables) if v.causality == "output"]
     for n, v in outputs:
@@ -161,7 +161,7 @@ def _common(element: ET.Element, v: Quantity) -> None:
         element.set("initial", "exact" if parameter else "calculated")
 
 
-def _typed(element: ET.Element, v: Quantity) -> None:
+def _set_type(element: ET.Element, v: Quantity) -> None:
     if v.kind == "choice":
         element.set("declaredType", "Start")
     if v.unit:

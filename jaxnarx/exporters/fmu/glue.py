@@ -8,7 +8,7 @@ from jaxnarx.exporters.fmu.variables import Quantity, past_gains
 from jaxnarx.exporters.form import SampleProgram
 
 
-def text_of(file: str, program: SampleProgram | None = None) -> str:
+def read_template(file: str, program: SampleProgram | None = None) -> str:
     """A text of this folder, with a program's name in it."""
     path = resources.files("jaxnarx.exporters.fmu") / file
     text = path.read_text(encoding="utf-8")
@@ -40,7 +40,7 @@ def wrapper(
         "",
         *_definitions(program, variables, token, version),
     ]
-    return "\n".join([*head, *(text_of(file, program) for file in files)])
+    return "\n".join([*head, *(read_template(file, program) for file in files)])
 
 
 def _definitions(

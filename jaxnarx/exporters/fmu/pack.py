@@ -15,7 +15,7 @@ from jaxnarx.exporters import c99
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import description
 from jaxnarx.exporters.fmu.documentation import page
-from jaxnarx.exporters.fmu.glue import text_of, wrapper
+from jaxnarx.exporters.fmu.glue import read_template, wrapper
 from jaxnarx.exporters.fmu.variables import quantities
 from jaxnarx.exporters.form import BOTH, ONLY_SINGLE, SampleProgram
 from jaxnarx.exporters.proof import ExportError
@@ -32,10 +32,10 @@ SYSTEM_NAMES = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
 
 def fmu(version: int) -> Callable[[SampleProgram, Golden], Files]:
     """The writer of an FMU of this version of FMI."""
-    return functools.partial(_written, version=version)
+    return functools.partial(_pack_files, version=version)
 
 
-def _written(program: SampleProgram, golden: Golden, *, version: int) -> Files:
+def _pack_files(program: SampleProgram, golden: Golden, *, version: int) -> Files:
     parts = contents(program, golden, version)
     made = binary(program, parts, version)
     return {archive_name(program, version): archive(parts | made)}
@@ -53,7 +53,9 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
     if program.precision == ONLY_SINGLE:  # the binary is of double
         program = dataclasses.replace(program, precision=BOTH)
     code = c99.sources(program, golden)
-    whole = "".join(map(str, [*code.values(), variables, text_of("unit.c"), version]))
+    whole = "".join(
+        map(str, [*code.values(), variables, read_template("unit.c"), version])
+    )
     token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"
     sources = [f"{name}.c", f"{name}_fmi{version}.c"]
     found = {
@@ -68,7 +70,7 @@ def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, 
         return {
             "modelDescription.xml": about,
             **found,
-            "sources/fmi2Functions.h": text_of("fmi2Functions.h"),
+            "sources/fmi2Functions.h": read_template("fmi2Functions.h"),
         }
     return {
         "modelDescription.xml": description.fmi3(program, variables, token),
@@ -100,7 +102,7 @@ def binary(
     with TemporaryFolder() as folder:
         for name, text in list_sources(parts).items():
             Path(folder, name).write_bytes(as_bytes(text))
-        Path(folder, "fmi3Functions.h").write_text(text_of("fmi3Functions.h"))
+        Path(folder, "fmi3Functions.h").write_text(read_template("fmi3Functions.h"))
         own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
         library = Path(folder, Path(place).name)
         command = [found[0], *WARNING_FLAGS, "-O2", "-fPIC", "-shared"]

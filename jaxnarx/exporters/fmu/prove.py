@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
-from jaxnarx.exporters.fmu.glue import text_of
+from jaxnarx.exporters.fmu.glue import read_template
 from jaxnarx.exporters.fmu.pack import archive_name, place_of_binary
 from jaxnarx.exporters.fmu.variables import quantities
 from jaxnarx.exporters.form import SampleProgram
@@ -77,7 +77,7 @@ def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | N
 def _loop(build: Path, version: int) -> ctypes.CDLL:
     """The loop over a record, in C: a call from here costs as much as a sample."""
     for file in (f"loop{version}.c", f"fmi{version}Functions.h"):
-        (build / file).write_text(text_of(file))
+        (build / file).write_text(read_template(file))
     chosen, library = compiler(), build / f"loop{version}.so"
     assert chosen is not None, "there is a binary, so there was a compiler"
     command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared"]

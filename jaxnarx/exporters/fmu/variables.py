@@ -41,18 +41,18 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         return _free(text, taken)
 
     def output(label: str, n: Value, kind: str, about: str, unit: str = "") -> Quantity:
-        ops = (program.ops[k] for k in program.needed([n]))
+        ops = (program.ops[k] for k in program.needed_operations([n]))
         sees = {op.source for op in ops if op.kind == "input"}
         return Quantity(
             label, kind, "output", about, unit, sees=tuple(sorted(sees, key=int))
         )
 
     inputs = [
-        Quantity(name(p.name), "real", "input", _trained(p), p.unit, _middle(p))
+        Quantity(name(p.name), "real", "input", _describe_range(p), p.unit, _middle(p))
         for p in program.inputs
     ]
     reported = [
-        output(name(p.name), n, "real", _trained(p), p.unit)
+        output(name(p.name), n, "real", _describe_range(p), p.unit)
         for p, n in zip(program.reported, program.outputs, strict=True)
     ]
     flags = [
@@ -70,7 +70,7 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
             f"what is fed back, {k} before this sample",
             program.computed[o].unit,
         )
-        for o, k in past_of(program)
+        for o, k in past_entries(program)
     ]
     choice = Quantity(
         name("start"), "choice", "parameter", "what a run starts from", start=0.0
@@ -92,7 +92,7 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
     return (*found, time) if version == 3 else found
 
 
-def past_of(program: SampleProgram) -> list[tuple[int, int]]:
+def past_entries(program: SampleProgram) -> list[tuple[int, int]]:
     """The output and the lag of every entry of `program.past`."""
     order = list(dict.fromkeys(line for line, _ in program.past))
     own = [program.ops[n] for n in program.fed]
@@ -112,7 +112,7 @@ def past_gains(program: SampleProgram) -> list[float]:
     """Physical value over value in its line, of every entry of `program.past`."""
     lines = {d.name: d.source for d in program.delays}
     found = []
-    for (line, _), (o, _) in zip(program.past, past_of(program), strict=True):
+    for (line, _), (o, _) in zip(program.past, past_entries(program), strict=True):
         n = program.fed[o]
         factors = [program.ops[a] for a in program.ops[n].args if a != lines[line]]
         found.append(1.0 if n == lines[line] else float(factors[0].source))
@@ -123,7 +123,7 @@ def _flag(flag: str) -> str:
     return FLAG_TEXTS.get(flag, f"{flag} at this sample")
 
 
-def _trained(port: Port) -> str:
+def _describe_range(port: Port) -> str:
     return f"trained from {port.low:.6g} to {port.high:.6g}"
 
 

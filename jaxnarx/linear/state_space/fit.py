@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require_known
-from jaxnarx.data import Dataset, shortened
+from jaxnarx.data import Dataset, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.linear.state_space.network import (
     increase_degree,
@@ -67,7 +67,7 @@ def fit_states(
         method: Number of states, degree and pull; see `HiddenStates`.
         hopeless: Error in training (NRMSE) beyond which no start goes on after its
             first steps, or with two regions: a DataError then.
-        progress: Called on the host after every accepted step.
+        progress: A function called on the host after every accepted step.
 
     Returns:
         `value` is the network of the last of `method.stages`, `stats["path"]` that of
@@ -84,7 +84,7 @@ def fit_states(
     for name in method.outputs:
         require_known(name, known, "outputs", f"unknown output {name!r}")
     places = tuple(known.index(name) for name in (method.outputs or known))
-    few = shortened(data, method.first_rows)
+    few = thin_records(data, method.first_rows)
     starts = _starts(few, data, places, method, progress)
     if few is not data:
         starts = [min(starts, key=_training_error)]
@@ -118,9 +118,9 @@ def refit_states(
 ) -> Network:
     """A network with hidden states trained once more, on these data alone.
 
-    From where it stands: its structure, and which of several minima it is in, stay. Its
-    hidden channels are held to the ranges they had, and to those that they have now.
-    Errors are those of `jaxnarx.refinement.refine`.
+    It starts from its parameters: its structure, and which of several minima it is in,
+    stay. Its hidden channels are held to the ranges they had, and to those that they
+    have now. Errors are those of `jaxnarx.refinement.refine`.
     """
     start = set_ranges(network, data)
     fit = _train(start, data, method.max_steps, shrink, None)
@@ -159,8 +159,9 @@ def _train_on(
     shrink: float,
     progress: Tell | None,
 ) -> _Start:
-    """Trained on all data with this pull. A network with a larger error than before,
-    begun as in use, is none to be used, though the training goes on from it."""
+    """Model trained on all data with this regularisation. A network with a larger error
+    than before, begun as in use, is none to be used, though the training goes on from
+    it."""
     try:
         fit = _train(start.fit.value, data, method.max_steps, shrink, progress)
     except (JaxnarxError, np.linalg.LinAlgError):

@@ -75,7 +75,7 @@ def simulate_state_space(
 ) -> Float[np.ndarray, "time outputs"]:
     """Free run from the state `x0` at the first of the inputs `u`, (time, inputs).
 
-    Of an unstable model it may end in infinities.
+    The run of an unstable model may end in infinities.
     """
     u = np.asarray(u, float)
     x = simulate_states(model, u, x0)
@@ -218,7 +218,7 @@ def modal_basis(
 
 
 def _blocks(a: Float[np.ndarray, "states states"]) -> np.ndarray:
-    """Which entries the modal form of `a` has."""
+    """True for the entries that the modal form of `a` has."""
     values = _eigen(a)[0]
     same = np.abs(values[:, None] - values[None].conj()) == 0
     return np.eye(len(a), dtype=bool) | (same & (np.imag(values) != 0)[:, None])

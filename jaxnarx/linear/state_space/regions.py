@@ -33,7 +33,8 @@ from jaxnarx.models import (
 from jaxnarx.simulation import match_records, simulate
 
 FIRST_STEEPNESS = 2.0
-"""Of a gate at first, for one standard deviation of what a leaf is valid for."""
+"""Steepness of a gate at first, for one standard deviation of what a leaf is valid
+for."""
 LEAST_DEVIATION = 1e-6
 """Least standard deviation across a gate, in units of the trained range."""
 

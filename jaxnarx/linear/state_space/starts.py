@@ -37,7 +37,7 @@ def linear_starts(
     longest = {name: values[at : at + 1] for name, values in every.items()}
     tried: list[tuple[str, Callable[[], StateSpace]]] = [
         (
-            _named(rows),
+            _name_start(rows),
             lambda rows=rows: identify_subspace(order=states, block_rows=rows, **every),
         )
         for rows in BLOCK_ROWS
@@ -59,8 +59,8 @@ def linear_starts(
 def linear_order(data: Dataset, output: str, most: int) -> int | None:
     """The fewest states of a linear model nearly as good as the best of up to `most`.
 
-    By the error of their free runs on the data, within `NEARLY_BEST_FACTOR` of the
-    least; None where there is no such model.
+    The criterion is the error of their free runs on the data, within
+    `NEARLY_BEST_FACTOR` of the least; None where there is no such model.
     """
     every = _arrays(data, [data.channels.output_names.index(output)])
     try:
@@ -74,7 +74,7 @@ def linear_order(data: Dataset, output: str, most: int) -> int | None:
     )
 
 
-def _named(rows: int | None) -> str:
+def _name_start(rows: int | None) -> str:
     return "subspace" if rows is None else f"subspace of {rows} block rows"
 
 

@@ -146,7 +146,7 @@ def chain_model(
 
         z_k(t+1) = p z_k(t) + (1 - p) z_(k+1)(t) ,   y(t) = z_1(t) ,
 
-    which the inputs enter anywhere. Of `CHAIN_POLES` values of p the best is taken.
+    which the inputs enter anywhere. The best of `CHAIN_POLES` values of p is chosen.
     Arguments as in `subspace_models`; `SpecError` for several outputs.
     """
     order = whole(order, "order", 1)
@@ -190,7 +190,7 @@ def _error(
 class _Signals:
     """Valid stretches of all records, of mean zero and standard deviation one.
 
-    What does not change has `spread` zero and is zero.
+    A signal that does not change has `spread` zero and is zero.
     """
 
     pieces: list[Segment]
@@ -429,14 +429,14 @@ def _complete(
     plain = StateSpace(
         a, rest.b, rest.state_offset, c, rest.d, rest.output_offset, start, singular
     )
-    model = scale_states(_in_units(plain, signals), every, form)
+    model = scale_states(_unscale(plain, signals), every, form)
     numbers = (getattr(model, field.name) for field in dataclasses.fields(model))
     if not all(np.all(np.isfinite(n)) for n in numbers):
         raise DataError(f"the model of order {len(a)} has numbers that are not finite")
     return model
 
 
-def _in_units(model: StateSpace, signals: _Signals) -> StateSpace:
+def _unscale(model: StateSpace, signals: _Signals) -> StateSpace:
     """A model of scaled signals for those in their own units."""
     u, y = slice(None, signals.inputs), slice(signals.inputs, None)
     spread = signals.spread

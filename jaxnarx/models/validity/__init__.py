@@ -7,7 +7,7 @@ from jaxnarx.extensions import Registry
 from jaxnarx.models.validity.abstract import (
     CENTRE_ROOM,
     AbstractValidity,
-    models_of,
+    count_models,
     weights_of,
 )
 from jaxnarx.models.validity.boxes import Boxes
@@ -51,8 +51,8 @@ def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
     Files know classes by name alone and load no code: the program that reads one must
     have registered the class before, or an installed package does
     (`jaxnarx.extensions`). All fields must be arrays. A class of your own may be
-    registered anew, under a name that no other class has. What its contract is tried
-    with goes to `VALIDITIES.register(name, kind, example=...)`.
+    registered anew, under a name that no other class has. An example for the contract
+    goes to `VALIDITIES.register(name, kind, example=...)`.
     """
     return VALIDITIES.register(kind.__name__, kind)
 
@@ -66,7 +66,7 @@ __all__ = [
     "LogSigmoids",
     "SigmoidTree",
     "VALIDITIES",
-    "models_of",
+    "count_models",
     "register_validity",
     "weights_of",
 ]

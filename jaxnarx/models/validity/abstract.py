@@ -1,4 +1,4 @@
-"""What every validity function offers."""
+"""The interface of every validity function."""
 
 import abc
 import dataclasses
@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.arrays import bucket
+from jaxnarx.deprecation import old_method
 
 CENTRE_ROOM = 0.01
 """Room for a centre at the border of the range, or beyond it, in the range's units."""
 
 Region = dict[str, dict[str, float]]
-"""Where one local model is valid: by scheduling variable (or combination of them), its
+"""Region of one local model: by scheduling variable (or combination of them), its
 `centre` and `width`, or what it lies `above` and `below`; physical units."""
 
 
@@ -70,16 +71,18 @@ class AbstractValidity(eqx.Module):
         """The values of the trained fields (flags, in a tree of booleans)."""
         return [getattr(self, name) for name in self.trained]
 
-    def replaced(self, values: Sequence[Array]) -> "AbstractValidity":
+    def replace_parameters(self, values: Sequence[Array]) -> "AbstractValidity":
         """The same with these values of the trained fields."""
         return dataclasses.replace(self, **dict(zip(self.trained, values, strict=True)))
+
+    replaced = old_method("replaced", "replace_parameters")
 
 
 MOST_MODELS = 1024
 """Local models of one output that are thought of where no size tells their number."""
 
 
-def models_of(validity: AbstractValidity, dims: int) -> int:
+def count_models(validity: AbstractValidity, dims: int) -> int:
     """The number of local models that there is room for: the one `check` accepts.
 
     ValueError, what `check` says, where it accepts none for so many variables.
@@ -97,7 +100,7 @@ def models_of(validity: AbstractValidity, dims: int) -> int:
 
 
 @eqx.filter_jit
-def _called(validity: AbstractValidity, z, active):
+def _call(validity: AbstractValidity, z, active):
     return validity(z, active)
 
 
@@ -112,7 +115,7 @@ def weights_of(
     dtype = numbers[0].dtype if numbers else z.dtype
     rounded = np.zeros((len(z), bucket(points)), dtype)
     rounded[:, :points] = z
-    return np.asarray(_called(validity, rounded, active), float)[:, :points]
+    return np.asarray(_call(validity, rounded, active), float)[:, :points]
 
 
 def column(values: Array, rows: int) -> Array:

@@ -11,7 +11,9 @@ STABILITY_MARGIN = 1e-6
 """Distance of a reflection coefficient from one that still counts as stable."""
 
 
-def of_times(times: Sequence[float], sample_time: float) -> Float[np.ndarray, " _"]:
+def denominator_from_times(
+    times: Sequence[float], sample_time: float
+) -> Float[np.ndarray, " _"]:
     """A(q) with real poles of these time constants [s], its leading one included."""
     poles = np.exp(-sample_time / np.asarray(times, float))
     return np.atleast_1d(np.poly(poles))

@@ -3,10 +3,10 @@
     y(t) = s(t) + sum_(b,k) theta[b, k] [w_b p_k / A](t)
 
 Block b holds the terms p_k times w_b, the product of the gates on the way from the root
-of a tree of halvings to region b. The root has w = 1. Of a halved region only the upper
-half enters: the lower one is the difference. So a term that is the same everywhere
-needs one coefficient, and what is known of a region stays when it is divided. Of a
-partition that is given all local models but the last enter beside the root.
+of a tree of halvings to region b. The root has w = 1. Only the upper half of a halved
+region enters: the lower one is the difference. So a term that is the same everywhere
+needs one coefficient, and what is known of a region stays when it is divided. All local
+models of a given partition but the last enter beside the root.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.models import AbstractValidity, models_of, weights_of
+from jaxnarx.models import AbstractValidity, count_models, weights_of
 from jaxnarx.partition.closed_form.equations import NormalEquations
 from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
 from jaxnarx.regressors import evaluate
@@ -62,7 +62,7 @@ class Share:
     index: int
 
     def __call__(self, x: Float[np.ndarray, "dims time"]) -> Float[np.ndarray, " time"]:
-        active = np.ones(models_of(self.validity, len(x)), bool)
+        active = np.ones(count_models(self.validity, len(x)), bool)
         return np.asarray(weights_of(self.validity, x, active))[self.index]
 
 
@@ -73,7 +73,7 @@ Place = tuple[Region, Gate]
 """A gate, its upper side, behind the gates on the way to it."""
 
 
-def gates_of(region: Region) -> Iterator[tuple[Gate, Place]]:
+def gates_on_path(region: Region) -> Iterator[tuple[Gate, Place]]:
     """The gates on the way to a region, each with the place that both its sides have in
     common; shares are none."""
     for n, gate in enumerate(region):
@@ -84,7 +84,7 @@ def gates_of(region: Region) -> Iterator[tuple[Gate, Place]]:
 def with_gates(region: Region, gates: Mapping[Place, Gate]) -> Region:
     """The region behind other gates, given by their places; shares stay."""
     out = list(region)
-    for gate, (way, upper) in gates_of(region):
+    for gate, (way, upper) in gates_on_path(region):
         new = gates.get((way, upper), upper)
         out[len(way)] = new if gate.side > 0 else new.other
     return tuple(out)
@@ -138,7 +138,9 @@ class BlockDesign:
             np.array([e.shape[1] for e in target], float),
             signals.apart,
         )
-        y = _group_records([_at(s.y[None], s.counted) for s in signals.stretches])
+        y = _group_records(
+            [_select_counted(s.y[None], s.counted) for s in signals.stretches]
+        )
         own = tuple(e[0] for e in target), tuple(e[0] for e in y)
         return cls(signals, a, (), *own, empty)
 
@@ -177,12 +179,12 @@ class BlockDesign:
         step = max(1, TILE_NUMBERS // max(z.shape[1], 1))
         for k in range(0, len(factor), step):
             raw = np.asarray(evaluate(factor[k : k + step], z)) * gates
-            run = one.filtered(raw, self.a)
+            run = one.filter_columns(raw, self.a)
             for own, at in zip(out, counted, strict=True):
                 if len(at):
                     own[k : k + step] = run[:, at]
 
-    def only(self, at: Int[np.ndarray, " chosen"]) -> "BlockDesign":
+    def select_columns(self, at: Int[np.ndarray, " chosen"]) -> "BlockDesign":
         """The design with these columns alone; blocks have the terms that are left."""
         blocks, edge = [], 0
         for block in self.blocks:
@@ -193,10 +195,10 @@ class BlockDesign:
                 own = np.sort(own)
                 columns = tuple(c[own] for c in block.columns)
                 blocks.append(Block(block.region, block.terms[own], columns))
-        equations = self.equations.taken(np.sort(at))
+        equations = self.equations.select(np.sort(at))
         return dataclasses.replace(self, blocks=tuple(blocks), equations=equations)
 
-    def moved(
+    def move(
         self,
         a: Float[np.ndarray, " _"],
         gates: Mapping[Place, Gate] = MappingProxyType({}),
@@ -205,10 +207,10 @@ class BlockDesign:
         out = BlockDesign.of(self.signals, a)
         for block in self.blocks:
             region = with_gates(block.region, gates)
-            out = out.extended(out.block(region, block.terms))
+            out = out.extend(out.block(region, block.terms))
         return out
 
-    def extended(self, block: Block) -> "BlockDesign":
+    def extend(self, block: Block) -> "BlockDesign":
         """The design with one more block."""
         gram, right = self.products(block)
         top = np.concatenate([self.equations.gram, gram.transpose(0, 2, 1)], axis=2)
@@ -237,7 +239,7 @@ class BlockDesign:
         """Free runs of all stretches, in standard deviations of the output."""
         pairs = zip(self.signals.stretches, self.driven(theta), strict=True)
         return [
-            one.filtered(raw[None], self.a)[0] + one.left_by_start(self.a)
+            one.filter_columns(raw[None], self.a)[0] + one.start_response(self.a)
             for one, raw in pairs
         ]
 
@@ -257,11 +259,11 @@ class BlockDesign:
             out.append(raw)
         return out
 
-    def left_out(self, ridge: float) -> Float[np.ndarray, " groups"]:
+    def held_out_losses(self, ridge: float) -> Float[np.ndarray, " groups"]:
         """Sum of squared errors of every group by a model made without it."""
         out = []
         for g in range(len(self.signals.apart)):
-            theta = self.equations.without(g).solve(ridge)
+            theta = self.equations.exclude_group(g).solve(ridge)
             out.append(self.loss(g, self.answers(g, theta[None])[0]))
         return np.array(out)
 
@@ -271,10 +273,12 @@ class BlockDesign:
         """The same with so many columns, chosen anew without the group."""
         out = np.empty((len(self.signals.apart), len(sizes)))
         for g in range(len(self.signals.apart)):
-            path = self.equations.without(g).forward(ridge, max(sizes), first)
+            path = self.equations.exclude_group(g).select_forward(
+                ridge, max(sizes), first
+            )
             theta = np.zeros((len(sizes), self.equations.columns))
             for row, size in zip(theta, sizes, strict=True):
-                at, own = path.at(size)
+                at, own = path.truncate(size)
                 row[at] = own
             out[g] = [self.loss(g, run) for run in self.answers(g, theta)]
         return out
@@ -305,10 +309,11 @@ class BlockDesign:
     def error(
         self, group: int, run: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, " _"]:
-        """Measured less what a run answers, held within the trained range.
+        """Measured output less that of a run, held within the trained range.
 
-        That of all records, as the model of all is held in use: within that of the
-        others a group that goes farther would judge the limits, and nothing else.
+        The range is that of all records, to which the final model is held: held to the
+        range of the other groups, a group that goes farther would judge the limits, and
+        nothing else.
         """
         return self.measured[group] - np.clip(run, *self.trained_range())
 
@@ -324,9 +329,11 @@ class BlockDesign:
         high = max(y.max(initial=-np.inf) for y in self.measured)
         return low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
 
-    def scheduling(self) -> list[Float[np.ndarray, "dims _"]]:
+    def scheduling_values(self) -> list[Float[np.ndarray, "dims _"]]:
         """Scheduling variables at the samples that count, part by part."""
-        return _group_records([_at(s.x, s.counted) for s in self.signals.stretches])
+        return _group_records(
+            [_select_counted(s.x, s.counted) for s in self.signals.stretches]
+        )
 
     def rows(self) -> list[np.ndarray]:
         """Columns at the samples that count, part by part; not to be written to."""
@@ -341,11 +348,11 @@ class BlockDesign:
 
 
 def _target(one: Stretch, a: Float[np.ndarray, " _"]) -> list[np.ndarray]:
-    error = one.y - one.left_by_start(a)
-    return _at(error[None], one.counted)
+    error = one.y - one.start_response(a)
+    return _select_counted(error[None], one.counted)
 
 
-def _at(rows: np.ndarray, counted) -> list[np.ndarray]:
+def _select_counted(rows: np.ndarray, counted) -> list[np.ndarray]:
     return [rows[:, at] for at in counted]
 
 

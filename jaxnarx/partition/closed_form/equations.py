@@ -25,7 +25,8 @@ class NormalEquations:
     square: Float[np.ndarray, " parts"]
     samples: Float[np.ndarray, " parts"]
     apart: Bool[np.ndarray, "groups parts"]
-    """What is left out with a group: itself, and the gaps beside it."""
+    """Parts that are held out with a group: the group itself, and the gaps beside
+    it."""
 
     def __len__(self) -> int:
         return len(self.square)
@@ -40,12 +41,12 @@ class NormalEquations:
         """Number of columns."""
         return self.right.shape[1]
 
-    def taken(self, at: Int[np.ndarray, " chosen"]) -> "NormalEquations":
+    def select(self, at: Int[np.ndarray, " chosen"]) -> "NormalEquations":
         """The equations of these columns."""
         gram = self.gram[:, at[:, None], at[None]]
         return dataclasses.replace(self, gram=gram, right=self.right[:, at])
 
-    def without(self, group: int | None) -> "System":
+    def exclude_group(self, group: int | None) -> "System":
         """The sums without what is left out with a group, columns scaled to unit mean
         square."""
         keep = np.full(len(self), True) if group is None else ~self.apart[group]
@@ -78,7 +79,9 @@ class System:
             scipy.linalg.cho_solve(factor, self.right, check_finite=False) / self.size
         )
 
-    def forward(self, ridge: float, most: int, first: Sequence[int]) -> "ForwardPath":
+    def select_forward(
+        self, ridge: float, most: int, first: Sequence[int]
+    ) -> "ForwardPath":
         """Columns by error reduction, those of `first` before all others.
 
         Forward orthogonal least squares on normal equations (Chen, Billings and Luo
@@ -117,7 +120,7 @@ class ForwardPath:
     rows: Float[np.ndarray, "steps columns"]
     system: System
 
-    def at(
+    def truncate(
         self, size: int
     ) -> tuple[Int[np.ndarray, " chosen"], Float[np.ndarray, " chosen"]]:
         """The first columns and their coefficients."""

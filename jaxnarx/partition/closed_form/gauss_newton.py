@@ -20,7 +20,7 @@ from jaxnarx.partition.closed_form.design_matrix import (
     BlockDesign,
     Gate,
     Place,
-    gates_of,
+    gates_on_path,
     weight,
 )
 from jaxnarx.partition.closed_form.signals import Stretch
@@ -32,7 +32,7 @@ LEAST_GAIN = 2e-3
 LARGEST_MOVE = 0.1, 0.5
 """Most that a step moves a border, in ranges, and the logarithm of a steepness."""
 NEVER_BEYOND = 0.02, 0.98
-"""Where borders stay, in ranges."""
+"""Margin within which borders stay, in ranges."""
 STEP_RIDGE = 1e-3
 """Ridge of a step, in units of the columns' own power."""
 
@@ -59,7 +59,7 @@ def move_feedback_and_gates(
 
 
 def _better(design: BlockDesign, loss: float, ridge: float, gates: bool):
-    places = places_of(design) if gates else []
+    places = movable_gates(design) if gates else []
     step = _step(design, ridge, places)
     order = len(design.a) - 1
     if not step.size:
@@ -69,18 +69,18 @@ def _better(design: BlockDesign, loss: float, ridge: float, gates: bool):
         a = design.a.copy()
         a[1:] += own[:order]
         if is_stable(a):
-            tried = design.moved(a, shift_gates(places, own[order:]))
+            tried = design.move(a, shift_gates(places, own[order:]))
             after = _loss(tried, ridge)
             if after < loss:
                 return tried, after
     return None
 
 
-def places_of(design: BlockDesign) -> list[Place]:
+def movable_gates(design: BlockDesign) -> list[Place]:
     """Every gate that may move, once."""
     found: dict[Place, None] = {}
     for block in design.blocks:
-        for gate, place in gates_of(block.region):
+        for gate, place in gates_on_path(block.region):
             if not gate.hard:
                 found.setdefault(place)
     return list(found)
@@ -106,7 +106,7 @@ def shift_gates(
 
 def _loss(design: BlockDesign, ridge: float) -> float:
     own = design.equations
-    theta = own.without(None).solve(ridge)
+    theta = own.exclude_group(None).solve(ridge)
     total = sum(own.loss(g, theta) for g in range(len(own)))
     return total / max(own.samples.sum(), 1.0)
 
@@ -115,7 +115,7 @@ def _step(
     design: BlockDesign, ridge: float, places: list[Place]
 ) -> Float[np.ndarray, " _"]:
     """Change of A's coefficients, borders and steepness by one Gauss-Newton step."""
-    theta = design.equations.without(None).solve(ridge)
+    theta = design.equations.exclude_group(None).solve(ridge)
     moves = derivatives(design, theta, places)
     count = len(design.a) - 1 + 2 * len(places)
     if not count:
@@ -143,7 +143,7 @@ def derivatives(
                 _turns(design, theta, one, places),
             ]
         )
-        moved = one.filtered(rows, design.a) if len(rows) else rows
+        moved = one.filter_columns(rows, design.a) if len(rows) else rows
         parts.append([moved[:, at] for at in one.counted])
     return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]
 
@@ -169,7 +169,7 @@ def _turns(
         edge += len(own)
         p = np.asarray(evaluate(design.signals.factor[block.terms], one.z))
         part = weight(block.region, one.x) * (own @ p)
-        for gate, place in gates_of(block.region):
+        for gate, place in gates_on_path(block.region):
             if place not in index:
                 continue
             slope = part * (1 - gate(one.x)) * gate.side * gate.steepness

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import AbstractValidity, models_of
+from jaxnarx.models import AbstractValidity, count_models
 from jaxnarx.partition.closed_form.design_matrix import (
     GATE_WIDTH,
     LEVEL_STEEPNESS,
@@ -17,15 +17,15 @@ from jaxnarx.partition.closed_form.design_matrix import (
     Place,
     Region,
     Share,
-    gates_of,
+    gates_on_path,
     with_gates,
 )
 from jaxnarx.partition.stages import BestStage
 
 RIDGES_TRIED = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 COARSE_RIDGES = 1e-4, 1e-2
-"""Of one region: it cannot tell what regions will make of its feedback, and finer ones
-rank by chance."""
+"""Ridges tried for one region: it cannot tell what regions will make of its feedback,
+and finer ones rank by chance."""
 SIZES_TRIED = (
     *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
     *(380, 450),
@@ -41,18 +41,18 @@ class Box:
     low: Float[np.ndarray, " dims"]
     high: Float[np.ndarray, " dims"]
 
-    def moved(self, gates: Mapping[Place, Gate]) -> "Box":
+    def move(self, gates: Mapping[Place, Gate]) -> "Box":
         """The same leaf behind other gates; the box follows the borders."""
         region = with_gates(self.region, gates)
         low, high = np.zeros_like(self.low), np.ones_like(self.high)
-        for gate, _ in gates_of(region):
+        for gate, _ in gates_on_path(region):
             if gate.side > 0:
                 low[gate.dim] = max(low[gate.dim], gate.border)
             else:
                 high[gate.dim] = min(high[gate.dim], gate.border)
         return Box(region, low, high)
 
-    def halved(self, gate: Gate) -> tuple["Box", "Box"]:
+    def halve(self, gate: Gate) -> tuple["Box", "Box"]:
         """Upper and lower half."""
         low, high = self.low.copy(), self.high.copy()
         low[gate.dim] = high[gate.dim] = gate.border
@@ -91,23 +91,25 @@ class GrownStage:
         count = self.design.equations.judged.sum()
         return float(np.sqrt(self.losses.sum() / max(count, 1.0)))
 
-    def left_out(self) -> list[Float[np.ndarray, " _"]]:
+    def held_out_runs(self) -> list[Float[np.ndarray, " _"]]:
         """Free runs over every group by a model made without it, not held."""
         equations, first = self.design.equations, constants(self.design)
         out = []
         for g in range(len(self.losses)):
             theta = np.zeros((1, equations.columns))
-            path = equations.without(g).forward(self.ridge, self.size, first)
-            at, own = path.at(self.size)
+            path = equations.exclude_group(g).select_forward(
+                self.ridge, self.size, first
+            )
+            at, own = path.truncate(self.size)
             theta[0, at] = own
             out.append(self.design.answers(g, theta)[0])
         return out
 
-    def chosen(self) -> tuple[np.ndarray, np.ndarray]:
+    def choose_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Columns and coefficients from all groups."""
-        system = self.design.equations.without(None)
+        system = self.design.equations.exclude_group(None)
         first = constants(self.design)
-        return system.forward(self.ridge, self.size, first).at(self.size)
+        return system.select_forward(self.ridge, self.size, first).truncate(self.size)
 
 
 def constants(design: BlockDesign) -> list[int]:
@@ -167,11 +169,11 @@ def grow_regions(
             break
         _, n, gate, block = min(tried, key=lambda one: one[0])
         leaf = last.leaves[n]
-        upper, lower = leaf.halved(gate)
+        upper, lower = leaf.halve(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
         kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
         stage = choose_size(
-            last.design.extended(block), leaves, (last.ridge,), search=True
+            last.design.extend(block), leaves, (last.ridge,), search=True
         )
         best = best.update(len(stages), stage.score, patience)
         stages.append(stage)
@@ -181,17 +183,17 @@ def grow_regions(
 def divide_by(start: GrownStage, validity: AbstractValidity) -> GrownStage:
     """A single region divided as a partition says, with the same feedback."""
     design, (whole,) = start.design, start.leaves
-    shares = [Share(validity, m) for m in range(models_of(validity, len(whole.low)))]
+    shares = [Share(validity, m) for m in range(count_models(validity, len(whole.low)))]
     for share in shares[:-1]:
-        design = design.extended(design.block((share,)))
+        design = design.extend(design.block((share,)))
     leaves = tuple(Box((share,), whole.low, whole.high) for share in shares)
     return choose_size(design, leaves, (start.ridge,), search=True)
 
 
 def _try_halvings(stage: GrownStage, levels, kept: dict[Region, Block]):
     """Loss of every halving: the chosen columns and all of the new block."""
-    at, _ = stage.chosen()
-    small, out = stage.design.only(at), []
+    at, _ = stage.choose_columns()
+    small, out = stage.design.select_columns(at), []
     for n, leaf in enumerate(stage.leaves):
         for dim, own in enumerate(levels):
             gate = leaf.gate(dim, own)
@@ -200,9 +202,16 @@ def _try_halvings(stage: GrownStage, levels, kept: dict[Region, Block]):
             region = (*leaf.region, gate)
             if region not in kept:
                 kept[region] = stage.design.block(region)
-            out.append((_with(small, kept[region], stage.ridge), n, gate, kept[region]))
+            out.append(
+                (
+                    _loss_with_block(small, kept[region], stage.ridge),
+                    n,
+                    gate,
+                    kept[region],
+                )
+            )
     return out
 
 
-def _with(small: BlockDesign, block: Block, ridge: float) -> float:
-    return float(small.extended(block).left_out(ridge).sum())
+def _loss_with_block(small: BlockDesign, block: Block, ridge: float) -> float:
+    return float(small.extend(block).held_out_losses(ridge).sum())

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset
 from jaxnarx.models import OUTPUT_MARGIN, Network
 from jaxnarx.partition.closed_form.growth import GrownStage
-from jaxnarx.partition.closed_form.network import network_of
+from jaxnarx.partition.closed_form.network import make_network
 from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.partition.closed_form.sums import Errors, Summand, root_mean_square
 from jaxnarx.simulation import has_diverged
@@ -41,12 +41,12 @@ class ClosedForm:
         count = self.stage.design.equations.judged
         return self.stage.losses / np.where(count > 0, count, np.nan)
 
-    def diverged(self) -> int:
+    def count_diverged(self) -> int:
         """Runs that would leave the bounds of the feedback, far beyond the trained
         range more than now and then: records run by the model of all groups, and groups
         by the models made without them."""
         low, high = self._bounds
-        left = self.stage.left_out() if self.left_out is None else self.left_out
+        left = self.stage.held_out_runs() if self.left_out is None else self.left_out
         return sum(
             bool(has_diverged((run < low) | (run > high)))
             for run in (*self._runs(), *map(tame, left))
@@ -55,9 +55,9 @@ class ClosedForm:
 
     def one_step(self) -> float:
         """One-step NRMSE of the model of all groups: A(q) y less what drives it."""
-        return root_mean_square(self.ahead()[1])
+        return root_mean_square(self.one_step_errors()[1])
 
-    def ahead(self) -> Errors:
+    def one_step_errors(self) -> Errors:
         """One-step errors of the model of all groups, where samples count."""
         a, order = self.stage.design.a, len(self.stage.design.a) - 1
         driven = self.stage.design.driven(self.coefficients())
@@ -69,10 +69,10 @@ class ClosedForm:
             errors.append((np.convolve(past, a, mode="valid") - raw)[at])
         return np.concatenate(places), np.concatenate(errors)
 
-    def left(self) -> list[Errors]:
+    def held_out_errors(self) -> list[Errors]:
         """Free-run errors of every group by the model made without it."""
         design = self.stage.design
-        runs = self.stage.left_out() if self.left_out is None else self.left_out
+        runs = self.stage.held_out_runs() if self.left_out is None else self.left_out
         return [(design.places(g), design.error(g, run)) for g, run in enumerate(runs)]
 
     @property
@@ -87,8 +87,8 @@ class ClosedForm:
 
     def part(self, network: Network) -> Summand:
         """The part of the candidate that a sum needs."""
-        left = [(at, error.astype(np.float32)) for at, error in self.left()]
-        at, error = self.ahead()
+        left = [(at, error.astype(np.float32)) for at, error in self.held_out_errors()]
+        at, error = self.one_step_errors()
         return Summand(self.name, network, left, (at, error.astype(np.float32)))
 
     def _runs(self) -> list[np.ndarray]:
@@ -106,15 +106,15 @@ class ClosedForm:
         chosen."""
         if self.given is not None:
             return self.given
-        at, theta = self.stage.chosen()
+        at, theta = self.stage.choose_columns()
         full = np.zeros(self.stage.design.equations.columns)
         full[at] = theta
         return full
 
     def network(self) -> Network:
-        """Trained on all records."""
+        """Coefficients trained on all records."""
         leaves = tuple(leaf.region for leaf in self.stage.leaves)
-        return network_of(self.stage.design, leaves, self.coefficients(), self.data)
+        return make_network(self.stage.design, leaves, self.coefficients(), self.data)
 
 
 def tame(run: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:

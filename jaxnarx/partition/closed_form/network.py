@@ -19,13 +19,13 @@ from jaxnarx.partition.closed_form.design_matrix import (
     Place,
     Region,
     Share,
-    gates_of,
+    gates_on_path,
 )
 from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.regressors import Pool, Variables
 
 
-def network_of(
+def make_network(
     design: BlockDesign,
     leaves: tuple[Region, ...],
     theta: Float[np.ndarray, " columns"],
@@ -46,7 +46,7 @@ def network_of(
         for row, leaf in zip(table, leaves, strict=True):
             if leaf[: len(block.region)] == block.region:
                 row[block.terms] += own
-    raw = _in_scaled_signals(signals, table, a)
+    raw = _rescale_coefficients(signals, table, a)
     fed = np.tile(-a[1:], (len(leaves), 1))
     used = np.any(raw != 0, axis=0)
     pool = _with_feedback(signals, signals.factor[used], len(a) - 1)
@@ -58,13 +58,13 @@ def network_of(
     return assemble(pool, data, signals.gain, [model])
 
 
-def _in_scaled_signals(
+def _rescale_coefficients(
     signals: RunSignals,
     table: Float[np.ndarray, "leaves terms"],
     a: Float[np.ndarray, " _"],
 ) -> Float[np.ndarray, "leaves terms"]:
     """Coefficients of the terms of scaled signals from those of centred ones."""
-    back, outside, _ = signals.centring.reduced(signals.factor)
+    back, outside, _ = signals.centring.reduce(signals.factor)
     assert not len(outside), "a product without its parts"
     raw = signals.spread * table @ back
     constant = np.flatnonzero(np.all(signals.factor == 0, axis=1))
@@ -99,22 +99,22 @@ def _model_of_leaves(
     if isinstance(first, Share):
         validity = first.validity
     else:
-        validity = _tree_of(leaves, len(signals.scheduling))
+        validity = _make_tree(leaves, len(signals.scheduling))
     local = local_models(pool.factor, theta, sparse=True)
     return output_model(
         local, validity, signals.scheduling, signals.offset, signals.span
     )
 
 
-def _tree_of(leaves: tuple[Region, ...], dims: int) -> SigmoidTree:
+def _make_tree(leaves: tuple[Region, ...], dims: int) -> SigmoidTree:
     """The gates on the ways to all leaves."""
     gates: dict[Place, int] = {}
     for leaf in leaves:
-        for _, place in gates_of(leaf):
+        for _, place in gates_on_path(leaf):
             gates.setdefault(place, len(gates))
     path = np.zeros((len(leaves), len(gates)), np.int32)
     for row, leaf in zip(path, leaves, strict=True):
-        for gate, place in gates_of(leaf):
+        for gate, place in gates_on_path(leaf):
             row[gates[place]] = gate.side
     own = [gate for _, gate in gates]
     direction = np.eye(dims)[[g.dim for g in own]]

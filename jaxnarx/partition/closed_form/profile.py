@@ -1,4 +1,4 @@
-"""What the data say before anything is fitted: levels, dead times, memory."""
+"""Facts of the data before anything is fitted: levels, dead times, memory."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ class DataProfile:
 
     output: str
     levels: tuple[tuple[float, ...] | None, ...]
-    """Of inputs with few values those, sorted; None for the others."""
+    """Values of inputs that take few, sorted; None for the others."""
     dead_time: tuple[int, ...]
     """Samples before the output answers, by input; 0 where no answer is clear."""
     rise: float

@@ -1,4 +1,4 @@
-"""From linear models to regions with products: candidates in closed form, in order.
+"""Candidates in closed form, in order: linear models first, regions with products last.
 
 Every candidate is judged by the free run of groups of records left out, which the
 normal equations of the simulation error give without another pass over the data.
@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.models import models_of
-from jaxnarx.partition.closed_form.denominator import is_stable, of_times
+from jaxnarx.models import count_models
+from jaxnarx.partition.closed_form.denominator import denominator_from_times, is_stable
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
 from jaxnarx.partition.closed_form.equation_error import equation_error
 from jaxnarx.partition.closed_form.gauss_newton import (
+    movable_gates,
     move_feedback_and_gates,
-    places_of,
 )
 from jaxnarx.partition.closed_form.growth import (
     Box,
@@ -29,12 +29,12 @@ from jaxnarx.partition.closed_form.growth import (
 )
 from jaxnarx.partition.closed_form.model import ClosedForm, tame
 from jaxnarx.partition.closed_form.profile import DataProfile
-from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
     Memory,
+    choose_scheduling,
     linear_pool,
     product_pool,
-    scheduling,
 )
 from jaxnarx.partition.fixed import ask_partition
 from jaxnarx.settings import Partitioner
@@ -74,9 +74,9 @@ class ClosedSearch:
             pool = linear_pool(self.data, self.profile, memory)
             if degree > 1:
                 pool = product_pool(pool, self.profile, memory, degree)
-            table = scheduling(self.data, self.profile, memory)
+            table = choose_scheduling(self.data, self.profile, memory)
             self.known = {
-                key: signals_of(
+                key: make_signals(
                     self.data,
                     pool,
                     table,
@@ -92,7 +92,7 @@ class ClosedSearch:
         """Lags and filters in this scale."""
         return Memory.of(step, self.profile.reach, self.profile.memory)
 
-    def found(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
+    def make_candidate(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
         """A candidate."""
         return ClosedForm(family, name, stage, self.data)
 
@@ -105,35 +105,36 @@ class ClosedSearch:
     ) -> GrownStage:
         """One region with this feedback; the ridge is a coarse one or searched."""
         design = BlockDesign.of(signals, a)
-        design = design.extended(design.block(()))
+        design = design.extend(design.block(()))
         dims = len(signals.scheduling)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         return choose_size(design, (leaf,), search=search)
 
-    def retuned(
+    def retune(
         self, stage: GrownStage, *, gates: bool = False, most: int = 1
     ) -> GrownStage:
         """The same regions with the feedback (and gates) that suit them best.
 
-        As often as the groups left out gain: every time columns are chosen anew.
+        This repeats as long as the held-out groups gain: every time columns are chosen
+        anew.
         """
         for _ in range(most):
-            new = self._retuned(stage, gates)
+            new = self._retune_once(stage, gates)
             if new is None or new.score > ROUND_ERROR_SHARE * stage.score:
                 return stage if new is None or new.score > stage.score else new
             stage = new
         return stage
 
-    def _retuned(self, stage: GrownStage, gates: bool) -> GrownStage | None:
-        at, _ = stage.chosen()
-        start = stage.design.only(at)
+    def _retune_once(self, stage: GrownStage, gates: bool) -> GrownStage | None:
+        at, _ = stage.choose_columns()
+        start = stage.design.select_columns(at)
         end = move_feedback_and_gates(start, stage.ridge, gates=gates)[0]
         if end is start:
             return None
-        pairs = zip(places_of(start), places_of(end), strict=True)
+        pairs = zip(movable_gates(start), movable_gates(end), strict=True)
         gate_of = {old: new[1] for old, new in pairs}
-        moved = stage.design.moved(end.a, gate_of)
-        leaves = tuple(leaf.moved(gate_of) for leaf in stage.leaves)
+        moved = stage.design.move(end.a, gate_of)
+        leaves = tuple(leaf.move(gate_of) for leaf in stage.leaves)
         return choose_size(moved, leaves, (stage.ridge,), search=True)
 
     def constant(self) -> ClosedForm:
@@ -141,11 +142,11 @@ class ClosedSearch:
         signals = self.signals(Memory(1, (0,), ()), 1)
         design = BlockDesign.of(signals, np.ones(1))
         place = np.flatnonzero(np.all(signals.factor == 0, axis=1))
-        design = design.extended(design.block((), place))
+        design = design.extend(design.block((), place))
         dims = len(signals.scheduling)
         leaf = Box((), np.zeros(dims), np.ones(dims))
-        losses = design.left_out(0.0)
-        return self.found(
+        losses = design.held_out_losses(0.0)
+        return self.make_candidate(
             "constant", "mean", GrownStage(design, (leaf,), losses, 1, 0.0)
         )
 
@@ -157,7 +158,7 @@ class ClosedSearch:
             a = self.feedback(signals, order, last)
             stage = self.root(signals, a)
             last = a
-            yield self.found("OE", f"order {order}", stage)
+            yield self.make_candidate("OE", f"order {order}", stage)
 
     def feedback(
         self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
@@ -167,7 +168,7 @@ class ClosedSearch:
         every = []
         for a in starts:
             design = BlockDesign.of(signals, a)
-            design = design.extended(design.block(()))
+            design = design.extend(design.block(()))
             every.append(move_feedback_and_gates(design, FEEDBACK_RIDGE, steps=1))
         every.sort(key=lambda one: one[1])
         return min(
@@ -186,16 +187,18 @@ class ClosedSearch:
         rise, slow = max(self.profile.rise, 1.0), max(self.profile.memory / 3, 2.0)
         times = [rise, float(np.sqrt(rise * slow)), slow] if order <= 2 else [slow]
         for time in dict.fromkeys(times):
-            yield of_times([time * unit / 3**k for k in range(order)], unit)
+            yield denominator_from_times(
+                [time * unit / 3**k for k in range(order)], unit
+            )
 
-    def filtered(self, orders: dict[int, np.ndarray]) -> Iterator[ClosedForm]:
+    def search_filters(self, orders: dict[int, np.ndarray]) -> Iterator[ClosedForm]:
         """Linear terms at lags and through filters, without feedback and with it."""
         memory = self.memory(max(1, round(self.profile.rise / 4)))
         signals = self.signals(memory, 1)
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
             stage = self.root(signals, a)
-            yield self.found(
+            yield self.make_candidate(
                 FILTERED_FAMILIES[order], describe_memory(memory, a), stage
             )
 
@@ -205,8 +208,8 @@ class ClosedSearch:
         """Products in several scales of lags and filters, with several feedbacks; best
         first, with a coarse ridge and with the one that serves them best.
 
-        What ranks first alone need not do so when it is divided: of both orders
-        some are grown.
+        The best single region need not be the best when it is divided: some of both
+        orders are grown.
         """
         own = self.profile
         most = max(min(own.rise, own.reach), own.memory / 64, 1.0)
@@ -218,14 +221,14 @@ class ClosedSearch:
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a, search=False)
                 name = f"degree {degree}, {describe_memory(memory, a)}"
-                found = self.found("polynomial", name, stage)
+                found = self.make_candidate("polynomial", name, stage)
                 coarse.append((step, order, found))
                 stage = choose_size(
                     stage.design, stage.leaves, (stage.ridge,), search=True
                 )
                 fine.append((step, order, dataclasses.replace(found, stage=stage)))
             step *= 2
-        return _ranked(coarse), _ranked(fine)
+        return _rank(coarse), _rank(fine)
 
     @property
     def spread(self) -> float:
@@ -245,13 +248,13 @@ class ClosedSearch:
         for one in self.linear():
             orders[len(one.stage.design.a) - 1] = one.stage.design.a
             yield one
-        yield from self.filtered(orders)
+        yield from self.search_filters(orders)
         if degree < 2:
             return
         coarse, fine = self.polynomials(orders, degree)
         yield from (one[2] for one in _distinct(fine, lambda one: one[1]))
-        for root in _to_grow(coarse, fine)[:grown_roots]:
-            stage = self.retuned(root.stage)
+        for root in _choose_to_grow(coarse, fine)[:grown_roots]:
+            stage = self.retune(root.stage)
             if stage is not root.stage:
                 root = dataclasses.replace(root, stage=stage)
                 yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
@@ -262,13 +265,15 @@ class ClosedSearch:
             if best:
                 for stage in stages[1 : best + 1]:
                     if len(stage.leaves) % 2 == 0 or stage is stages[best]:
-                        yield self.divided(root, stage)
-            for stage in _to_move(stages, best):
-                end = self.retuned(stage, gates=True, most=3)
+                        yield self.make_divided(root, stage)
+            for stage in _choose_to_move(stages, best):
+                end = self.retune(stage, gates=True, most=3)
                 if end is not stage:
-                    yield self.divided(root, end, ", gates moved")
+                    yield self.make_divided(root, end, ", gates moved")
 
-    def partitioned(self, name: str, partition: Partitioner) -> Iterator[ClosedForm]:
+    def divide_by_partition(
+        self, name: str, partition: Partitioner
+    ) -> Iterator[ClosedForm]:
         """The polynomials of `roots`, divided by a partition from elsewhere.
 
         It is given the terms filtered by the feedback and the output that they are to
@@ -276,21 +281,23 @@ class ClosedSearch:
         """
         for root in self.roots:
             design = root.stage.design
-            x = np.concatenate(design.scheduling(), axis=1)
+            x = np.concatenate(design.scheduling_values(), axis=1)
             columns = np.concatenate(design.blocks[0].columns, axis=1)
             output = np.concatenate(design.target)
             validity = ask_partition(
                 partition, x, columns, output, np.ones(len(output))
             )
-            if models_of(validity, len(x)) > 1:
-                yield self.divided(root, divide_by(root.stage, validity), f", {name}")
+            if count_models(validity, len(x)) > 1:
+                yield self.make_divided(
+                    root, divide_by(root.stage, validity), f", {name}"
+                )
 
-    def divided(
+    def make_divided(
         self, root: ClosedForm, stage: GrownStage, more: str = ""
     ) -> ClosedForm:
         """A candidate of several regions."""
         name = f"{len(stage.leaves)} regions, {root.name}{more}"
-        return self.found("shared feedback", name, stage)
+        return self.make_candidate("shared feedback", name, stage)
 
     def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
         """The levels of scheduling variables with few values, scaled as they are."""
@@ -311,7 +318,7 @@ class ClosedSearch:
             for g in range(len(self.groups)):
                 a, theta = equation_error(signals, order, without=g)
                 bare = _bare(signals, a)
-                left.append(tame(_of_group(signals, bare.runs(theta), g)))
+                left.append(tame(_group_places(signals, bare.runs(theta), g)))
                 losses.append(bare.loss(g, left[-1]))
             a, theta = equation_error(signals, order)
             bare = _bare(signals, a)
@@ -320,7 +327,7 @@ class ClosedSearch:
         return ClosedForm("ARX", f"order {order}", stage, self.data, theta, left)
 
 
-def _ranked(every: list[Root]) -> list[Root]:
+def _rank(every: list[Root]) -> list[Root]:
     return sorted(every, key=lambda one: one[2].free_run)
 
 
@@ -332,14 +339,14 @@ def _distinct(ranked: list[Root], kind: Callable[[Root], Any]) -> list[Root]:
     return list(seen.values())
 
 
-def _to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
+def _choose_to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
     """The best of every scale, of both orders in turn."""
     both = (_distinct(ranked, lambda one: one[0]) for ranked in (coarse, fine))
     turns = [one for pair in zip(*both, strict=True) for one in pair]
     return [one[2] for one in _distinct(turns, lambda one: one[:2])]
 
 
-def _to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
+def _choose_to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
     """The best, and the one with the most regions that is nearly as good: halvings may
     gain little before their gates have moved."""
     near = [
@@ -362,7 +369,9 @@ def _bare(signals: RunSignals, a: Float[np.ndarray, " _"]) -> BlockDesign:
     return dataclasses.replace(bare, blocks=(Block((), terms, ()),))
 
 
-def _of_group(signals: RunSignals, runs: list[np.ndarray], group: int) -> np.ndarray:
+def _group_places(
+    signals: RunSignals, runs: list[np.ndarray], group: int
+) -> np.ndarray:
     """The places of a group's samples."""
     parts = zip(signals.stretches, runs, strict=True)
     return np.concatenate([run[one.counted[group]] for one, run in parts])

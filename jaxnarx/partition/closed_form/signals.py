@@ -1,4 +1,4 @@
-"""What all structures over the same variables share: columns' factors and targets."""
+"""Columns' factors and targets, shared by all structures over the same variables."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class Stretch:
     first: int
     """Place of the first sample among those of all records."""
 
-    def filtered(
+    def filter_columns(
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, "columns time"]:
         """Columns through 1/A from rest."""
@@ -38,7 +38,7 @@ class Stretch:
             return columns
         return np.asarray(scipy.signal.lfilter([1.0], a, columns))
 
-    def left_by_start(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
+    def start_response(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
         """Free run on nothing but the measured start."""
         rest = np.zeros(len(self.y))
         if len(a) == 1:
@@ -63,7 +63,8 @@ class RunSignals:
     span: Float[np.ndarray, " dims"]
     stretches: tuple[Stretch, ...]
     apart: Bool[np.ndarray, "groups parts"]
-    """What is left out with a group: itself, and the gaps beside it."""
+    """Parts that are held out with a group: the group itself, and the gaps beside
+    it."""
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:
@@ -71,7 +72,7 @@ class RunSignals:
         return self.pool.factor
 
 
-def signals_of(
+def make_signals(
     data: Dataset,
     pool: Pool,
     scheduling: Variables,

@@ -24,7 +24,7 @@ class Summand:
     name: str
     network: Network
     left: Sequence[Errors]
-    """Of the free run over every group, by the model made without it."""
+    """Errors of the free run over every group, by the model made without it."""
     ahead: Errors
     """One step ahead, of the model of all groups."""
 
@@ -126,12 +126,12 @@ def align_errors(
             places = np.intersect1d(places, at, assume_unique=True)
         common.append(np.sort(places))
     return [
-        [_at(places, *one) for places, one in zip(common, groups, strict=True)]
+        [_errors_at(places, *one) for places, one in zip(common, groups, strict=True)]
         for groups in every
     ]
 
 
-def _at(places: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _errors_at(places: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
     order = np.argsort(at)
     return error[order[np.searchsorted(at, places, sorter=order)]]
 

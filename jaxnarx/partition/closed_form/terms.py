@@ -52,7 +52,7 @@ class Memory:
         begin = max(dead_time - self.step, 0)
         return [begin + self.step * lag for lag in self.lags]
 
-    def lags_of(self, dead_time: int) -> list[int]:
+    def choose_lags(self, dead_time: int) -> list[int]:
         """Lags of an input: those behind the dead time, and recent ones, for the dead
         time is an estimate."""
         behind = self.lags_behind(dead_time)
@@ -81,7 +81,8 @@ def linear_pool(data: Dataset, profile: DataProfile, memory: Memory) -> Pool:
         data.channels,
         outputs=[profile.output],
         input_lags={
-            n: memory.lags_of(d) for n, d in zip(names, profile.dead_time, strict=True)
+            n: memory.choose_lags(d)
+            for n, d in zip(names, profile.dead_time, strict=True)
         },
         output_lags=(),
         degree=1,
@@ -103,7 +104,7 @@ def product_pool(
         for r in np.pad(linear.factor, ((0, 0), (0, degree - 1))).tolist()
     }
     for dead, place in itertools.product(_dead_times(profile, memory), (1, 2)):
-        free = _at(linear, profile, memory, place, dead)
+        free = _variables_at_lag(linear, profile, memory, place, dead)
         for size in range(2, degree + 1):
             rows |= {(0,) * (degree - size) + r for r in _products(free, size)}
     factor = np.array(sorted(rows, key=lambda r: (np.count_nonzero(r), r)), np.int32)
@@ -126,7 +127,7 @@ def _dead_times(profile: DataProfile, memory: Memory) -> list[tuple[int, ...]]:
     return list(dict.fromkeys((profile.dead_time, recent)))
 
 
-def _at(
+def _variables_at_lag(
     linear: Pool,
     profile: DataProfile,
     memory: Memory,
@@ -143,7 +144,7 @@ def _at(
     return out
 
 
-def scheduling(data: Dataset, profile: DataProfile, memory: Memory) -> Variables:
+def choose_scheduling(data: Dataset, profile: DataProfile, memory: Memory) -> Variables:
     """Every input two steps behind the dead time; few inputs through a filter too."""
     rows = []
     for signal, dead in enumerate(profile.dead_time):

@@ -22,9 +22,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import Network, OutputModel, depth, fed_back
+from jaxnarx.models import Network, OutputModel, depth, fed_back_variables
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
-from jaxnarx.refinement._stability.points import companion, groups_of
+from jaxnarx.refinement._stability.points import companion, linked_groups
 from jaxnarx.regressors import LowPass
 
 MOST_MATRICES = 4096
@@ -99,7 +99,7 @@ def _blocks(network: Network) -> list[Block] | None:
     outputs, lags = len(network.models), depth(network)
     linked = np.stack([np.abs(corners).max(axis=(0, 2)) > 0 for corners in rows])
     found = []
-    for group in groups_of(linked | linked.T):
+    for group in linked_groups(linked | linked.T):
         if not linked[np.ix_(group, group)].any():
             continue
         matrices = _matrices([rows[o][:, list(group)] for o in group])
@@ -127,8 +127,11 @@ def _slopes(
     None where they depend on the past outputs themselves."""
     if network.parallel or not all(map(_has_convex_weights, network.models)):
         return None
-    own = fed_back(network.variables, network.signals)
-    if any(fed_back(model.scheduling, network.signals) for model in network.models):
+    own = fed_back_variables(network.variables, network.signals)
+    if any(
+        fed_back_variables(model.scheduling, network.signals)
+        for model in network.models
+    ):
         return None
     place = {row + 1: (o, lag) for row, o, lag in own}
     found = []

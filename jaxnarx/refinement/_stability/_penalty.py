@@ -23,12 +23,12 @@ from jaxnarx.models import Network, general_step, sources
 from jaxnarx.refinement._stability.norm import contracting_norm
 from jaxnarx.refinement._stability.points import (
     Points,
+    choose_points,
     companion,
-    groups_of,
+    group_block,
     jacobians,
+    linked_groups,
     moduli,
-    part_of,
-    points_of,
 )
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.simulation import Masks, RunInputs, first_anchor, states
@@ -54,7 +54,7 @@ def penalty_points(
         begun = np.arange(own.shape[1])[None] >= masks.start[:, None]
         start = np.asarray(drive.measured)[..., sources(network)]
         own = np.where(begun[..., None], own, start)
-    return points_of(network, drive, masks, count=count, outputs=own)
+    return choose_points(network, drive, masks, count=count, outputs=own)
 
 
 def find_metric(network: Network, points: Points) -> Metric:
@@ -64,18 +64,18 @@ def find_metric(network: Network, points: Points) -> Metric:
     them, and they would spoil it for the rest.
     """
     a = jacobians(network, points)
-    groups = groups_of(np.abs(a).max(axis=(0, 3)) > 0)
+    groups = linked_groups(np.abs(a).max(axis=(0, 3)) > 0)
     dtype = points.v.dtype
     factor = []
     for group in groups:
-        m = companion(part_of(a, group))
+        m = companion(group_block(a, group))
         stable = moduli(m) < 1
         found = contracting_norm(m[stable] if stable.any() else m)
         factor.append(jnp.asarray(found, dtype))
     return Metric(groups, tuple(factor))
 
 
-def _leading(l, a):  # noqa: E741
+def _leading_vectors(l, a):  # noqa: E741
     """p_t, q_t (points, group, ...) and the shift's part of p' M q."""
     group = a.shape[1]
     inverse = jnp.linalg.inv(l)
@@ -119,7 +119,7 @@ def penalty_residuals(
     out = []
     for group, l in zip(metric.groups, metric.factor, strict=True):  # noqa: E741
         at = np.array(group)
-        p, q, rest = _leading(l, a[:, at[:, None], at[None]])
+        p, q, rest = _leading_vectors(l, a[:, at[:, None], at[None]])
         along = jnp.zeros_like(points.history).at[:, at].set(q)
         top = jax.vmap(slope)(*drive, points.history, along)[:, at]
         value = jnp.sum(p * top, axis=1) + rest

@@ -25,10 +25,10 @@ from jaxnarx.refinement._stability.norm import contracting_norm, norms
 from jaxnarx.refinement._stability.points import (
     Points,
     companion,
-    groups_of,
+    group_block,
     jacobians,
+    linked_groups,
     moduli,
-    part_of,
     thin,
 )
 from jaxnarx.regressors import variable_names
@@ -201,12 +201,12 @@ def _find_bound(
     centre, radius = interval
     linked = (np.abs(centre) + radius).max(axis=(0, 3)) > 0
     factor, average, overshoot = np.zeros(len(centre)), 0.0, 1.0
-    for group in groups_of(linked):
+    for group in linked_groups(linked):
         if limits and len(group) > OUTPUTS_FOLLOWED:
             return None
         if not linked[np.ix_(group, group)].any():
             continue
-        parts = part_of(centre, group), part_of(radius, group)
+        parts = group_block(centre, group), group_block(radius, group)
         l = _norm_for(*parts, limits, last)  # noqa: E741
         if l is None:
             return None

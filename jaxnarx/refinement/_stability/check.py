@@ -13,7 +13,7 @@ from jaxnarx.formatting import page
 from jaxnarx.models import Network
 from jaxnarx.refinement._stability._certificate import Certificate, certificate
 from jaxnarx.refinement._stability.bound import RUN_WORDS, Bound, bounds
-from jaxnarx.refinement._stability.points import points_of
+from jaxnarx.refinement._stability.points import choose_points
 from jaxnarx.refinement._stability.poles import Poles, pole_table, time_constant
 from jaxnarx.simulation import (
     Masks,
@@ -198,11 +198,11 @@ def stability(
     matched, masks = origin.matched, origin.masks
     drive = observe_hidden(network, runs.drive)
     own = _own_outputs(network, drive, masks, run.value)
-    visited = points_of(network, drive, masks, count=samples, outputs=own)
+    visited = choose_points(network, drive, masks, count=samples, outputs=own)
     poles = pole_table(
         network,
-        points_of(network, drive, masks, count=POLE_SAMPLES),
-        points_of(network, drive, masks, count=POLE_SAMPLES, outputs=own),
+        choose_points(network, drive, masks, count=POLE_SAMPLES),
+        choose_points(network, drive, masks, count=POLE_SAMPLES, outputs=own),
         matched.sample_time,
     )
     total = int(masks.anchors.sum())

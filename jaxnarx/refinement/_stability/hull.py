@@ -12,7 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import program
-from jaxnarx.models import Network, collapse, collapses, depth, fed_back, monomials
+from jaxnarx.models import (
+    Network,
+    collapse,
+    collapses,
+    depth,
+    fed_back_variables,
+    monomials,
+)
 from jaxnarx.refinement._stability.points import Points, map_chunks
 
 Interval = tuple[np.ndarray, np.ndarray]
@@ -65,7 +72,7 @@ def hull(network: Network, points: Points) -> Interval | None:
     """
     if network.parallel or not collapses(network):
         return None
-    own = fed_back(network.variables, network.signals)
+    own = fed_back_variables(network.variables, network.signals)
     lower, upper = (np.asarray(a, np.float64) for a in (network.lower, network.upper))
     box = [(float(lower[o]), float(upper[o])) for _, o, _ in own]
     low, high = _slopes(monomials(network), box)

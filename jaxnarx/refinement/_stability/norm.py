@@ -1,11 +1,11 @@
 """A Euclidean norm in which many matrices contract at once.
 
-Wanted is an invertible L with the least `max_t ||L M_t L^-1||_2`: in the norm |L s|
+The aim is an invertible L with the least `max_t ||L M_t L^-1||_2`: in the norm |L s|
 every step s -> M_t s then shrinks by that rate at least. The problem is quasi-convex in
 P = L'L (Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1). It is solved without a
 semidefinite program, by quasi-Newton steps on a soft maximum that is hardened in
-stages. With u_t and v_t the leading singular vectors of L M_t L^-1, a change
-L -> (1 + E) L moves the logarithm of that norm by
+stages. With u_t and v_t the leading singular vectors of L M_t L^-1, a change L -> (1 +
+E) L moves the logarithm of that norm by
 
     u_t' E u_t - v_t' E v_t ,
 
@@ -64,7 +64,7 @@ def _pack(l: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " entries"]:  # noqa
     return l[np.triu_indices(len(l))]
 
 
-def _leading(g: Float[np.ndarray, "points n n"]):
+def _leading_vectors(g: Float[np.ndarray, "points n n"]):
     """Leading singular vectors and value of every matrix, by its Gram matrix."""
     squares, vectors = np.linalg.eigh(np.swapaxes(g, 1, 2) @ g)
     s, v = np.sqrt(np.maximum(squares[:, -1], 0.0)), vectors[:, :, -1]
@@ -80,7 +80,7 @@ def _objective(x, m, sharpness):
     g = l @ m @ k
     if not np.isfinite(g).all():  # a trial step of the line search went too far
         return 1e6, np.zeros_like(x)
-    u, s, v = _leading(g)
+    u, s, v = _leading_vectors(g)
     value = np.log(np.maximum(s, NORM_FLOOR))
     top = value.max()
     share = np.exp(sharpness * (value - top))

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxnarx.arrays import program
 from jaxnarx.errors import DataError
-from jaxnarx.models import Network, depth, fed_back, sources
+from jaxnarx.models import Network, depth, fed_back_variables, sources
 from jaxnarx.refinement.sensitivity import linearise_run
 from jaxnarx.simulation import Masks, RunInputs
 
@@ -56,7 +56,7 @@ def thin(size: int, count: int | None) -> Int[np.ndarray, " some"]:
     return np.unique(np.linspace(0, size - 1, count).astype(int))
 
 
-def points_of(
+def choose_points(
     network: Network,
     drive: RunInputs,
     masks: Masks,
@@ -95,11 +95,11 @@ def points_of(
 def _fill_hidden(network: Network, v: np.ndarray, x, history: np.ndarray) -> None:
     """Put the hidden channels of the history where measurements have none."""
     count, gain = len(network.modelled), np.asarray(network.gain)
-    for row, o, d in fed_back(network.variables, network.signals):
+    for row, o, d in fed_back_variables(network.variables, network.signals):
         if o >= count:
             v[row + 1] = history[:, o, d]
     for model, x_o in zip(network.models, x, strict=True):
-        for row, o, d in fed_back(model.scheduling, network.signals):
+        for row, o, d in fed_back_variables(model.scheduling, network.signals):
             if o >= count:
                 x_o[row] = history[:, o, d] * gain[network.signals[o]]
 
@@ -156,7 +156,7 @@ def moduli(m: Float[np.ndarray, "points n n"]) -> Float[np.ndarray, " points"]:
     return out
 
 
-def groups_of(
+def linked_groups(
     linked: Bool[np.ndarray, "outputs outputs"],
 ) -> tuple[tuple[int, ...], ...]:
     """Outputs that act on one another, directly or through others, together."""
@@ -164,7 +164,7 @@ def groups_of(
     return tuple(tuple(np.flatnonzero(label == g).tolist()) for g in range(count))
 
 
-def part_of(a: np.ndarray, group: tuple[int, ...]) -> np.ndarray:
+def group_block(a: np.ndarray, group: tuple[int, ...]) -> np.ndarray:
     """The block of A by which a group of outputs acts on itself."""
     at = np.array(group)
     return a[:, at[:, None], at[None]]

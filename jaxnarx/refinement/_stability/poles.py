@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import program
-from jaxnarx.models import Network, fed_back, scheduling_values
+from jaxnarx.models import Network, fed_back_variables, scheduling_values
 from jaxnarx.refinement._stability.points import (
     Points,
+    choose_points,
     companion,
     jacobians,
     map_chunks,
     moduli,
-    points_of,
 )
 from jaxnarx.regressors import evaluate
 from jaxnarx.simulation import Masks, RunInputs
@@ -63,7 +63,7 @@ def _local(network: Network, v, x, history, *, output: int):
     model, factor = network.models[output], network.models[output].local.factor
     own = [
         (row + 1, lag)
-        for row, o, lag in fed_back(network.variables, network.signals)
+        for row, o, lag in fed_back_variables(network.variables, network.signals)
         if o == output
     ]
     row, lag = np.array(own, int).reshape(-1, 2).T
@@ -132,7 +132,7 @@ def pole_table(
 def _medians(
     network: Network, drive: RunInputs, masks: Masks
 ) -> Float[np.ndarray, " _"]:
-    points = points_of(network, drive, masks, count=1000)
+    points = choose_points(network, drive, masks, count=1000)
     return np.array(
         [
             np.median(modulus)
@@ -177,7 +177,7 @@ def largest_local_pole(network: Network) -> float:
     middle = (np.asarray(network.low, float) + np.asarray(network.high, float)) / 2
     scaled = middle / np.asarray(network.gain, float)
     v = np.concatenate([[1.0], scaled[list(network.variables.signal)]])
-    own = fed_back(network.variables, network.signals)
+    own = fed_back_variables(network.variables, network.signals)
     largest = 0.0
     for o, model in enumerate(network.models):
         lag = {row + 1: d for row, output, d in own if output == o}

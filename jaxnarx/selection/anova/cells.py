@@ -59,7 +59,7 @@ def cut(
     return closed[place].astype(np.uint8), len(used)
 
 
-def effects_of(variables: Sequence[int], order: int) -> list[Effect]:
+def list_effects(variables: Sequence[int], order: int) -> list[Effect]:
     """All effects of up to `order` of these variables, main effects first."""
     sizes = range(1, min(order, len(variables)) + 1)
     return [e for n in sizes for e in itertools.combinations(variables, n)]
@@ -224,10 +224,10 @@ def group_tests(
     degrees of freedom that y has lost before; the error loses the same.
     """
     if layout.pick is not None:
-        tests = _balanced(y[layout.pick], layout.shape, group, wanted)
+        tests = _test_balanced(y[layout.pick], layout.shape, group, wanted)
     else:
         assert layout.cell is not None
-        tests = _unbalanced(layout.cell, y, layout.shape, group, wanted, order)
+        tests = _test_unbalanced(layout.cell, y, layout.shape, group, wanted, order)
     return [_less(t, spent) for t in tests]
 
 
@@ -241,7 +241,7 @@ def _less(test: FTest, spent: float) -> FTest:
     return test._replace(spare=spare, f=f, p=p)
 
 
-def _balanced(
+def _test_balanced(
     samples: Float[np.ndarray, "cells replicates"],
     shape: tuple[int, ...],
     group: Effect,
@@ -264,7 +264,7 @@ def _balanced(
     return tests
 
 
-def _filled(
+def _fill_cells(
     cell: Integer[np.ndarray, " rows"],
     y: Float[np.ndarray, " rows"],
     shape: tuple[int, ...],
@@ -280,7 +280,7 @@ def _filled(
     level = np.unravel_index(used, shape)
     main = [contrasts(n).T[:, at] for n, at in zip(shape, level, strict=True)]
     block: dict[Effect, np.ndarray] = {(): np.ones((1, len(used)))}
-    for axes in effects_of(range(len(shape)), order):
+    for axes in list_effects(range(len(shape)), order):
         block[axes] = products([main[a] for a in axes])
     return _Cells(count, total, block)
 
@@ -295,7 +295,7 @@ def products(
     return block
 
 
-def _unbalanced(
+def _test_unbalanced(
     cell: Integer[np.ndarray, " rows"],
     y: Float[np.ndarray, " rows"],
     shape: tuple[int, ...],
@@ -303,7 +303,7 @@ def _unbalanced(
     wanted: Sequence[Effect],
     order: int,
 ) -> list[FTest]:
-    cells = _filled(cell, y, shape, order)
+    cells = _fill_cells(cell, y, shape, order)
     # Not `y @ y`: for a vector this long, threads cost more than they save.
     total = float(np.sum(y * y))
     between = float(np.sum(cells.sums**2 / cells.held))

@@ -24,9 +24,9 @@ from jaxnarx.errors import DataError
 from jaxnarx.selection.anova.cells import (
     Effect,
     FTest,
-    effects_of,
     eliminate,
     judge,
+    list_effects,
 )
 from jaxnarx.selection.anova.garrote import garrote
 from jaxnarx.selection.anova.model import Codes, cross_moments, fit, moments, sizes
@@ -120,7 +120,7 @@ def shrink(
     method: Anova,
 ) -> Shrunk:
     """Fit the full model of all effects and shrink it; y is centred."""
-    everything = effects_of(tuple(codes), method.interactions)
+    everything = list_effects(tuple(codes), method.interactions)
     limit = min(method.columns, len(y) // 2)
     effects = _shortlist(codes, levels, y, everything, limit)
     model = fit(codes, levels, effects, y)

@@ -1,4 +1,4 @@
-"""Which effects stay: tests of small groups of variables, put in sequence.
+"""Choice of the effects that stay: tests of small groups of variables, in sequence.
 
 One factorial of all V variables has levels^V cells, 3^41 for an engine with 41 lagged
 variables, and no data fill it. Lind and Ljung ("Regressor and structure selection in
@@ -10,16 +10,16 @@ tests of a few variables each and put the answers together. Here:
    partial F test in one model of all effects that have entered (5.28);
 3. y loses what that model explains, and the others are tested again on what is left.
 
-At the end those whose partial F no longer passes leave, the worst first. What only
-follows a kept effect finds nothing left to explain. An effect that left, or failed in
+At the end those whose partial F no longer passes leave, the worst first. An effect that
+only follows a kept one finds nothing left to explain. An effect that left, or failed in
 2, does not come back, so the sequence ends.
 
 The first test of each effect is exact under its assumptions: normal errors that are
 independent from sample to sample and equally large in all cells, whatever the other
 variables do being part of the error. The later ones are approximate: the degrees of
-freedom that the model has used are taken off in proportion. What a variable does inside
-its levels is left over; a neighbour that follows it closely can pass on that, the more
-easily the more samples there are.
+freedom that the model has used are taken off in proportion. The effect of a variable
+inside its levels is left over; a neighbour that follows it closely can pass on that,
+the more easily the more samples there are.
 """
 
 import functools
@@ -35,9 +35,9 @@ from jaxnarx.selection.anova.cells import (
     CellLayout,
     Effect,
     FTest,
-    effects_of,
     group_tests,
     lay_out,
+    list_effects,
 )
 from jaxnarx.selection.anova.model import Codes, fit, residual
 from jaxnarx.settings import Anova
@@ -69,16 +69,16 @@ def sequence(
     significance / (m - k + 1) for m effects (Holm 1979), which holds the chance of a
     single wrong entry.
     """
-    effects = effects_of(tuple(codes), method.interactions)
+    effects = list_effects(tuple(codes), method.interactions)
     cells = math.prod(levels.values())
     if method.whole and cells * LEAST_CELL_SAMPLES <= len(y):
         layout = lay_out(list(codes.values()), tuple(levels.values()), method.balance)
         if layout.pick is not None:
-            return _whole(layout, y, tuple(codes), effects, method)
+            return _test_whole(layout, y, tuple(codes), effects, method)
     return _stepwise(codes, levels, y, effects, method)
 
 
-def _whole(
+def _test_whole(
     layout: CellLayout,
     y: Float[np.ndarray, " rows"],
     group: Effect,
@@ -122,12 +122,12 @@ def _stepwise(
     if len(y) * len(effects) <= MOST_HELD_NUMBERS:
         place = functools.cache(place)
 
-    def alone(e: Effect, y: Float[np.ndarray, " rows"], spent: float) -> FTest:
+    def test_alone(e: Effect, y: Float[np.ndarray, " rows"], spent: float) -> FTest:
         order = method.interactions
         [test] = group_tests(place(e), y, e, [e], order=order, spent=spent)
         return test
 
-    own = {e: alone(e, y, 0.0) for e in effects}
+    own = {e: test_alone(e, y, 0.0) for e in effects}
     first = dict(own)
     left = {e for e, t in own.items() if t.freedom and t.spare}
     kept: list[Effect] = []
@@ -146,7 +146,7 @@ def _stepwise(
         kept.append(best)
         rest = residual(model, codes, levels, y)
         spent = min(len(model.owner) / len(y), 1.0)
-        own |= {e: alone(e, rest, spent) for e in left}
+        own |= {e: test_alone(e, rest, spent) for e in left}
     while kept:
         model = fit(codes, levels, kept, y)
         now = {e: model.test(k) for k, e in enumerate(kept)}

@@ -1,8 +1,8 @@
 """Analysis of variance: which lagged variables matter, and which act together.
 
-Asked before any polynomial: each variable is cut into a few levels, and the outputs'
-means over the cells are compared (5.27). Terms of a pool are then taken from the
-effects that stay.
+This comes before any polynomial: each variable is cut into a few levels, and the
+outputs' means over the cells are compared (5.27). Terms of a pool are then taken from
+the effects that stay.
 
 Lind and Ljung, "Regressor selection with the analysis of variance method", Automatica
 41 (2005); "Regressor and structure selection in NARX models using a structured ANOVA
@@ -34,12 +34,12 @@ class EffectTest:
 
     `variables` are places in `[1, x_1 ... x_V]`, `squares` its sum of squares with
     `freedom` degrees of freedom against `spare` of the error, `share` its part of the
-    total sum of squares tested (0 to 1). Tested one after the other, a kept effect has
-    its partial F test in the model of all kept ones, another its last test on what
-    these leave of the output. `weight` is c of (5.30); in the balanced form the closed
-    solution max(0, 1 - quantile / f) of that single test. `balanced` is True for a test
-    of cells of equal size. `reason` says why there was no test, "" where there was;
-    then `freedom` and `f` are 0 and `p` is 1.
+    total sum of squares tested (0 to 1). When effects are tested one after the other, a
+    kept effect has its partial F test in the model of all kept ones, another its last
+    test on what these leave of the output. `weight` is c of (5.30); in the balanced
+    form the closed solution max(0, 1 - quantile / f) of that single test. `balanced` is
+    True for a test of cells of equal size. `reason` says why there was no test, ""
+    where there was; then `freedom` and `f` are 0 and `p` is 1.
     """
 
     variables: Effect
@@ -157,7 +157,7 @@ def anova(pool: Pool, rows: Rows, output: int, method: Anova) -> AnovaTable:
     found, together = [], True
     if codes:
         number = {v: levels[v - 1] for v in codes}
-        form = _by_groups if method.form == "balanced" else _by_penalty
+        form = _test_by_groups if method.form == "balanced" else _test_by_penalty
         found, together = form(codes, number, y, method)
     found += [
         EffectTest((v,), reason="constant")
@@ -199,7 +199,7 @@ def _samples(
     return x, y - y.mean()
 
 
-def _by_groups(
+def _test_by_groups(
     codes: Codes, levels: dict[int, int], y: Float[np.ndarray, " rows"], method: Anova
 ) -> tuple[list[EffectTest], bool]:
     outcome = sequence(codes, levels, y, method)
@@ -241,7 +241,7 @@ def _decide(test: FTest, significant: bool, weight: float) -> EffectTest:
     )
 
 
-def _by_penalty(
+def _test_by_penalty(
     codes: Codes, levels: dict[int, int], y: Float[np.ndarray, " rows"], method: Anova
 ) -> tuple[list[EffectTest], bool]:
     found = shrink(codes, levels, y, method)

@@ -15,15 +15,15 @@ from jaxnarx.settings import (
     METHOD_KINDS,
     Global,
     Identification,
-    by_path,
-    fields_of,
+    field_hints,
+    flatten_table,
     from_dict,
     hint_at,
-    kinds_of,
-    names_of,
+    kind_names,
     plain_value,
     replace_at,
     to_dict,
+    union_members,
     value_at,
 )
 from jaxnarx.shell.commands import Identify, Invert
@@ -203,9 +203,9 @@ def _require_place(
     """SpecError where an option belongs to another kind than the one that is chosen."""
     section, _, name = path.partition(".")
     kind = changes.get(section) or to_dict(getattr(method, section)).get(KIND_KEY)
-    known = kinds_of(fields_of(Identification)[section])
+    known = union_members(field_hints(Identification)[section])
     chosen = [k for n, k, _ in METHOD_KINDS if n == kind and k in known]
-    if name and chosen and name.partition(".")[0] not in fields_of(chosen[0]):
+    if name and chosen and name.partition(".")[0] not in field_hints(chosen[0]):
         raise SpecError(
             f"--{_typed(command, path)} does not go with --{_typed(command, section)} "
             f"{kind}",
@@ -262,7 +262,7 @@ def _words_of_method(method: Identification) -> list[str]:
         words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
     named = {path: name for name, path in FLAGS.items()}
     others = []
-    for path, value in by_path(to_dict(method)).items():
+    for path, value in flatten_table(to_dict(method)).items():
         if path.split(".")[-1] == KIND_KEY or path == "grow.scheduling":
             continue
         if value == value_at(base, path) or path == "refine":
@@ -347,14 +347,18 @@ def _usual(command: type, name: str, path: str, base: Identification) -> str:
 
 def _type(name: str, hint: Any) -> Any:
     """The kind of value that is typed."""
-    if names_of(hint):
-        return Literal[tuple(dict.fromkeys(names_of(hint)))]
+    if kind_names(hint):
+        return Literal[tuple(dict.fromkeys(kind_names(hint)))]
     if name == "log":
         return tuple[str, ...]
     if name == "filters":
         return tuple[float, ...]
-    for kind in (part for part in kinds_of(hint) if part is not type(None)):
-        if get_origin(kind) is Literal or kind is int and float not in kinds_of(hint):
+    for kind in (part for part in union_members(hint) if part is not type(None)):
+        if (
+            get_origin(kind) is Literal
+            or kind is int
+            and float not in union_members(hint)
+        ):
             return kind
         if get_origin(kind) is Sequence:
             return tuple[get_args(kind)[0], ...]

@@ -27,7 +27,7 @@ from jaxnarx.evaluation import (
     INDEX_EDGES,
     Report,
     Row,
-    data_of,
+    name_data,
     region_sentence,
 )
 from jaxnarx.files import encodable, write_whole
@@ -70,7 +70,7 @@ def render(report: Report) -> str:
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
-    environment.filters |= {"data_of": data_of, "ratio": _ratio}
+    environment.filters |= {"data_of": name_data, "ratio": _ratio}
     live = running(report)
     page = environment.get_template("report.html.jinja").render(
         report=report,

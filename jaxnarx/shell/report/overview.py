@@ -12,7 +12,7 @@ def overview(report: Report) -> dict[str, Any]:
     """The verdict, one card per output, and a line of trust per part."""
     cards = [_card(report, channel.name) for channel in report.outputs]
     trust = [
-        _trust(report, report.pooled(channel.name, part=part))
+        _trust(report, report.pooled_row(channel.name, part=part))
         for part in report.parts
         for channel in report.outputs
     ]
@@ -28,10 +28,10 @@ def overview(report: Report) -> dict[str, Any]:
 
 
 def _card(report: Report, output: str) -> dict[str, Any]:
-    free = report.pooled(output)
+    free = report.pooled_row(output)
     one = None
     if "one step" in report.modes:
-        one = report.pooled(output, mode="one step")
+        one = report.pooled_row(output, mode="one step")
     return {"free": free, "one": one, "factor": _factor(free, one)}
 
 

@@ -207,8 +207,8 @@ def summary(result: Report) -> str:
     head = f"{'one step':>12s} {'free run':>12s} {'fit %':>8s}"
     lines = [f"On {result.main}: RMSE pooled over the records", f"{'':{wide}s} {head}"]
     for channel in result.outputs:
-        one = result.pooled(channel.name, mode="one step")
-        free = result.pooled(channel.name)
+        one = result.pooled_row(channel.name, mode="one step")
+        free = result.pooled_row(channel.name)
         cells = (
             row.status if row.rmse is None else number(row.rmse) for row in (one, free)
         )

@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
-from jaxnarx.settings import Identification, by_path, from_dict, replace_at
+from jaxnarx.settings import Identification, flatten_table, from_dict, replace_at
 
 SECTIONS = ("data", "identification", "cases", "random")
 Case = Mapping[str, Any]
@@ -146,7 +146,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
     if "cases" in table and "random" in table:
         raise SpecError("give [cases] or [random], not both", field="cases")
     if "random" not in table:
-        return grid_cases(by_path(_section(table, "cases", {})))
+        return grid_cases(flatten_table(_section(table, "cases", {})))
     settings = dict(_section(table, "random"))
     count, seed = settings.pop("count", 10), settings.pop("seed", 1)
     for name, value in (("count", count), ("seed", seed)):
@@ -154,7 +154,7 @@ def _cases(table: Mapping[str, Any]) -> list[Case]:
             raise SpecError(
                 f"[random] {name} must be a whole number, got {value!r}", field=name
             )
-    return random_cases(seed, count, by_path(settings))
+    return random_cases(seed, count, flatten_table(settings))
 
 
 def _section(

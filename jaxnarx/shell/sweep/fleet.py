@@ -42,7 +42,7 @@ def _simulate(data: Relatives) -> Fleet:
     )
 
     def simulated(n: int) -> Dataset | DataError:
-        own: AbstractEngine = engine.perturbed(
+        own: AbstractEngine = engine.perturb(
             jax.random.fold_in(relatives, n), data.spread
         )
         key = jax.random.fold_in(noise, n)

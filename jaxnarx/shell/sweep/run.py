@@ -21,9 +21,9 @@ from jaxnarx.sweep import (
     Progress,
     SweepTable,
     best_per_group,
+    describe_progress,
     find_run,
     run_sweep,
-    so_far,
 )
 
 CSV = "table.csv"
@@ -98,7 +98,7 @@ def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
 
 def _tell_so_far(folder: Path) -> None:
     try:
-        say(f"  {so_far(find_run(folder))}")
+        say(f"  {describe_progress(find_run(folder))}")
     except JaxnarxError:  # interrupted before the folder was there
         pass
 

@@ -1,4 +1,4 @@
-"""What a sweep's rows say: best of a group, fronts, paired comparisons."""
+"""Analysis of a sweep's rows: best of a group, fronts, paired comparisons."""
 
 from jaxnarx.sweep.analysis.groups import best_per_group as best_per_group
 from jaxnarx.sweep.analysis.groups import pareto_front as pareto_front

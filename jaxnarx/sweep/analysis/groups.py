@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.evaluation import pareto
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 from jaxnarx.sweep.analysis.table import SweepTable
 
 
@@ -18,8 +18,8 @@ def best_per_group(
     """The row of every group with the best score, in the order the groups appear.
 
     `group` names the columns whose values make a group, `by` the score. Scores that are
-    not finite do not compete; a group without another row is left out. Of equal rows
-    the first wins. The status does not count: it may come from the test records, which
+    not finite do not compete; a group without another row is left out. The first of
+    equal rows wins. The status does not count: it may come from the test records, which
     must have no part in a choice by validation.
     """
     score = table.numbers(by) * (1.0 if smallest else -1.0)
@@ -49,7 +49,7 @@ def pareto_front(table: SweepTable, objectives: Sequence[str]) -> SweepTable:
 def summary(table: SweepTable) -> dict[str, int]:
     """The number of rows with each status, in the order of the table of statuses."""
     found = table.column("status").tolist()
-    names = [*NAMES, *sorted(set(found) - set(NAMES))]
+    names = [*STATUS_NAMES, *sorted(set(found) - set(STATUS_NAMES))]
     return {name: found.count(name) for name in names if name in found}
 
 
@@ -57,8 +57,8 @@ def labels(table: SweepTable, names: str | Sequence[str]) -> list[tuple[Any, ...
     """The values of some columns, row by row; lists become tuples."""
     names = [names] if isinstance(names, str) else list(names)
     columns = [table.column(name).tolist() for name in names]
-    return [tuple(map(_fixed, row)) for row in zip(*columns, strict=True)]
+    return [tuple(map(_to_tuple, row)) for row in zip(*columns, strict=True)]
 
 
-def _fixed(value: Any) -> Any:
+def _to_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""What one setting does to a score, all else equal: paired comparison."""
+"""Paired comparison: the effect of one setting on a score, all else equal."""
 
 import dataclasses
 from collections.abc import Hashable, Sequence
@@ -13,8 +13,8 @@ from jaxnarx.formatting import page
 from jaxnarx.sweep.analysis.groups import labels
 from jaxnarx.sweep.analysis.table import SweepTable
 
-RESAMPLES = 2000
-COVERAGE = 0.95
+BOOTSTRAP_RESAMPLES = 2000
+INTERVAL_COVERAGE = 0.95
 RESAMPLE_BATCHES = 20
 """Resamples are evaluated in so many batches, for the memory's sake."""
 
@@ -198,7 +198,7 @@ def _resamples(blocks: Sequence[Hashable], seed: int) -> list[Int[np.ndarray, " 
         members.setdefault(block, []).append(i)
     groups = [np.array(group) for group in members.values()]
     random = np.random.default_rng(seed)
-    draws = random.integers(0, len(groups), (RESAMPLES, len(groups)))
+    draws = random.integers(0, len(groups), (BOOTSTRAP_RESAMPLES, len(groups)))
     if len(groups) == len(blocks):
         order = np.concatenate(groups)
         return list(order[draws])
@@ -211,7 +211,9 @@ def _interval(values: Float[np.ndarray, " pairs"], statistic, samples) -> Interv
         figures = np.concatenate([statistic(values[b], axis=1) for b in batches])
     else:
         figures = [statistic(values[sample]) for sample in samples]
-    low, high = np.quantile(figures, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    low, high = np.quantile(
+        figures, [(1 - INTERVAL_COVERAGE) / 2, (1 + INTERVAL_COVERAGE) / 2]
+    )
     return Interval(float(statistic(values)), float(low), float(high))
 
 

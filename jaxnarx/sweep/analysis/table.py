@@ -12,7 +12,7 @@ from jaxtyping import Bool, Shaped
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.formatting import align_columns, brief, page, some
-from jaxnarx.solution import NAMES, OKAY
+from jaxnarx.solution import OKAY_STATUSES, STATUS_NAMES
 
 LINE_WIDTH = 100
 """Characters of a printed line."""
@@ -112,7 +112,9 @@ class SweepTable:
     @property
     def okay(self) -> Bool[np.ndarray, " rows"]:
         """The rows whose status is an informative end rather than a failure."""
-        return np.array([s in NAMES[:OKAY] for s in self.column("status")], bool)
+        return np.array(
+            [s in STATUS_NAMES[:OKAY_STATUSES] for s in self.column("status")], bool
+        )
 
     def to_pandas(self) -> Any:
         """The table as a pandas frame; pandas must be installed."""

@@ -14,9 +14,9 @@ from jaxnarx.sweep.folder.files import put
 
 METADATA_KEY = b"jaxnarx"
 FORMAT_VERSION = 2
-"""Of files of results; those of format 1 have no digest."""
+"""Version of files of results; those of format 1 have no digest."""
 DIGEST_MARK = b'"sha256": "'
-"""What stands before the digest in the mark."""
+"""Text before the digest in the mark."""
 
 
 class Damaged(Exception):
@@ -89,7 +89,7 @@ def read_results(path: Path, digest: str, members: Sequence[int]) -> pa.Table:
         raise Damaged(f"{path}: it is not as it was written")
     if mark.get("sweep") != digest:
         raise _foreign(path, "belongs to another sweep than the folder's manifest")
-    if not _are_of(table, members):
+    if not _are_rows_of(table, members):
         raise Damaged(f"{path}: its rows are of other members than its name says")
     return table
 
@@ -123,7 +123,7 @@ def _place(data: bytes) -> slice:
     return slice(start, start + 64)
 
 
-def _are_of(table: pa.Table, members: Sequence[int]) -> bool:
+def _are_rows_of(table: pa.Table, members: Sequence[int]) -> bool:
     """Whether these are the rows of those members, in order."""
     if "index" not in table.column_names or len(table) != len(members):
         return False

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from jaxnarx import files
 from jaxnarx.errors import DataFileError
-from jaxnarx.files import UNFINISHED, write_whole
+from jaxnarx.files import UNFINISHED_SUFFIX, write_whole
 
 
 def put(path: Path, data: bytes, *, replace: bool = False) -> bool:
@@ -50,5 +50,5 @@ def clear_leftovers(path: Path) -> None:
 
     Only for the owner of the claim on `path`: no one else is then writing it.
     """
-    for leftover in path.parent.glob(f"{path.name}.*{UNFINISHED}"):
+    for leftover in path.parent.glob(f"{path.name}.*{UNFINISHED_SUFFIX}"):
         leftover.unlink(missing_ok=True)

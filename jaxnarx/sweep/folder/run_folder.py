@@ -61,16 +61,16 @@ class RunFolder:
         size = self.manifest.chunk
         return range(number * size, min((number + 1) * size, self.manifest.members))
 
-    def finished(self) -> list[int]:
+    def finished_chunks(self) -> list[int]:
         """Chunks that have a file."""
         found = (
             chunk_number(path.name) for path in (self.path / CHUNKS_FOLDER).glob("*")
         )
         return sorted(n for n in found if n is not None and n < self.chunks)
 
-    def unfinished(self) -> list[int]:
+    def unfinished_chunks(self) -> list[int]:
         """Chunks that have none."""
-        done = set(self.finished())
+        done = set(self.finished_chunks())
         return [n for n in range(self.chunks) if n not in done]
 
     def is_finished(self, number: int) -> bool:
@@ -87,7 +87,7 @@ class RunFolder:
         """Remove files of chunks that cannot be read; these chunks are open again."""
         found = []
         with Claims(self.claims) as claims:
-            for number in self.finished():
+            for number in self.finished_chunks():
                 if self._is_damaged(number) and claims.take(number):
                     if self._is_damaged(number):
                         self._remove(number)
@@ -106,7 +106,7 @@ class RunFolder:
             with contextlib.suppress(Damaged):
                 return self._read(path, range(self.manifest.members))
         try:
-            table = join_tables([self._chunk(n) for n in self.finished()])
+            table = join_tables([self._chunk(n) for n in self.finished_chunks()])
         except Damaged as error:
             raise DataFileError(
                 f"{self.path}: a finished chunk can no longer be used ({error}). Give "

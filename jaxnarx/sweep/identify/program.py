@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.models import AbstractValidity, LocalModels, Network, OutputModel
-from jaxnarx.partition import scattered
+from jaxnarx.partition import scatter_partition
 from jaxnarx.refinement import Layout, make_layout
 from jaxnarx.regressors import evaluate
 from jaxnarx.settings import PredictionError
-from jaxnarx.simulation import RunInputs, drive_of
-from jaxnarx.solution import NAMES
+from jaxnarx.simulation import RunInputs, drive_from_signals
+from jaxnarx.solution import STATUS_NAMES
 from jaxnarx.sweep.identify.engine_data import Member, Part
 from jaxnarx.sweep.identify.grow_step import Divided, GrowthRows, divide
 from jaxnarx.sweep.identify.refine_step import EngineTraining, Trained, schedule, train
@@ -67,7 +67,7 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
     variables = jnp.asarray(member.variables)
     chosen = choose(frame, v, y, weight, variables, settings)
     p = jnp.where(chosen.used[:, None], evaluate(chosen.factor, v), 0.0)
-    rows = GrowthRows(p, _scheduling(member.network, drive), y, weight)
+    rows = GrowthRows(p, _scheduling_values(member.network, drive), y, weight)
     least = jnp.sum(chosen.used)
     divided = divide(frame.shape, rows, least, settings)
     network = _network(member.network, chosen, divided)
@@ -90,10 +90,12 @@ def identify_lane(frame: Frame, member: Member, settings: Settings) -> Outcome:
 
 
 def _drive(member: Member, part: Part) -> RunInputs:
-    return drive_of(member.network, jnp.asarray(part.signals), jnp.asarray(part.valid))
+    return drive_from_signals(
+        member.network, jnp.asarray(part.signals), jnp.asarray(part.valid)
+    )
 
 
-def _scheduling(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:
+def _scheduling_values(network: Network, drive: RunInputs) -> Float[Array, "dims rows"]:
     """Scaled scheduling variables of all rows."""
     model = network.models[0]
     dims, rows = len(model.offset), drive.measured.size
@@ -122,10 +124,10 @@ def trainable(network: Network) -> Network:
     """Coefficients and partition, whatever the count of active models."""
     tree = jax.tree.map(lambda _: False, network)
 
-    def where(n: Network) -> list:
+    def select_leaves(n: Network) -> list:
         return [n.models[0].local.coefficient, *n.models[0].validity.parameters]
 
-    return eqx.tree_at(where, tree, [True] * len(where(network)))
+    return eqx.tree_at(select_leaves, tree, [True] * len(select_leaves(network)))
 
 
 def _refine(
@@ -139,7 +141,7 @@ def _refine(
     """The end and the start of the refinement, as vectors of its layout."""
     refine = frame.shape.refine
     layout = make_layout(network, trainable(network), refine.width_band)
-    u = scattered(
+    u = scatter_partition(
         layout,
         network,
         (rows.p, rows.z, rows.y, rows.weight),
@@ -168,8 +170,8 @@ def _refine(
 def _trained_parameters(
     layout: Layout, settings: Settings
 ) -> tuple[Bool[Array, " params"], Bool[Array, " params"], Bool[Array, ""]]:
-    """Which parameters the case trains, which of them come first, and whether that are
-    fewer: a single model has no partition to wait for.
+    """The parameters that the case trains, those of them that come first, and whether
+    these are fewer: a single model has no partition to wait for.
     """
     at = jnp.arange(layout.parameters)
     own = at < layout.coefficients().size
@@ -203,7 +205,7 @@ def _scores(
         if part is not None:
             parts[name] = part, _drive(member, part)
 
-    def of(part: Part, drive: RunInputs) -> Score:
+    def score_part(part: Part, drive: RunInputs) -> Score:
         def one(turn):
             u, free = turn
             return score(layout.place(u), drive, part, free)
@@ -212,14 +214,14 @@ def _scores(
         found = jax.lax.map(one, turns)
         return jax.tree.map(lambda a: a.reshape(2, 2), found)
 
-    return {name: of(*both) for name, both in parts.items()}
+    return {name: score_part(*both) for name, both in parts.items()}
 
 
 def _status(
     chosen: Chosen, trained: Trained, scores: dict[str, Score], settings: Settings
 ) -> Int[Array, ""]:
     """The worst that can be said, as the code of a status."""
-    code = {name: jnp.asarray(n) for n, name in enumerate(NAMES)}
+    code = {name: jnp.asarray(n) for n, name in enumerate(STATUS_NAMES)}
     limit = float(jnp.finfo(chosen.condition.dtype).eps) ** -0.5
     lost = jnp.any(jnp.stack([s.diverged[1, 1] for s in scores.values()]))
     asked = jnp.asarray(settings.steps) > 0

@@ -1,9 +1,9 @@
 """The refinement inside the program: the stages of Levenberg-Marquardt.
 
-What a step has reached is scored by the free run of the validation records, and the
-best by that score is the result: it is never worse there than the start. Problem and
-validation are those of `jaxnarx.refinement`, steps and stopping rules those of
-`jaxnarx.arrays`, and so the results are the verb's.
+The end of a step is scored by the free run of the validation records, and the best by
+that score is the result: it is never worse there than the start. Problem and validation
+are those of `jaxnarx.refinement`, steps and stopping rules those of `jaxnarx.arrays`,
+and so the results are the verb's.
 """
 
 import dataclasses

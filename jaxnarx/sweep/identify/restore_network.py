@@ -24,7 +24,7 @@ from jaxnarx.sweep.identify.rows import Row
 from jaxnarx.sweep.identify.work import IdentificationWork
 
 
-def _like(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
+def _empty_validity(kind: str, count: int, dims: int, dtype) -> AbstractValidity:
     """Validity functions of the right kind and size."""
     each = jnp.zeros((count, dims), dtype)
     gates = jnp.zeros(count - 1, dtype)
@@ -53,12 +53,12 @@ def network_of(work: IdentificationWork, row: Row) -> Network:
     frame = jax.device_put(prepared.member.network)
     count = int(row["model_count"])
     dtype, dims = frame.models[0].offset.dtype, len(row["offset"])
-    like = _like(row["validity"], count, dims, dtype)
+    like = _empty_validity(row["validity"], count, dims, dtype)
     theta = np.asarray(row["coefficient"], dtype).reshape(count, -1)
     factor = pool.factor[np.asarray(row["term_index"])]
     model = output_model(
         local_models(factor, theta),
-        _filled(like, row["partition"]),
+        _fill_validity(like, row["partition"]),
         scheduling_table(pool, names),
         np.asarray(row["offset"], dtype),
         np.asarray(row["span"], dtype),
@@ -66,7 +66,7 @@ def network_of(work: IdentificationWork, row: Row) -> Network:
     return dataclasses.replace(frame, models=(model,))
 
 
-def _filled(like: AbstractValidity, values: list[float]) -> AbstractValidity:
+def _fill_validity(like: AbstractValidity, values: list[float]) -> AbstractValidity:
     leaves, shape = jax.tree.flatten(like)
     ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
     pieces = np.split(np.asarray(values, float), ends)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.data import PARTS, Fleet
+from jaxnarx.data import FLEET_PARTS, Fleet
 from jaxnarx.models import (
     AbstractValidity,
     Gaussians,
@@ -16,14 +16,14 @@ from jaxnarx.models import (
     SigmoidTree,
 )
 from jaxnarx.regressors import Pool, variable_names
-from jaxnarx.solution import NAMES
+from jaxnarx.solution import STATUS_NAMES
 from jaxnarx.sweep.identify.engine_data import PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
 
 Row = dict[str, Any]
 
 SCORE_SUFFIXES = ("_start", "")
-MODES = ("one_step", "free_run")
+SCORE_MODES = ("one_step", "free_run")
 LIST_COLUMNS = (
     "term_names",
     "term_index",
@@ -41,10 +41,13 @@ LIST_COLUMNS = (
 
 
 @guard_arguments
-def score_names(parts: tuple[str, ...] = PARTS) -> list[str]:
+def score_names(parts: tuple[str, ...] = FLEET_PARTS) -> list[str]:
     """`train_one_step_start`, ..., `test_free_run`: before and after the refinement."""
     return [
-        f"{p}_{mode}{when}" for p in parts for when in SCORE_SUFFIXES for mode in MODES
+        f"{p}_{mode}{when}"
+        for p in parts
+        for when in SCORE_SUFFIXES
+        for mode in SCORE_MODES
     ]
 
 
@@ -61,7 +64,7 @@ def empty_row(fleet: Fleet, prepared: PreparedMember) -> Row:
     )
 
 
-def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
+def make_row(pool: Pool, outcome: Outcome, network: Network) -> Row:
     """Plain Python from the arrays of one lane.
 
     A score is the pooled NRMSE, infinite where a record has diverged. `coefficient`
@@ -77,15 +80,15 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
     scheduling = variable_names(pool.channels, network.models[0].scheduling)
     scores: Row = {}
     lost: Row = {}
-    for part in (p for p in PARTS if p in outcome.scores):
+    for part in (p for p in FLEET_PARTS if p in outcome.scores):
         score = outcome.scores[part]
         for w, when in enumerate(SCORE_SUFFIXES):
-            for m, mode in enumerate(MODES):
+            for m, mode in enumerate(SCORE_MODES):
                 name = f"{part}_{mode}{when}"
                 scores[name] = float(score.nrmse[w, m])
                 lost[f"{name}_diverged"] = bool(score.diverged[w, m])
     gaussian = isinstance(shape, Gaussians)
-    row: Row = {"status": NAMES[int(outcome.status)], "detail": _detail(outcome)}
+    row: Row = {"status": STATUS_NAMES[int(outcome.status)], "detail": _detail(outcome)}
     row |= scores | lost
     row |= {
         "term_count": len(index),
@@ -111,7 +114,7 @@ def row_of(pool: Pool, outcome: Outcome, network: Network) -> Row:
 
 def _detail(outcome: Outcome) -> str:
     """The sentence on a start that diverged."""
-    if NAMES[int(outcome.status)] == "start_diverged":
+    if STATUS_NAMES[int(outcome.status)] == "start_diverged":
         return (
             "the free run of the start diverges, and no network was found that does "
             "not; refine that of `network_of` from several starts, or choose fewer "

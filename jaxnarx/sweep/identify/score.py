@@ -8,7 +8,13 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx import metrics
 from jaxnarx.models import Network
-from jaxnarx.simulation import RunInputs, first_anchor, has_diverged, run, where_limited
+from jaxnarx.simulation import (
+    RunInputs,
+    first_anchor,
+    has_diverged,
+    limited_samples,
+    run,
+)
 from jaxnarx.sweep.identify.engine_data import Part
 
 
@@ -45,5 +51,7 @@ def score(
     mask = jnp.where(free, scored, scored & ready[..., None])
     flat = (drive.measured, y, mask)
     value = metrics.nrmse(*(a.reshape(-1, 1) for a in flat))[0]
-    lost = jnp.any(has_diverged(where_limited(network, y)[..., 0], count_samples(part)))
+    lost = jnp.any(
+        has_diverged(limited_samples(network, y)[..., 0], count_samples(part))
+    )
     return Score(jnp.where(lost, jnp.inf, value), lost)

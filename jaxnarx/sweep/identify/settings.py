@@ -1,4 +1,5 @@
-"""Which identifications one program does, and what it takes as arrays."""
+"""Settings that one program of identification supports, and those that it takes as
+arrays."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -86,7 +87,7 @@ def is_fused(method: Identification) -> bool:
     parts = [method.select, method.grow]
     if method.refine is not None:
         parts.append(method.refine)
-    if not all(type(part) in TRACED_SETTINGS and _plain(part) for part in parts):
+    if not all(type(part) in TRACED_SETTINGS and _has_defaults(part) for part in parts):
         return False
     if getattr(method.grow, "criterion", "") == "validation":
         return False
@@ -97,7 +98,7 @@ def is_fused(method: Identification) -> bool:
     return refine is None or refine.max_steps > 0
 
 
-def _plain(part: Any) -> bool:
+def _has_defaults(part: Any) -> bool:
     """Whether all that the program does not know has its default."""
     known = TRACED_SETTINGS[type(part)] + STATIC_SETTINGS[type(part)]
     return all(

@@ -1,4 +1,4 @@
-"""What all members and cases of a sweep share: the pool's tables and the settings."""
+"""The pool's tables and the settings, which all members and cases of a sweep share."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""What the program does not know: a member by the verbs themselves.
+"""A member by the verbs themselves, for settings that the program does not know.
 
 Every selector and partition that `select` and `grow` take, those of one's own
 included; rows, statuses and scores are those of the program.
@@ -17,11 +17,11 @@ from jaxnarx.identification import identify, terms_of
 from jaxnarx.models import Network
 from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification
-from jaxnarx.simulation import drive_of
-from jaxnarx.solution import NAMES, Solution
+from jaxnarx.simulation import drive_from_signals
+from jaxnarx.solution import STATUS_NAMES, Solution
 from jaxnarx.sweep.identify.engine_data import Member, Part, PreparedMember
 from jaxnarx.sweep.identify.program import Outcome
-from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
+from jaxnarx.sweep.identify.rows import Row, empty_row, make_row
 from jaxnarx.sweep.identify.score import Score, score
 from jaxnarx.sweep.identify.select_step import Chosen
 
@@ -47,7 +47,7 @@ def run_member(
             field="feedback",
         )
     outcome = _outcome(pool, kept, member, fit)
-    return row_of(pool, outcome, fit.value) | {"detail": fit.detail}
+    return make_row(pool, outcome, fit.value) | {"detail": fit.detail}
 
 
 def _outcome(
@@ -72,7 +72,7 @@ def _outcome(
     refined = fit.stats["refined"]
     history = [] if refined is None else refined.stats["history"]
     values = {
-        "status": NAMES.index(_status(fit, scores)),
+        "status": STATUS_NAMES.index(_status(fit, scores)),
         "models": count,
         "theta": theta,
         "steps": len(history),
@@ -94,7 +94,9 @@ def _outcome(
 
 @program
 def _both(network: Network, part: Part) -> Score:
-    drive = drive_of(network, jnp.asarray(part.signals), jnp.asarray(part.valid))
+    drive = drive_from_signals(
+        network, jnp.asarray(part.signals), jnp.asarray(part.valid)
+    )
     modes = [score(network, drive, part, jnp.asarray(free)) for free in (False, True)]
     return jax.tree.map(lambda *a: jnp.stack(a), *modes)
 

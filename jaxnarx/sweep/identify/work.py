@@ -11,13 +11,14 @@ import numpy as np
 
 from jaxnarx.argument_checks import guard_fields
 from jaxnarx.data import Fleet
+from jaxnarx.deprecation import old_method
 from jaxnarx.errors import SpecError
 from jaxnarx.identification import joint_pool
 from jaxnarx.models import Network
 from jaxnarx.partition import scheduling_table
 from jaxnarx.regressors import Pool
 from jaxnarx.settings import Identification, replace_at, to_dict
-from jaxnarx.sweep.cases import Case, label_of
+from jaxnarx.sweep.cases import Case, setting_label
 from jaxnarx.sweep.identify.engine_data import (
     PreparedMember,
     make_blank,
@@ -25,7 +26,7 @@ from jaxnarx.sweep.identify.engine_data import (
     stack_lanes,
 )
 from jaxnarx.sweep.identify.program import identify_lanes
-from jaxnarx.sweep.identify.rows import Row, empty_row, row_of
+from jaxnarx.sweep.identify.rows import Row, empty_row, make_row
 from jaxnarx.sweep.identify.settings import (
     Settings,
     Shape,
@@ -89,7 +90,7 @@ class IdentificationWork:
                 field="outputs",
             )
         for method in self.methods:
-            scheduling_table(self.pool, _scheduling(method))
+            scheduling_table(self.pool, _scheduling_names(method))
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k not in MADE_ATTRIBUTES}
@@ -104,7 +105,9 @@ class IdentificationWork:
     def labels(self) -> list[dict[str, Any]]:
         """The same, made once."""
         swept = dict.fromkeys(path for case in self.cases for path in case)
-        labels = [{path: label_of(m, path) for path in swept} for m in self.methods]
+        labels = [
+            {path: setting_label(m, path) for path in swept} for m in self.methods
+        ]
         return [
             {"engine": name, "case": n} | label
             for name in self.fleet.names
@@ -158,9 +161,11 @@ class IdentificationWork:
 
         return functools.lru_cache(maxsize=max(KEPT_MEMBERS, self.lanes))(make)
 
-    def prepared_for(self, engine: int, case: int) -> PreparedMember:
+    def prepare_case(self, engine: int, case: int) -> PreparedMember:
         """One engine's records for a case."""
-        return self.prepared(engine, _scheduling(self.methods[case]))
+        return self.prepared(engine, _scheduling_names(self.methods[case]))
+
+    prepared_for = old_method("prepared_for", "prepare_case")
 
     def describe(self) -> dict[str, Any]:
         """Settings, cases, and digests of the data and the pool."""
@@ -169,8 +174,8 @@ class IdentificationWork:
         table.update(repr((pool.variables, pool.outputs)).encode())
         return {
             "kind": "identification",
-            "method": _plain(to_dict(self.method)),
-            "cases": [_plain(case) for case in self.cases],
+            "method": _to_json(to_dict(self.method)),
+            "cases": [_to_json(case) for case in self.cases],
             "pool": {"terms": len(pool), "sha256": table.hexdigest()},
             "fleet": {"engines": len(self.fleet), "sha256": self.fleet.digest()},
             "lanes": self.lanes,
@@ -178,12 +183,13 @@ class IdentificationWork:
         }
 
     def run(self, indices: Sequence[int]) -> list[Row]:
-        """One row per index, see `row_of`; engines that cannot be used are rows too."""
+        """One row per index, see `make_row`; engines that cannot be used are rows
+        too."""
         pairs = [divmod(int(n), len(self.cases)) for n in indices]
         rows: dict[int, Row] = {}
         groups: dict[Shape, list[int]] = {}
         for place, (engine, case) in enumerate(pairs):
-            found, shape = self.prepared_for(engine, case), self.shapes[case]
+            found, shape = self.prepare_case(engine, case), self.shapes[case]
             if found.member is None:
                 rows[place] = empty_row(self.fleet, found)
             elif shape is None:
@@ -200,7 +206,7 @@ class IdentificationWork:
 
     def _call(self, shape: Shape, pairs: list[tuple[int, int]]) -> list[Row]:
         """One call of a program, filled up with the shortest fits there are."""
-        members = [self.prepared_for(*pair).member for pair in pairs]
+        members = [self.prepare_case(*pair).member for pair in pairs]
         settings = [self.settings[case] for _, case in pairs]
         more = self.lanes - len(pairs)
         members += members[-1:] * more
@@ -213,22 +219,22 @@ class IdentificationWork:
         )
         host = jax.tree.map(np.asarray, jax.device_get(outcome))
         return [
-            row_of(self.pool, jax.tree.map(lambda a, n=n: a[n], host), member.network)
+            make_row(self.pool, jax.tree.map(lambda a, n=n: a[n], host), member.network)
             for n, member in enumerate(members[: len(pairs)])
             if member is not None
         ]
 
 
-def _scheduling(method: Identification) -> tuple[str, ...]:
+def _scheduling_names(method: Identification) -> tuple[str, ...]:
     return tuple(getattr(method.grow, "scheduling", ()))
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     """Values as JSON gives them back; arrays by their digest, the rest by name."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_json(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [_to_json(item) for item in value]
     if isinstance(value, str | int | float | None):
         return value
     if isinstance(value, np.ndarray | jax.Array):
@@ -236,5 +242,5 @@ def _plain(value: Any) -> Any:
     kind = type(value)
     if dataclasses.is_dataclass(kind):
         own = {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
-        return {"class": kind.__qualname__} | _plain(own)
+        return {"class": kind.__qualname__} | _to_json(own)
     return getattr(value, "__qualname__", kind.__qualname__)

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from jaxnarx.data import Dataset
-from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_of
+from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_on_path
 from jaxnarx.partition.closed_form.growth import Box
-from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.regressors import LowPass, Pool, Variables, polynomial_pool
 
 SAMPLE_TIME = 0.1
@@ -87,7 +87,7 @@ def labels(numbers=LABELS, data: Dataset | None = None) -> list[np.ndarray]:
 @cache
 def signals(every: int = 1) -> RunSignals:
     """What the dictionaries below are made of."""
-    return signals_of(
+    return make_signals(
         records(),
         pool(),
         SCHEDULING,
@@ -117,7 +117,7 @@ def leaves() -> tuple[Box, ...]:
 def _halved(leaf: Box, dim: int, at=None) -> tuple[Box, Box]:
     gate = leaf.gate(dim, at)
     assert gate is not None
-    return leaf.halved(gate)
+    return leaf.halve(gate)
 
 
 @cache
@@ -125,7 +125,7 @@ def nested(regions: int = 5) -> BlockDesign:
     """The root's columns and those of the upper half of every halving."""
     made = signals()
     found = BlockDesign.of(made, FEEDBACK)
-    found = found.extended(found.block(()))
+    found = found.extend(found.block(()))
     if regions == 1:
         return found
     every = sorted(
@@ -133,11 +133,11 @@ def nested(regions: int = 5) -> BlockDesign:
         key=len,
     )
     for n, region in enumerate(
-        r for r in every for g, _ in gates_of(r[-1:]) if g.side > 0
+        r for r in every for g, _ in gates_on_path(r[-1:]) if g.side > 0
     ):
         # Blocks of regions may hold some of the terms alone.
         terms = np.arange(n % 2, len(made.factor))
-        found = found.extended(found.block(region, terms))
+        found = found.extend(found.block(region, terms))
     return found
 
 

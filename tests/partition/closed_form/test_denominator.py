@@ -6,8 +6,8 @@ import pytest
 from jaxnarx.arrays.stable_polynomials import reflection_coefficients
 from jaxnarx.partition.closed_form.denominator import (
     STABILITY_MARGIN,
+    denominator_from_times,
     is_stable,
-    of_times,
 )
 
 
@@ -78,9 +78,9 @@ def test_on_the_circle_is_not_stable():
 
 
 def test_poles_of_time_constants():
-    a = of_times((0.3, 2.0, 0.7), 0.1)
+    a = denominator_from_times((0.3, 2.0, 0.7), 0.1)
     assert a[0] == 1.0 and is_stable(a)
     np.testing.assert_allclose(
         np.sort(np.roots(a)), np.exp(-0.1 / np.array([0.3, 0.7, 2.0]))
     )
-    assert of_times((), 0.1).tolist() == [1.0]
+    assert denominator_from_times((), 0.1).tolist() == [1.0]

@@ -55,7 +55,7 @@ def explicit(found):
         own = list(zip(columns, found.signals.stretches, strict=True))
         c = np.concatenate([c[:, one.counted[g]] for c, one in own], axis=1)
         start = np.concatenate(
-            [one.left_by_start(found.a)[one.counted[g]] for _, one in own]
+            [one.start_response(found.a)[one.counted[g]] for _, one in own]
         )
         y = np.concatenate([one.y[one.counted[g]] for _, one in own])
         parts.append((c, start, y))
@@ -109,7 +109,7 @@ def test_sums_over_nested_regions_are_those_over_leaves(found):
                     own[block.terms] += part
             p = np.prod(one.z[factor], axis=1)
             raw += weight(leaf.region, one.x) * (own @ p)
-        y = one.filtered(raw[None], found.a)[0] + one.left_by_start(found.a)
+        y = one.filter_columns(raw[None], found.a)[0] + one.start_response(found.a)
         np.testing.assert_allclose(run, y, atol=EXACT)
 
 
@@ -156,7 +156,7 @@ def refitted(parts, without: int, ridge: float, chosen=None) -> float:
 
 def test_groups_left_out_are_judged_by_the_others(found, explicit):
     expected = [refitted(explicit, g, RIDGE) for g in range(len(explicit))]
-    np.testing.assert_allclose(found.left_out(RIDGE), expected, rtol=1e-7)
+    np.testing.assert_allclose(found.held_out_losses(RIDGE), expected, rtol=1e-7)
 
 
 def slow_forward(c, error, ridge: float, size: int) -> np.ndarray:
@@ -197,7 +197,7 @@ def test_a_curve_chooses_anew_without_each_group(found, explicit):
 def test_all_columns_of_a_curve_are_left_out(found):
     sizes = [found.equations.columns]
     np.testing.assert_allclose(
-        found.curve(RIDGE, sizes, [0])[:, 0], found.left_out(RIDGE), rtol=1e-6
+        found.curve(RIDGE, sizes, [0])[:, 0], found.held_out_losses(RIDGE), rtol=1e-6
     )
 
 
@@ -212,7 +212,7 @@ def test_runs_are_judged_within_the_range_of_all_groups(found):
 
 def test_a_part_of_the_columns(found):
     at = np.array([30, 3, 0, 7, 25])
-    few = found.only(at)
+    few = found.select_columns(at)
     order = np.sort(at)
     assert few.equations.columns == 5
     for own, every in zip(few.rows(), found.rows(), strict=True):
@@ -226,19 +226,19 @@ def test_a_part_of_the_columns(found):
 
 
 def test_other_feedback_is_as_if_begun_with_it(found):
-    moved = found.moved(np.array([1.0, -0.7]))
+    moved = found.move(np.array([1.0, -0.7]))
     again = BlockDesign.of(signals(), np.array([1.0, -0.7]))
     for block in found.blocks:
-        again = again.extended(again.block(block.region, block.terms))
+        again = again.extend(again.block(block.region, block.terms))
     np.testing.assert_array_equal(moved.equations.gram, again.equations.gram)
     np.testing.assert_array_equal(moved.equations.right, again.equations.right)
-    back = moved.moved(FEEDBACK)
+    back = moved.move(FEEDBACK)
     np.testing.assert_allclose(back.equations.gram, found.equations.gram, rtol=1e-12)
 
 
 def test_samples_that_do_not_count_change_nothing_but_the_sums():
     thin = BlockDesign.of(problems.signals(3), FEEDBACK)
-    thin = thin.extended(thin.block(()))
+    thin = thin.extend(thin.block(()))
     full = nested(1)
     one, _ = full.signals.stretches[1], full.signals.stretches
     # Group 1 is one record: every third of its samples.

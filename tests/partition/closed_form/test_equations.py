@@ -64,7 +64,7 @@ def ridged(columns, target, ridge: float):
 def test_solution_is_that_of_ridge_regression(dense, equations, without, ridge):
     columns, target = together(dense, without)
     expected, _ = ridged(columns, target, ridge)
-    found = equations.without(without).solve(ridge)
+    found = equations.exclude_group(without).solve(ridge)
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=1)), 1e-300)
     np.testing.assert_allclose(found * size, expected * size, atol=EXACT)
     assert found[7] == 0.0
@@ -78,7 +78,7 @@ def test_a_gap_trains_unless_a_group_beside_it_is_left_out(dense, equations):
     for g, trains in ((None, (0, 1, 2, 3)), (0, (1, 3)), (1, (0, 2, 3))):
         columns, target = together([dense[n] for n in trains], None)
         expected, _ = ridged(columns, target, RIDGE)
-        theta = found.without(g).solve(RIDGE)
+        theta = found.exclude_group(g).solve(RIDGE)
         np.testing.assert_allclose(theta, expected, rtol=1e-7, atol=1e-12)
 
 
@@ -90,12 +90,12 @@ def test_loss_is_the_sum_of_squares_of_a_group(dense, equations):
         np.testing.assert_allclose(equations.loss(g, theta), expected, rtol=EXACT)
     # Where rounding would make it negative it is zero.
     exact = dataclasses.replace(equations, square=0 * equations.square)
-    assert exact.loss(0, equations.without(None).solve(RIDGE)) == 0.0
+    assert exact.loss(0, equations.exclude_group(None).solve(RIDGE)) == 0.0
 
 
 def test_sums_of_chosen_columns_are_those_of_their_own_equations(dense, equations):
     at = np.array([5, 1, 2])
-    few = equations.taken(at)
+    few = equations.select(at)
     assert len(few) == len(LENGTHS) and few.columns == 3
     for g, (columns, target) in enumerate(dense):
         own = columns[at]
@@ -120,14 +120,14 @@ def slow_forward(columns, target, ridge: float, steps: int, first=()):
 @pytest.mark.parametrize("without", [None, 1])
 def test_forward_is_the_largest_decrease_at_each_step(dense, equations, first, without):
     columns, target = together(dense, without)
-    path = equations.without(without).forward(RIDGE, 7, first)
+    path = equations.exclude_group(without).select_forward(RIDGE, 7, first)
     assert path.order.tolist() == slow_forward(columns, target, RIDGE, 7, first)
 
 
 @pytest.mark.parametrize("ridge", [1e-8, RIDGE, 1.0])
 def test_coefficients_on_a_path_are_those_of_ridge_regression(dense, equations, ridge):
     columns, target = together(dense, 2)
-    path = equations.without(2).forward(ridge, 7, (4,))
+    path = equations.exclude_group(2).select_forward(ridge, 7, (4,))
     for size in (1, 3, 7):
         at, theta = path.at(size)
         assert at.tolist() == path.order[:size].tolist()
@@ -137,8 +137,8 @@ def test_coefficients_on_a_path_are_those_of_ridge_regression(dense, equations, 
 
 
 def test_all_columns_of_a_path_are_the_whole_solution(equations):
-    system = equations.without(None)
-    at, theta = system.forward(RIDGE, 100, ()).at(100)
+    system = equations.exclude_group(None)
+    at, theta = system.select_forward(RIDGE, 100, ()).truncate(100)
     assert sorted(at.tolist()) == list(range(7))
     np.testing.assert_allclose(theta, system.solve(RIDGE)[at], rtol=1e-7)
 
@@ -155,27 +155,27 @@ def test_columns_that_others_make_up_are_passed_over():
         np.array([60.0]),
         np.eye(1, dtype=bool),
     )
-    path = equations.without(None).forward(0.0, 5, ())
+    path = equations.exclude_group(None).select_forward(0.0, 5, ())
     assert len(path.order) == 3 and path.order[-1] != 4
-    at, theta = path.at(5)
+    at, theta = path.truncate(5)
     np.testing.assert_allclose(theta @ columns[at], target, atol=1e-7)
     # A first column without power leaves its place to others.
-    assert equations.without(None).forward(0.0, 3, (4,)).order[0] != 4
+    assert equations.exclude_group(None).select_forward(0.0, 3, (4,)).order[0] != 4
 
 
 def test_order_of_columns_does_not_matter(equations):
     order = np.random.default_rng(2).permutation(8)
-    plain = equations.without(None).forward(RIDGE, 7, ())
-    moved = equations.taken(order).without(None).forward(RIDGE, 7, ())
+    plain = equations.exclude_group(None).select_forward(RIDGE, 7, ())
+    moved = equations.select(order).exclude_group(None).select_forward(RIDGE, 7, ())
     assert order[moved.order].tolist() == plain.order.tolist()
 
 
 def test_without_columns_or_samples_there_is_nothing_to_choose():
     nothing = System(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
-    at, theta = nothing.forward(RIDGE, 3, (0,)).at(3)
+    at, theta = nothing.select_forward(RIDGE, 3, (0,)).truncate(3)
     assert not len(at) and not len(theta)
     empty = NormalEquations(
         *(np.zeros((2, 1, 1)), np.zeros((2, 1)), np.zeros(2), np.zeros(2)),
         np.eye(2, dtype=bool),
     )
-    assert empty.without(0).solve(RIDGE).tolist() == [0.0]
+    assert empty.exclude_group(0).solve(RIDGE).tolist() == [0.0]

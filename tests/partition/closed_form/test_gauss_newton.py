@@ -9,18 +9,18 @@ from jaxnarx.partition.closed_form.denominator import is_stable
 from jaxnarx.partition.closed_form.design_matrix import (
     BlockDesign,
     Gate,
-    gates_of,
+    gates_on_path,
     weight,
 )
 from jaxnarx.partition.closed_form.equation_error import equation_error
 from jaxnarx.partition.closed_form.gauss_newton import (
     _step,
     derivatives,
+    movable_gates,
     move_feedback_and_gates,
-    places_of,
     shift_gates,
 )
-from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.regressors import Variables, polynomial_pool
 
 RIDGE = 1e-8
@@ -29,7 +29,7 @@ RIDGE = 1e-8
 @pytest.fixture(scope="module")
 def some() -> BlockDesign:
     """Nested regions, with some of their columns."""
-    return nested().only(np.arange(0, 53, 4))
+    return nested().select_columns(np.arange(0, 53, 4))
 
 
 def runs_at(design: BlockDesign, theta, parameters, places):
@@ -38,13 +38,13 @@ def runs_at(design: BlockDesign, theta, parameters, places):
     order = len(design.a) - 1
     a = design.a.copy()
     a[1:] += parameters[:order]
-    moved = design.moved(a, shift_gates(places, parameters[order:]))
+    moved = design.move(a, shift_gates(places, parameters[order:]))
     rows = moved.rows()
     return [theta @ own + moved.start_response(g) for g, own in enumerate(rows)]
 
 
 def test_derivatives_of_the_run_are_those_of_differences(some):
-    theta, h, places = coefficients(some), 1e-5, places_of(some)
+    theta, h, places = coefficients(some), 1e-5, movable_gates(some)
     assert len(places) == 3, "the gate between levels stays"
     own = derivatives(some, theta, places)
     count = 2 + 2 * len(places)
@@ -59,7 +59,7 @@ def test_derivatives_of_the_run_are_those_of_differences(some):
 
 
 def test_a_step_is_that_of_least_squares_on_everything(some):
-    theta = some.equations.without(None).solve(RIDGE)
+    theta = some.equations.exclude_group(None).solve(RIDGE)
     moves = derivatives(some, theta, [])
     jacobian = np.concatenate(
         [np.concatenate([c, m]) for c, m in zip(some.rows(), moves, strict=True)],
@@ -74,23 +74,23 @@ def test_a_step_is_that_of_least_squares_on_everything(some):
 
 def test_gates_move_with_all_that_stands_behind_them(some):
     """Regions keep their nesting, steps their limits, and leaves their sum."""
-    places = places_of(some)
+    places = movable_gates(some)
     gates = shift_gates(places, np.array([5.0, -0.05, -9.0, 0.3, 7.0, -7.0]))
     borders = [gates[place].border for place in places]
     old = [place[1].border for place in places]
     np.testing.assert_allclose(np.subtract(borders, old), [0.1, -0.05, -0.1])
     steep = [gates[p].steepness / p[1].steepness for p in places]
     np.testing.assert_allclose(np.log(steep), [0.3, 0.5, -0.5])
-    moved = [leaf.moved(gates) for leaf in problems.leaves()]
+    moved = [leaf.move(gates) for leaf in problems.leaves()]
     for one in some.signals.stretches:
         total = sum(weight(leaf.region, one.x) for leaf in moved)
         np.testing.assert_allclose(total, 1.0, atol=1e-12)
     for leaf, before in zip(moved, problems.leaves(), strict=True):
         assert leaf.region != before.region
-        assert [g.dim for g, _ in gates_of(leaf.region)] == [
-            g.dim for g, _ in gates_of(before.region)
+        assert [g.dim for g, _ in gates_on_path(leaf.region)] == [
+            g.dim for g, _ in gates_on_path(before.region)
         ]
-    again = [leaf.moved({}) for leaf in problems.leaves()]
+    again = [leaf.move({}) for leaf in problems.leaves()]
     for leaf, before in zip(again, problems.leaves(), strict=True):
         assert leaf.region == before.region
         np.testing.assert_allclose(leaf.low, before.low)
@@ -99,7 +99,7 @@ def test_gates_move_with_all_that_stands_behind_them(some):
 
 def mean_square(design: BlockDesign, ridge: float) -> float:
     """Of the free run with the best coefficients, from explicit columns."""
-    theta = design.equations.without(None).solve(ridge)
+    theta = design.equations.exclude_group(None).solve(ridge)
     pairs = zip(design.rows(), design.target, strict=True)
     errors = np.concatenate([e - theta @ c for c, e in pairs])
     return float(np.mean(errors**2))
@@ -117,7 +117,7 @@ STARTS = (
 @pytest.mark.parametrize("start", STARTS, ids=lambda a: f"{a[1:]}")
 @pytest.mark.parametrize(("ridge", "gates"), [(RIDGE, False), (1e-2, True)])
 def test_tuning_never_raises_the_loss(some, start, ridge, gates):
-    begun = some.moved(start)
+    begun = some.move(start)
     before = mean_square(begun, ridge)
     for steps in (0, 1, 8):
         after, told = move_feedback_and_gates(begun, ridge, steps=steps, gates=gates)
@@ -142,7 +142,7 @@ def signals_from(us, ys) -> RunSignals:
     pool = polynomial_pool(data.channels, input_lags=(1, 2), output_lags=(), degree=1)
     labels = [np.full(len(r), n % 2) for n, r in enumerate(data)]
     table = Variables.of([(0, 1, None)])
-    return signals_of(
+    return make_signals(
         data, pool, table, labels, np.eye(2, dtype=bool), history=4, every=1
     )
 
@@ -165,7 +165,7 @@ def test_feedback_of_a_system_is_recovered_from_noisy_outputs(poles, start):
     found = []
     for made, ridge in ((clean, 1e-12), (noisy, RIDGE)):
         begun = BlockDesign.of(made, np.poly(start))
-        begun = begun.extended(begun.block(()))
+        begun = begun.extend(begun.block(()))
         found.append(move_feedback_and_gates(begun, ridge, steps=60))
     np.testing.assert_allclose(found[0][0].a, a, atol=1e-4)
     got = np.sort_complex(np.roots(found[1][0].a))
@@ -185,7 +185,7 @@ def test_least_squares_one_step_ahead_would_be_biased():
 
 
 def test_without_feedback_and_gates_there_is_nothing_to_tune(some):
-    begun = nested(1).moved(np.ones(1))
+    begun = nested(1).move(np.ones(1))
     after, told = move_feedback_and_gates(begun, RIDGE, gates=True)
     assert after is begun
     np.testing.assert_allclose(told, mean_square(begun, RIDGE), rtol=1e-9)
@@ -199,9 +199,9 @@ def test_a_border_is_found():
     made = signals_from([np.roll(u, -1) for u in us], ys)
     gate = Gate(0, 0.5, 8.0)
     begun = BlockDesign.of(made, np.ones(1))
-    begun = begun.extended(begun.block(())).extended(begun.block((gate,)))
+    begun = begun.extend(begun.block(())).extend(begun.block((gate,)))
     before = mean_square(begun, RIDGE)
     after, loss = move_feedback_and_gates(begun, RIDGE, steps=40, gates=True)
-    (found,) = places_of(after)
+    (found,) = movable_gates(after)
     assert found[1].border == pytest.approx(0.6, abs=0.02)
     assert found[1].steepness > 3 * gate.steepness and loss < 0.2 * before

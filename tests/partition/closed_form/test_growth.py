@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Dataset
-from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_of
+from jaxnarx.partition.closed_form.design_matrix import BlockDesign, gates_on_path
 from jaxnarx.partition.closed_form.gauss_newton import (
+    movable_gates,
     move_feedback_and_gates,
-    places_of,
 )
 from jaxnarx.partition.closed_form.growth import (
     Box,
@@ -20,7 +20,7 @@ from jaxnarx.partition.closed_form.growth import (
     constants,
     grow_regions,
 )
-from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.regressors import Variables, polynomial_pool
 
 FEEDBACK = np.array([1.0, -0.7])
@@ -69,7 +69,7 @@ def data_of(kind) -> Dataset:
 
 def signals_from(data: Dataset, labels) -> RunSignals:
     pool = polynomial_pool(data.channels, input_lags=(1,), output_lags=(), degree=1)
-    return signals_of(
+    return make_signals(
         data, pool, SCHEDULING, labels, np.eye(3, dtype=bool), history=1, every=1
     )
 
@@ -77,7 +77,7 @@ def signals_from(data: Dataset, labels) -> RunSignals:
 def root(signals: RunSignals) -> GrownStage:
     """One region."""
     begun = BlockDesign.of(signals, FEEDBACK)
-    return choose_size(begun.extended(begun.block(())), (problems.whole(2),))
+    return choose_size(begun.extend(begun.block(())), (problems.whole(2),))
 
 
 @cache
@@ -90,7 +90,10 @@ def stages(kind, most: int = 3) -> tuple[GrownStage, ...]:
 def gates(stage: GrownStage) -> list[list[tuple[int, float, int]]]:
     """Of every leaf."""
     return [
-        [(g.dim, round(float(g.border), 9), g.side) for g, _ in gates_of(leaf.region)]
+        [
+            (g.dim, round(float(g.border), 9), g.side)
+            for g, _ in gates_on_path(leaf.region)
+        ]
         for leaf in stage.leaves
     ]
 
@@ -102,7 +105,7 @@ def test_a_jump_is_found():
     assert two.score < 0.7 * one.score
     before = move_feedback_and_gates(two.design, two.ridge, steps=0)[1]
     moved, after = move_feedback_and_gates(two.design, two.ridge, steps=30, gates=True)
-    (place,) = places_of(moved)
+    (place,) = movable_gates(moved)
     assert after < 0.3 * before
     assert place[1].steepness > 20 and abs(place[1].border - 0.5) < 0.05
 
@@ -124,7 +127,7 @@ def test_a_region_at_one_level_is_not_divided_between_levels():
     leaf = problems.whole(2)
     gate = leaf.gate(1, (0.0, 1.0))
     assert gate is not None and gate.hard and gate.border == 0.5
-    upper, lower = leaf.halved(gate)
+    upper, lower = leaf.halve(gate)
     assert upper.gate(1, (0.0, 1.0)) is None and lower.gate(1, (0.0, 1.0)) is None
     # A constant has nothing to divide.
     assert leaf.gate(1, (0.0,)) is None
@@ -147,7 +150,7 @@ def test_a_gate_between_levels_tells_them_apart_however_close(own):
         at = gate(np.array([own]))
         inside = [n for n, v in enumerate(own) if one.low[0] <= v <= one.high[0]]
         assert np.all(np.minimum(at, 1 - at)[inside] < 1e-9)
-        waiting += one.halved(gate)
+        waiting += one.halve(gate)
     assert sorted(seen) == [[v] for v in own], "a leaf for every level"
 
 
@@ -169,7 +172,7 @@ def test_a_stage_tells_the_losses_of_its_size_and_ridge():
 
 def test_the_model_of_all_groups_has_the_constant_first():
     stage = stages(bent)[-1]
-    at, theta = stage.chosen()
+    at, theta = stage.choose_columns()
     assert at[0] == 0 and len(at) == len(theta) == len(set(at.tolist())) == stage.size
 
 

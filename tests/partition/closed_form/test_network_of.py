@@ -6,7 +6,7 @@ import pytest
 from nested_problems import B_INPUT, LONGEST, OUTPUT, coefficients, leaves, nested
 
 import jaxnarx as jnx
-from jaxnarx.partition.closed_form.network import network_of
+from jaxnarx.partition.closed_form.network import make_network
 
 ROUNDING = 1e-9
 """Of a standard deviation. Inputs are 500 of their own from zero: a square loses six
@@ -16,7 +16,7 @@ digits of sixteen in the terms of a network."""
 def compared(design, regions, theta):
     """Network, its run's largest distance from the columns' run, and the runs' span."""
     data, made = problems.records(), design.signals
-    network = network_of(design, regions, theta, data)
+    network = make_network(design, regions, theta, data)
     run = jnx.simulate(network, data).value
     assert not sum(int(at.sum()) for at in run.limited), "the bound holds the run"
     runs = design.runs(theta)
@@ -72,11 +72,11 @@ def test_order_of_the_leaves_does_not_matter(several):
 
 def test_what_no_column_needs_is_not_computed():
     """Variables without a term go, and a network without feedback has none."""
-    found = nested(1).moved(np.ones(1))
+    found = nested(1).move(np.ones(1))
     theta = np.zeros(found.equations.columns)
     factor = found.signals.factor.tolist()
     theta[factor.index([0, 3])] = 0.4
-    network = network_of(found, ((),), theta, problems.records())
+    network = make_network(found, ((),), theta, problems.records())
     assert network.variable_names == ["b[t-2]"] and network.history == 2
     run = jnx.simulate(network, problems.records()).value
     made = found.signals
@@ -88,9 +88,9 @@ def test_what_no_column_needs_is_not_computed():
 
 
 def test_nothing_but_the_mean():
-    found = nested(1).moved(np.ones(1))
+    found = nested(1).move(np.ones(1))
     theta = np.zeros(found.equations.columns)
-    network = network_of(found, ((),), theta, problems.records())
+    network = make_network(found, ((),), theta, problems.records())
     run = jnx.simulate(network, problems.records()).value
     middle = found.signals.middle * found.signals.gain[OUTPUT]
     for y in run.outputs:

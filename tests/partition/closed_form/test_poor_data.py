@@ -97,7 +97,7 @@ def test_every_candidate_is_made(case):
     every, names, network = [], [], None
     for one in search.candidates(3):
         names.append((one.family, one.name))
-        assert one.diverged() >= 0 and np.isfinite(one.one_step())
+        assert one.count_diverged() >= 0 and np.isfinite(one.one_step())
         errors = one.losses()[one.stage.design.equations.judged > 0]
         assert np.all(np.isfinite(errors)) and np.all(errors >= 0)
         every.append(one.free_run)

@@ -11,7 +11,7 @@ from jaxnarx.data import groups
 from jaxnarx.partition import ClosedForm, ClosedSearch, profile_data
 from jaxnarx.partition.closed_form.denominator import is_stable
 from jaxnarx.partition.closed_form.equation_error import equation_error
-from jaxnarx.partition.closed_form.search import _to_move
+from jaxnarx.partition.closed_form.search import _choose_to_move
 
 FAMILIES = ("constant", "ARX", "OE", "filtered inputs", "OE with filtered inputs")
 FAMILIES += ("polynomial", "shared feedback")
@@ -60,7 +60,7 @@ def test_errors_are_those_of_the_groups(found):
         np.testing.assert_allclose(one.groups() ** 2, one.losses())
         total = np.sqrt(np.average(one.losses(), weights=count))
         np.testing.assert_allclose(one.free_run, total)
-        assert one.diverged() == 0 and np.isfinite(one.one_step())
+        assert one.count_diverged() == 0 and np.isfinite(one.one_step())
 
 
 def test_the_mean_of_the_others_errs_by_about_one(found):
@@ -172,14 +172,14 @@ def test_what_runs_away_is_told_and_still_has_a_model():
     search = search_of(problems.plant(explosive))
     every = [search.equation_error(order) for order in (1, 2)]
     assert not is_stable(every[0].stage.design.a)
-    assert every[0].diverged() > 0
+    assert every[0].count_diverged() > 0
     for one in every:
         assert np.all(np.isfinite(one.losses())) and np.isfinite(one.free_run)
         # It is fitted one step ahead, where it is as good as the noise lets it be.
         assert one.one_step() < 0.2
         run = jnx.simulate(one.network(), problems.plant(explosive)).value
         assert all(np.all(np.isfinite(y)) for y in run.outputs)
-        assert bool(one.diverged()) == any(d[0] for d in run.diverged)
+        assert bool(one.count_diverged()) == any(d[0] for d in run.diverged)
 
 
 def test_numbers_beyond_all_numbers(data, found):
@@ -189,7 +189,7 @@ def test_numbers_beyond_all_numbers(data, found):
         bare = dataclasses.replace(one.stage.design, a=np.array([1.0, -root]))
         stage = dataclasses.replace(one.stage, design=bare)
         wild = dataclasses.replace(one, stage=stage)
-        assert wild.diverged() == len(problems.LENGTHS)
+        assert wild.count_diverged() == len(problems.LENGTHS)
         assert np.isfinite(wild.one_step())
         assert jnx.simulate(wild.network(), data).status_name == "diverged"
 
@@ -214,5 +214,5 @@ def test_gates_move_in_the_best_and_in_the_largest_that_is_nearly_as_good(
     ]
     np.testing.assert_allclose([one.score for one in stages], scores)
     best = int(np.argmin(scores))
-    found = _to_move(stages, best)
+    found = _choose_to_move(stages, best)
     assert [stages.index(one) for one in found] == expected

@@ -7,7 +7,7 @@ import numpy as np
 from nested_problems import A_INPUT, B_INPUT, LONGEST, OUTPUT, SAMPLE_TIME
 
 from jaxnarx.data import Dataset
-from jaxnarx.partition.closed_form.signals import RunSignals, signals_of
+from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 
 
 def low_pass(u, time: float):
@@ -80,7 +80,7 @@ def test_every_stretch_knows_its_place():
 
 
 def made(data: Dataset, labels) -> RunSignals:
-    return signals_of(
+    return make_signals(
         data,
         problems.pool(),
         problems.SCHEDULING,
@@ -134,5 +134,5 @@ def test_what_is_left_by_the_start_is_the_free_run_on_nothing():
     for _ in range(30):
         past = [-a[1] * past[0] - a[2] * past[1], past[0]]
         out.append(past[0])
-    np.testing.assert_allclose(one.left_by_start(a)[:30], out, atol=1e-12)
-    assert not one.left_by_start(np.ones(1)).any()
+    np.testing.assert_allclose(one.start_response(a)[:30], out, atol=1e-12)
+    assert not one.start_response(np.ones(1)).any()

@@ -9,9 +9,9 @@ import pytest
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.terms import (
     Memory,
+    choose_scheduling,
     linear_pool,
     product_pool,
-    scheduling,
 )
 from jaxnarx.regressors import LowPass
 
@@ -23,9 +23,9 @@ LOOK = DataProfile(
 def test_lags_begin_a_step_before_the_dead_time_and_recent_ones_stay():
     memory = Memory(2, (0, 1, 2, 4))
     assert memory.lags_behind(5) == [3, 5, 7, 11]
-    assert memory.lags_of(5) == [0, 2, 3, 5, 7, 11]
-    assert memory.lags_of(46) == [0, 2, 4, 44, 46, 48, 52]
-    assert memory.lags_of(1) == memory.lags_of(0) == [0, 2, 4, 8]
+    assert memory.choose_lags(5) == [0, 2, 3, 5, 7, 11]
+    assert memory.choose_lags(46) == [0, 2, 4, 44, 46, 48, 52]
+    assert memory.choose_lags(1) == memory.choose_lags(0) == [0, 2, 4, 8]
 
 
 TIMES = (2.5, 10.0, 40.0, 160.0)
@@ -97,10 +97,10 @@ def test_every_product_has_its_parts():
 
 def test_scheduling_is_every_input_and_of_few_inputs_slow_ones():
     data = problems.records()
-    table = scheduling(data, LOOK, Memory(1, (0, 1, 2), TIMES))
+    table = choose_scheduling(data, LOOK, Memory(1, (0, 1, 2), TIMES))
     assert table.entries[:2] == ((0, 4, None), (1, 2, None))
     assert table.entries[2:] == ((0, 0, LowPass(1.0)), (0, 0, LowPass(4.0)))
-    plain = scheduling(data, LOOK, Memory(1, (0,)))
+    plain = choose_scheduling(data, LOOK, Memory(1, (0,)))
     assert plain.rows == ((0, 2), (1, 0)) and not plain.filters
 
 

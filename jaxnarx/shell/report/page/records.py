@@ -104,7 +104,7 @@ def _badness(record: ShownRecord) -> float:
 
 def _spread(record: ShownRecord, o: int) -> float:
     """Standard deviation of the measurement, 1 of what does not move."""
-    y = record.measured(o)
+    y = record.measurement(o)
     y = y[np.isfinite(y)]
     with np.errstate(over="ignore", invalid="ignore"):
         spread = float(np.std(y)) if y.size else 0.0
