@@ -205,7 +205,7 @@ def test_linear_presets_have_no_regions_and_products(data, seen, judged):
 def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     data, seen, few, judged, monkeypatch
 ):
-    monkeypatch.setattr(ClosedForm, "diverged", lambda one: 3)
+    monkeypatch.setattr(ClosedForm, "count_diverged", lambda one: 3)
     _, every = tried(data, seen, dataclasses.replace(TINY, fed_back=0))
     for (row, network), one in zip(every, few, strict=True):
         assert row.status == "diverged" and row.diverged == 3

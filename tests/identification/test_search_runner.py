@@ -243,7 +243,7 @@ def test_without_a_budget_the_clock_decides_nothing(tiny, whole, monkeypatch):
 
 
 def test_where_all_are_vetoed_the_mean_is_given_with_its_reason(monkeypatch):
-    monkeypatch.setattr(ClosedForm, "diverged", lambda one: 2)
+    monkeypatch.setattr(ClosedForm, "count_diverged", lambda one: 2)
     found = jnx.identify(plant(), preset="linear")
     assert found.status_name == "diverged" and "y diverges" in found.detail
     assert board_of(found).choose("y") is None and len(board_of(found)) == LINEAR

@@ -129,7 +129,7 @@ def test_coefficients_on_a_path_are_those_of_ridge_regression(dense, equations, 
     columns, target = together(dense, 2)
     path = equations.exclude_group(2).select_forward(ridge, 7, (4,))
     for size in (1, 3, 7):
-        at, theta = path.at(size)
+        at, theta = path.truncate(size)
         assert at.tolist() == path.order[:size].tolist()
         expected, _ = ridged(columns[at], target, ridge)
         power = np.sqrt(np.mean(columns[at] ** 2, axis=1))
