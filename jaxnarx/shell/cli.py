@@ -63,12 +63,21 @@ def _run(arguments: list[str]) -> int:
 
         say(f"jaxnarx {importlib.metadata.version('jaxnarx')}")
         return OK
+    if arguments[:1] in ([], ["-h"], ["--help"]):
+        from jaxnarx.shell.commands.overview import overview
+
+        say(overview())
+        return OK if arguments else USAGE
+    from jaxnarx.shell.commands.old_names import replace_old_names
     from jaxnarx.shell.commands.parse import parse
 
+    arguments, advice = replace_old_names(arguments)
+    for sentence in advice:
+        warn(sentence)
     try:
         command = parse(arguments)
     except SystemExit as stop:
-        return int(stop.code or 0) if arguments else USAGE
+        return int(stop.code or 0)
     from jaxnarx.shell import dispatch
 
     return dispatch.run(command, typed=shlex.join(["jaxnarx", *arguments]))

@@ -41,8 +41,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _identify(command, typed)
     if isinstance(command, commands.Leaderboard):
         return _leaderboard(command)
-    if isinstance(command, commands.Take):
-        return _take(command, typed)
+    if isinstance(command, commands.Choose):
+        return _choose(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
     if isinstance(command, commands.Export):
@@ -214,15 +214,15 @@ def _demo(command: commands.Demo, typed: str) -> int:
 
 
 def _leaderboard(command: commands.Leaderboard) -> int:
-    from jaxnarx.shell.search.take import show
+    from jaxnarx.shell.search.choose import show
 
     return show(command)
 
 
-def _take(command: commands.Take, typed: str) -> int:
-    from jaxnarx.shell.search.take import take
+def _choose(command: commands.Choose, typed: str) -> int:
+    from jaxnarx.shell.search.choose import choose
 
-    return take(command, typed)
+    return choose(command, typed)
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
@@ -365,12 +365,14 @@ def _report(command: commands.Report, typed: str) -> int:
                 run_folder(command.out, "", force=force, marks=RUN[1:])
             )
         junit = stack.enter_context(junit_file(command.junit, force=force))
-        with about(command.description):
+        with about(command.description, but=("over",)):
             told = {"command": typed}
             if split.preparation is not None:
                 told["preparation"] = split.preparation.describe()
-            others = {path: load_model(path, no_limits=bare) for path in command.beside}
-            over = command.over or None
+            others = {
+                path: load_model(path, no_limits=bare) for path in command.compare
+            }
+            over = command.map or None
             result = report(
                 network,
                 parts,

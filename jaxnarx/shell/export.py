@@ -36,7 +36,7 @@ def export_model(command: Export, typed: str) -> int:
             data,
             to=command.to,
             name=command.name,
-            over=command.over or None,
+            over=command.map or None,
             index=not command.without_index,
             level=command.level,
             precision=command.precision,

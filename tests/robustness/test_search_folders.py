@@ -87,8 +87,8 @@ def sound(tmp_path_factory) -> Path:
 COMMANDS = (
     ["leaderboard", "s"],
     ["leaderboard", "s", "--csv"],
-    ["take", "s", "2", "--out", "t"],
-    ["take", "s", "1", "8", "--out", "t"],
+    ["choose", "s", "2", "--out", "t"],
+    ["choose", "s", "1", "8", "--out", "t"],
     ["identify", "engine.toml", "--out", "s"],
 )
 

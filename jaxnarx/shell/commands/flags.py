@@ -62,6 +62,8 @@ FLAGS = {
     "starts": "refine.starts",
 }
 """Options with a name of their own, and the settings they are."""
+ARGUMENTS = {"over": "map", "beside": "compare"}
+"""Arguments of verbs that errors name, and the options they are."""
 OUTPUT = FLAGS["output"]
 """The one setting of a method that a search has as well."""
 OPTIONS: dict[type, dict[str, str]] = {
@@ -214,11 +216,12 @@ def _require_place(
 
 
 def flag_of(field: str) -> str:
-    """A setting, by its path or its last name, as it is typed."""
+    """A setting, by its path or its last name, or an argument, as it is typed."""
     for name, path in FLAGS.items():
         if field in (path, path.rpartition(".")[2]):
             return "--" + name.replace("_", "-")
-    return f"--set {field}" if "." in field else "--" + field.replace("_", "-")
+    name = ARGUMENTS.get(field, field).replace("_", "-")
+    return f"--set {field}" if "." in field else f"--{name}"
 
 
 def _typed(command: type, path: str) -> str:

@@ -49,14 +49,14 @@ class Leaderboard:
 
 
 @dataclasses.dataclass(frozen=True)
-class Take:
-    """Take another candidate of a search: its model, trained on all records.
+class Choose:
+    """Choose another candidate of a search: its model, trained on all records.
 
     NUMBER is that of the leaderboard; several, one for each output, become one model.
     FOLDER receives the model and a report on the records of the search.
 
     Example:
-        jaxnarx take runs/engine-good 7
+        jaxnarx choose runs/engine-good 7
     """
 
     run: Positional[Run]

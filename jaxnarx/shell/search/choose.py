@@ -1,4 +1,4 @@
-"""`jaxnarx leaderboard` and `jaxnarx take`: what a search has found."""
+"""`jaxnarx leaderboard` and `jaxnarx choose`: what a search has found."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from jaxnarx.identification import (
     sentences,
 )
 from jaxnarx.models import Network, combine_outputs, drop_outputs
-from jaxnarx.shell.commands.search import Leaderboard, Take
+from jaxnarx.shell.commands.search import Choose, Leaderboard
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
 from jaxnarx.shell.messages import first_lines, next_command, quote_command, say
@@ -50,7 +50,7 @@ def show(command: Leaderboard) -> int:
     return 0
 
 
-def take(command: Take, typed: str) -> int:
+def choose(command: Choose, typed: str) -> int:
     """Write the model of other candidates, and the report on it."""
     require_finite("require_fit", command.require_fit)
     found = read_search(Path(command.run))
@@ -68,8 +68,8 @@ def take(command: Take, typed: str) -> int:
         network = attach_domain_and_intervals(
             apply_release_limits(network), parts["train"]
         )
-        taken = {row.output: row.number for row in rows}
-        result = score_model(network, parts, found, taken, told)
+        chosen = {row.output: row.number for row in rows}
+        result = score_model(network, parts, found, chosen, told)
         following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
         result = dataclasses.replace(result, next_command=quote_command(following))
         files = write_run(folder, network, result, about)
@@ -95,7 +95,7 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Candidate]:
         if row.output in rows:
             raise SpecError(
                 f"candidates {rows[row.output].number} and {number} are both of "
-                f"{row.output}; take one for each output"
+                f"{row.output}; choose one for each output"
             )
         rows[row.output] = row
     return list(rows.values())
@@ -107,7 +107,7 @@ def _network(found: SearchFolder, rows: Sequence[Candidate]) -> Network:
     return drop_outputs(whole)
 
 
-def _origin(command: Take, found: SearchFolder) -> Origin:
+def _origin(command: Choose, found: SearchFolder) -> Origin:
     """The records; DataFileError where the ones of the search are gone."""
     if command.description is not None:
         return Origin.of(command.description, command.root)
