@@ -16,7 +16,8 @@ from jaxnarx.data import (
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe
-from jaxnarx.shell.messages import count, next_command, quote_command, say, size, warn
+from jaxnarx.shell.messages import count, quote_command, say, size, warn
+from jaxnarx.shell.next_command import tell_next
 
 
 def describe(command: Describe) -> int:
@@ -54,16 +55,17 @@ def describe(command: Describe) -> int:
     write_whole(out, toml(found, root, given).encode("utf-8"))
     say(f"\nwrote {out}")
     where = ["--root", str(root)] if given == "." and relative != "." else []
+    check = ("jaxnarx", "check", str(out), *where)
     try:
         split = read_split(out, root=root if where else None)
     except JaxnarxError as error:
         warn(f"what it describes cannot be read yet: {error}")
-        next_command("jaxnarx", "check", str(out), *where, then=", when that is mended")
+        tell_next(quote_command(*check, remark=", when that is mended"))
         return 3
     say(size(split.all))
     for note in split.all.notes:
         say(note)
-    next_command("jaxnarx", "check", str(out), *where)
+    tell_next(quote_command(*check))
     return 0
 
 
@@ -113,7 +115,7 @@ def _options_to_add(found: Survey) -> list[str]:
         return []
     inputs = [one.name for one in found.of("input")]
     outputs = [one.name for one in found.of("output")]
-    options = quote_command(["--outputs", *outputs, "--inputs", *inputs, left[0]])
+    options = quote_command("--outputs", *outputs, "--inputs", *inputs, left[0])
     return [f"left out: {', '.join(left)}; to add {left[0]}: {options}"]
 
 

@@ -9,7 +9,12 @@ from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
-from jaxnarx.shell.messages import about, next_command, quote_command, say, size, warn
+from jaxnarx.shell.messages import about, quote_command, say, size, warn
+from jaxnarx.shell.next_command import (
+    propose_after_method,
+    propose_simulation,
+    tell_next,
+)
 from jaxnarx.shell.reading import tell_reading
 
 if TYPE_CHECKING:
@@ -104,13 +109,12 @@ def _check(command: commands.Check) -> int:
     say(f"{findings}\n\n{lags}")
     root = () if command.root is None else ("--root", command.root)
     if status:
-        next_command(
-            "jaxnarx", "check", command.description, *root, then=", errors corrected"
-        )
+        words = ["jaxnarx", "check", command.description, *root]
+        tell_next(quote_command(*words, remark=", errors corrected"))
         return status
     names = data.channels.output_names
     one = ("--output", names[0]) if len(names) > 1 else ()
-    next_command("jaxnarx", "identify", command.description, *root, *one)
+    tell_next(quote_command("jaxnarx", "identify", command.description, *root, *one))
     return status
 
 
@@ -157,7 +161,7 @@ def _next_check(file: Path) -> None:
     # the variable would send the reader of the new files to the old ones
     elsewhere = os.environ.get("JAXNARX_DATA")
     root = ("--root", str(file.parent)) if elsewhere else ()
-    next_command("jaxnarx", "check", str(file), *root)
+    tell_next(quote_command("jaxnarx", "check", str(file), *root))
 
 
 def _lags(lags: "LagSuggestion") -> dict[str, Any]:
@@ -207,8 +211,8 @@ def _demo(command: commands.Demo, typed: str) -> int:
         )
         data = pfi_siso_records(jax.random.key(command.seed), (command.events,) * 3)
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
-        words = ["jaxnarx", "check", "engine.toml"]
-        then = words, "  (a description of your records)"
+        words = ("jaxnarx", "check", "engine.toml")
+        then = quote_command(*words, remark="  (a description of your records)")
         result = identify(task, parts, folder, follow=lambda _: then)
     return exit_code_of(result)
 
@@ -240,7 +244,6 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
         identify,
         preparation_task,
     )
-    from jaxnarx.shell.next_command import next_words
     from jaxnarx.shell.output import RUN, run_folder
 
     require_finite("require_fit", command.require_fit)
@@ -254,7 +257,7 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
         parts = _parts(split, share)
         follow = partial(
-            next_words,
+            propose_after_method,
             command,
             model=str(folder / "model.safetensors"),
             outputs=outputs,
@@ -330,7 +333,8 @@ def _invert(command: commands.Invert, typed: str) -> int:
             "--degree or other lags."
         )
     model = str(folder / FILES[0])
-    next_command("jaxnarx", "simulate", model, "wanted.csv", "--through", command.model)
+    words = ["jaxnarx", "simulate", model, "wanted.csv", "--through", command.model]
+    tell_next(quote_command(*words))
     return 0
 
 
@@ -381,8 +385,7 @@ def _report(command: commands.Report, typed: str) -> int:
                 within=command.within,
                 provenance=told,
             )
-            following = ["jaxnarx", "simulate", command.model, "new_run.csv"]
-            result = replace(result, next_command=quote_command(following))
+            result = replace(result, next_command=propose_simulation(command.model))
         say(str(result))
         if folder is not None:
             with write_together(folder) as place:
@@ -391,10 +394,11 @@ def _report(command: commands.Report, typed: str) -> int:
             write_junit(result, junit, command.require_fit)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
-        next_command(*following)
+        tell_next(result.next_command)
     else:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]
         words += ["--no-limits"] if bare else []
-        next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
+        words += ["--out", "FOLDER"]
+        tell_next(quote_command(*words, remark="  (writes the page with figures)"))
     return exit_code_of(result, command.require_fit)

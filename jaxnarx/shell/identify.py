@@ -24,7 +24,8 @@ from jaxnarx.settings import (
     replace_at,
 )
 from jaxnarx.shell.description import tell_findings
-from jaxnarx.shell.messages import count, first_lines, quote_command, say
+from jaxnarx.shell.messages import count, first_lines, say
+from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.output import write_report, write_together
 from jaxnarx.shell.progress import (
     refinement_progress,
@@ -84,13 +85,12 @@ def identify(
     parts: dict[str, Dataset],
     folder: Path,
     *,
-    follow: Callable[[Verdict], tuple[list[str], str]],
+    follow: Callable[[Verdict], str],
 ) -> Report:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
     Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
-    none. `follow` tells the command to type next, and a remark behind it. Returns the
-    report.
+    none. `follow` returns the command to type next. Returns the report.
     """
     begin = time.perf_counter()
     method = task.method
@@ -103,9 +103,7 @@ def identify(
         fit = verb(train, method, validation=judges, progress=tell)
     grown = fit.stats["grown"].value
     result = _report(task, parts, fit)
-    result = dataclasses.replace(
-        result, next_command=quote_command(*follow(result.verdict))
-    )
+    result = dataclasses.replace(result, next_command=follow(result.verdict))
     with write_together(folder) as place:
         about: dict[str, Any] = {"command": task.command}
         if task.preparation is not None:
@@ -119,7 +117,7 @@ def identify(
         f"and report.html to {folder}"
     )
     say(f"\nOpen {folder / 'report.html'}")
-    say(f"\nNext: {result.next_command}")
+    tell_next(result.next_command)
     return result
 
 

@@ -9,7 +9,8 @@ from jaxnarx.exporters import lower, read_parameters
 from jaxnarx.models import Network, load, load_about, save
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import ImportDcm
-from jaxnarx.shell.messages import about, count, next_command, say
+from jaxnarx.shell.messages import about, count, quote_command, say
+from jaxnarx.shell.next_command import tell_next
 
 LARGEST = 64 * 2**20
 """Bytes of a file that are read."""
@@ -32,7 +33,7 @@ def import_dcm(command: ImportDcm) -> int:
     for line in what_is_lost(before, after):
         say(line)
     say(f"wrote {here / MODEL}")
-    next_command("jaxnarx", "report", str(here / MODEL), "DESCRIPTION")
+    tell_next(quote_command("jaxnarx", "report", str(here / MODEL), "DESCRIPTION"))
     return 0
 
 

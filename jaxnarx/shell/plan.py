@@ -8,7 +8,8 @@ from jaxnarx.models import load
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Plan
 from jaxnarx.shell.formats import table_csv
-from jaxnarx.shell.messages import count, next_command, say, warn
+from jaxnarx.shell.messages import count, quote_command, say, warn
+from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.parse_ranges import parse_assignment, seconds
 from jaxnarx.shell.record_files import describe, record_csv
 
@@ -52,9 +53,8 @@ def plan_test(command: Plan, typed: str) -> int:
     if not found.is_okay:
         warn(f"{found.status_name}: limits leave little to be planned; widen them")
     say(f"wrote {PLAN}, {DESCRIPTION} and {PREDICTED} to {folder}")
-    next_command(
-        "jaxnarx", "check", str(folder / DESCRIPTION), "--model", command.model
-    )
+    words = ("jaxnarx", "check", str(folder / DESCRIPTION), "--model", command.model)
+    tell_next(quote_command(*words))
     return 0
 
 

@@ -16,7 +16,8 @@ from jaxnarx.models import Network, combine_outputs, drop_outputs
 from jaxnarx.shell.commands.search import Choose, Leaderboard
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
-from jaxnarx.shell.messages import first_lines, next_command, quote_command, say
+from jaxnarx.shell.messages import first_lines, say
+from jaxnarx.shell.next_command import propose_simulation, tell_next
 from jaxnarx.shell.output import RUN, run_folder
 from jaxnarx.shell.search.folder import (
     Origin,
@@ -70,8 +71,8 @@ def choose(command: Choose, typed: str) -> int:
         )
         chosen = {row.output: row.number for row in rows}
         result = score_model(network, parts, found, chosen, told)
-        following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
-        result = dataclasses.replace(result, next_command=quote_command(following))
+        following = propose_simulation(str(folder / RUN[0]))
+        result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about)
     say("\n" + first_lines(result))
     say("\n" + summary(result))
@@ -79,7 +80,7 @@ def choose(command: Choose, typed: str) -> int:
         say(sentences(found.leaderboard, row.output, row.number)[0])
     say(f"\nwrote {', '.join(files)} to {folder}")
     say(f"\nOpen {folder / 'report.html'}")
-    next_command(*following)
+    tell_next(following)
     return exit_code_of(result, command.require_fit)
 
 

@@ -25,7 +25,7 @@ from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.description import read_description, tell_findings
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
 from jaxnarx.shell.messages import count, first_lines, quote_command, say, warn
-from jaxnarx.shell.next_command import next_search
+from jaxnarx.shell.next_command import propose_after_search, tell_next
 from jaxnarx.shell.output import RUN, run_folder, slug
 from jaxnarx.shell.report.page import exported_cost
 from jaxnarx.shell.search.folder import (
@@ -70,7 +70,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         result = score_model(network, parts, read_search(folder), {}, told)
         model = str(folder / RUN[0])
         judgement = None if stopped else result.verdict
-        following = quote_command(*next_search(command, asked, judgement, model=model))
+        following = propose_after_search(command, asked, judgement, model=model)
         result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about, board)
     say("\n" + first_lines(result))
@@ -78,11 +78,11 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     say(
         f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
     )
-    _tell(board, network, quote_command(["jaxnarx", "leaderboard", str(folder)]))
+    _tell(board, network, quote_command("jaxnarx", "leaderboard", str(folder)))
     _tell_end(fit, stopped)
     _left(asked, train.channels, network)
     say(f"\nOpen {folder / 'report.html'}")
-    say(f"\nNext: {following}")
+    tell_next(following)
     status = exit_code_of(result, command.require_fit)
     return 130 if stopped else status
 
