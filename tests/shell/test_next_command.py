@@ -13,9 +13,13 @@ from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.next_command import propose_after_method, propose_after_search
 
-TYPED = (
-    'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'
-)
+TYPED = [
+    '--output NOx --terms 9 --schedule "speed[t]" --models 4 --force',
+    "--log NOx HC --ridge 1e-7 --input-lags --filters 1 2.5",
+    "--schedule a b --partition axis-tree --steps 0",
+    "--set refine=prediction pool.degree=3",
+    "--set refine.tolerance=1e-5 --horizons 10 30",
+]
 
 
 def of(outputs):
@@ -41,8 +45,9 @@ def parts(text):
     return shlex.split(command), remark + rest
 
 
-def test_words_make_the_command_again():
-    command = parse(shlex.split(TYPED))
+@pytest.mark.parametrize("options", TYPED)
+def test_words_make_the_command_again(options):
+    command = parse(["identify", "a.toml", *shlex.split(options)])
     assert isinstance(command, Identify)
     assert parse(words_of(command)[1:]) == command
 

@@ -250,35 +250,33 @@ def words_of(command: Identify) -> list[str]:
 
 def _words_of_method(method: Identification) -> list[str]:
     """The options of a method that differ from defaults."""
-    words, usual = [], Identification()
-    kinds = {s: to_dict(getattr(method, s)).get(KIND_KEY) for s in ("select", "grow")}
+    tree, values = to_dict(method), dict[str, Any]()
+    kinds = {s: tree[s][KIND_KEY] for s in ("select", "grow", "refine") if tree[s]}
     if kinds["grow"] != "global":
-        kinds["grow.scheduling"] = value_at(method, "grow.scheduling")
-    if method.refine is None:
-        words += ["--steps", "0"]
-    base = replace_at(usual, kinds)
+        values["grow.scheduling"] = value_at(method, "grow.scheduling")
+    base = replace_at(Identification(), kinds | values)
     if kinds["select"] != "forward":
-        words += ["--select", str(kinds["select"])]
+        values["select"] = kinds["select"]
     if kinds["grow"] not in ("global", DIVIDED[Identify]):
-        words += ["--partition", str(kinds["grow"])]
-    if kinds["grow"] != "global":
-        words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
-    named = {path: name for name, path in FLAGS.items()}
-    others = []
-    for path, value in by_path(to_dict(method)).items():
-        if path.split(".")[-1] == KIND_KEY or path == "grow.scheduling":
-            continue
-        if value == value_at(base, path) or path == "refine":
-            continue
+        values["grow"] = kinds["grow"]
+    if method.refine is None:
+        values["refine.max_steps"] = 0
+    elif kinds["refine"] != "simulation":
+        values["refine"] = kinds["refine"]
+    for path in by_path(tree):
         path = "refine.box_cox" if path.startswith("refine.box_cox.") else path
-        listed = value_at(method, path)
-        if path == "refine.box_cox" and isinstance(listed, Mapping):
-            listed = tuple(listed)
-        if path not in named:
-            others.append(f"{path}={_toml(listed)}")
-        elif "--" + named[path].replace("_", "-") not in words:
-            listed = listed if isinstance(listed, tuple) else (listed,)
-            words += ["--" + named[path].replace("_", "-"), *map(_text, listed)]
+        value = value_at(method, path)
+        kind = path == "refine" or path.endswith(f".{KIND_KEY}")
+        if not kind and value != value_at(base, path):
+            values[path] = tuple(value) if isinstance(value, Mapping) else value
+    options = {path: "--" + name.replace("_", "-") for name, path in FLAGS.items()}
+    words, others = [], []
+    for path, value in values.items():
+        if path in options:
+            several = value if isinstance(value, tuple) else (value,)
+            words += [options[path], *map(_text, several)]
+        else:
+            others.append(f"{path}={_toml(value)}")
     return words + (["--set", *others] if others else [])
 
 

@@ -82,12 +82,8 @@ def seconds(text: str) -> float:
 def words_of_search(method: Automatic) -> list[str]:
     """The options as they are typed, those that differ from defaults."""
     words = ["--output", *method.outputs] if method.outputs else []
-    if method.preset != Automatic.preset:
-        words += ["--preset", method.preset]
-    if method.budget is not None:
-        words += ["--budget", f"{method.budget:g}s"]
-    if method.candidates is not None:
-        words += ["--candidates", str(method.candidates)]
-    if method.states is not None:
-        words += ["--states", str(method.states)]
+    for name in NAMES:
+        value = getattr(method, name)
+        if value != getattr(Automatic, name):
+            words += [f"--{name}", f"{value:g}s" if name == "budget" else str(value)]
     return words
