@@ -10,7 +10,7 @@ from jaxnarx.shell.commands import Plan
 from jaxnarx.shell.formats import table_csv
 from jaxnarx.shell.messages import count, quote_command, say, warn
 from jaxnarx.shell.next_command import tell_next
-from jaxnarx.shell.parse_ranges import parse_assignment, seconds
+from jaxnarx.shell.parse_ranges import parse_assignment, parse_seconds
 from jaxnarx.shell.record_files import describe, record_csv
 
 PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"
@@ -65,12 +65,12 @@ def _verb_arguments(command: Plan) -> dict:
     form = "NAME=HIGHEST or NAME=LOWEST:HIGHEST"
     limits = [parse_assignment(t, "--limit", form, 1, 2) for t in command.limit]
     return {
-        "duration": seconds(command.duration, "--duration"),
+        "duration": parse_seconds(command.duration, "--duration"),
         "ranges": {name: tuple(pair) for name, *pair in ranges},
         "rates": dict(rates),
         "forbidden": command.forbid,
         "limits": {n: x[0] if len(x) == 1 else tuple(x) for n, *x in limits},
-        "hold": tuple(seconds(t, "--hold") for t in command.hold or ()) or None,
+        "hold": tuple(parse_seconds(t, "--hold") for t in command.hold or ()) or None,
         "seed": command.seed,
     }
 
